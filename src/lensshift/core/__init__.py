@@ -1,0 +1,1 @@
+"""Nouns, grid, units, errors: what every stage may use."""

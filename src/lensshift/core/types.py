@@ -1,0 +1,335 @@
+"""The nouns that travel along the chain: frozen data that know no algorithm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+
+OffsetSource = Literal["planned", "calibrated", "registered"]
+OFFSET_SOURCES: tuple[OffsetSource, ...] = ("planned", "calibrated", "registered")
+
+
+class Status(Enum):
+    """How a reconstruction ended."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "stopped at the iteration limit"
+    DIRECT = "computed directly, without iterations"
+    NOT_FINITE = "the estimate is not finite"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Psf:
+    """A point spread function sampled every `step_px` LR pixels.
+
+    Parameters
+    ----------
+    kernel : [row col], odd in both directions, centred; it is scaled to sum to 1
+    step_px : spacing of the samples in LR pixels
+    """
+
+    kernel: NDArray[np.float64]
+    step_px: float
+
+    def __post_init__(self) -> None:
+        kernel = np.asarray(self.kernel, dtype=np.float64)
+        if kernel.ndim != 2 or kernel.shape[0] % 2 == 0 or kernel.shape[1] % 2 == 0:
+            raise ValueError(f"expected a PSF kernel [row col] of odd size, got {kernel.shape}")
+        if not np.all(np.isfinite(kernel)) or kernel.sum() <= 0:
+            raise ValueError("expected a finite PSF kernel with a positive sum")
+        if not self.step_px > 0:
+            raise ValueError(f"expected a positive step_px, got {self.step_px}")
+        object.__setattr__(self, "kernel", kernel / kernel.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Burst:
+    """K frames of one static scene, each with the lens at another position.
+
+    Parameters
+    ----------
+    amplitude : [frame row col] normalised amplitude, or complex phasors
+    offset_px : [frame 2] (row, col); positive: the content moved down / right in that frame
+    grid : the LR sampling grid
+    distance_m : [frame row col] radial distance, or None
+    valid : [frame row col] False where a pixel must not be used; None: all of them are good
+    offset_sigma_px : [frame 2] standard deviation of `offset_px`, or None
+    offset_source : where the offsets come from
+    stage_mm, stage_commanded_mm : [frame 2] lens position read back and asked for, or None
+    time_s : [frame] or None
+    modulation_hz : modulation frequency, or None
+    meta : anything else worth keeping, text and numbers
+
+    Raises
+    ------
+    DataError
+        If a field has the wrong shape or type, or is not finite where it is valid.
+    """
+
+    amplitude: NDArray[Any]
+    offset_px: NDArray[np.float64]
+    grid: Grid
+    distance_m: NDArray[Any] | None = None
+    valid: NDArray[np.bool_] | None = None
+    offset_sigma_px: NDArray[np.float64] | None = None
+    offset_source: OffsetSource = "planned"
+    stage_mm: NDArray[np.float64] | None = None
+    stage_commanded_mm: NDArray[np.float64] | None = None
+    time_s: NDArray[np.float64] | None = None
+    modulation_hz: float | None = None
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        frames = _as_frames(self.amplitude, "amplitude")
+        count = frames.shape[0]
+        if frames.shape[1:] != self.grid.shape:
+            raise DataError(
+                f"expected frames of the grid's shape {self.grid.shape}, got {frames.shape[1:]}",
+                field="amplitude",
+            )
+        valid = _as_valid(self.valid, frames)
+        _check_finite_where_valid(frames, valid, "amplitude")
+        settle: dict[str, Any] = {"amplitude": frames, "valid": valid}
+        if self.distance_m is not None:
+            distance_m = _as_frames(self.distance_m, "distance_m", shape=frames.shape)
+            _check_finite_where_valid(distance_m, valid, "distance_m")
+            settle["distance_m"] = distance_m
+        for name in ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm"):
+            if name == "offset_px" or getattr(self, name) is not None:
+                settle[name] = _as_pairs(getattr(self, name), count, name)
+        if self.time_s is not None:
+            settle["time_s"] = _as_numbers(self.time_s, (count,), "time_s")
+        if self.offset_source not in OFFSET_SOURCES:
+            raise DataError(
+                f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}",
+                field="offset_source",
+            )
+        if self.modulation_hz is not None and not (
+            np.isfinite(self.modulation_hz) and self.modulation_hz > 0
+        ):
+            raise DataError(
+                f"expected a positive frequency, got {self.modulation_hz}", field="modulation_hz"
+            )
+        for name, value in settle.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        amplitude: ArrayLike,
+        distance_m: ArrayLike | None = None,
+        *,
+        offset_px: ArrayLike,
+        pitch_mm: float | tuple[float, float],
+        modulation_hz: float | None = None,
+        valid: ArrayLike | None = None,
+        **fields: Any,
+    ) -> Burst:
+        """Make a burst from plain arrays.
+
+        Parameters
+        ----------
+        amplitude, distance_m, valid : [frame row col]
+        offset_px : [frame 2] as (row, col)
+        pitch_mm : LR pixel pitch, one number or (row, col)
+        fields : any other field of `Burst`
+
+        Raises
+        ------
+        DataError
+            If the arrays do not fit together.
+        """
+        frames = _as_frames(amplitude, "amplitude")
+        pitch = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), (2,))
+        try:
+            grid = Grid(
+                (int(frames.shape[1]), int(frames.shape[2])), (float(pitch[0]), float(pitch[1]))
+            )
+        except ValueError as error:
+            raise DataError(str(error), field="pitch_mm") from error
+        return cls(
+            amplitude=frames,
+            offset_px=np.asarray(offset_px),
+            grid=grid,
+            distance_m=None if distance_m is None else np.asarray(distance_m),
+            valid=None if valid is None else np.asarray(valid),
+            modulation_hz=modulation_hz,
+            **fields,
+        )
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames."""
+        return int(self.amplitude.shape[0])
+
+    def select(self, frames: Sequence[int]) -> Burst:
+        """Return the burst that holds only the given frames, in the given order."""
+        index = np.asarray(list(frames), dtype=np.intp)
+        if index.size == 0 or index.min() < -self.frame_count or index.max() >= self.frame_count:
+            raise ValueError(
+                f"expected frame numbers from 0 to {self.frame_count - 1}, got {list(frames)}"
+            )
+
+        def pick(values: NDArray[Any] | None) -> Any:
+            return None if values is None else values[index]
+
+        return Burst(
+            amplitude=self.amplitude[index],
+            offset_px=self.offset_px[index],
+            grid=self.grid,
+            distance_m=pick(self.distance_m),
+            valid=pick(self.valid),
+            offset_sigma_px=pick(self.offset_sigma_px),
+            offset_source=self.offset_source,
+            stage_mm=pick(self.stage_mm),
+            stage_commanded_mm=pick(self.stage_commanded_mm),
+            time_s=pick(self.time_s),
+            modulation_hz=self.modulation_hz,
+            meta=self.meta,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShiftField:
+    """Image offset of every pixel of every frame, for optics whose shift varies over the sensor.
+
+    Parameters
+    ----------
+    offset_px : [frame row col 2] (row, col), with the sign of `Burst.offset_px`
+    """
+
+    offset_px: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        offset = np.asarray(self.offset_px, dtype=np.float64)
+        if offset.ndim != 4 or offset.shape[-1] != 2:
+            raise ValueError(f"expected offset_px [frame row col 2], got shape {offset.shape}")
+        if not np.all(np.isfinite(offset)):
+            raise ValueError("expected finite offsets in the shift field")
+        object.__setattr__(self, "offset_px", offset)
+
+
+def _no_prediction(frame: int | ArrayLike) -> NDArray[Any]:
+    raise ValueError("this estimate carries no forward model and cannot predict a frame")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """One HR channel and the story of how it was found.
+
+    Parameters
+    ----------
+    image : [row col] on the HR grid
+    std : [row col] standard deviation of `image` from the frames' noise, or None
+    objective : its value after each outer iteration
+    status : how the iterations ended
+    confidence : [frame row col] weight of each LR pixel in 0 .. 1, or None
+    prior_weight : weight of the prior that was used, or None
+    noise_sigma : noise of one LR pixel that was given or estimated, or None
+    noise_gain : noise of an HR pixel / noise of an LR pixel (rms over the image), or None
+    predict : called with a frame number of the burst or an offset (row, col) in LR pixels,
+        returns that LR frame as the forward model sees `image`
+    """
+
+    image: NDArray[Any]
+    std: NDArray[np.float64] | None = None
+    objective: tuple[float, ...] = ()
+    status: Status = Status.DIRECT
+    confidence: NDArray[np.float64] | None = None
+    prior_weight: float | None = None
+    noise_sigma: float | None = None
+    noise_gain: float | None = None
+    predict: Callable[[int | ArrayLike], NDArray[Any]] = _no_prediction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """What `reconstruct` returns: the channels on the HR grid and how they were made.
+
+    Parameters
+    ----------
+    amplitude, distance_m : the channels, or None where a channel was not asked for
+    grid : the HR grid
+    scale : upscaling factor
+    method : registered name of the method
+    settings : everything else the caller or `auto` chose
+    """
+
+    amplitude: Estimate | None
+    distance_m: Estimate | None
+    grid: Grid
+    scale: int
+    method: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _as_frames(
+    values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
+) -> NDArray[Any]:
+    frames = np.asarray(values)
+    if frames.dtype.kind not in "uifc":
+        raise DataError(f"expected numbers, got dtype {frames.dtype}", field=name)
+    if frames.ndim != 3:
+        raise DataError(f"expected [frame row col], got shape {frames.shape}", field=name)
+    if frames.size == 0:
+        raise DataError(f"expected at least one pixel, got shape {frames.shape}", field=name)
+    if shape is not None and frames.shape != shape:
+        raise DataError(f"expected shape {shape} like amplitude, got {frames.shape}", field=name)
+    return frames
+
+
+def _as_valid(valid: NDArray[Any] | None, frames: NDArray[Any]) -> NDArray[np.bool_]:
+    if valid is None:
+        return np.ones(frames.shape, dtype=np.bool_)
+    mask = np.asarray(valid)
+    if mask.shape != frames.shape:
+        raise DataError(
+            f"expected shape {frames.shape} like amplitude, got {mask.shape}", field="valid"
+        )
+    if mask.dtype.kind not in "bui":
+        raise DataError(f"expected booleans, got dtype {mask.dtype}", field="valid")
+    mask = mask.astype(np.bool_)
+    if not mask.any():
+        raise DataError("every pixel is marked invalid; nothing is left to use", field="valid")
+    return mask
+
+
+def _check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], name: str) -> None:
+    if values.dtype.kind in "ui":
+        return
+    bad = int(np.count_nonzero(~np.isfinite(values) & valid))
+    if bad == int(np.count_nonzero(valid)):
+        raise DataError("every valid pixel is NaN or infinite", field=name)
+    if bad:
+        raise DataError(
+            f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`",
+            field=name,
+        )
+
+
+def _as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+    try:
+        numbers = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError("expected numbers", field=name) from error
+    if numbers.shape != shape:
+        raise DataError(f"expected shape {shape}, got {numbers.shape}", field=name)
+    if not np.all(np.isfinite(numbers)):
+        raise DataError("expected finite numbers, got NaN or infinity", field=name)
+    return numbers
+
+
+def _as_pairs(values: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
+    try:
+        return _as_numbers(values, (count, 2), name)
+    except DataError as error:
+        hint = f"one (row, col) pair for each of the {count} frames"
+        raise DataError(f"{error.problem} ({hint})", field=name) from error

@@ -1,0 +1,38 @@
+"""Conversions between the units of the house, each written once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+SPEED_OF_LIGHT_MPS = 299_792_458.0
+
+
+def px_to_mm(length_px: ArrayLike, pitch_mm: ArrayLike) -> NDArray[np.float64]:
+    """Convert a length on the sensor from LR pixels to millimetres."""
+    return np.asarray(length_px, dtype=np.float64) * np.asarray(pitch_mm, dtype=np.float64)
+
+
+def mm_to_px(length_mm: ArrayLike, pitch_mm: ArrayLike) -> NDArray[np.float64]:
+    """Convert a length on the sensor from millimetres to LR pixels."""
+    return np.asarray(length_mm, dtype=np.float64) / np.asarray(pitch_mm, dtype=np.float64)
+
+
+def unambiguous_range_m(modulation_hz: float) -> float:
+    """Return the distance at which the phase has gone once round, c / (2 f)."""
+    if not np.isfinite(modulation_hz) or modulation_hz <= 0:
+        raise ValueError(f"expected a positive modulation frequency in Hz, got {modulation_hz}")
+    return SPEED_OF_LIGHT_MPS / (2.0 * modulation_hz)
+
+
+def distance_to_phase(distance_m: ArrayLike, modulation_hz: float) -> NDArray[np.float64]:
+    """Return the phase of the returned light in rad, 4 pi f d / c."""
+    return np.asarray(distance_m, dtype=np.float64) * (
+        2.0 * np.pi / unambiguous_range_m(modulation_hz)
+    )
+
+
+def phase_to_distance(phase_rad: ArrayLike, modulation_hz: float) -> NDArray[np.float64]:
+    """Return the distance in [0, c / 2f) m that belongs to a phase."""
+    turns = np.mod(np.asarray(phase_rad, dtype=np.float64) / (2.0 * np.pi), 1.0)
+    return turns * unambiguous_range_m(modulation_hz)

@@ -1,0 +1,72 @@
+"""Linear operators as values: two shapes, forward, adjoint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class LinearOperator:
+    """y = A x between N-D arrays, with the exact adjoint beside it.
+
+    Raises
+    ------
+    ValueError
+        If it is called with an array of another shape than `in_shape`.
+    """
+
+    in_shape: tuple[int, ...]
+    out_shape: tuple[int, ...]
+    forward: Callable[[Array], Array]
+    adjoint: Callable[[Array], Array]
+
+    def __call__(self, x: Array) -> Array:
+        if x.shape != self.in_shape:
+            raise ValueError(f"operator expects an array of shape {self.in_shape}, got {x.shape}")
+        return self.forward(x)
+
+    @property
+    def T(self) -> LinearOperator:
+        """The adjoint, as an operator of its own."""
+        return LinearOperator(self.out_shape, self.in_shape, self.adjoint, self.forward)
+
+
+def compose(outer: LinearOperator, inner: LinearOperator) -> LinearOperator:
+    """Return `outer` after `inner`, A B x."""
+    if inner.out_shape != outer.in_shape:
+        raise ValueError(
+            f"cannot compose: inner gives {inner.out_shape}, outer expects {outer.in_shape}"
+        )
+    return LinearOperator(
+        inner.in_shape,
+        outer.out_shape,
+        lambda x: outer.forward(inner.forward(x)),
+        lambda y: inner.adjoint(outer.adjoint(y)),
+    )
+
+
+def stack(operators: Sequence[LinearOperator]) -> LinearOperator:
+    """Return the operator whose output holds the outputs of all, one after another on axis 0."""
+    if len({(A.in_shape, A.out_shape) for A in operators}) != 1:
+        raise ValueError("expected at least one operator, all of the same shapes")
+    first = operators[0]
+
+    def adjoint(y: Array) -> Array:
+        x = operators[0].adjoint(y[0])
+        for A, part in zip(operators[1:], y[1:], strict=True):
+            x = x + A.adjoint(part)
+        return x
+
+    return LinearOperator(
+        first.in_shape,
+        (len(operators), *first.out_shape),
+        lambda x: np.stack([A.forward(x) for A in operators]),
+        adjoint,
+    )
