@@ -1,0 +1,48 @@
+"""Write files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from lensshift.core.errors import DataError
+
+
+@contextmanager
+def written_whole(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary name beside `path`; move it there if the block succeeds.
+
+    Whatever ends the block (an error, Ctrl-C, a full disk), the temporary file is removed and
+    a file that already had the name is left as it was.
+
+    Raises
+    ------
+    DataError
+        If the folder is missing, the name cannot be written or the disk is full.
+    """
+    try:
+        target = _writable_target(path)
+        temporary = target.parent / f".lensshift-{secrets.token_hex(8)}{target.suffix}"
+        try:
+            yield temporary
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+
+
+def _writable_target(path: str | Path) -> Path:
+    try:
+        target = Path(os.path.realpath(path))  # write through a link, do not replace it
+    except ValueError as error:
+        raise DataError(f"cannot write: {error}", source=path) from error
+    if target.exists() and not target.is_file():
+        kind = "a folder" if target.is_dir() else "a device or pipe"
+        raise DataError(f"cannot write: this is {kind}, not a file", source=path)
+    if not target.parent.is_dir():
+        raise DataError(f"cannot write: there is no folder {target.parent}", source=path)
+    return target

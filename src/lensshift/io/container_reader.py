@@ -1,0 +1,219 @@
+"""Read the container of bursts and results; damage becomes a `DataError`, never bad numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+
+GROUP = "entry/data"
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_DEFLATE_LIMIT = 1100  # zlib cannot shrink data by more than a factor of 1032
+# What h5py and HDF5 raise when a file is damaged.
+_READ_ERRORS = (
+    OSError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    AttributeError,
+    MemoryError,
+    SystemError,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Container:
+    """An open file; every access names file and field if it fails."""
+
+    path: Path
+    group: Any
+
+    def has(self, name: str) -> bool:
+        """Tell whether the file has a variable of this name."""
+        with _reading(self.path, name):
+            return name in self.group
+
+    def array(self, name: str, *, kinds: str = "uifc") -> NDArray[Any]:
+        """Read a variable whose dtype is of one of the given kinds."""
+        import h5py
+
+        with _reading(self.path, name):
+            item = self.group.get(name)
+            if not isinstance(item, h5py.Dataset):
+                raise DataError("the variable is missing", field=name)
+            if item.dtype.kind not in kinds:
+                raise DataError(f"expected numbers, got dtype {item.dtype}", field=name)
+            if item.shape is None or item.size == 0:
+                raise DataError(f"expected values, got shape {item.shape}", field=name)
+            stored_bytes = item.id.get_storage_size()
+            if item.nbytes > _DEFLATE_LIMIT * stored_bytes:
+                raise DataError(
+                    f"damaged: {stored_bytes} bytes cannot hold shape {item.shape}", field=name
+                )
+            values = np.asarray(item[()])
+            return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+    def pairs(self, name: str) -> NDArray[np.float64]:
+        """Read `name_row` and `name_col`, one number a frame each, as [frame 2]."""
+        columns = [self.array(f"{name}_{axis}", kinds="uif") for axis in ("row", "col")]
+        if columns[0].ndim != 1 or columns[0].shape != columns[1].shape:
+            raise DataError(
+                f"expected one number a frame like {name}_row, got shapes "
+                f"{columns[0].shape} and {columns[1].shape}",
+                field=f"{name}_col",
+                source=self.path,
+            )
+        return np.stack(columns, axis=1).astype(np.float64)
+
+    def attribute(self, name: str, *, of: str = "") -> Any:
+        """Return an attribute of the set or of a variable, or None if it is absent."""
+        label = f"{of}@{name}" if of else name
+        with _reading(self.path, label):
+            owner = self.group[of] if of else self.group
+            if name not in owner.attrs:
+                return None
+            value = owner.attrs[name]
+            return value.decode() if isinstance(value, bytes) else value
+
+    def text(self, name: str, *, of: str = "") -> str:
+        """Return a text attribute."""
+        value = self.attribute(name, of=of)
+        if not isinstance(value, str):
+            raise self._unexpected("text", value, name)
+        return value
+
+    def number(self, name: str, *, of: str = "") -> float | None:
+        """Return a numeric attribute, or None if it is absent."""
+        value = self.attribute(name, of=of)
+        return None if value is None else self._numbers(value, 1, name)[0]
+
+    def number_pair(self, name: str) -> tuple[float, float]:
+        """Return a numeric attribute of two values, (row, col)."""
+        row, col = self._numbers(self.attribute(name), 2, name)
+        return row, col
+
+    def mapping(self, name: str) -> dict[str, Any]:
+        """Return the mapping that an attribute holds as JSON text; empty if it is absent."""
+        if self.attribute(name) is None:
+            return {}
+        try:
+            value = json.loads(self.text(name))
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise DataError(f"not JSON: {error}", field=name, source=self.path) from error
+        if not isinstance(value, dict):
+            raise DataError("expected a JSON object", field=name, source=self.path)
+        return value
+
+    def _numbers(self, value: Any, count: int, name: str) -> list[float]:
+        array = np.asarray(value)
+        if array.dtype.kind not in "uif" or array.size != count:
+            raise self._unexpected(f"{count} number(s)", value, name)
+        return [float(number) for number in array.ravel()]
+
+    def _unexpected(self, expected: str, value: Any, name: str) -> DataError:
+        got = "the attribute is missing" if value is None else f"got {value!r:.80}"
+        return DataError(f"expected {expected}, {got}", field=name, source=self.path)
+
+
+@contextmanager
+def open_container(path: str | Path, schema: str) -> Iterator[Container]:
+    """Open a file and check that it follows the schema, in this version or an older one.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, of another kind, or newer than this program. A
+        `DataError` of the block gets the name of the file.
+    """
+    name, _, newest = schema.rpartition("/")
+    with _opened(Path(path)) as container:
+        declared = container.text("schema")
+        found = re.fullmatch(rf"{re.escape(name)}/([1-9][0-9]{{0,3}})", declared)
+        if found is None:
+            problem = f"expected a file of schema {schema}, got {declared!r:.80}"
+            raise DataError(problem, field="schema", source=path)
+        if int(found[1]) > int(newest):
+            problem = (
+                f"got {declared!r:.80}, but this program reads up to {schema}; update lensshift"
+            )
+            raise DataError(problem, field="schema", source=path)
+        try:
+            yield container
+        except DataError as error:
+            raise error.in_file(path) from error
+
+
+def read_schema(path: str | Path) -> str:
+    """Return the schema that a file declares, as in "lensshift-burst/1"."""
+    with _opened(Path(path)) as container:
+        return container.text("schema")
+
+
+def is_hdf5(path: str | Path) -> bool:
+    """Tell whether a file starts like an HDF5 file."""
+    require_file(path)
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
+    except OSError as error:
+        raise DataError(f"cannot read: {error.strerror}", source=path) from error
+
+
+def require_file(path: str | Path) -> None:
+    """Raise a `DataError` unless there is a regular file with something in it."""
+    try:
+        found = Path(path).stat()
+    except FileNotFoundError as error:
+        raise DataError("there is no such file", source=path) from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"cannot read: {reason}", source=path) from error
+    if stat.S_ISDIR(found.st_mode):
+        raise DataError("expected a file, got a folder", source=path)
+    if not stat.S_ISREG(found.st_mode):
+        raise DataError("expected a file, got a device or pipe", source=path)
+    if found.st_size == 0:
+        raise DataError("the file is empty", source=path)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Container]:
+    import h5py
+
+    if not is_hdf5(path):
+        raise DataError("not a netCDF-4/HDF5 file", source=path)
+    with _reading(path):
+        file = h5py.File(path, "r")
+    try:
+        with _reading(path, GROUP):
+            group = file.get(GROUP)
+            if not isinstance(group, h5py.Group):
+                raise DataError("the group is missing; not a file of lensshift", field=GROUP)
+        yield Container(path, group)
+    finally:
+        with _reading(path):
+            file.close()
+
+
+@contextmanager
+def _reading(path: Path, name: str = "") -> Iterator[None]:
+    try:
+        yield
+    except DataError as error:
+        raise error.in_file(path) from error
+    except BlockingIOError as error:
+        raise DataError("another program is writing this file", source=path) from error
+    except _READ_ERRORS as error:
+        raise DataError(f"damaged or cut short ({error})", field=name, source=path) from error

@@ -1,0 +1,191 @@
+"""Write the self-describing container of bursts and results: netCDF-4, HDF5 and NeXus in one.
+
+All content lies in the group `entry/data`. netCDF readers see a dataset with named dimensions,
+NeXus readers an `NXdata` with a default plot, HDF5 readers plain datasets. Every dataset carries
+a checksum and the file uses HDF5's checksummed headers (HDF5 1.10 or later), so that damage is
+noticed rather than read as numbers.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
+from enum import Enum
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.io.atomic import written_whole
+
+CHUNK_BYTES = 1_000_000
+_STORABLE = frozenset(["u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8", "c8", "c16"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variable:
+    """One array with named dimensions and its attributes (`units` and so on)."""
+
+    dims: tuple[str, ...]
+    values: NDArray[Any]
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_container(
+    path: str | Path,
+    *,
+    schema: str,
+    axes: Sequence[str],
+    variables: Mapping[str, Variable],
+    attributes: Mapping[str, Any],
+) -> None:
+    """Write variables and attributes to a new file; an old one is replaced in one step.
+
+    Parameters
+    ----------
+    schema : name and version of the layout, as in "lensshift-burst/1"
+    axes : dimensions of the first variable, which is the default plot
+    variables : arrays by name; a dimension has the same length everywhere
+    attributes : of the whole set; None is left out, text and numbers are kept
+
+    Raises
+    ------
+    DataError
+        If a variable does not fit or the file cannot be written.
+    """
+    try:
+        lengths = _dimension_lengths(variables)
+    except DataError as error:
+        raise error.in_file(path) from error
+    described = {
+        "NX_class": "NXdata",
+        "signal": next(iter(variables)),
+        "axes": list(axes),
+        "Conventions": "CF-1.11",
+        "schema": schema,
+        "software": f"lensshift {_version()}",
+    }
+    # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
+    image = BytesIO()
+    _write_hdf5(image, lengths, variables, described | dict(attributes))
+    with written_whole(path) as temporary:
+        temporary.write_bytes(image.getbuffer())
+
+
+def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
+    """Return the coordinates of the dimensions row and col: pixel centres at integers."""
+    return {
+        axis: Variable(
+            (axis,),
+            np.arange(length, dtype=np.float64),
+            {"units": "pixel", "long_name": f"pixel centre along {axis}s"},
+        )
+        for axis, length in zip(("row", "col"), shape, strict=True)
+    }
+
+
+def to_json(value: Mapping[str, Any], field_name: str) -> np.bytes_:
+    """Return text and numbers as JSON; NumPy values become plain ones.
+
+    The result is ASCII of fixed length, which HDF5 keeps in its checksummed headers.
+    """
+    try:
+        return np.bytes_(json.dumps(dict(value), default=_plain).encode("ascii"))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise DataError(f"expected text and numbers only: {error}", field=field_name) from error
+
+
+def _write_hdf5(
+    target: BytesIO,
+    lengths: Mapping[str, int],
+    variables: Mapping[str, Variable],
+    attributes: Mapping[str, Any],
+) -> None:
+    import h5netcdf
+
+    with h5netcdf.File(target, "w", libver=("v110", "v110")) as file:
+        _set_attributes(file.attrs, {"NX_class": "NXroot", "default": "entry"})
+        entry = file.create_group("entry")
+        _set_attributes(entry.attrs, {"NX_class": "NXentry", "default": "data"})
+        data = entry.create_group("data")
+        _set_attributes(data.attrs, attributes)
+        data.dimensions = dict(lengths)
+        for name, variable in variables.items():
+            _write_variable(data, name, variable)
+
+
+def _dimension_lengths(variables: Mapping[str, Variable]) -> dict[str, int]:
+    lengths: dict[str, int] = {}
+    for name, variable in variables.items():
+        values = variable.values
+        if f"{values.dtype.kind}{values.dtype.itemsize}" not in _STORABLE:
+            raise DataError(
+                f"cannot store dtype {values.dtype}; convert it to an integer, float32, float64 "
+                "or complex type first",
+                field=name,
+            )
+        if len(variable.dims) != values.ndim:
+            raise DataError(f"expected {variable.dims}, got shape {values.shape}", field=name)
+        for dim, length in zip(variable.dims, values.shape, strict=True):
+            if lengths.setdefault(dim, length) != length:
+                raise DataError(
+                    f"expected {lengths[dim]} along {dim}, got shape {values.shape}",
+                    field=name,
+                )
+    return lengths
+
+
+def _write_variable(data: Any, name: str, variable: Variable) -> None:
+    values = variable.values.astype(variable.values.dtype.newbyteorder("="), copy=False)
+    compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+    written = data.create_variable(
+        name,
+        variable.dims,
+        values.dtype,
+        data=values,
+        chunks=_chunk_shape(values.shape, values.dtype.itemsize),
+        fletcher32=True,
+        **(compression if values.ndim > 1 else {}),
+    )
+    _set_attributes(written.attrs, variable.attributes)
+
+
+def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
+    """Return the chunk of about `CHUNK_BYTES` that cuts the leading dimensions first."""
+    left = max(1, CHUNK_BYTES // itemsize)
+    chunk: list[int] = []
+    for length in reversed(shape):
+        chunk.append(max(1, min(length, left)))
+        left = max(1, left // length)
+    return tuple(reversed(chunk))
+
+
+def _set_attributes(target: Any, attributes: Mapping[str, Any]) -> None:
+    for name, value in attributes.items():
+        if value is not None:
+            target[name] = value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Path):
+        return str(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return {name: getattr(value, name) for name in value.__dataclass_fields__}
+    raise TypeError(f"a {type(value).__name__} cannot be stored")
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("lensshift")
+    except PackageNotFoundError:
+        return "(not installed)"

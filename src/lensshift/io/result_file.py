@@ -1,0 +1,173 @@
+"""Reconstructions as files, in the same container as bursts.
+
+Schema `lensshift-reconstruction/1`, group `entry/data`, dimensions (row, col) of the HR grid. For
+each channel `c`, which is `amplitude` or `distance`:
+
+    c                [row col]               status, prior_weight, noise_sigma, noise_gain
+    c_std            [row col]               standard deviation, in the units of c
+    c_confidence     [frame lr_row lr_col]   weight of each LR pixel, 0 .. 1
+    c_objective      [c_iteration]
+    attributes: pitch_mm (row, col) of the HR grid, scale, method, settings (JSON)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.io.container_reader import Container, open_container
+from lensshift.io.container_writer import Variable, pixel_centres, to_json, write_container
+
+SCHEMA = "lensshift-reconstruction/1"
+_AXES = ("row", "col")
+# Field of `Reconstruction` -> (name in the file, unit, what it is)
+_CHANNELS = {
+    "amplitude": ("amplitude", "1", "amplitude"),
+    "distance_m": ("distance", "m", "radial distance, camera frame"),
+}
+_NUMBERS = ("prior_weight", "noise_sigma", "noise_gain")
+
+
+def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> None:
+    """Write a reconstruction to a file that appears whole or not at all.
+
+    `Estimate.predict` is not kept: it needs the burst.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written, or a field does not fit the grid or cannot be stored.
+    """
+    variables: dict[str, Variable] = {}
+    for field in _CHANNELS:
+        estimate = getattr(reconstruction, field)
+        if estimate is not None:
+            variables |= _channel_variables(field, estimate)
+    try:
+        if not variables:
+            raise DataError("there is neither an amplitude nor a distance channel")
+        settings = to_json(reconstruction.settings, "settings")
+    except DataError as error:
+        raise error.in_file(path) from error
+    write_container(
+        path,
+        schema=SCHEMA,
+        axes=_AXES,
+        variables=variables | pixel_centres(reconstruction.grid.shape),
+        attributes={
+            "pitch_mm": np.asarray(reconstruction.grid.pitch_mm, dtype=np.float64),
+            "scale": np.int64(reconstruction.scale),
+            "method": reconstruction.method,
+            "settings": settings,
+        },
+    )
+
+
+def load_reconstruction(path: str | Path) -> Reconstruction:
+    """Read a reconstruction that `save_reconstruction` wrote.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, of another schema, or contradicts itself; the message
+        names the file and the field.
+    """
+    with open_container(path, SCHEMA) as container:
+        channels = {
+            field: _read_channel(container, field) if container.has(name) else None
+            for field, (name, _, _) in _CHANNELS.items()
+        }
+        images = [channel.image for channel in channels.values() if channel is not None]
+        if not images:
+            raise DataError("the variable is missing, and so is distance", field="amplitude")
+        if images[0].shape != images[-1].shape:
+            raise DataError(
+                f"expected shape {images[0].shape} like amplitude, got {images[-1].shape}",
+                field="distance",
+            )
+        scale = container.number("scale")
+        if scale is None or scale < 1 or scale != int(scale):
+            raise DataError(f"expected a whole number from 1, got {scale}", field="scale")
+        return Reconstruction(
+            amplitude=channels["amplitude"],
+            distance_m=channels["distance_m"],
+            grid=_grid(container, images[0].shape),
+            scale=int(scale),
+            method=container.text("method"),
+            settings=container.mapping("settings"),
+        )
+
+
+def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
+    name, units, label = _CHANNELS[field]
+    described: dict[str, Any] = {
+        "units": units,
+        "long_name": label,
+        "status": estimate.status.name.lower(),
+    }
+    for number in _NUMBERS:
+        value = getattr(estimate, number)
+        described[number] = None if value is None else np.float64(value)
+    variables = {name: Variable(_AXES, np.asarray(estimate.image), described)}
+    if estimate.std is not None:
+        described = {"units": units, "long_name": f"standard deviation of {label}"}
+        variables[f"{name}_std"] = Variable(_AXES, np.asarray(estimate.std), described)
+    if estimate.confidence is not None:
+        variables[f"{name}_confidence"] = Variable(
+            ("frame", "lr_row", "lr_col"),
+            np.asarray(estimate.confidence),
+            {"units": "1", "long_name": f"weight of the LR pixels of {label}"},
+        )
+    if estimate.objective:
+        variables[f"{name}_objective"] = Variable(
+            (f"{name}_iteration",),
+            np.asarray(estimate.objective, dtype=np.float64),
+            {"units": "1", "long_name": f"objective of {label} after each iteration"},
+        )
+    return variables
+
+
+def _read_channel(container: Container, field: str) -> Estimate:
+    name, _, _ = _CHANNELS[field]
+    image = container.array(name)
+    if image.ndim != 2:
+        raise DataError(f"expected [row col], got shape {image.shape}", field=name)
+    status = _status(container, name)
+    if status is not Status.NOT_FINITE and not np.isfinite(image).any():
+        raise DataError("every pixel is NaN or infinite", field=name)
+    optional: dict[str, Any] = {number: container.number(number, of=name) for number in _NUMBERS}
+    if container.has(f"{name}_std"):
+        optional["std"] = container.array(f"{name}_std", kinds="f")
+        if optional["std"].shape != image.shape:
+            raise DataError(
+                f"expected shape {image.shape}, got {optional['std'].shape}", field=f"{name}_std"
+            )
+    if container.has(f"{name}_confidence"):
+        optional["confidence"] = container.array(f"{name}_confidence", kinds="f")
+        if optional["confidence"].ndim != 3:
+            raise DataError("expected [frame row col]", field=f"{name}_confidence")
+    if container.has(f"{name}_objective"):
+        objective = container.array(f"{name}_objective", kinds="uif")
+        optional["objective"] = tuple(float(value) for value in objective.ravel())
+    return Estimate(image=image, status=status, **optional)
+
+
+def _status(container: Container, name: str) -> Status:
+    text = container.text("status", of=name)
+    names = {status.name.lower(): status for status in Status}
+    if text not in names:
+        raise DataError(f"expected one of {', '.join(names)}, got {text!r}", field=f"{name}@status")
+    return names[text]
+
+
+def _grid(container: Container, shape: tuple[int, ...]) -> Grid:
+    pitch_mm = container.number_pair("pitch_mm")
+    try:
+        return Grid((int(shape[0]), int(shape[1])), pitch_mm)
+    except ValueError as error:
+        raise DataError(str(error), field="pitch_mm") from error

@@ -1,0 +1,197 @@
+"""Reconstructions survive the way through a file, and bad files are refused."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.io import load_burst, load_reconstruction, save_reconstruction
+
+
+def make_estimate(seed: int = 0, **fields: Any) -> Estimate:
+    rng = np.random.default_rng(seed)
+    complete: dict[str, Any] = {
+        "image": rng.random((10, 14)),
+        "std": rng.random((10, 14)),
+        "objective": (3.0, 2.0, 1.5),
+        "status": Status.MAX_ITERATIONS,
+        "confidence": rng.random((3, 5, 7)),
+        "prior_weight": 0.01,
+        "noise_sigma": 0.005,
+        "noise_gain": 1.25,
+    }
+    return Estimate(**(complete | fields))
+
+
+def make_reconstruction(**fields: Any) -> Reconstruction:
+    complete: dict[str, Any] = {
+        "amplitude": make_estimate(),
+        "distance_m": make_estimate(1, objective=(1.0,), prior_weight=None, std=None),
+        "grid": Grid((10, 14), (0.075, 0.05)),
+        "scale": 2,
+        "method": "irwsr",
+        "settings": {"psf_sigma_px": 0.3, "frames": (0, 2)},
+    }
+    return Reconstruction(**(complete | fields))
+
+
+def assert_same_estimate(one: Estimate | None, two: Estimate | None) -> None:
+    if one is None or two is None:
+        assert one is two
+        return
+    for name in ("image", "std", "confidence"):
+        a, b = getattr(one, name), getattr(two, name)
+        assert (a is None) == (b is None), name
+        if a is not None:
+            assert a.dtype == b.dtype
+            np.testing.assert_array_equal(a, b, err_msg=name)
+    for name in ("objective", "status", "prior_weight", "noise_sigma", "noise_gain"):
+        assert getattr(one, name) == getattr(two, name), name
+
+
+BARE = Estimate(image=np.ones((10, 14), np.float32))
+COMPLEX = make_estimate(image=np.full((10, 14), 1 + 2j))
+LOST = Estimate(image=np.full((10, 14), np.nan), status=Status.NOT_FINITE)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"distance_m": None},
+        {"amplitude": None},
+        {"amplitude": BARE},
+        {"amplitude": COMPLEX},
+        {"amplitude": LOST},
+    ],
+)
+def test_every_field_comes_back_exactly(tmp_path: Path, fields: dict[str, Any]) -> None:
+    saved = make_reconstruction(**fields)
+    save_reconstruction(saved, tmp_path / "result.nc")
+    loaded = load_reconstruction(tmp_path / "result.nc")
+    assert_same_estimate(loaded.amplitude, saved.amplitude)
+    assert_same_estimate(loaded.distance_m, saved.distance_m)
+    assert loaded.grid == saved.grid
+    assert (loaded.scale, loaded.method) == (2, "irwsr")
+    assert loaded.settings == {"psf_sigma_px": 0.3, "frames": [0, 2]}
+
+
+def test_loaded_estimate_says_that_it_cannot_predict(tmp_path: Path) -> None:
+    save_reconstruction(make_reconstruction(), tmp_path / "result.nc")
+    loaded = load_reconstruction(tmp_path / "result.nc").amplitude
+    assert loaded is not None
+    with pytest.raises(ValueError, match="carries no forward model"):
+        loaded.predict(0)
+
+
+def test_settings_may_hold_numpy_values_and_records(tmp_path: Path) -> None:
+    settings = {"weight": np.float64(0.5), "grid": Grid((1, 2), (1.0, 1.0)), "end": Status.DIRECT}
+    save_reconstruction(make_reconstruction(settings=settings), tmp_path / "result.nc")
+    assert load_reconstruction(tmp_path / "result.nc").settings == {
+        "weight": 0.5,
+        "grid": {"shape": [1, 2], "pitch_mm": [1.0, 1.0]},
+        "end": "computed directly, without iterations",
+    }
+
+
+def test_other_programs_read_it(tmp_path: Path) -> None:
+    from nexusformat.nexus import nxload
+
+    saved = make_reconstruction()
+    save_reconstruction(saved, tmp_path / "result.nc")
+    with xarray.open_dataset(tmp_path / "result.nc", group="entry/data") as data:
+        assert data.amplitude.dims == ("row", "col")
+        assert data.amplitude.attrs["status"] == "max_iterations"
+        assert data.amplitude.attrs["noise_gain"] == 1.25
+        assert data.distance.attrs["units"] == "m"
+        assert data.attrs["method"] == "irwsr"
+        assert data.amplitude_confidence.dims == ("frame", "lr_row", "lr_col")
+    assert nxload(str(tmp_path / "result.nc")).plottable_data.nxsignal.shape == (10, 14)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"amplitude": None, "distance_m": None}, "neither"),
+        ({"settings": {"solver": object()}}, "settings: "),
+        ({"grid": Grid((10, 15), (1.0, 1.0))}, "col: "),
+        ({"amplitude": make_estimate(std=np.ones((10, 13)))}, "amplitude_std: "),
+        ({"amplitude": make_estimate(image=np.ones(3))}, "amplitude: "),
+    ],
+)
+def test_what_does_not_fit_is_refused(tmp_path: Path, fields: dict[str, Any], said: str) -> None:
+    with pytest.raises(DataError) as caught:
+        save_reconstruction(make_reconstruction(**fields), tmp_path / "result.nc")
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
+def damage(path: Path, name: str, values: Any, attributes: dict[str, Any] | None = None) -> None:
+    with h5py.File(path, "r+") as file:
+        data = file["entry/data"]
+        kept = dict(data[name].attrs) if name in data else {}
+        if name in data:
+            del data[name]
+        if values is not None:
+            data[name] = values
+            keys = ("units", "status", "prior_weight", "noise_sigma", "noise_gain")
+            data[name].attrs.update({k: kept[k] for k in keys if k in kept} | (attributes or {}))
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "attributes", "said"),
+    [
+        ("amplitude", np.full((10, 14), np.nan), {}, "amplitude: every pixel is NaN"),
+        ("amplitude", np.ones(140), {}, "amplitude: expected [row col]"),
+        ("amplitude", np.ones((10, 13)), {}, "amplitude_std: expected shape (10, 13)"),
+        ("amplitude", np.ones((10, 14)), {"status": "fine"}, "amplitude@status: "),
+        ("amplitude", np.ones((10, 14)), {"status": 3}, "status: "),
+        ("amplitude", np.ones((10, 14)), {"noise_gain": "big"}, "noise_gain: "),
+        ("distance", np.ones((11, 14)), {}, "distance: expected shape (10, 14)"),
+        ("amplitude_confidence", np.ones((5, 7)), {}, "amplitude_confidence: "),
+        ("amplitude_std", np.ones((10, 14), int), {}, "amplitude_std: "),
+    ],
+)
+def test_file_that_contradicts_itself(
+    tmp_path: Path, name: str, values: Any, attributes: dict[str, Any], said: str
+) -> None:
+    path = tmp_path / "result.nc"
+    save_reconstruction(make_reconstruction(), path)
+    damage(path, name, values, attributes)
+    with pytest.raises(DataError) as caught:
+        load_reconstruction(path)
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value"),
+    [("scale", 0), ("scale", 1.5), ("scale", None), ("pitch_mm", [1.0, np.nan]), ("method", None)],
+)
+def test_bad_attribute_is_named(tmp_path: Path, attribute: str, value: Any) -> None:
+    path = tmp_path / "result.nc"
+    save_reconstruction(make_reconstruction(), path)
+    with h5py.File(path, "r+") as file:
+        del file["entry/data"].attrs[attribute]
+        if value is not None:
+            file["entry/data"].attrs[attribute] = value
+    with pytest.raises(DataError, match=f": {attribute}: "):
+        load_reconstruction(path)
+
+
+def test_no_channel_left_and_wrong_kind(tmp_path: Path) -> None:
+    path = tmp_path / "result.nc"
+    save_reconstruction(make_reconstruction(), path)
+    with pytest.raises(DataError, match="schema: expected a file of schema lensshift-burst/1"):
+        load_burst(path)
+    damage(path, "amplitude", None)
+    damage(path, "distance", None)
+    with pytest.raises(DataError, match="amplitude: the variable is missing"):
+        load_reconstruction(path)
