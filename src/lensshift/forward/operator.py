@@ -28,12 +28,13 @@ class LinearOperator:
     adjoint: Callable[[Array], Array]
 
     def __call__(self, x: Array) -> Array:
+        """Return A x, after a check of the shape."""
         if x.shape != self.in_shape:
             raise ValueError(f"operator expects an array of shape {self.in_shape}, got {x.shape}")
         return self.forward(x)
 
     @property
-    def T(self) -> LinearOperator:
+    def T(self) -> LinearOperator:  # noqa: N802  (what everybody calls the adjoint)
         """The adjoint, as an operator of its own."""
         return LinearOperator(self.out_shape, self.in_shape, self.adjoint, self.forward)
 
@@ -69,4 +70,15 @@ def stack(operators: Sequence[LinearOperator]) -> LinearOperator:
         (len(operators), *first.out_shape),
         lambda x: np.stack([A.forward(x) for A in operators]),
         adjoint,
+    )
+
+
+def diagonal(weight: Array) -> LinearOperator:
+    """Return the operator that multiplies every element by its weight, w x.
+
+    Pixels that must not be used get the weight 0.
+    """
+    weight = np.asarray(weight)
+    return LinearOperator(
+        weight.shape, weight.shape, lambda x: weight * x, lambda y: np.conj(weight) * y
     )

@@ -1,0 +1,289 @@
+"""The forward model of a burst, y_k = gain_k (D B M_k x) + bias_k, from HR image to LR frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image
+from lensshift.forward.operator import Array, LinearOperator
+from lensshift.forward.sampling import (
+    adjoint_field,
+    adjoint_separable,
+    forward_field,
+    forward_separable,
+)
+from lensshift.forward.warp import Positions, field_positions, frame_positions
+
+MAX_SCALE = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taps:
+    """The HR pixels that LR pixels see along one axis, and with what weights.
+
+    Parameters
+    ----------
+    position_hr_px : [frame pixel] or, for a shift field, [frame row col]; where they look
+    start : of the same shape, HR index of the first tap
+    weight : [... T], sums to 1
+    """
+
+    position_hr_px: Positions
+    start: Starts
+    weight: Weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Interlace:
+    """Frames that sample one and the same small convolution of the HR image.
+
+        y[k, u, v] = (kernel x kernel * image)[row_index[k, u], col_index[k, v]]
+
+    Parameters
+    ----------
+    row_index, col_index : [frame row] and [frame col] HR indices; outside 0 .. size-1 where the
+        centre of the pixel lies outside the image (the taps that remain sum to 1 there, as they
+        do for every pixel near the border)
+    kernel : [tap] 1-D weights of odd length, symmetric, sum 1; the same for row and col
+    """
+
+    row_index: NDArray[np.int64]
+    col_index: NDArray[np.int64]
+    kernel: Weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForwardModel:
+    """How one HR image becomes K LR frames; made by `forward_model`.
+
+    Parameters
+    ----------
+    lr_shape, hr_shape : (rows, cols) of a frame and of the HR image
+    scale : HR pixels per LR pixel
+    blur : the pixel response
+    rows, cols : the taps along row and along col
+    offset_px : [frame 2] if every frame has one shift, or None for a shift field
+    gain, bias : [frame]
+    inside : [frame row col] False where the centre of an LR pixel lies outside the HR image
+    """
+
+    lr_shape: tuple[int, int]
+    hr_shape: tuple[int, int]
+    scale: int
+    blur: Blur
+    rows: Taps
+    cols: Taps
+    offset_px: NDArray[np.float64] | None
+    gain: NDArray[np.float64]
+    bias: NDArray[np.float64]
+    inside: NDArray[np.bool_]
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.gain.size
+
+    @property
+    def operator(self) -> LinearOperator:
+        """HR image [row col] to frames [frame row col]: shift, blur, sample, gain; no bias."""
+        return sampling_operator(self.hr_shape, self.lr_shape, self.rows, self.cols, self.gain)
+
+    def predict(self, x: Array) -> Array:
+        """Return the frames [frame row col] that the HR image gives, bias included."""
+        y = self.operator(x)
+        y += self.bias[:, None, None].astype(y.real.dtype)
+        return y
+
+    def frame(self, offset_px: ArrayLike) -> LinearOperator:
+        """Return the operator from HR image to one frame [row col] at another offset (row, col).
+
+        Same blur and scale, gain 1, no bias: what a held-out frame should look like.
+
+        Raises
+        ------
+        ValueError
+            If `offset_px` is not two finite numbers.
+        """
+        offset = np.asarray(offset_px, dtype=np.float64)
+        if offset.shape != (2,):
+            raise ValueError(f"expected one offset_px (row, col), got shape {offset.shape}")
+        stack = forward_model(self.lr_shape, self.scale, offset[None], blur=self.blur).operator
+        return LinearOperator(
+            self.hr_shape,
+            self.lr_shape,
+            lambda x: stack.forward(x)[0],
+            lambda y: stack.adjoint(y[None]),
+        )
+
+    @property
+    def on_hr_grid(self) -> bool:
+        """True if every LR pixel is centred on an HR pixel: a fast convolution will do.
+
+        That is so for +-1/4 px at x2, 0 and +-1/3 px at x3, and so on.
+        """
+        return self.offset_px is not None and all(
+            bool(np.all(taps.position_hr_px == np.round(taps.position_hr_px)))
+            for taps in (self.rows, self.cols)
+        )
+
+    @property
+    def interlace(self) -> Interlace:
+        """The HR indices and the kernel of a model that is `on_hr_grid`.
+
+        Raises
+        ------
+        ValueError
+            If the model is not on the HR grid.
+        """
+        if not self.on_hr_grid:
+            raise ValueError("expected shifts that put every LR pixel on an HR pixel")
+        # A line long enough that no end of it cuts the kernel.
+        centre = 1 << 20
+        _, weight = self.blur.taps([centre], self.scale, 2 * centre + 1)
+        return Interlace(
+            self.rows.position_hr_px.astype(np.int64),
+            self.cols.position_hr_px.astype(np.int64),
+            weight[0],
+        )
+
+
+def forward_model(
+    lr_shape: tuple[int, int],
+    scale: int,
+    offset_px: ArrayLike | None = None,
+    *,
+    shift_field_px: ArrayLike | None = None,
+    blur: Blur | None = None,
+    gain: ArrayLike | None = None,
+    bias: ArrayLike | None = None,
+) -> ForwardModel:
+    """Build the forward model of a burst, y_k = gain_k (D B M_k x) + bias_k.
+
+    Parameters
+    ----------
+    lr_shape : (rows, cols) of a frame
+    scale : HR pixels per LR pixel, 1 to 8
+    offset_px : [frame 2] (row, col), one shift per frame; positive: the content moved down /
+        right. Without any shift: one frame at (0, 0)
+    shift_field_px : [frame row col 2] instead of `offset_px`, a shift for every pixel
+    blur : the pixel response; by default a Gaussian of 0.3 px
+    gain, bias : [frame], by default 1 and 0
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape or range, or if both kinds of shift are given.
+    """
+    rows, cols = _check_lr_shape(lr_shape)
+    scale = _check_scale(scale)
+    blur = GaussianBlur(0.3) if blur is None else blur
+    hr_shape = (rows * scale, cols * scale)
+    offset: NDArray[np.float64] | None = None
+    if shift_field_px is None:
+        offset = np.array(np.zeros((1, 2)) if offset_px is None else offset_px, dtype=np.float64)
+        row_at, col_at = frame_positions((rows, cols), offset, scale)
+        inside = (
+            sees_image(row_at, hr_shape[0])[:, :, None]
+            & sees_image(col_at, hr_shape[1])[:, None, :]
+        )
+    elif offset_px is None:
+        row_at, col_at = field_positions(shift_field_px, scale)
+        if row_at.shape[1:] != (rows, cols):
+            raise ValueError(f"expected a shift field of {rows} x {cols}, got {row_at.shape[1:]}")
+        inside = sees_image(row_at, hr_shape[0]) & sees_image(col_at, hr_shape[1])
+    else:
+        raise ValueError("expected offset_px or shift_field_px, got both")
+    count = row_at.shape[0]
+    if count == 0:
+        raise ValueError("expected the shifts of at least one frame, got none")
+    return ForwardModel(
+        lr_shape=(rows, cols),
+        hr_shape=hr_shape,
+        scale=scale,
+        blur=blur,
+        rows=Taps(row_at, *blur.taps(row_at, scale, hr_shape[0])),
+        cols=Taps(col_at, *blur.taps(col_at, scale, hr_shape[1])),
+        offset_px=offset,
+        gain=_per_frame(gain, 1.0, count, "gain"),
+        bias=_per_frame(bias, 0.0, count, "bias"),
+        inside=inside,
+    )
+
+
+def sampling_operator(
+    hr_shape: tuple[int, int],
+    lr_shape: tuple[int, int],
+    rows: Taps,
+    cols: Taps,
+    gain: NDArray[np.float64],
+) -> LinearOperator:
+    """Return the operator HR [row col] -> [frame row col] that takes the taps and the gain.
+
+    Single precision stays single, complex stays complex; everything else is computed in float64.
+    """
+    dense = rows.start.ndim == 3
+    take, spread = (
+        (forward_field, adjoint_field) if dense else (forward_separable, adjoint_separable)
+    )
+    # The gain rides on the row taps, which costs nothing per pixel.
+    row_weight = rows.weight
+    if np.any(gain != 1):
+        row_weight = row_weight * gain.reshape(-1, *(1,) * (row_weight.ndim - 1))
+    out_shape = (gain.size, *lr_shape)
+
+    def weights(values: Array) -> tuple[Array, Array]:
+        # A dense field keeps its one copy in double precision; the kernels mix the two.
+        precision = np.float64 if dense else values.real.dtype
+        return row_weight.astype(precision, copy=False), cols.weight.astype(precision, copy=False)
+
+    def forward(x: Array) -> Array:
+        x = _as_computed(x)
+        y = np.empty(out_shape, x.dtype)
+        row, col = weights(x)
+        take(x, rows.start, row, cols.start, col, y)
+        return y
+
+    def adjoint(y: Array) -> Array:
+        y = _as_computed(y)
+        x = np.empty(hr_shape, y.dtype)
+        row, col = weights(y)
+        spread(y, rows.start, row, cols.start, col, x)
+        return x
+
+    return LinearOperator(hr_shape, out_shape, forward, adjoint)
+
+
+def _as_computed(values: Array) -> NDArray[Any]:
+    """Return the array contiguous and in a precision that the kernels are compiled for."""
+    if values.dtype in (np.float32, np.complex64, np.complex128):
+        return np.ascontiguousarray(values)
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _check_lr_shape(lr_shape: tuple[int, int]) -> tuple[int, int]:
+    if len(lr_shape) != 2 or min(lr_shape) < 1:
+        raise ValueError(f"expected lr_shape (rows, cols) of at least 1 x 1, got {lr_shape}")
+    return int(lr_shape[0]), int(lr_shape[1])
+
+
+def _check_scale(scale: int) -> int:
+    if int(scale) != scale or not 1 <= scale <= MAX_SCALE:
+        raise ValueError(f"expected an integer scale from 1 to {MAX_SCALE}, got {scale}")
+    return int(scale)
+
+
+def _per_frame(
+    values: ArrayLike | None, default: float, count: int, name: str
+) -> NDArray[np.float64]:
+    if values is None:
+        return np.full(count, default)
+    numbers = np.array(values, dtype=np.float64)
+    if numbers.shape != (count,):
+        raise ValueError(f"expected {name} [frame] of {count} frames, got shape {numbers.shape}")
+    if not np.all(np.isfinite(numbers)):
+        raise ValueError(f"expected a finite {name}, got {numbers}")
+    return numbers

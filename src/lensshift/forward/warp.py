@@ -1,0 +1,109 @@
+"""Where each LR pixel looks on the HR grid, for shifts, shift fields and homographies."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.grid import lr_to_hr
+
+Positions = NDArray[np.float64]
+
+# Positions of a constant shift are rounded to this part of an HR pixel (1e-6), far below what any
+# registration can know: all pixels of a frame then have bit for bit the same taps, and a third
+# of a pixel that went through float32 still lands on the HR grid.
+_QUANTUM_PER_HR_PX = 2.0**20
+
+
+def frame_positions(
+    lr_shape: tuple[int, int], offset_px: ArrayLike, scale: int
+) -> tuple[Positions, Positions]:
+    """Return the HR coordinates that the LR pixels see when every frame has one shift.
+
+        v = scale (u - offset) + (scale - 1) / 2
+
+    Parameters
+    ----------
+    lr_shape : (rows, cols) of a frame
+    offset_px : [frame 2] (row, col); positive: the content moved down / right
+    scale : HR pixels per LR pixel
+
+    Returns
+    -------
+    row_hr_px, col_hr_px : [frame row] and [frame col]
+
+    Raises
+    ------
+    ValueError
+        If `offset_px` is not [frame 2] or not finite.
+    """
+    offset = np.asarray(offset_px, dtype=np.float64)
+    if offset.ndim != 2 or offset.shape[1] != 2:
+        raise ValueError(f"expected offset_px [frame 2], got shape {offset.shape}")
+    if not np.all(np.isfinite(offset)):
+        raise ValueError("expected finite offset_px, got NaN or infinity")
+    corner = np.round(lr_to_hr(-offset, scale) * _QUANTUM_PER_HR_PX) / _QUANTUM_PER_HR_PX
+    row, col = (corner[:, axis, None] + scale * np.arange(lr_shape[axis]) for axis in (0, 1))
+    return row, col
+
+
+def field_positions(shift_field_px: ArrayLike, scale: int) -> tuple[Positions, Positions]:
+    """Return the HR coordinates that the LR pixels see when every pixel has its own shift.
+
+    Parameters
+    ----------
+    shift_field_px : [frame row col 2] (row, col) offset at each pixel of the frame
+    scale : HR pixels per LR pixel
+
+    Returns
+    -------
+    row_hr_px, col_hr_px : [frame row col] each
+
+    Raises
+    ------
+    ValueError
+        If the field is not [frame row col 2] or not finite.
+    """
+    field = np.asarray(shift_field_px, dtype=np.float64)
+    if field.ndim != 4 or field.shape[-1] != 2:
+        raise ValueError(f"expected a shift field [frame row col 2], got shape {field.shape}")
+    if not np.all(np.isfinite(field)):
+        raise ValueError("expected a finite shift field, got NaN or infinity")
+    rows, cols = np.ogrid[: field.shape[1], : field.shape[2]]
+    return lr_to_hr(rows - field[..., 0], scale), lr_to_hr(cols - field[..., 1], scale)
+
+
+def homography_field(homography: ArrayLike, lr_shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the shift field of a projective motion.
+
+        u_scene ~ H_k (row, col, 1),   offset = u - u_scene
+
+    H_k takes a pixel of frame k to the place of the reference frame that it sees, both in LR
+    pixels and in the order (row, col). Content that moved by d has H = [[1 0 -d_row] [0 1 -d_col]
+    [0 0 1]].
+
+    Parameters
+    ----------
+    homography : [frame 3 3]
+    lr_shape : (rows, cols) of a frame
+
+    Returns
+    -------
+    shift_field_px : [frame row col 2] (row, col)
+
+    Raises
+    ------
+    ValueError
+        If the array is not [frame 3 3], or if a pixel looks at or behind the horizon.
+    """
+    matrices = np.asarray(homography, dtype=np.float64)
+    if matrices.ndim != 3 or matrices.shape[1:] != (3, 3):
+        raise ValueError(f"expected homographies [frame 3 3], got shape {matrices.shape}")
+    pixels = np.stack(np.meshgrid(*map(np.arange, lr_shape), indexing="ij"), axis=-1)
+    lifted = np.concatenate([pixels, np.ones((*lr_shape, 1))], axis=-1)
+    seen = np.einsum("kij,rcj->krci", matrices, lifted)
+    depth = seen[..., 2:]
+    if not np.all(depth * np.sign(depth[:, :1, :1]) > 0):
+        raise ValueError("expected homographies that keep the frame in front of the horizon")
+    field: NDArray[np.float64] = pixels - seen[..., :2] / depth
+    return field
