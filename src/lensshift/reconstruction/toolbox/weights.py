@@ -1,0 +1,87 @@
+"""Re-weighting: confidence of the observations and sparsity weights of the prior."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+BIAS_THRESHOLD = 0.02
+TUNING = 2.0
+MAD_TO_SIGMA = 1.4826
+# Noise-free frames leave rounding errors; without a floor all of them would be outliers.
+_SIGMA_FLOOR = 1e-12
+
+
+def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Return the first value, in rising order, at which half of the weight is reached.
+
+    Some weights may be negative: those of the prior are resized bicubically between levels.
+    """
+    order = np.argsort(values)
+    reached = np.cumsum((weights / weights.sum())[order]) >= 0.5
+    return float(values[order[int(np.argmax(reached))]])
+
+
+def weighted_mad(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Return the weighted median of the absolute deviation from the weighted median."""
+    return weighted_median(np.abs(values - weighted_median(values, weights)), weights)
+
+
+def observation_confidence(
+    residual: NDArray[np.float64],
+    confidence: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], float]:
+    """Return the Huber weight of every residual and the noise scale sigma_n.
+
+        beta = b_k min(1, 2 sigma_n / |r|),   b_k = 1 if |median r_k| < 0.02 else 0
+        sigma_n = 1.4826 MAD(r; confidence b_k)
+
+    Parameters
+    ----------
+    residual, confidence : [frame pixel]; the confidence of the previous iteration
+    usable : [frame pixel] False where there is no observation; it has no say in the medians
+
+    Source: estimateHuberObservationWeights of the toolbox.
+    """
+    unbiased = np.array(
+        [
+            bool(good.any()) and abs(float(np.median(r[good]))) < BIAS_THRESHOLD
+            for r, good in zip(residual, usable, strict=True)
+        ]
+    )
+    weight = np.where(usable, confidence * unbiased[:, None], 0.0)
+    counted = weight > 0
+    if not counted.any():
+        return np.zeros(residual.shape), float("nan")
+    sigma = max(MAD_TO_SIGMA * weighted_mad(residual[counted], weight[counted]), _SIGMA_FLOOR)
+    size = np.abs(residual)
+    huber = np.ones(residual.shape)
+    np.divide(TUNING * sigma, size, out=huber, where=size > TUNING * sigma)
+    return unbiased[:, None] * huber, sigma
+
+
+def prior_weights(
+    transformed: NDArray[np.float64], previous: NDArray[np.float64], sparsity: float
+) -> tuple[NDArray[np.float64], float]:
+    """Return the weights of the prior and its scale sigma_p.
+
+        a = 1 where |z| <= 2 sigma_p, else p (2 sigma_p)^(1-p) / |z|^(1-p)
+        sigma_p = MAD(z; previous a)
+
+    The weight jumps from 1 to p at the threshold, and sigma_p carries no factor 1.4826.
+
+    Parameters
+    ----------
+    transformed, previous : vectors of equal length
+    sparsity : exponent p in (0, 1]
+
+    Source: estimateWBTVPriorWeights of the toolbox.
+    """
+    sigma = weighted_mad(transformed, previous)
+    size = np.abs(transformed)
+    threshold = TUNING * sigma
+    weights = np.ones(transformed.shape)
+    large = size > threshold
+    weights[large] = sparsity * (threshold / size[large]) ** (1.0 - sparsity)
+    return weights, sigma
