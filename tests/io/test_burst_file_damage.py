@@ -201,7 +201,7 @@ def test_truncated_anywhere(good: Path, tmp_path: Path, keep: float) -> None:
 
 @given(position=st.floats(0, 1, exclude_max=True), mask=st.integers(1, 255))
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_damaged_byte_is_noticed_or_harmless(
     good: Path, tmp_path: Path, position: float, mask: int

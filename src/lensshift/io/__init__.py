@@ -1,6 +1,20 @@
 """Files and foreign formats to core types and back."""
 
 from lensshift.io.burst_file import load_burst, save_burst
+from lensshift.io.export import export_burst, export_image, export_reconstruction
+from lensshift.io.image_stack import load_image_stack
+from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
 
-__all__ = ["load_burst", "load_reconstruction", "save_burst", "save_reconstruction"]
+__all__ = [
+    "OffsetTable",
+    "export_burst",
+    "export_image",
+    "export_reconstruction",
+    "load_burst",
+    "load_image_stack",
+    "load_offsets",
+    "load_reconstruction",
+    "save_burst",
+    "save_reconstruction",
+]

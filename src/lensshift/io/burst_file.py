@@ -21,7 +21,13 @@ from numpy.typing import NDArray
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import Variable, pixel_centres, to_json, write_container
+from lensshift.io.container_writer import (
+    Variable,
+    pixel_centres,
+    sealed_text,
+    to_json,
+    write_container,
+)
 
 SCHEMA = "lensshift-burst/1"
 _AXES = ("frame", "row", "col")
@@ -55,8 +61,8 @@ def save_burst(burst: Burst, path: str | Path) -> None:
         attributes={
             "pitch_mm": np.asarray(burst.grid.pitch_mm, dtype=np.float64),
             "modulation_hz": _float_or_none(burst.modulation_hz),
-            "offset_source": burst.offset_source,
-            "meta": meta,
+            "offset_source": sealed_text(burst.offset_source),
+            "meta": sealed_text(meta),
         },
     )
 

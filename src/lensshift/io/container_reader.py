@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,22 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.io.reading import check_held, reading, require_file
 
 GROUP = "entry/data"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_DEFLATE_LIMIT = 1100  # zlib cannot shrink data by more than a factor of 1032
-# What h5py and HDF5 raise when a file is damaged.
-_READ_ERRORS = (
-    OSError,
-    RuntimeError,
-    ValueError,
-    TypeError,
-    LookupError,
-    ArithmeticError,
-    AttributeError,
-    MemoryError,
-    SystemError,
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,14 +29,14 @@ class Container:
 
     def has(self, name: str) -> bool:
         """Tell whether the file has a variable of this name."""
-        with _reading(self.path, name):
+        with reading(self.path, name):
             return name in self.group
 
     def array(self, name: str, *, kinds: str = "uifc") -> NDArray[Any]:
         """Read a variable whose dtype is of one of the given kinds."""
         import h5py
 
-        with _reading(self.path, name):
+        with reading(self.path, name):
             item = self.group.get(name)
             if not isinstance(item, h5py.Dataset):
                 raise DataError("the variable is missing", field=name)
@@ -57,11 +44,7 @@ class Container:
                 raise DataError(f"expected numbers, got dtype {item.dtype}", field=name)
             if item.shape is None or item.size == 0:
                 raise DataError(f"expected values, got shape {item.shape}", field=name)
-            stored_bytes = item.id.get_storage_size()
-            if item.nbytes > _DEFLATE_LIMIT * stored_bytes:
-                raise DataError(
-                    f"damaged: {stored_bytes} bytes cannot hold shape {item.shape}", field=name
-                )
+            check_held(item.shape, item.nbytes, item.id.get_storage_size(), name)
             values = np.asarray(item[()])
             return values.astype(values.dtype.newbyteorder("="), copy=False)
 
@@ -80,7 +63,7 @@ class Container:
     def attribute(self, name: str, *, of: str = "") -> Any:
         """Return an attribute of the set or of a variable, or None if it is absent."""
         label = f"{of}@{name}" if of else name
-        with _reading(self.path, label):
+        with reading(self.path, label):
             owner = self.group[of] if of else self.group
             if name not in owner.attrs:
                 return None
@@ -171,49 +154,20 @@ def is_hdf5(path: str | Path) -> bool:
         raise DataError(f"cannot read: {error.strerror}", source=path) from error
 
 
-def require_file(path: str | Path) -> None:
-    """Raise a `DataError` unless there is a regular file with something in it."""
-    try:
-        found = Path(path).stat()
-    except FileNotFoundError as error:
-        raise DataError("there is no such file", source=path) from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot read: {reason}", source=path) from error
-    if stat.S_ISDIR(found.st_mode):
-        raise DataError("expected a file, got a folder", source=path)
-    if not stat.S_ISREG(found.st_mode):
-        raise DataError("expected a file, got a device or pipe", source=path)
-    if found.st_size == 0:
-        raise DataError("the file is empty", source=path)
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[Container]:
     import h5py
 
     if not is_hdf5(path):
         raise DataError("not a netCDF-4/HDF5 file", source=path)
-    with _reading(path):
+    with reading(path):
         file = h5py.File(path, "r")
     try:
-        with _reading(path, GROUP):
+        with reading(path, GROUP):
             group = file.get(GROUP)
             if not isinstance(group, h5py.Group):
                 raise DataError("the group is missing; not a file of lensshift", field=GROUP)
         yield Container(path, group)
     finally:
-        with _reading(path):
+        with reading(path):
             file.close()
-
-
-@contextmanager
-def _reading(path: Path, name: str = "") -> Iterator[None]:
-    try:
-        yield
-    except DataError as error:
-        raise error.in_file(path) from error
-    except BlockingIOError as error:
-        raise DataError("another program is writing this file", source=path) from error
-    except _READ_ERRORS as error:
-        raise DataError(f"damaged or cut short ({error})", field=name, source=path) from error

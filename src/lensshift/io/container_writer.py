@@ -66,7 +66,7 @@ def write_container(
         "signal": next(iter(variables)),
         "axes": list(axes),
         "Conventions": "CF-1.11",
-        "schema": schema,
+        "schema": sealed_text(schema),
         "software": f"lensshift {_version()}",
     }
     # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
@@ -88,15 +88,24 @@ def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
     }
 
 
-def to_json(value: Mapping[str, Any], field_name: str) -> np.bytes_:
-    """Return text and numbers as JSON; NumPy values become plain ones.
-
-    The result is ASCII of fixed length, which HDF5 keeps in its checksummed headers.
-    """
+def to_json(value: Mapping[str, Any], field_name: str) -> str:
+    """Return text and numbers as JSON; NumPy values become plain ones."""
     try:
-        return np.bytes_(json.dumps(dict(value), default=_plain).encode("ascii"))
+        return json.dumps(dict(value), default=_plain)
     except (TypeError, ValueError, RecursionError) as error:
         raise DataError(f"expected text and numbers only: {error}", field=field_name) from error
+
+
+def sealed_text(text: str) -> NDArray[np.bytes_]:
+    """Return text of fixed length, for the attributes that this program reads back.
+
+    HDF5 keeps it in a checksummed header. Text of variable length lies in a heap without a
+    checksum, where a flipped bit can make HDF5 search for ever.
+    """
+    import h5py
+
+    encoded = text.encode()
+    return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
 
 
 def _write_hdf5(

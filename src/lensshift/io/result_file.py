@@ -21,7 +21,13 @@ from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Estimate, Reconstruction, Status
 from lensshift.io.container_reader import Container, open_container
-from lensshift.io.container_writer import Variable, pixel_centres, to_json, write_container
+from lensshift.io.container_writer import (
+    Variable,
+    pixel_centres,
+    sealed_text,
+    to_json,
+    write_container,
+)
 
 SCHEMA = "lensshift-reconstruction/1"
 _AXES = ("row", "col")
@@ -62,8 +68,8 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
         attributes={
             "pitch_mm": np.asarray(reconstruction.grid.pitch_mm, dtype=np.float64),
             "scale": np.int64(reconstruction.scale),
-            "method": reconstruction.method,
-            "settings": settings,
+            "method": sealed_text(reconstruction.method),
+            "settings": sealed_text(settings),
         },
     )
 
@@ -108,7 +114,7 @@ def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
     described: dict[str, Any] = {
         "units": units,
         "long_name": label,
-        "status": estimate.status.name.lower(),
+        "status": sealed_text(estimate.status.name.lower()),
     }
     for number in _NUMBERS:
         value = getattr(estimate, number)

@@ -1,0 +1,213 @@
+"""Images for other programs: TIFF, PNG and NPZ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.types import Burst, Estimate, Reconstruction
+from lensshift.io.atomic import written_whole
+from lensshift.io.container_writer import to_json
+from lensshift.io.image_file import TIFF_SUFFIXES
+
+_CHANNELS = ("amplitude", "distance_m")
+_BURST_ARRAYS = (
+    "amplitude",
+    "distance_m",
+    "valid",
+    "offset_px",
+    "offset_sigma_px",
+    "stage_mm",
+    "stage_commanded_mm",
+    "time_s",
+    "modulation_hz",
+)
+
+
+def export_image(
+    image: ArrayLike,
+    path: str | Path,
+    *,
+    bits: Literal[8, 16] = 8,
+    black: float | None = None,
+    white: float | None = None,
+) -> tuple[float, float]:
+    """Write an image as TIFF or PNG, by the ending of the name.
+
+        PNG:  grey = round( (2^bits - 1) * clip((value - black) / (white - black), 0, 1) )
+
+    TIFF keeps the numbers: 8- and 16-bit integers as they are, everything else as float32. A
+    stack [frame row col] becomes pages. NaN stays NaN in TIFF and is black in PNG.
+
+    Parameters
+    ----------
+    image : [row col], or [frame row col] for TIFF; real
+    bits : of a PNG pixel
+    black, white : values that become black and white in PNG; None: smallest, largest finite value
+
+    Returns
+    -------
+    The values that became black and white (PNG) or the smallest and largest value (TIFF). PNG
+    files carry them as text, too.
+
+    Raises
+    ------
+    ValueError
+        If the image is complex, has the wrong shape, or the ending or a setting is not supported.
+    DataError
+        If the file cannot be written.
+    """
+    values = _as_real(image)
+    suffix = Path(path).suffix.lower()
+    if suffix in TIFF_SUFFIXES:
+        return _write_tiff(values, path)
+    if suffix != ".png":
+        raise ValueError(f"expected a name that ends in .tif or .png, got {Path(path).name!r}")
+    if values.ndim != 2:
+        raise ValueError(f"expected [row col] for PNG, got shape {values.shape}")
+    return _write_png(values, path, bits, black, white)
+
+
+def to_grey(
+    values: NDArray[Any], black: float, white: float, *, bits: Literal[8, 16] = 8
+) -> NDArray[Any]:
+    """Scale values linearly to integers, black to 0 and white to the largest; NaN becomes 0."""
+    if bits not in (8, 16):
+        raise ValueError(f"expected 8 or 16 bits, got {bits}")
+    if not (np.isfinite(black) and np.isfinite(white) and black <= white):
+        raise ValueError(f"expected black <= white, both finite, got {black} and {white}")
+    span = (white - black) or 1.0
+    share = np.clip((np.asarray(values, dtype=np.float64) - black) / span, 0.0, 1.0)
+    grey: NDArray[Any] = np.rint(np.nan_to_num(share, nan=0.0) * (2**bits - 1))
+    return grey.astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def finite_range(values: NDArray[Any]) -> tuple[float, float]:
+    """Return the smallest and the largest finite value; (0, 0) if there is none."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+
+
+def export_burst(burst: Burst, path: str | Path) -> None:
+    """Write a burst as NPZ (every field, readable by `load_image_stack`) or TIFF (amplitude).
+
+    Raises
+    ------
+    ValueError
+        If the ending is not supported, or complex frames go to TIFF.
+    DataError
+        If the file cannot be written.
+    """
+    if _wants_npz(path):
+        fields = {name: getattr(burst, name) for name in _BURST_ARRAYS}
+        fields |= {"pitch_mm": burst.grid.pitch_mm, "offset_source": burst.offset_source}
+        _write_npz(path, fields | {"meta": to_json(burst.meta, "meta")})
+    elif Path(path).suffix.lower() in TIFF_SUFFIXES:
+        export_image(burst.amplitude, path)
+    else:
+        raise ValueError(f"expected a name that ends in .npz or .tif, got {Path(path).name!r}")
+
+
+def export_reconstruction(
+    reconstruction: Reconstruction, path: str | Path, *, bits: Literal[8, 16] = 8
+) -> tuple[float, float] | None:
+    """Write a reconstruction as NPZ (every field) or its first channel as TIFF or PNG.
+
+    Returns
+    -------
+    The range of grey values as `export_image` does; None for NPZ.
+
+    Raises
+    ------
+    ValueError
+        If the ending is not supported, or a complex channel goes to TIFF or PNG.
+    DataError
+        If the file cannot be written.
+    """
+    channels = {
+        name: estimate
+        for name in _CHANNELS
+        if (estimate := getattr(reconstruction, name)) is not None
+    }
+    if not _wants_npz(path):
+        if not channels:
+            raise ValueError("expected a reconstruction with at least one channel, got none")
+        return export_image(next(iter(channels.values())).image, path, bits=bits)
+    fields: dict[str, Any] = {
+        "pitch_mm": reconstruction.grid.pitch_mm,
+        "scale": reconstruction.scale,
+        "method": reconstruction.method,
+        "settings": to_json(reconstruction.settings, "settings"),
+    }
+    for name, estimate in channels.items():
+        fields |= _estimate_fields(name, estimate)
+    _write_npz(path, fields)
+    return None
+
+
+def _estimate_fields(name: str, estimate: Estimate) -> dict[str, Any]:
+    fields: dict[str, Any] = {
+        name: estimate.image,
+        f"{name}_objective": np.asarray(estimate.objective, dtype=np.float64),
+        f"{name}_status": estimate.status.name.lower(),
+    }
+    for part in ("std", "confidence", "prior_weight", "noise_sigma", "noise_gain"):
+        fields[f"{name}_{part}"] = getattr(estimate, part)
+    return fields
+
+
+def _as_real(image: ArrayLike) -> NDArray[Any]:
+    values = np.asarray(image)
+    if values.dtype.kind == "c":
+        raise ValueError("expected a real image, got complex numbers; export np.abs(image) or NPZ")
+    if values.dtype.kind not in "uifb":
+        raise ValueError(f"expected numbers, got dtype {values.dtype}")
+    if values.ndim not in (2, 3) or values.size == 0:
+        raise ValueError(f"expected [row col] or [frame row col], got shape {values.shape}")
+    return values
+
+
+def _write_tiff(values: NDArray[Any], path: str | Path) -> tuple[float, float]:
+    import tifffile
+
+    if values.dtype not in (np.uint8, np.uint16):
+        low, high = finite_range(values)
+        if max(abs(low), abs(high)) > float(np.finfo(np.float32).max):
+            raise ValueError("expected values that float32 can hold; export NPZ")
+        values = values.astype(np.float32)
+    with written_whole(path) as temporary:
+        tifffile.imwrite(temporary, values, photometric="minisblack")
+    return finite_range(values)
+
+
+def _write_png(
+    values: NDArray[Any],
+    path: str | Path,
+    bits: Literal[8, 16],
+    black: float | None,
+    white: float | None,
+) -> tuple[float, float]:
+    from PIL import Image, PngImagePlugin
+
+    low, high = finite_range(values)
+    low, high = low if black is None else float(black), high if white is None else float(white)
+    picture = Image.fromarray(to_grey(values, low, high, bits=bits))
+    text = PngImagePlugin.PngInfo()
+    text.add_text("black", repr(low))
+    text.add_text("white", repr(high))
+    with written_whole(path) as temporary:
+        picture.save(temporary, format="PNG", pnginfo=text)
+    return low, high
+
+
+def _wants_npz(path: str | Path) -> bool:
+    return Path(path).suffix.lower() == ".npz"
+
+
+def _write_npz(path: str | Path, fields: dict[str, Any]) -> None:
+    present = {name: np.asarray(value) for name, value in fields.items() if value is not None}
+    with written_whole(path) as temporary:
+        np.savez_compressed(temporary, **present)  # type: ignore[arg-type]  # names are ours

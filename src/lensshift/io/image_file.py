@@ -1,0 +1,163 @@
+"""Frames from single image files: TIFF, PNG, NPY and NPZ."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.io.reading import check_held, reading, require_file
+
+TIFF_SUFFIXES = (".tif", ".tiff")
+IMAGE_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy")
+_GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
+_CHANNEL_MODES = ("LA", "RGB", "RGBA")
+_TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
+_MIN_IS_BLACK, _RGB = 1, 2
+_ADVICE = "save it as greyscale of 8 or 16 bits first"
+
+
+def load_frames(path: str | Path) -> NDArray[Any]:
+    """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
+
+    Integers stay integers. Colour images are taken only if their channels are equal.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, of another kind or not greyscale.
+    """
+    require_file(path)
+    suffix = Path(path).suffix.lower()
+    with reading(path):
+        if suffix in TIFF_SUFFIXES:
+            return _load_tiff(path)
+        if suffix == ".png":
+            return _load_pillow(path)
+        if suffix == ".npy":
+            return _load_npy(path)
+        raise DataError(f"expected {', '.join(IMAGE_SUFFIXES)} or .npz, got {suffix!r:.40}")
+
+
+def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Read all arrays of an NPZ file; pickled objects are refused.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged or holds Python objects.
+    """
+    require_file(path)
+    with reading(path):
+        _check_signature(path, b"PK", "an NPZ file")
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return {name: _without_pickles(archive, name) for name in archive.files}
+
+
+def _without_pickles(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
+    with reading("", name):
+        values = archive[name]
+        if not isinstance(values, np.ndarray):
+            raise DataError("expected an array", field=name)
+        return values
+
+
+def _load_npy(path: str | Path) -> NDArray[Any]:
+    _check_signature(path, b"\x93NUMPY", "an NPY file")
+    return np.asarray(np.load(path, allow_pickle=False))
+
+
+def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
+    with Path(path).open("rb") as file:
+        if file.read(len(signature)) != signature:
+            raise DataError(f"not {kind}")
+
+
+def _load_tiff(path: str | Path) -> NDArray[Any]:
+    import tifffile
+
+    with _complaints_of_tifffile() as complaints, tifffile.TiffFile(path) as file:
+        series = file.series
+        if len(series) != 1:
+            raise DataError(f"expected pages of one size, got {len(series)} kinds of pages")
+        page = file.pages.first
+        if page.photometric not in (_MIN_IS_BLACK, _RGB):
+            raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
+        if page.compression not in _TIFFFILE_COMPRESSIONS:
+            return _load_pillow(path)
+        check_held(series[0].shape, series[0].nbytes, Path(path).stat().st_size, "pages")
+        values = series[0].asarray()
+        if "S" in series[0].axes:
+            values = _grey(np.moveaxis(values, series[0].axes.index("S"), -1))
+    if complaints:  # tifffile leaves out pages that it cannot find
+        raise DataError(f"damaged or cut short ({complaints[0]:.200})")
+    if values.ndim < 2:
+        raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
+    frames = values.reshape(-1, *values.shape[-2:])
+    if values.ndim > 3 and frames.shape[0] != max(values.shape[:-2]):
+        raise DataError(f"expected one stack of frames, got axes {series[0].axes} {values.shape}")
+    return frames
+
+
+@contextmanager
+def _complaints_of_tifffile() -> Iterator[list[str]]:
+    """Collect the errors that tifffile only logs."""
+    complaints: list[str] = []
+    handler = logging.Handler(logging.ERROR)
+    handler.emit = lambda record: complaints.append(record.getMessage())  # type: ignore[method-assign]
+    logger = logging.getLogger("tifffile")
+    logger.addHandler(handler)
+    try:
+        yield complaints
+    finally:
+        logger.removeHandler(handler)
+
+
+def _load_pillow(path: str | Path) -> NDArray[Any]:
+    from PIL import Image
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        warnings.simplefilter("error", UserWarning)  # Pillow's word for damaged tags
+        try:
+            with Image.open(path, formats=("PNG", "TIFF")) as image:
+                image.verify()  # checks the checksums, and leaves the image unusable
+            with Image.open(path, formats=("PNG", "TIFF")) as image:
+                return np.stack([_pillow_frame(image, n) for n in range(_frame_count(image))])
+        except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+            raise DataError(f"too large: {error}") from error
+
+
+def _frame_count(image: Any) -> int:
+    return int(getattr(image, "n_frames", 1))
+
+
+def _pillow_frame(image: Any, number: int) -> NDArray[Any]:
+    image.seek(number)
+    if image.mode in _GREY_MODES:
+        return np.asarray(image)
+    if image.mode not in _CHANNEL_MODES:
+        raise DataError(f"expected greyscale, got mode {image.mode!r}; {_ADVICE}")
+    if any("16" in str(tile[3]) for tile in image.tile):
+        raise DataError(f"colour of 16 bits a channel would lose its lower bits; {_ADVICE}")
+    return _grey(np.asarray(image))
+
+
+def _grey(channels: NDArray[Any]) -> NDArray[Any]:
+    """Return the grey image of [... channel] whose colours are equal and opaque."""
+    count = channels.shape[-1]
+    if count in (2, 4):
+        alpha = channels[..., -1]
+        if np.any(alpha != alpha.flat[0]):
+            raise DataError(f"expected an opaque image, got transparency; {_ADVICE}")
+        channels = channels[..., :-1]
+    if count > 4 or np.any(channels != channels[..., :1]):
+        raise DataError(f"expected greyscale, got a colour image; {_ADVICE}")
+    return np.ascontiguousarray(channels[..., 0])

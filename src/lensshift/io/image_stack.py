@@ -1,0 +1,215 @@
+"""Bursts from image stacks: TIFF, PNG, NPY and NPZ with shifts from CSV or JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.types import Burst, OffsetSource
+from lensshift.io.image_file import IMAGE_SUFFIXES, load_frames, load_named_arrays
+from lensshift.io.offset_table import OffsetTable, load_offsets
+from lensshift.io.reading import reading
+
+FRAME_KEYS = ("amplitude", "frames", "LR")
+_STACKS = ("distance_m", "valid")
+_PLAIN = ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm", "time_s")
+_SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
+    "pitch_mm": lambda values: np.broadcast_to(values.astype(np.float64), (2,)),
+    "modulation_hz": float,
+    "offset_source": str,
+    "meta": lambda values: json.loads(str(values)),
+}
+_PITCH_ADVICE = "give the pixel pitch of the sensor in mm (1 if it does not matter)"
+
+
+def load_image_stack(
+    source: str | Path | Sequence[str | Path],
+    offsets: str | Path | OffsetTable | ArrayLike | None = None,
+    *,
+    pitch_mm: float | tuple[float, float] | None = None,
+    key: str | None = None,
+    frame_axis: int = 0,
+    modulation_hz: float | None = None,
+    offset_source: OffsetSource | None = None,
+) -> Burst:
+    """Read a burst from image files and a table of shifts.
+
+    Parameters
+    ----------
+    source : a multi-page TIFF, an NPY or NPZ file, a folder of images (sorted by the numbers in
+        their names), or the image files in order
+    offsets : [frame 2] (row, col) in LR pixels, or the CSV or JSON file that holds them (see
+        `load_offsets`); None takes `offset_px` of an NPZ file, or (0, 0) for a single frame
+    pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file
+    key : name of the array in an NPZ file; None looks for amplitude, frames, LR, or the only stack
+    frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]
+    modulation_hz : modulation frequency
+    offset_source : where the offsets come from; None: as the file says, else "planned"
+
+    An NPZ file may also hold the other fields of `Burst` under their names.
+
+    Raises
+    ------
+    DataError
+        If a file is missing, damaged, not greyscale, or does not fit the others.
+    """
+    fields = _read_fields(source, key, frame_axis)
+    fields |= _offset_fields(source, offsets, fields)
+    given: dict[str, Any] = {
+        "pitch_mm": pitch_mm,
+        "modulation_hz": modulation_hz,
+        "offset_source": offset_source,
+    }
+    fields |= {name: value for name, value in given.items() if value is not None}
+    with reading(_label(source)):
+        if "pitch_mm" not in fields:
+            raise DataError(f"no pixel pitch is given; {_PITCH_ADVICE}", field="pitch_mm")
+        return Burst.from_arrays(**fields)
+
+
+def _label(source: str | Path | Sequence[str | Path]) -> Path:
+    return Path(source) if isinstance(source, str | Path) else Path(source[0] if source else "")
+
+
+def _read_fields(
+    source: str | Path | Sequence[str | Path], key: str | None, frame_axis: int
+) -> dict[str, Any]:
+    if isinstance(source, str | Path):
+        path = Path(source)
+        if path.suffix.lower() == ".npz":
+            return _npz_fields(path, key, frame_axis)
+        if not path.is_dir():
+            return {"amplitude": _stack(load_frames(path), frame_axis, path)}
+        source = _images_in(path)
+    return {"amplitude": _concatenate([Path(path) for path in source])}
+
+
+def _images_in(folder: Path) -> list[Path]:
+    with reading(folder):
+        images = [
+            path
+            for path in folder.iterdir()
+            if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
+        ]
+        kinds = sorted({path.suffix.lower() for path in images})
+        if len(kinds) > 1:
+            raise DataError(f"the folder holds {' and '.join(kinds)} files; name those to use")
+        if not images:
+            raise DataError(f"the folder holds no image ({', '.join(IMAGE_SUFFIXES)})")
+    return sorted(images, key=_natural_key)
+
+
+def _natural_key(path: Path) -> list[tuple[int, int, str]]:
+    """Return a sort key that puts frame_2 before frame_10."""
+    parts = re.findall(r"([0-9]+)|([^0-9]+)", path.name)
+    return [(0, int(digits), "") if digits else (1, 0, text) for digits, text in parts]
+
+
+def _concatenate(paths: list[Path]) -> NDArray[Any]:
+    if not paths:
+        raise DataError("expected at least one image file, got none")
+    stacks: list[NDArray[Any]] = []
+    for path in paths:
+        frames = load_frames(path)
+        frames = frames[np.newaxis] if frames.ndim == 2 else frames
+        expected = stacks[0] if stacks else frames
+        if frames.ndim != 3 or frames.shape[1:] != expected.shape[1:]:
+            raise DataError(
+                f"expected {expected.shape[1:]} pixels as in {paths[0].name}, got {frames.shape}",
+                source=path,
+            )
+        if frames.dtype != expected.dtype:
+            raise DataError(
+                f"expected {expected.dtype} as in {paths[0].name}, got {frames.dtype}", source=path
+            )
+        stacks.append(frames)
+    return np.concatenate(stacks)
+
+
+def _stack(values: NDArray[Any], frame_axis: int, path: Path, field: str = "") -> NDArray[Any]:
+    if values.ndim == 2:
+        return values[np.newaxis]
+    if values.ndim != 3:
+        raise DataError(
+            f"expected [frame row col], got shape {values.shape}", field=field, source=path
+        )
+    if path.suffix.lower() not in (".npy", ".npz"):
+        return values
+    return np.ascontiguousarray(np.moveaxis(values, frame_axis, 0))
+
+
+def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
+    arrays = load_named_arrays(path)
+    name = _frames_name(path, arrays, key)
+    fields: dict[str, Any] = {"amplitude": _stack(arrays[name], frame_axis, path, name)}
+    for stack in _STACKS:
+        if stack in arrays and stack != name:
+            fields[stack] = _stack(arrays[stack], frame_axis, path, stack)
+    fields |= {plain: arrays[plain] for plain in _PLAIN if plain in arrays}
+    for scalar, convert in _SCALARS.items():
+        if scalar in arrays:
+            with reading(path, scalar):
+                fields[scalar] = convert(arrays[scalar])
+    return fields
+
+
+def _frames_name(path: Path, arrays: dict[str, NDArray[Any]], key: str | None) -> str:
+    stacks = [name for name, values in arrays.items() if values.ndim == 3 and name not in _STACKS]
+    known = [name for name in FRAME_KEYS if name in arrays]
+    candidates = [key] if key is not None else known[:1] or stacks
+    if len(candidates) == 1 and candidates[0] in arrays:
+        return candidates[0]
+    wanted = repr(key) if key is not None else "the frames"
+    raise DataError(
+        f"cannot tell which array holds {wanted}; choose a key among {', '.join(arrays) or 'none'}",
+        field="key",
+        source=path,
+    )
+
+
+def _offset_fields(
+    source: str | Path | Sequence[str | Path],
+    offsets: str | Path | OffsetTable | ArrayLike | None,
+    fields: dict[str, Any],
+) -> dict[str, Any]:
+    count = int(fields["amplitude"].shape[0])
+    if offsets is None:
+        if "offset_px" in fields:
+            return {}
+        if count == 1:
+            return {"offset_px": np.zeros((1, 2))}
+        raise DataError(
+            f"no shifts are given for {count} frames; give a CSV or JSON file of offsets",
+            field="offset_px",
+            source=_label(source),
+        )
+    named = offsets if isinstance(offsets, str | Path) else _label(source)
+    table = load_offsets(offsets) if isinstance(offsets, str | Path) else offsets
+    if not isinstance(table, OffsetTable):
+        table = OffsetTable(np.asarray(table))
+    if table.offset_px.shape != (count, 2):
+        raise DataError(
+            f"expected shape {(count, 2)} for {count} frames, got {table.offset_px.shape}"
+            f"{_axis_advice(source, table.offset_px, fields['amplitude'])}",
+            field="offset_px",
+            source=named,
+        )
+    found: dict[str, Any] = {"offset_px": table.offset_px, "offset_source": table.offset_source}
+    return found | {"offset_sigma_px": table.offset_sigma_px}
+
+
+def _axis_advice(
+    source: str | Path | Sequence[str | Path], offset_px: NDArray[Any], frames: NDArray[Any]
+) -> str:
+    """Return a hint if the frames seem to lie along the last axis of an array."""
+    an_array = _label(source).suffix.lower() in (".npy", ".npz")
+    if an_array and offset_px.ndim == 2 and offset_px.shape[0] == frames.shape[-1]:
+        return "; if the array is [row col frame], set the frame axis to -1"
+    return ""

@@ -1,0 +1,150 @@
+"""Shifts of the frames from CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.types import OFFSET_SOURCES, OffsetSource
+from lensshift.io.reading import reading, require_file
+
+_REQUIRED = ("row", "col")
+_COLUMNS = ("frame", *_REQUIRED, "sigma_row", "sigma_col")
+_JSON_FIELDS = ("offset_px", "offset_sigma_px", "offset_source")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OffsetTable:
+    """Where the content lies in each frame.
+
+    Parameters
+    ----------
+    offset_px : [frame 2] (row, col); positive: the content moved down / right in that frame
+    offset_sigma_px : [frame 2] standard deviation, or None
+    offset_source : where the offsets come from
+    """
+
+    offset_px: NDArray[np.float64]
+    offset_sigma_px: NDArray[np.float64] | None = None
+    offset_source: OffsetSource = "planned"
+
+
+def load_offsets(path: str | Path) -> OffsetTable:
+    """Read shifts in LR pixels from a file.
+
+    CSV: a header `row,col`, optionally with `frame` (from 0, in any order), `sigma_row` and
+    `sigma_col`; one line a frame. JSON: `{"offset_px": [[row, col], ...]}`, optionally with
+    `offset_sigma_px` and `offset_source`.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or wrong; the message names the file and the line or field.
+    """
+    require_file(path)
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".csv", ".json"):
+        raise DataError(f"expected shifts in a .csv or .json file, got {suffix!r}", source=path)
+    with reading(path):
+        text = Path(path).read_text(encoding="utf-8-sig")
+        return _from_csv(text) if suffix == ".csv" else _from_json(text)
+
+
+def _from_csv(text: str) -> OffsetTable:
+    lines = csv.reader(text.splitlines(), skipinitialspace=True)
+    header = [name.strip() for name in next(lines, [])]
+    _check_header(header)
+    rows: list[dict[str, float]] = []
+    for cells in lines:
+        if any(cell.strip() for cell in cells):
+            rows.append(_csv_row(header, cells, f"line {lines.line_num}"))
+    if not rows:
+        raise DataError("expected one line a frame below the header, got none", field="row")
+    if "frame" in header:
+        frames = [row["frame"] for row in rows]
+        if sorted(frames) != list(range(len(rows))):
+            raise DataError(
+                f"expected each number from 0 to {len(rows) - 1} once, got "
+                f"{', '.join(f'{frame:g}' for frame in frames)}",
+                field="frame",
+            )
+        rows.sort(key=lambda row: row["frame"])
+    offset_px = np.array([[row["row"], row["col"]] for row in rows])
+    if "sigma_row" not in header:
+        return OffsetTable(offset_px)
+    return OffsetTable(offset_px, np.array([[row["sigma_row"], row["sigma_col"]] for row in rows]))
+
+
+def _check_header(header: list[str]) -> None:
+    unknown = [name for name in header if name not in _COLUMNS]
+    missing = [name for name in _REQUIRED if name not in header]
+    if unknown or missing or len(set(header)) != len(header):
+        raise DataError(
+            f"expected the header row,col (and perhaps frame, sigma_row, sigma_col), "
+            f"got {','.join(header)!r:.80}",
+            field="line 1",
+        )
+    if ("sigma_row" in header) != ("sigma_col" in header):
+        raise DataError("expected sigma_row and sigma_col, got only one of them", field="line 1")
+
+
+def _csv_row(header: list[str], cells: list[str], line: str) -> dict[str, float]:
+    if len(cells) != len(header):
+        raise DataError(f"expected {len(header)} values, got {len(cells)}", field=line)
+    row: dict[str, float] = {}
+    for name, cell in zip(header, cells, strict=True):
+        row[name] = _number_or_nan(cell)
+        if not math.isfinite(row[name]):
+            raise DataError(f"expected a finite number, got {cell!r:.40}", field=f"{line}, {name}")
+    return row
+
+
+def _number_or_nan(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def _from_json(text: str) -> OffsetTable:
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise DataError(f"not JSON: {error.msg}", field=f"line {error.lineno}") from error
+    if not isinstance(content, dict) or "offset_px" not in content:
+        raise DataError('expected {"offset_px": [[row, col], ...]}', field="offset_px")
+    unknown = sorted(set(content) - set(_JSON_FIELDS))
+    if unknown:
+        raise DataError(f"expected only {', '.join(_JSON_FIELDS)}", field=f"{unknown[0]:.40}")
+    source = content.get("offset_source", "planned")
+    if source not in OFFSET_SOURCES:
+        raise DataError(
+            f"expected one of {', '.join(OFFSET_SOURCES)}, got {source!r:.40}",
+            field="offset_source",
+        )
+    return OffsetTable(
+        _json_pairs(content, "offset_px"),
+        _json_pairs(content, "offset_sigma_px") if "offset_sigma_px" in content else None,
+        cast(OffsetSource, source),
+    )
+
+
+def _json_pairs(content: Mapping[str, Any], name: str) -> NDArray[np.float64]:
+    try:
+        pairs = np.asarray(content[name], dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError("expected [[row, col], ...] of numbers", field=name) from error
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.shape[0] == 0:
+        raise DataError(f"expected [[row, col], ...], got shape {pairs.shape}", field=name)
+    if not np.all(np.isfinite(pairs)):
+        raise DataError("expected finite numbers, got NaN or infinity", field=name)
+    return pairs

@@ -1,0 +1,78 @@
+"""What every reader of foreign bytes needs: turn any failure into one line that names the file."""
+
+from __future__ import annotations
+
+import csv
+import stat
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from lensshift.core.errors import DataError
+
+# What h5py, tifffile, Pillow and NumPy raise when a file is damaged.
+_READ_ERRORS = (
+    OSError,
+    EOFError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    BufferError,
+    MemoryError,
+    SyntaxError,
+    SystemError,
+    UserWarning,
+    csv.Error,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+_DEFLATE_LIMIT = 1100  # zlib cannot shrink data by more than a factor of 1032
+
+
+@contextmanager
+def reading(path: str | Path, field: str = "") -> Iterator[None]:
+    """Turn whatever a reader raises in the block into a `DataError` that names the file."""
+    try:
+        yield
+    except DataError as error:
+        raise error.in_file(path) from error
+    except BlockingIOError as error:
+        raise DataError("another program is writing this file", source=path) from error
+    except PermissionError as error:
+        raise DataError("cannot read: permission denied", source=path) from error
+    except _READ_ERRORS as error:
+        reason = f"{error}"[:200] or type(error).__name__
+        raise DataError(f"damaged or cut short ({reason})", field=field, source=path) from error
+
+
+def check_held(shape: tuple[int, ...], claimed_bytes: int, stored_bytes: int, field: str) -> None:
+    """Raise a `DataError` if so few stored bytes cannot hold an array of this shape."""
+    if claimed_bytes > _DEFLATE_LIMIT * stored_bytes:
+        raise DataError(f"damaged: {stored_bytes} bytes cannot hold shape {shape}", field=field)
+
+
+def require_file(path: str | Path) -> None:
+    """Raise a `DataError` unless there is a regular file with something in it."""
+    try:
+        found = Path(path).stat()
+    except FileNotFoundError as error:
+        raise DataError("there is no such file", source=path) from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"cannot read: {reason}", source=path) from error
+    if stat.S_ISDIR(found.st_mode):
+        raise DataError("expected a file, got a folder", source=path)
+    if not stat.S_ISREG(found.st_mode):
+        raise DataError("expected a file, got a device or pipe", source=path)
+    if found.st_size == 0:
+        raise DataError("the file is empty", source=path)

@@ -1,0 +1,402 @@
+"""Image stacks become bursts with the numbers of the files."""
+
+import io
+import pickle
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image, PngImagePlugin
+
+from lensshift.core.errors import DataError
+from lensshift.io import OffsetTable, export_burst, load_image_stack
+from lensshift.io.image_file import load_frames, load_named_arrays
+
+SHAPE = (4, 5, 7)
+OFFSETS = np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.5, 0.5]])
+
+
+def frames_of(dtype: str, shape: tuple[int, ...] = SHAPE) -> np.ndarray:
+    top = 60_000 if dtype == "u2" else 250
+    return np.random.default_rng(1).integers(0, top, shape).astype(dtype)
+
+
+def load(source: Any, **options: Any) -> np.ndarray:
+    return load_image_stack(
+        source, options.pop("offsets", OFFSETS), pitch_mm=0.1, **options
+    ).amplitude
+
+
+def message_of(source: Any, **options: Any) -> str:
+    given: dict[str, Any] = {"offsets": OFFSETS, "pitch_mm": 0.1} | options
+    with pytest.raises(DataError) as caught:
+        load_image_stack(source, **given)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "i2", "f4", "f8"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_multi_page_tiff(tmp_path: Path, dtype: str, compression: str | None) -> None:
+    frames = frames_of(dtype)
+    tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack", compression=compression)
+    amplitude = load(tmp_path / "a.tif")
+    assert amplitude.dtype == frames.dtype
+    np.testing.assert_array_equal(amplitude, frames)
+
+
+@pytest.mark.parametrize("last", [3, 4])
+def test_tiff_of_a_narrow_sensor_is_not_colour(tmp_path: Path, last: int) -> None:
+    frames = frames_of("f4", (4, 5, last))
+    tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack")
+    np.testing.assert_array_equal(load(tmp_path / "a.tif"), frames)
+
+
+def test_tiff_that_tifffile_cannot_decompress(tmp_path: Path) -> None:
+    frames = frames_of("u2")
+    pages = [Image.fromarray(frame) for frame in frames]
+    pages[0].save(
+        tmp_path / "a.tif", save_all=True, append_images=pages[1:], compression="tiff_lzw"
+    )
+    amplitude = load(tmp_path / "a.tif")
+    assert amplitude.dtype == np.uint16
+    np.testing.assert_array_equal(amplitude, frames)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2"])
+def test_folder_of_png_in_natural_order(tmp_path: Path, dtype: str) -> None:
+    frames = frames_of(dtype)
+    for number, frame in zip((1, 2, 10, 11), frames, strict=True):
+        Image.fromarray(frame).save(tmp_path / f"frame_{number}.png")
+    (tmp_path / "notes.txt").write_text("not an image")
+    (tmp_path / ".hidden.png").write_text("not an image")
+    amplitude = load(tmp_path)
+    assert amplitude.dtype == frames.dtype
+    np.testing.assert_array_equal(amplitude, frames)
+
+
+def test_files_in_the_order_given(tmp_path: Path) -> None:
+    frames = frames_of("u1")
+    for number, frame in enumerate(frames):
+        np.save(tmp_path / f"{number}.npy", frame)
+    order = [tmp_path / f"{number}.npy" for number in (2, 0, 3, 1)]
+    np.testing.assert_array_equal(load(order), frames[[2, 0, 3, 1]])
+
+
+def test_single_frame_needs_no_offset(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((5, 7)))
+    burst = load_image_stack(tmp_path / "a.npy", pitch_mm=(0.1, 0.2))
+    np.testing.assert_array_equal(burst.offset_px, [[0.0, 0.0]])
+    assert burst.grid.pitch_mm == (0.1, 0.2)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA"])
+def test_colour_with_equal_channels_is_grey(tmp_path: Path, mode: str) -> None:
+    frame = frames_of("u1")[0]
+    Image.fromarray(frame).convert(mode).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(load([tmp_path / "a.png"], offsets=None)[0], frame)
+
+
+def test_tiff_colour_with_equal_channels_is_grey(tmp_path: Path) -> None:
+    frame = frames_of("u1")[0]
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([frame] * 3, -1), photometric="rgb")
+    np.testing.assert_array_equal(load(tmp_path / "a.tif", offsets=None)[0], frame)
+    tifffile.imwrite(
+        tmp_path / "b.tif", np.stack([frame] * 3), photometric="rgb", planarconfig="separate"
+    )
+    np.testing.assert_array_equal(load(tmp_path / "b.tif", offsets=None)[0], frame)
+
+
+def save_png(path: Path, image: np.ndarray, mode: str | None = None) -> None:
+    picture = Image.fromarray(image)
+    (picture if mode is None else picture.convert(mode)).save(path)
+
+
+def test_what_is_not_greyscale_is_refused_with_advice(tmp_path: Path) -> None:
+    colours = frames_of("u1", (5, 7, 3))
+    advice = "save it as greyscale of 8 or 16 bits first"
+    save_png(tmp_path / "colour.png", colours)
+    save_png(tmp_path / "palette.png", colours, "P")
+    save_png(tmp_path / "bilevel.png", colours, "1")
+    clear = np.dstack([np.zeros((5, 7, 3), "u1"), frames_of("u1")[0]])
+    save_png(tmp_path / "transparent.png", clear)
+    tifffile.imwrite(tmp_path / "colour.tif", colours, photometric="rgb")
+    tifffile.imwrite(tmp_path / "negative.tif", colours[..., 0], photometric="miniswhite")
+    for name in (
+        "colour.png", "palette.png", "bilevel.png", "transparent.png", "colour.tif", "negative.tif",
+    ):  # fmt: skip
+        message = message_of(tmp_path / name)
+        assert message.startswith(str(tmp_path / name))
+        assert advice in message
+
+
+def test_deep_colour_is_refused(tmp_path: Path) -> None:
+    # 1 x 1 pixel, 16 bits a channel: Pillow would keep only the upper byte of each.
+    raw = b"\x00" + b"\x12\x34" * 3
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        )
+
+    header = struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)
+    content = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
+    (tmp_path / "deep.png").write_bytes(b"\x89PNG\r\n\x1a\n" + content)
+    assert "16 bits a channel" in message_of(tmp_path / "deep.png")
+
+
+def test_npz_with_all_fields(tmp_path: Path) -> None:
+    path = write_npz(
+        tmp_path,
+        amplitude=frames_of("u2"),
+        distance_m=np.ones(SHAPE),
+        valid=np.ones(SHAPE, bool),
+        offset_px=OFFSETS,
+        offset_sigma_px=OFFSETS,
+        pitch_mm=0.25,
+        modulation_hz=2e7,
+        time_s=np.arange(4.0),
+        stage_mm=OFFSETS,
+        offset_source="calibrated",
+        meta='{"a": 1}',
+    )
+    burst = load_image_stack(path)
+    np.testing.assert_array_equal(burst.amplitude, frames_of("u2"))
+    np.testing.assert_array_equal(burst.offset_px, OFFSETS)
+    assert burst.grid.pitch_mm == (0.25, 0.25)
+    assert (burst.modulation_hz, burst.offset_source, burst.meta) == (2e7, "calibrated", {"a": 1})
+    export_burst(burst, tmp_path / "again.npz")
+    again = load_image_stack(tmp_path / "again.npz")
+    for name in ("amplitude", "distance_m", "valid", "offset_px", "offset_sigma_px", "time_s"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(burst, name))
+    assert (again.modulation_hz, again.offset_source, again.meta) == (2e7, "calibrated", {"a": 1})
+    assert again.grid == burst.grid
+
+
+def write_npz(folder: Path, **arrays: Any) -> Path:
+    np.savez(folder / "a.npz", **arrays)
+    return folder / "a.npz"
+
+
+@pytest.mark.parametrize("name", ["amplitude", "frames", "LR", "whatever"])
+def test_npz_finds_the_frames(tmp_path: Path, name: str) -> None:
+    path = write_npz(tmp_path, **{name: frames_of("u2"), "truth": np.ones((10, 14))})
+    np.testing.assert_array_equal(load(path), frames_of("u2"))
+
+
+def test_npz_key_and_frame_axis(tmp_path: Path) -> None:
+    frames = frames_of("f8")
+    path = write_npz(tmp_path, a=np.zeros(SHAPE), b=np.moveaxis(frames, 0, -1))
+    np.testing.assert_array_equal(load(path, key="b", frame_axis=-1), frames)
+    assert "choose a key among a, b" in message_of(path)
+    assert "choose a key among a, b" in message_of(path, key="c")
+    assert "set the frame axis to -1" in message_of(path, key="b")
+    np.save(tmp_path / "a.npy", np.moveaxis(frames, 0, -1))
+    np.testing.assert_array_equal(load(tmp_path / "a.npy", frame_axis=-1), frames)
+
+
+def test_offsets_given_beside_an_npz_win(tmp_path: Path) -> None:
+    path = write_npz(
+        tmp_path, amplitude=frames_of("u2"), offset_px=OFFSETS, offset_sigma_px=OFFSETS
+    )
+    table = OffsetTable(OFFSETS + 1, offset_source="registered")
+    burst = load_image_stack(path, table, pitch_mm=1.0)
+    np.testing.assert_array_equal(burst.offset_px, OFFSETS + 1)
+    assert burst.offset_sigma_px is None
+    assert burst.offset_source == "registered"
+    changed = load_image_stack(path, table, pitch_mm=1.0, offset_source="calibrated")
+    assert changed.offset_source == "calibrated"
+
+
+def test_offsets_from_a_file_beside(tmp_path: Path) -> None:
+    path = write_npz(tmp_path, amplitude=frames_of("u2"))
+    (tmp_path / "shifts.csv").write_text("row,col\n" + "".join(f"{r},{c}\n" for r, c in OFFSETS))
+    burst = load_image_stack(path, tmp_path / "shifts.csv", pitch_mm=1.0)
+    np.testing.assert_array_equal(burst.offset_px, OFFSETS)
+    (tmp_path / "short.csv").write_text("row,col\n0,0\n")
+    message = message_of(path, offsets=tmp_path / "short.csv")
+    assert message.startswith(str(tmp_path / "short.csv"))
+    assert "offset_px: expected shape (4, 2) for 4 frames, got (1, 2)" in message
+
+
+@pytest.mark.parametrize(
+    ("arrays", "options", "said"),
+    [
+        ({}, {"offsets": None}, "offset_px: no shifts are given for 4 frames"),
+        ({}, {"pitch_mm": None}, "pitch_mm: no pixel pitch is given"),
+        ({}, {"pitch_mm": -1.0}, "pitch_mm: "),
+        ({}, {"offsets": [[0, 1]]}, "offset_px: expected shape (4, 2)"),
+        ({}, {"offsets": OFFSETS * np.nan}, "offset_px: "),
+        ({"distance_m": np.ones((4, 5, 8))}, {}, "distance_m: "),
+        ({"distance_m": np.ones(3)}, {}, "distance_m: expected [frame row col]"),
+        ({"valid": np.zeros(SHAPE, bool)}, {}, "valid: "),
+        ({"amplitude": np.full(SHAPE, np.nan)}, {}, "amplitude: every valid pixel"),
+        ({"amplitude": np.zeros((4, 0, 7))}, {}, "amplitude: "),
+        ({"amplitude": np.full(SHAPE, "a")}, {}, "amplitude: expected numbers"),
+        ({"amplitude": np.ones(3)}, {}, "amplitude: expected [frame row col]"),
+        ({"pitch_mm": np.ones(3)}, {"pitch_mm": None}, "pitch_mm: "),
+        ({"modulation_hz": "fast"}, {}, "modulation_hz: "),
+        ({"meta": "{"}, {}, "meta: "),
+        ({"offset_source": "guess"}, {"offsets": None, "offset_source": None}, ""),
+        ({"time_s": np.ones(5)}, {}, "time_s: "),
+    ],
+)
+def test_npz_that_contradicts_itself(
+    tmp_path: Path, arrays: dict[str, Any], options: dict[str, Any], said: str
+) -> None:
+    path = write_npz(tmp_path, **({"amplitude": frames_of("u2")} | arrays))
+    message = message_of(path, **options)
+    assert message.startswith(str(path))
+    assert said in message
+
+
+def test_pickles_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    assert "allow_pickle" in message_of(tmp_path / "a.npy")
+    np.savez(tmp_path / "b.npz", amplitude=np.array([{"a": 1}], dtype=object))
+    message = message_of(tmp_path / "b.npz")
+    assert "amplitude: " in message
+    (tmp_path / "c.npy").write_bytes(pickle.dumps([1, 2]))
+    assert "not an NPY file" in message_of(tmp_path / "c.npy")
+    (tmp_path / "d.npz").write_bytes(pickle.dumps([1, 2]))
+    assert "not an NPZ file" in message_of(tmp_path / "d.npz")
+
+
+def test_npz_with_something_else_inside(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    assert "readme.txt: expected an array" in message_of(tmp_path / "a.npz")
+
+
+def test_files_that_do_not_fit_together(tmp_path: Path) -> None:
+    np.save(tmp_path / "1.npy", np.ones((5, 7)))
+    np.save(tmp_path / "2.npy", np.ones((5, 8)))
+    np.save(tmp_path / "3.npy", np.ones((5, 7), "u1"))
+    np.save(tmp_path / "4.npy", np.ones(7))
+    first = tmp_path / "1.npy"
+    assert "2.npy: expected (5, 7) pixels as in 1.npy" in message_of([first, tmp_path / "2.npy"])
+    assert "3.npy: expected float64 as in 1.npy, got uint8" in message_of(
+        [first, tmp_path / "3.npy"]
+    )
+    assert "4.npy: expected" in message_of([tmp_path / "4.npy"])
+    assert "at least one image file" in message_of([])
+
+
+def test_folders_and_names(tmp_path: Path) -> None:
+    assert "holds no image" in message_of(tmp_path)
+    assert "no such file" in message_of(tmp_path / "none.tif")
+    (tmp_path / "a.jpg").write_bytes(b"x")
+    assert "expected .tif, .tiff, .png, .npy or .npz" in message_of(tmp_path / "a.jpg")
+    np.save(tmp_path / "1.npy", np.ones((5, 7)))
+    save_png(tmp_path / "1.png", np.ones((5, 7), "u1"))
+    assert "holds .npy and .png files" in message_of(tmp_path)
+
+
+def test_odd_tiffs_are_refused(tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "sizes.tif") as writer:
+        writer.write(np.ones((5, 7), "u1"))
+        writer.write(np.ones((6, 7), "u1"))
+    assert "pages of one size" in message_of(tmp_path / "sizes.tif")
+    tifffile.imwrite(tmp_path / "four.tif", np.ones((2, 3, 5, 7), "u1"), photometric="minisblack")
+    assert "one stack of frames" in message_of(tmp_path / "four.tif")
+    tifffile.imwrite(tmp_path / "bits.tif", np.ones((5, 7), bool), photometric="minisblack")
+    assert "expected numbers" in message_of(tmp_path / "bits.tif", offsets=None)
+
+
+def test_decompression_bombs_are_refused(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    Image.new("1", (20_000, 10_000)).save(buffer, "PNG")
+    (tmp_path / "bomb.png").write_bytes(buffer.getvalue())
+    assert "too large" in message_of(tmp_path / "bomb.png")
+    info = PngImagePlugin.PngInfo()
+    info.add_text("Comment", "x" * 50_000_000, zip=True)
+    Image.fromarray(frames_of("u1")[0]).save(tmp_path / "text.png", pnginfo=info)
+    message_of(tmp_path / "text.png")
+    tifffile.imwrite(tmp_path / "bomb.tif", frames_of("u1"), photometric="minisblack")
+    with tifffile.TiffFile(tmp_path / "bomb.tif", mode="r+") as file:
+        file.pages.first.tags["ImageLength"].overwrite(3_000_000_000)
+    message_of(tmp_path / "bomb.tif")
+
+
+def make_files(folder: Path) -> list[Path]:
+    frames = frames_of("u2")
+    tifffile.imwrite(folder / "plain.tif", frames, photometric="minisblack")
+    tifffile.imwrite(folder / "zlib.tif", frames, photometric="minisblack", compression="zlib")
+    pages = [Image.fromarray(frame) for frame in frames]
+    pages[0].save(
+        folder / "lzw.tif", save_all=True, append_images=pages[1:], compression="tiff_lzw"
+    )
+    pages[0].save(folder / "a.png")
+    np.save(folder / "a.npy", frames)
+    np.savez_compressed(folder / "a.npz", amplitude=frames, offset_px=OFFSETS, meta="{}")
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return make_files(tmp_path_factory.mktemp("images"))
+
+
+@given(
+    number=st.integers(0, 5),
+    keep=st.floats(0, 1),
+    flips=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), max_size=3),
+)
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_damaged_images_give_a_data_error_or_an_image(
+    files: list[Path], tmp_path: Path, number: int, keep: float, flips: list[tuple[float, int]]
+) -> None:
+    content = bytearray(files[number].read_bytes())
+    for position, mask in flips:
+        content[int(position * len(content))] ^= mask
+    path = tmp_path / f"damaged{files[number].suffix}"
+    path.write_bytes(content[: int(keep * len(content))])
+    offsets = [[0, 0]] if path.suffix == ".png" else OFFSETS
+    try:
+        burst = load_image_stack(path, offsets, pitch_mm=1.0)
+    except DataError as error:
+        message = str(error)
+    else:
+        message = str(path)
+        assert burst.amplitude.shape[0] == len(offsets)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize("name", ["plain.tif", "zlib.tif", "lzw.tif", "a.npy", "a.npz", "a.png"])
+def test_truncated_image_never_loses_a_pixel(files: list[Path], tmp_path: Path, name: str) -> None:
+    whole = next(path for path in files if path.name == name)
+    content = whole.read_bytes()
+    path = tmp_path / name
+    refused = 0
+    for length in range(0, len(content), 7):
+        path.write_bytes(content[:length])
+        try:
+            frames = amplitude_in(path)
+        except DataError:
+            refused += 1
+        else:  # only bytes behind the pixels are missing
+            np.testing.assert_array_equal(frames, amplitude_in(whole))
+    assert refused > 0.9 * len(content) / 7
+
+
+def amplitude_in(path: Path) -> Any:
+    return load_named_arrays(path)["amplitude"] if path.suffix == ".npz" else load_frames(path)
+
+
+def test_png_with_a_wrong_checksum_is_refused(tmp_path: Path) -> None:
+    save_png(tmp_path / "a.png", frames_of("u1", (50, 70)))
+    content = bytearray((tmp_path / "a.png").read_bytes())
+    content[content.index(b"IDAT") + 20] ^= 1
+    (tmp_path / "a.png").write_bytes(content)
+    assert "damaged" in message_of(tmp_path / "a.png")
