@@ -52,10 +52,12 @@ def _regular_run(start: Starts, weight: Array) -> tuple[int, int, int]:
 def _split(line: Array, stride: int, count: int, planes: Array) -> None:
     """Put every stride-th sample into a plane of its own, so that the column pass is contiguous.
 
-    The strides are spelt out because a loop vectorises only if its stride is a constant.
+    The strides are spelt out because a loop vectorises only if its stride is a constant, and
+    the copy is a loop because numba takes seconds to compile the assignment of a slice.
     """
     if stride == 1:
-        planes[0, :count] = line[:count]
+        for j in range(count):
+            planes[0, j] = line[j]
     elif stride == 2:
         for phase in range(2):
             source, plane = line[phase:], planes[phase]
@@ -118,13 +120,11 @@ def forward_separable(
     width = x.shape[1]
     row_taps, col_taps = row_weight.shape[2], col_weight.shape[2]
     line = np.empty(width, x.dtype)
-    planes_memory = np.empty(2 * width + 64, x.dtype)
     for k in range(frames):
         begin, end, stride = _regular_run(col_start[k], col_weight[k])
         run = end - begin
         used = (run - 1) * stride + col_taps
-        length = width // stride + 1
-        planes = planes_memory[: stride * length].reshape(stride, length)
+        planes = np.empty((stride, width // stride + 1), x.dtype)
         for u in range(rows):
             top = row_start[k, u]
             weight = row_weight[k, u, 0]
@@ -173,14 +173,12 @@ def adjoint_separable(
     width = out.shape[1]
     row_taps, col_taps = row_weight.shape[2], col_weight.shape[2]
     line = np.empty(width, out.dtype)
-    planes_memory = np.empty(2 * width + 64, out.dtype)
     out[:] = 0
     for k in range(frames):
         begin, end, stride = _regular_run(col_start[k], col_weight[k])
         run = end - begin
         used = (run - 1) * stride + col_taps
-        length = width // stride + 1
-        planes = planes_memory[: stride * length].reshape(stride, length)
+        planes = np.empty((stride, width // stride + 1), out.dtype)
         for u in range(rows):
             source = y[k, u]
             line[:] = 0
