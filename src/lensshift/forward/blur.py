@@ -161,7 +161,7 @@ def _aperture_table(
 
 def _ramp(at: Positions, sigma: float) -> Positions:
     """Return the integral of the Gaussian step, z Phi(z/s) + s phi(z/s); max(z, 0) for s = 0."""
-    if sigma == 0:
+    if sigma < 1e-9:
         return np.maximum(at, 0.0)
     z = at / sigma
     ramp: Positions = sigma * (z * ndtr(z) + np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi))
@@ -185,7 +185,7 @@ def _gaussian_reach(sigma: float) -> float:
     """Return the distance beyond which a tap of the Gaussian is smaller than `GAUSSIAN_TAIL`."""
     if sigma == 0:
         return 0.0
-    peak = min(1.0, 1.0 / (sigma * np.sqrt(2 * np.pi)))
+    peak = 1.0 / max(1.0, sigma * np.sqrt(2 * np.pi))
     reach = sigma * np.sqrt(2 * np.log(max(peak / GAUSSIAN_TAIL, 1e2)))
     # Three taps at least (and four half way between two pixels), or no variance can be set.
     return max(1.5, float(reach))

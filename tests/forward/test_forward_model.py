@@ -1,0 +1,296 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from independent_matrix import system_matrix
+from operator_laws import check_linear_operator
+
+from lensshift.forward.blur import ApertureBlur, GaussianBlur
+from lensshift.forward.model import forward_model
+from lensshift.forward.warp import homography_field
+
+BLURS = [GaussianBlur(0.3), GaussianBlur(0.0), ApertureBlur(), ApertureBlur(0.7, 0.2)]
+SQUARE = [[0.25, 0.25], [0.25, -0.25], [-0.25, 0.25], [-0.25, -0.25]]
+
+
+def a_field(shape, frames=2, seed=0, size_px=1.5):
+    """Smooth, different along row and col, on a grid that no rounding touches."""
+    rows, cols = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    rng = np.random.default_rng(seed)
+    a, b, c = rng.uniform(-size_px / 3, size_px / 3, (3, frames, 1, 1, 2))
+    return np.round(64 * (a + b * rows[..., None] + c * (rows * cols)[..., None])) / 64
+
+
+@pytest.mark.parametrize("blur", BLURS, ids=str)
+@pytest.mark.parametrize("scale", range(1, 9))
+def test_laws_for_constant_shifts(scale, blur, rng):
+    offset_px = rng.uniform(-2, 2, (3, 2))
+    model = forward_model((5, 7), scale, offset_px, blur=blur)
+    assert model.hr_shape == (5 * scale, 7 * scale)
+    check_linear_operator(model.operator, rng)
+    check_linear_operator(model.frame(offset_px[1]), rng)
+
+
+@pytest.mark.parametrize("blur", BLURS, ids=str)
+@pytest.mark.parametrize("scale", range(1, 9))
+def test_laws_for_shift_fields(scale, blur, rng):
+    model = forward_model((5, 7), scale, shift_field_px=a_field((5, 7)), blur=blur)
+    check_linear_operator(model.operator, rng)
+
+
+@given(
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    scale=st.integers(1, 8),
+    offset=st.lists(st.tuples(*[st.floats(-4, 4)] * 2), min_size=1, max_size=3),
+    blur=st.one_of(
+        st.builds(GaussianBlur, st.floats(0, 1)),
+        st.builds(ApertureBlur, st.floats(0.05, 1), st.floats(0, 0.6)),
+    ),
+)
+@settings(deadline=None, max_examples=60)
+def test_laws_for_anything(shape, scale, offset, blur):
+    rng = np.random.default_rng(0)
+    check_linear_operator(forward_model(shape, scale, offset, blur=blur).operator, rng)
+    field = np.broadcast_to(np.array(offset)[:, None, None], (len(offset), *shape, 2))
+    check_linear_operator(
+        forward_model(shape, scale, shift_field_px=field, blur=blur).operator, rng
+    )
+
+
+@pytest.mark.parametrize("blur", BLURS, ids=str)
+@pytest.mark.parametrize("scale", range(1, 9))
+def test_constant_shifts_equal_the_independent_matrix(scale, blur, rng):
+    shape = (4, 5)
+    offset_px = np.round(64 * rng.uniform(-1.5, 1.5, (2, 2))) / 64
+    A = forward_model(shape, scale, offset_px, blur=blur).operator
+    field = np.broadcast_to(offset_px[:, None, None], (2, *shape, 2))
+    matrix = system_matrix(shape, scale, field, blur)
+    check_same(A, matrix, rng)
+
+
+@pytest.mark.parametrize("blur", BLURS, ids=str)
+@pytest.mark.parametrize("scale", [1, 2, 3, 5])
+def test_shift_fields_equal_the_independent_matrix(scale, blur, rng):
+    shape = (3, 4)
+    field = a_field(shape, seed=scale)
+    A = forward_model(shape, scale, shift_field_px=field, blur=blur).operator
+    check_same(A, system_matrix(shape, scale, field, blur), rng)
+
+
+def check_same(A, matrix, rng):
+    x, y = rng.standard_normal(A.in_shape), rng.standard_normal(A.out_shape)
+    np.testing.assert_allclose(A(x).ravel(), matrix @ x.ravel(), atol=3e-7)
+    np.testing.assert_allclose(A.T(y).ravel(), matrix.T @ y.ravel(), atol=3e-7)
+
+
+@pytest.mark.parametrize("shift", [(1, 0), (0, 1), (-2, 0), (0, -2), (1, 2)])
+@pytest.mark.parametrize("scale", [1, 2, 3])
+def test_a_whole_pixel_moves_the_content_down_and_right(shift, scale, rng):
+    still, moved = forward_model((9, 11), scale, [(0, 0), shift]).operator(
+        rng.standard_normal((9 * scale, 11 * scale))
+    )
+    rolled = np.roll(still, shift, axis=(0, 1))
+    inner = (slice(4, -4), slice(4, -4))
+    np.testing.assert_allclose(moved[inner], rolled[inner], atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("scale", range(2, 9))
+def test_one_hr_pixel_of_shift_equals_a_rolled_scene(scale, axis, rng):
+    offset_px = np.zeros(2)
+    offset_px[axis] = 1 / scale
+    x = rng.standard_normal((7 * scale, 9 * scale))
+    model = forward_model((7, 9), scale)
+    moved = model.frame(offset_px)(x)
+    expected = model.frame((0, 0))(np.roll(x, 1, axis=axis))
+    np.testing.assert_allclose(moved[2:-2, 2:-2], expected[2:-2, 2:-2], atol=1e-5)
+
+
+@pytest.mark.parametrize("fill_factor", [1.0, 0.5])
+def test_aperture_equals_brute_force_integration_of_the_light(fill_factor, rng):
+    scale, fine, shape = 2, 40, (5, 6)
+    x = rng.standard_normal((shape[0] * scale, shape[1] * scale))
+    light = np.kron(x, np.ones((fine, fine)))
+    offset_px = np.array([0.2, -0.3])  # whole samples of the fine light
+    frame = forward_model(shape, scale, blur=ApertureBlur(fill_factor)).frame(offset_px)(x)
+    pitch = scale * fine
+    margin = round((1 - fill_factor) * pitch / 2)
+    for u, v in ((1, 1), (2, 4), (3, 2)):
+        top, left = (
+            round((at - shift) * pitch) for at, shift in zip((u, v), offset_px, strict=True)
+        )
+        seen = light[top + margin : top + pitch - margin, left + margin : left + pitch - margin]
+        assert frame[u, v] == pytest.approx(seen.mean(), abs=2e-6)
+
+
+def test_centroid_of_a_bright_point_moves_with_the_offset():
+    x = np.zeros((40, 60))
+    x[20, 30] = 1.0
+    offset_px = np.array([[0.0, 0.0], [0.3, -0.4]])
+    # Four frames of the half-pixel comb, so that the point is sampled without aliasing.
+    comb = np.array([(r, c) for r in (0, 0.5) for c in (0, 0.5)])
+    centroids = []
+    for offset in offset_px:
+        frames = forward_model((20, 30), 2, offset + comb, blur=GaussianBlur(0.5)).operator(x)
+        rows, cols = np.mgrid[:20, :30]
+        at = [
+            sum((f * (grid - c[axis])).sum() for f, c in zip(frames, comb, strict=True))
+            for axis, grid in enumerate((rows, cols))
+        ]
+        centroids.append(np.array(at) / frames.sum())
+    np.testing.assert_allclose(centroids[1] - centroids[0], offset_px[1], atol=0.01)
+
+
+def test_a_constant_field_equals_a_constant_shift(rng):
+    offset_px = np.array([[0.3, -0.7], [1.1, 0.2], [-0.25, 0.25]])
+    field = np.broadcast_to(offset_px[:, None, None], (3, 6, 9, 2))
+    for scale in (1, 2, 4):
+        x = rng.standard_normal((6 * scale, 9 * scale))
+        shifted = forward_model((6, 9), scale, offset_px)
+        warped = forward_model((6, 9), scale, shift_field_px=field)
+        np.testing.assert_allclose(warped.operator(x), shifted.operator(x), atol=1e-5)
+        np.testing.assert_array_equal(warped.inside, shifted.inside)
+
+
+def test_homography_of_a_translation_equals_a_constant_shift(rng):
+    matrix = np.eye(3)
+    matrix[:2, 2] = -0.25, 0.5
+    field = homography_field(np.stack([np.eye(3), matrix]), (5, 8))
+    x = rng.standard_normal((10, 16))
+    np.testing.assert_allclose(
+        forward_model((5, 8), 2, shift_field_px=field).operator(x),
+        forward_model((5, 8), 2, [(0, 0), (0.25, -0.5)]).operator(x),
+        atol=1e-12,
+    )
+
+
+@pytest.mark.parametrize("dense", [False, True])
+@pytest.mark.parametrize("kind", [np.float32, np.complex64])
+def test_single_precision_stays_single_and_agrees_with_double(dense, kind, rng):
+    shift = {"shift_field_px": a_field((6, 9))} if dense else {"offset_px": SQUARE}
+    A = forward_model((6, 9), 2, **shift).operator
+    x, y = (rng.standard_normal(shape).astype(kind) for shape in (A.in_shape, A.out_shape))
+    assert A(x).dtype == kind
+    assert A.T(y).dtype == kind
+    wide = np.result_type(kind, np.float64)
+    np.testing.assert_allclose(A(x), A(x.astype(wide)), atol=2e-6)
+    np.testing.assert_allclose(A.T(y), A.T(y.astype(wide)), atol=4e-6)
+
+
+def test_whole_numbers_and_strided_images_are_welcome(rng):
+    A = forward_model((6, 9), 2, SQUARE).operator
+    x = rng.integers(0, 255, (18, 12), dtype=np.uint8).T
+    np.testing.assert_array_equal(A(x), A(np.ascontiguousarray(x, dtype=np.float64)))
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_gain_is_part_of_the_operator_and_bias_only_of_the_prediction(dense, rng):
+    shift = {"shift_field_px": a_field((5, 7))} if dense else {"offset_px": SQUARE[:2]}
+    plain = forward_model((5, 7), 2, **shift)
+    model = forward_model((5, 7), 2, **shift, gain=[2.0, 0.5], bias=[0.1, -0.3])
+    check_linear_operator(model.operator, rng, flat=None)
+    x = rng.standard_normal(model.hr_shape)
+    y = plain.predict(x)
+    np.testing.assert_allclose(model.operator(x), y * np.array([2.0, 0.5])[:, None, None])
+    np.testing.assert_allclose(model.predict(x)[0], 2.0 * y[0] + 0.1)
+    np.testing.assert_allclose(model.predict(x)[1], 0.5 * y[1] - 0.3)
+    assert model.predict(x.astype(np.complex64)).dtype == np.complex64
+
+
+def test_pixels_that_look_outside_are_marked():
+    model = forward_model((5, 7), 2, [(0, 0), (0.25, 0.25), (1.0, 0), (0, -0.75)])
+    assert model.inside.shape == (4, 5, 7)
+    assert model.inside[:2].all()
+    assert not model.inside[2, 0].any()
+    assert model.inside[2, 1:].all()
+    assert not model.inside[3, :, 6].any()
+    assert model.inside[3, :, :6].all()
+    field = np.broadcast_to(np.array([1.0, 0.0]), (1, 5, 7, 2))
+    warped = forward_model((5, 7), 2, shift_field_px=field)
+    np.testing.assert_array_equal(warped.inside[0], model.inside[2])
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset_px", "expected"),
+    [
+        (2, SQUARE, True),
+        (2, [[0.75, -0.25]], True),
+        (3, [[0, 0], [1 / 3, -1 / 3]], True),
+        (4, [[1 / 8, 3 / 8]], True),
+        (1, [[0, 1]], True),
+        (2, [[0, 0]], False),
+        (2, [[0.25, 0.26]], False),
+    ],
+)
+def test_which_shifts_lie_on_the_hr_grid(scale, offset_px, expected):
+    assert forward_model((6, 8), scale, offset_px).on_hr_grid is expected
+
+
+@pytest.mark.parametrize("blur", BLURS, ids=str)
+@pytest.mark.parametrize(("scale", "offset_px"), [(2, SQUARE), (3, [[0, 1 / 3], [-1 / 3, 0]])])
+def test_interlaced_convolution_equals_the_operator(scale, offset_px, blur, rng):
+    model = forward_model((6, 8), scale, offset_px, blur=blur)
+    interlace = model.interlace
+    np.testing.assert_allclose(interlace.kernel, interlace.kernel[::-1], atol=1e-12)
+    assert interlace.kernel.sum() == pytest.approx(1, abs=1e-13)
+    x = rng.standard_normal(model.hr_shape)
+
+    def convolve(line):
+        same = interlace.kernel.size // 2
+        full = np.convolve(line, interlace.kernel)
+        return full[same : same + line.size]
+
+    blurred = np.apply_along_axis(convolve, 1, np.apply_along_axis(convolve, 0, x))
+    held = np.outer(convolve(np.ones(x.shape[0])), convolve(np.ones(x.shape[1])))
+    frames = [
+        (blurred / held)[np.ix_(row, col)]
+        for row, col in zip(interlace.row_index, interlace.col_index, strict=True)
+    ]
+    np.testing.assert_allclose(model.operator(x), frames, atol=1e-12)
+
+
+def test_interlace_needs_shifts_on_the_grid():
+    with pytest.raises(ValueError, match="on an HR pixel"):
+        _ = forward_model((6, 8), 2, [[0.1, 0.2]]).interlace
+    assert not forward_model((6, 8), 2, shift_field_px=np.full((1, 6, 8, 2), 0.25)).on_hr_grid
+
+
+def test_without_shifts_there_is_one_frame_in_place():
+    model = forward_model((4, 6), 2)
+    assert model.frames == 1
+    np.testing.assert_array_equal(model.offset_px, [[0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"lr_shape": (0, 4)}, "expected lr_shape"),
+        ({"lr_shape": (4,)}, "expected lr_shape"),
+        ({"scale": 0}, "expected an integer scale from 1 to 8, got 0"),
+        ({"scale": 9}, "got 9"),
+        ({"scale": 1.5}, "got 1.5"),
+        ({"offset_px": [0.0, 0.0]}, "expected offset_px"),
+        ({"offset_px": np.zeros((0, 2))}, "at least one frame"),
+        ({"offset_px": [[np.inf, 0.0]]}, "finite"),
+        ({"offset_px": [[0, 0]], "shift_field_px": np.zeros((1, 4, 6, 2))}, "got both"),
+        ({"shift_field_px": np.zeros((1, 6, 4, 2))}, "expected a shift field of 4 x 6"),
+        ({"gain": [1.0, 1.0]}, r"expected gain \[frame\] of 1 frames"),
+        ({"bias": [np.nan]}, "finite bias"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        forward_model(**({"lr_shape": (4, 6), "scale": 2} | arguments))
+
+
+def test_a_held_out_frame_needs_one_offset():
+    with pytest.raises(ValueError, match="one offset_px"):
+        forward_model((4, 6), 2).frame([[0.0, 0.0]])
+
+
+def test_calls_leave_no_trace(rng):
+    A = forward_model((5, 7), 2, SQUARE).operator
+    x, y = rng.standard_normal(A.in_shape), rng.standard_normal(A.out_shape)
+    first, back = A(x), A.T(y)
+    np.testing.assert_array_equal(A(x), first)
+    np.testing.assert_array_equal(A.T(y), back)

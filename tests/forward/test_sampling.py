@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+
+from lensshift.forward import sampling
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.warp import field_positions, frame_positions
+
+KERNELS = ("_regular_run", "_split", "_merge")
+
+
+@pytest.fixture
+def interpreted(monkeypatch):
+    """Run the kernels as plain Python, line by line."""
+    for name in (
+        *KERNELS,
+        "forward_separable",
+        "adjoint_separable",
+        "forward_field",
+        "adjoint_field",
+    ):
+        monkeypatch.setattr(sampling, name, getattr(sampling, name).py_func)
+    return sampling
+
+
+@pytest.mark.parametrize("shape", [(3, 1), (1, 2), (3, 5), (5, 9)])
+@pytest.mark.parametrize("scale", [1, 2, 3, 5])
+def test_compiled_kernels_equal_the_python_that_they_are_written_in(scale, shape, interpreted, rng):
+    hr = (shape[0] * scale, shape[1] * scale)
+    offset_px = np.array([[0.3, -0.6], [1.4, 0.25]])
+    compiled = {
+        name: getattr(__import__("lensshift.forward.model", fromlist=[name]), name)
+        for name in ("forward_separable", "adjoint_separable", "forward_field", "adjoint_field")
+    }
+    x, y = rng.standard_normal(hr), rng.standard_normal((2, *shape))
+    blur = GaussianBlur(0.4)
+    field = np.broadcast_to(offset_px[:, None, None], (2, *shape, 2))
+    for kind, positions in (
+        ("separable", frame_positions(shape, offset_px, scale)),
+        ("field", field_positions(field, scale)),
+    ):
+        taps = (*blur.taps(positions[0], scale, hr[0]), *blur.taps(positions[1], scale, hr[1]))
+        for name, values, like in ((f"forward_{kind}", x, y), (f"adjoint_{kind}", y, x)):
+            fast, slow = np.full((2, *like.shape), np.nan)
+            compiled[name](values, *taps, fast)
+            getattr(interpreted, name)(values, *taps, slow)
+            np.testing.assert_allclose(fast, slow, atol=1e-13)
+
+
+def test_the_run_of_equal_taps_leaves_out_the_borders():
+    _, col_at = frame_positions((4, 20), [[0.0, 0.1]], 2)
+    start, weight = GaussianBlur(0.3).taps(col_at, 2, 40)
+    begin, end, stride = sampling._regular_run(start[0], weight[0])
+    assert stride == 2
+    assert 1 <= begin <= 2
+    assert 17 <= end <= 19
+    assert (weight[0, begin:end] == weight[0, begin]).all()
