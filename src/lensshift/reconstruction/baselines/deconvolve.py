@@ -1,0 +1,163 @@
+"""Deconvolution of a single upscaled frame, with scikit-image."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.reconstruction.baselines.interpolate import bicubic
+from lensshift.reconstruction.baselines.result import Baseline, check_frame
+
+Restoration = Literal["wiener", "unsupervised", "richardson-lucy"]
+
+_MAD_TO_SIGMA = 1.4826
+# A frame without noise is still not deconvolved where the PSF has let nothing through.
+_LEAST_BALANCE = 1e-3
+# Share of the roughness that is taken for detail however noisy the frame.
+_LEAST_DETAIL = 0.05
+# Richardson-Lucy must not divide by less, in units of the largest value.
+_DARK = 1e-6
+
+
+def deconvolution(
+    frame: ArrayLike,
+    weight: ArrayLike | None,
+    offset_px: ArrayLike,
+    scale: int,
+    psf_sigma_px: float = 0.3,
+    noise_sigma: float | None = None,
+    method: Restoration = "wiener",
+    iterations: int = 20,
+) -> Baseline:
+    """Sharpen one bicubically upscaled, shift-aligned frame.
+
+        min_x |y - h * x|^2 + (sigma^2 / tau^2) |L x|^2      ("wiener")
+
+    with h a Gaussian, L the Laplacian and tau its rms on the upscaled frame y less the share of
+    the noise. "unsupervised" lets scikit-image choose the balance (its random numbers are
+    seeded); "richardson-lucy" runs `iterations` and wants values that are not negative.
+    One frame carries no detail beyond its own sampling limit: this only undoes blur.
+
+    Parameters
+    ----------
+    frame, weight : [row col]; pixels of weight 0 are filled from their neighbours
+    offset_px : (row, col) of this frame
+    psf_sigma_px : standard deviation of the PSF
+    noise_sigma : of an LR pixel (or of a component of a phasor); None: `frame_noise`
+
+    Raises
+    ------
+    ValueError
+        As `check_frames`, or if a setting makes no sense for these data.
+
+    Source: skimage.restoration.
+    """
+    values, share, offset = check_frame(frame, weight, offset_px, scale)
+    _check_settings(psf_sigma_px, noise_sigma, method)
+    blurred = bicubic(values[None], share[None], offset[None], scale).image
+    sigma = frame_noise(values, share) if noise_sigma is None else noise_sigma
+    balance = _balance(blurred, offset, scale, sigma)
+    if not np.iscomplexobj(blurred):
+        return Baseline(_restore(blurred, psf_sigma_px * scale, balance, method, iterations))
+    if method == "richardson-lucy":
+        raise ValueError("richardson-lucy wants values that are not negative, got complex")
+    real, imag = (
+        _restore(part, psf_sigma_px * scale, balance, method, iterations)
+        for part in (blurred.real, blurred.imag)
+    )
+    return Baseline(real + 1j * imag)
+
+
+def _check_settings(psf_sigma_px: float, noise_sigma: float | None, method: str) -> None:
+    if not (np.isfinite(psf_sigma_px) and psf_sigma_px > 0):
+        raise ValueError(f"expected a positive psf_sigma_px, got {psf_sigma_px}")
+    if noise_sigma is not None and not (np.isfinite(noise_sigma) and noise_sigma >= 0):
+        raise ValueError(f"expected a noise_sigma of at least 0, got {noise_sigma}")
+    if method not in ("wiener", "unsupervised", "richardson-lucy"):
+        raise ValueError(
+            f"expected method 'wiener', 'unsupervised' or 'richardson-lucy', got {method!r}"
+        )
+
+
+def frame_noise(frame: NDArray[Any], weight: NDArray[np.float64]) -> float:
+    """Estimate the noise of a pixel from the 2 x 2 diagonal differences of one frame.
+
+        sigma = 1.4826 median |(a - b - c + d) / 2|
+
+    Ramps and straight edges along an axis cancel; texture does not, so it errs upwards. Of
+    complex frames it is the noise of one component. 0 where no 2 x 2 block is valid.
+
+    Source: Immerkaer, Comput. Vis. Image Underst. 64 (1996), for the idea.
+    """
+    used = weight > 0
+    whole = used[:-1, :-1] & used[:-1, 1:] & used[1:, :-1] & used[1:, 1:]
+    if not whole.any():
+        return 0.0
+    cross = 0.5 * (frame[:-1, :-1] - frame[:-1, 1:] - frame[1:, :-1] + frame[1:, 1:])[whole]
+    parts = np.concatenate((cross.real, cross.imag)) if np.iscomplexobj(cross) else cross
+    return _MAD_TO_SIGMA * float(np.median(np.abs(parts)))
+
+
+def gaussian_psf(sigma_hr_px: float) -> NDArray[np.float64]:
+    """Return a Gaussian [row col] whose width is right even below one pixel.
+
+    It is sampled in frequency, where exp(-2 (pi sigma f)^2) is cut at the Nyquist limit, and not
+    in space, where a Gaussian narrower than about 0.7 px is no longer as wide as it says.
+    """
+    radius = int(np.ceil(6 * sigma_hr_px)) + 2
+    frequency = np.fft.fftfreq(2 * radius + 1)
+    line = np.fft.fftshift(np.fft.ifft(np.exp(-2 * (np.pi * sigma_hr_px * frequency) ** 2)).real)
+    return np.outer(line, line)
+
+
+def _restore(
+    image: NDArray[np.float64],
+    sigma_hr_px: float,
+    balance: float,
+    method: Restoration,
+    iterations: int,
+) -> NDArray[np.float64]:
+    """Deconvolve a real image, with a mirrored margin because the methods are periodic."""
+    from skimage import restoration as untyped
+
+    restoration: Any = untyped
+
+    psf = gaussian_psf(sigma_hr_px)
+    margin = psf.shape[0] + 8
+    # The methods expect values of order one.
+    size = float(np.abs(image).max()) or 1.0
+    padded = np.pad(image, margin, mode="symmetric") / size
+    if method == "wiener":
+        restored = restoration.wiener(padded, psf, balance, clip=False)
+    elif method == "unsupervised":
+        restored, _ = restoration.unsupervised_wiener(padded, psf, clip=False, rng=0)
+    elif image.min() < 0:
+        raise ValueError(f"richardson-lucy wants values of at least 0, got {image.min():.3g}")
+    else:
+        restored = restoration.richardson_lucy(
+            padded, psf, num_iter=iterations, clip=False, filter_epsilon=_DARK
+        )
+    return np.asarray(restored[margin:-margin, margin:-margin] * size, dtype=np.float64)
+
+
+def _balance(
+    image: NDArray[Any], offset_px: NDArray[np.float64], scale: int, noise_sigma: float
+) -> float:
+    """Return the ratio of noise to detail, sigma^2 / tau^2.
+
+    tau^2 is the mean square of the Laplacian of the upscaled image less what the noise adds to
+    it, which the upscaled image of a single bright pixel tells.
+    """
+    from scipy.ndimage import laplace
+
+    impulse = np.zeros((1, 9, 9))
+    impulse[0, 4, 4] = 1.0
+    answer = laplace(bicubic(impulse, None, offset_px[None] % 1.0, scale).image)
+    from_noise = noise_sigma**2 * float(np.sum(answer**2)) / scale**2
+    components = (image.real, image.imag) if np.iscomplexobj(image) else (image,)
+    rough = float(np.mean([np.mean(laplace(part, mode="nearest") ** 2) for part in components]))
+    if rough == 0:
+        return 1.0
+    return _LEAST_BALANCE + noise_sigma**2 / max(rough - from_noise, _LEAST_DETAIL * rough)

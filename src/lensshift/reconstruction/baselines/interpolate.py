@@ -1,0 +1,157 @@
+"""Upscaling by interpolation: nearest neighbour, and Keys cubic on one or all frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from lensshift.core.grid import hr_to_lr
+from lensshift.reconstruction.baselines.holes import fill_holes
+from lensshift.reconstruction.baselines.result import Baseline, check_frame, check_frames
+
+# Positions half-way between two LR pixels must not depend on rounding errors of the offset.
+_TIE_PX = 1e-9
+
+Taps = Callable[[int, int, float], sparse.csr_array]
+
+
+def nearest(
+    frame: ArrayLike, weight: ArrayLike | None, offset_px: ArrayLike, scale: int
+) -> Baseline:
+    """Give every HR pixel the value of the LR pixel that it falls on, shift-aligned.
+
+    Parameters
+    ----------
+    frame, weight : [row col]; pixels of weight 0 are filled from their neighbours
+    offset_px : (row, col) of this frame
+
+    Raises
+    ------
+    ValueError
+        As `check_frames`.
+    """
+    values, share, offset = check_frame(frame, weight, offset_px, scale)
+    return _resampled(values, share, offset, scale, nearest_taps)
+
+
+def bicubic(
+    frames: ArrayLike,
+    weight: ArrayLike | None,
+    offset_px: ArrayLike,
+    scale: int,
+    combine: Literal["first", "mean", "median"] = "first",
+    frame: int = 0,
+) -> Baseline:
+    """Interpolate with the Keys cubic (a = -1/2) and align: one frame, or all of them combined.
+
+    Parameters
+    ----------
+    frames, weight : [frame row col]; pixels of weight 0 are filled from their neighbours in
+        their frame, and have no say in the mean or median
+    offset_px : [frame 2]
+    combine : "first": only the frame of number `frame`; "mean": weighted; "median": of the real
+        and of the imaginary part
+
+    Raises
+    ------
+    ValueError
+        As `check_frames`, or if there is no such `combine` or `frame`.
+
+    Source: Keys, Cubic convolution interpolation, IEEE Trans. ASSP 29 (1981).
+    """
+    values, share, offset = check_frames(frames, weight, offset_px, scale)
+    if combine == "first":
+        if not -len(values) <= frame < len(values):
+            raise ValueError(f"expected a frame from 0 to {len(values) - 1}, got {frame}")
+        if not share[frame].any():
+            raise ValueError(f"every pixel of frame {frame} has weight 0; choose another frame")
+        return _resampled(values[frame], share[frame], offset[frame], scale, cubic_taps)
+    if combine not in ("mean", "median"):
+        raise ValueError(f"expected combine 'first', 'mean' or 'median', got {combine!r}")
+    usable = np.flatnonzero(share.any(axis=(1, 2)))
+    parts = [_resampled(values[k], share[k], offset[k], scale, cubic_taps) for k in usable]
+    stack = np.stack([part.image for part in parts])
+    votes = np.stack([_apply(nearest_taps, share[k], offset[k], scale)[0] for k in usable])
+    # Where no frame has a valid pixel, all of them vote with what they were filled with.
+    votes[:, ~votes.any(axis=0)] = 1.0
+    if combine == "median":
+        return Baseline(_median(stack, votes > 0))
+    gain = np.stack([_known(part.noise_gain) for part in parts])
+    total = votes.sum(axis=0)
+    return Baseline(
+        (votes * stack).sum(axis=0) / total,
+        np.sqrt(((votes * gain) ** 2).sum(axis=0)) / total,
+    )
+
+
+def nearest_taps(size: int, scale: int, offset_px: float) -> sparse.csr_array:
+    """Return the matrix [HR index, LR index] of nearest-neighbour sampling along one axis.
+
+    Half-way between two LR pixels, the one that the HR pixel lies in without shift is taken.
+    """
+    at = hr_to_lr(np.arange(size * scale), scale) + offset_px - np.sign(offset_px) * _TIE_PX
+    source = np.clip(np.floor(at + 0.5), 0, size - 1).astype(np.intp)
+    return sparse.csr_array((np.ones(at.size), (np.arange(at.size), source)), shape=(at.size, size))
+
+
+def cubic_taps(size: int, scale: int, offset_px: float) -> sparse.csr_array:
+    """Return the matrix [HR index, LR index] of cubic interpolation; edge pixels repeat."""
+    at = np.clip(hr_to_lr(np.arange(size * scale), scale) + offset_px, -2.0, size + 1.0)
+    first = np.floor(at).astype(np.intp) - 1
+    tap = first[:, None] + np.arange(4)
+    d = np.abs(at[:, None] - tap)
+    near = (1.5 * d - 2.5) * d * d + 1.0
+    far = ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0
+    kernel = np.where(d <= 1, near, np.where(d <= 2, far, 0.0))
+    row = np.broadcast_to(np.arange(at.size)[:, None], tap.shape)
+    matrix = sparse.coo_array(
+        (kernel.ravel(), (row.ravel(), np.clip(tap, 0, size - 1).ravel())), shape=(at.size, size)
+    )
+    # Taps that the border has folded onto one pixel are added up before anything is squared.
+    return sparse.csr_array(matrix.tocsr())
+
+
+def _resampled(
+    frame: NDArray[Any],
+    weight: NDArray[np.float64],
+    offset_px: NDArray[np.float64],
+    scale: int,
+    taps: Taps,
+) -> Baseline:
+    """Fill the holes of a frame [row col] and resample it, with its noise gain."""
+    filled, variance = fill_holes(frame, weight, np.ones(frame.shape))
+    image, row, col = _apply(taps, filled, offset_px, scale)
+    spread = (col**2 @ (row**2 @ variance).T).T
+    return Baseline(image, np.sqrt(spread))
+
+
+def _apply(
+    taps: Taps, values: NDArray[Any], offset_px: NDArray[np.float64], scale: int
+) -> tuple[NDArray[Any], sparse.csr_array, sparse.csr_array]:
+    """Resample values [row col] along both axes; return the matrices too."""
+    row, col = (
+        taps(size, scale, float(offset))
+        for size, offset in zip(values.shape, offset_px, strict=True)
+    )
+    return np.ascontiguousarray((col @ (row @ values).T).T), row, col
+
+
+def _median(stack: NDArray[Any], counted: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return the median over axis 0 of the samples that count, of each component."""
+    if np.iscomplexobj(stack):
+        return _median(stack.real, counted) + 1j * _median(stack.imag, counted)
+    ranked = np.sort(np.where(counted, stack, np.inf), axis=0)
+    count = counted.sum(axis=0)
+    low = np.take_along_axis(ranked, ((count - 1) // 2)[None], axis=0)[0]
+    high = np.take_along_axis(ranked, (count // 2)[None], axis=0)[0]
+    return np.asarray(0.5 * (low + high))
+
+
+def _known(gain: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    if gain is None:
+        raise TypeError("expected the noise gain of a linear method")
+    return gain
