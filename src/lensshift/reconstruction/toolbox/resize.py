@@ -80,7 +80,7 @@ def _move_back(frame: NDArray[np.float64], offset_px: NDArray[np.float64]) -> ND
     moved = frame
     for axis in (0, 1):
         size = frame.shape[axis]
-        at = np.arange(size) + offset_px[axis]
+        at = np.clip(np.arange(size) + offset_px[axis], -1.0, size)
         inside = (at >= 0) & (at <= size - 1)
         low = np.clip(np.floor(at).astype(np.intp), 0, max(size - 2, 0))
         high = np.minimum(low + 1, size - 1)

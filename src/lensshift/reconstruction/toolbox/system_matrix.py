@@ -47,7 +47,9 @@ def axis_taps(size: int, scale: int, offset_px: float, psf_sigma_px: float) -> s
     position_hr_px = (np.arange(size) - offset_px) * scale + 0.5 * (scale - 1)
     radius = math.floor(3 * scale * psf_sigma_px)
     moved = position_hr_px[:, None] + np.arange(-radius, radius + 1)
-    tap = np.trunc(moved + np.where(moved > 0, 0.5, -0.5)).astype(np.intp)
+    tap = np.trunc(np.clip(moved + np.where(moved > 0, 0.5, -0.5), -1, size * scale)).astype(
+        np.intp
+    )
     weight = np.exp(-((position_hr_px[:, None] - tap) ** 2) / (2.0 * (scale * psf_sigma_px) ** 2))
     lr_index = np.broadcast_to(np.arange(size)[:, None], tap.shape)
     inside = (tap >= 0) & (tap < size * scale)
