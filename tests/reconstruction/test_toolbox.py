@@ -302,6 +302,15 @@ def test_the_estimate_tells_its_story() -> None:
     assert 0 < estimate.noise_sigma < 0.02
 
 
+def test_a_frame_that_sees_nothing_changes_nothing() -> None:
+    frames, offset_px = small_burst()
+    lost = np.concatenate((offset_px, [(1e300, -1e300)]))
+    estimate = irwsr_toolbox(np.concatenate((frames, frames[:1])), lost, 2, prior_weight=0.01)
+    assert np.isfinite(estimate.image).all()
+    assert estimate.confidence is not None
+    np.testing.assert_array_equal(estimate.confidence[4], 0.0)
+
+
 def test_flat_frames_stay_flat() -> None:
     estimate = irwsr_toolbox(np.full((4, 5, 7), 0.4), QUARTER_SQUARE, 2, prior_weight=0.01)
     np.testing.assert_allclose(estimate.image, 0.4, atol=1e-6)

@@ -50,12 +50,11 @@ def axis_taps(size: int, scale: int, offset_px: float, psf_sigma_px: float) -> s
     tap = np.trunc(np.clip(moved + np.where(moved > 0, 0.5, -0.5), -1, size * scale)).astype(
         np.intp
     )
-    weight = np.exp(-((position_hr_px[:, None] - tap) ** 2) / (2.0 * (scale * psf_sigma_px) ** 2))
-    lr_index = np.broadcast_to(np.arange(size)[:, None], tap.shape)
     inside = (tap >= 0) & (tap < size * scale)
-    return sparse.csr_array(
-        (weight[inside], (lr_index[inside], tap[inside])), shape=(size, size * scale)
-    )
+    lr_index, tap = np.nonzero(inside)[0], tap[inside]
+    squared_hr_px = (position_hr_px[lr_index] - tap) ** 2
+    weight = np.exp(-squared_hr_px / (2.0 * (scale * psf_sigma_px) ** 2))
+    return sparse.csr_array((weight, (lr_index, tap)), shape=(size, size * scale))
 
 
 def stacked_system(
