@@ -24,7 +24,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         If the folder is missing, the name cannot be written or the disk is full.
     """
     try:
-        target = _writable_target(path)
+        target = writable_target(path)
         temporary = target.parent / f".lensshift-{secrets.token_hex(8)}{target.suffix}"
         try:
             yield temporary
@@ -35,7 +35,8 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
 
 
-def _writable_target(path: str | Path) -> Path:
+def writable_target(path: str | Path) -> Path:
+    """Return the file that a name leads to; raise a `DataError` if it cannot be written."""
     try:
         target = Path(os.path.realpath(path))  # write through a link, do not replace it
     except ValueError as error:

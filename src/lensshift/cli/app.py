@@ -1,0 +1,51 @@
+"""The verbs of `lensshift`, put together."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from lensshift.cli.convert import convert
+from lensshift.cli.evaluate import evaluate
+from lensshift.cli.info import info
+from lensshift.cli.reconstruct import reconstruct
+from lensshift.cli.run import run
+
+app = typer.Typer(
+    name="lensshift",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"lensshift {version('lensshift')}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Super-resolution from frames whose content moved by a fraction of a pixel.
+
+    \b
+    Example:
+      lensshift reconstruct burst.nc --scale 2 -o sharp.nc
+    """
+
+
+app.command()(run)
+app.command()(reconstruct)
+app.command()(convert)
+app.command()(info)
+app.add_typer(evaluate, name="evaluate")

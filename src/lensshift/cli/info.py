@@ -1,0 +1,130 @@
+"""`lensshift info`: what is in a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.inputs import (
+    FrameAxis,
+    FrameAxisOption,
+    KeyOption,
+    Kind,
+    ModulationOption,
+    OffsetsOption,
+    PitchOption,
+    StackOptions,
+    kind_of,
+    load_input_burst,
+)
+from lensshift.cli.reconstruct import channels_of, describe, say_channels
+from lensshift.cli.session import DebugOption, JsonOption, Session, session
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lensshift.core.types import Burst, Reconstruction
+
+
+def info(
+    file: Annotated[Path, typer.Argument(help="Burst file, reconstruction or image stack.")],
+    offsets: OffsetsOption = None,
+    pitch_mm: PitchOption = None,
+    key: KeyOption = None,
+    frame_axis: FrameAxisOption = FrameAxis.FIRST,
+    modulation_hz: ModulationOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Say what is in a burst file, a reconstruction or an image stack.
+
+    \b
+    Example:
+      lensshift info burst.nc
+    """
+    from lensshift.io import load_reconstruction
+    from lensshift.io.container_reader import read_schema
+
+    stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
+    with session(as_json=as_json, debug=debug) as current:
+        kind = kind_of(file)
+        schema = None if kind is Kind.STACK else read_schema(file)
+        current.result |= {"file": file, "kind": kind.value, "schema": schema}
+        current.say(f"{file}: {kind.value}" + (f", schema {schema}" if schema else ""))
+        if kind is Kind.RECONSTRUCTION:
+            _say_result(current, load_reconstruction(file))
+        else:
+            _say_burst(current, load_input_burst(file, stack))
+
+
+def _say_burst(current: Session, burst: Burst) -> None:
+    import numpy as np
+
+    valid = np.ones(burst.amplitude.shape, bool) if burst.valid is None else burst.valid
+    known: dict[str, Any] = {
+        "frame_count": burst.frame_count,
+        "shape": burst.grid.shape,
+        "pitch_mm": burst.grid.pitch_mm,
+        "dtype": str(burst.amplitude.dtype),
+        "amplitude_range": _finite_range(burst.amplitude, valid),
+        "distance_range_m": _finite_range(burst.distance_m, valid),
+        "valid_share": float(valid.mean()),
+        "modulation_hz": burst.modulation_hz,
+        "offset_source": burst.offset_source,
+        "offset_px": burst.offset_px,
+        "offset_sigma_px": burst.offset_sigma_px,
+        "has_stage": burst.stage_mm is not None,
+        "has_time": burst.time_s is not None,
+        "meta": dict(burst.meta),
+    }
+    current.result |= known
+    rows, cols = burst.grid.shape
+    pitch = burst.grid.pitch_mm
+    current.say(f"frames      {burst.frame_count} of {rows} x {cols} px, {known['dtype']}")
+    current.say(f"pitch       {pitch[0]:g} x {pitch[1]:g} mm (row, col)")
+    current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
+    current.say(f"distance    {_range_text(known['distance_range_m'], ' m')}")
+    current.say(f"valid       {100 * known['valid_share']:.2f} % of the pixels")
+    modulation = "not known" if burst.modulation_hz is None else f"{burst.modulation_hz:g} Hz"
+    current.say(f"modulation  {modulation}")
+    current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
+    for number, (row, col) in enumerate(burst.offset_px):
+        sigma = "" if burst.offset_sigma_px is None else _sigma_text(burst.offset_sigma_px[number])
+        current.say(f"  {number:>4}  {row:+9.4f} {col:+9.4f}{sigma}")
+    for name, value in burst.meta.items():
+        current.say(f"meta        {name}: {value!s:.100}")
+
+
+def _say_result(current: Session, result: Reconstruction) -> None:
+    rows, cols = result.grid.shape
+    pitch = result.grid.pitch_mm
+    current.say(f"image       {rows} x {cols} px, x{result.scale} by {result.method}")
+    current.say(f"pitch       {pitch[0]:g} x {pitch[1]:g} mm (row, col)")
+    say_channels(current, result)
+    current.result |= {
+        "shape": result.grid.shape,
+        "pitch_mm": pitch,
+        "scale": result.scale,
+        "method": result.method,
+        "settings": dict(result.settings),
+        "channels": {name: describe(part) for name, part in channels_of(result).items()},
+    }
+
+
+def _finite_range(values: NDArray[Any] | None, valid: NDArray[Any]) -> tuple[float, float] | None:
+    from lensshift.io.export import finite_range
+
+    if values is None:
+        return None
+    inside = values[valid]
+    return finite_range(abs(inside) if inside.dtype.kind == "c" else inside)
+
+
+def _range_text(limits: tuple[float, float] | None, unit: str = "") -> str:
+    return "none" if limits is None else f"{limits[0]:.6g} to {limits[1]:.6g}{unit}"
+
+
+def _sigma_text(sigma_px: NDArray[Any]) -> str:
+    return f"  sigma {sigma_px[0]:.4f} {sigma_px[1]:.4f}"

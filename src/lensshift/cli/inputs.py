@@ -1,0 +1,177 @@
+"""What the verbs read: burst files, reconstructions and image stacks, told apart by content."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.core.errors import DataError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from lensshift.core.types import Burst, Reconstruction
+
+
+class FrameAxis(StrEnum):
+    """Where the frames lie in an NPY or NPZ array."""
+
+    FIRST = "first"
+    LAST = "last"
+
+
+OffsetsOption = Annotated[
+    Path | None,
+    typer.Option("--offsets", help="Shifts of an image stack: CSV (row,col) or JSON, in LR px."),
+]
+PitchOption = Annotated[
+    str | None,
+    typer.Option("--pitch-mm", help="Pixel pitch of an image stack: one number, or row,col."),
+]
+KeyOption = Annotated[str | None, typer.Option("--key", help="Name of the frames in an NPZ file.")]
+FrameAxisOption = Annotated[
+    FrameAxis, typer.Option("--frame-axis", help="Where the frames lie in an NPY or NPZ array.")
+]
+ModulationOption = Annotated[
+    float | None, typer.Option("--modulation-hz", help="Modulation frequency of an image stack.")
+]
+
+
+@dataclass(frozen=True, slots=True)
+class StackOptions:
+    """What an image stack does not say itself."""
+
+    offsets: Path | None = None
+    pitch_mm: str | None = None
+    key: str | None = None
+    frame_axis: FrameAxis = FrameAxis.FIRST
+    modulation_hz: float | None = None
+
+
+class Kind(Enum):
+    """What a file holds."""
+
+    BURST = "burst"
+    RECONSTRUCTION = "reconstruction"
+    STACK = "image stack"
+
+
+def kind_of(path: Path) -> Kind:
+    """Tell what a file or folder holds."""
+    from lensshift.io.container_reader import is_hdf5, read_schema
+
+    if path.is_dir() or not is_hdf5(path):
+        return Kind.STACK
+    schema = read_schema(path)
+    for kind in (Kind.BURST, Kind.RECONSTRUCTION):
+        if schema.startswith(f"lensshift-{kind.value}/"):
+            return kind
+    raise DataError(f"expected a burst or a reconstruction, got {schema!r:.80}", source=path)
+
+
+def load_input_burst(path: Path, options: StackOptions) -> Burst:
+    """Read a burst file or an image stack."""
+    from lensshift.io import load_burst, load_image_stack
+
+    pitch_mm = None if options.pitch_mm is None else parse_pitch_mm(options.pitch_mm)
+    kind = kind_of(path)
+    if kind is Kind.STACK:
+        return load_image_stack(
+            path,
+            options.offsets,
+            pitch_mm=pitch_mm,
+            key=options.key,
+            frame_axis=0 if options.frame_axis is FrameAxis.FIRST else -1,
+            modulation_hz=options.modulation_hz,
+        )
+    if kind is Kind.RECONSTRUCTION:
+        raise DataError("expected a burst, got a reconstruction", source=path)
+    if options != StackOptions():
+        raise typer.BadParameter(
+            f"{path} is a burst file and says itself where its frames lie; leave out --offsets, "
+            "--pitch-mm, --key, --frame-axis and --modulation-hz"
+        )
+    return load_burst(path)
+
+
+def load_input_image(path: Path, *, key: str | None = None, frame: int = 0) -> NDArray[Any]:
+    """Read one image [row col] from an image file, a burst file or a reconstruction."""
+    from lensshift.io import load_burst, load_reconstruction
+    from lensshift.io.image_file import load_frames, load_named_arrays
+
+    kind = kind_of(path)
+    if kind is Kind.RECONSTRUCTION:
+        return _channel_image(load_reconstruction(path), path, key)
+    if kind is Kind.BURST:
+        return _one_frame(load_burst(path).amplitude, path, frame)
+    if path.suffix.lower() == ".npz":
+        arrays = load_named_arrays(path)
+        return _one_frame(arrays[_image_name(arrays, path, key)], path, frame)
+    return _one_frame(load_frames(path), path, frame)
+
+
+def parse_pitch_mm(text: str) -> tuple[float, float]:
+    """Return the pitch (row, col) from "0.1" or "0.1,0.2"."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise typer.BadParameter(f"expected a pitch like 0.1 or 0.1,0.2, got {text!r}") from error
+    if len(numbers) not in (1, 2):
+        raise typer.BadParameter(f"expected a pitch like 0.1 or 0.1,0.2, got {text!r}")
+    return numbers[0], numbers[-1]
+
+
+def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -> None:
+    """Raise a usage error if an output is an input (or in an input folder), or comes twice."""
+    taken = {
+        file.resolve(): "would overwrite the input"
+        for path in inputs
+        if path is not None
+        for file in (path.iterdir() if path.is_dir() else (path,))
+    }
+    for output in outputs:
+        place = output.resolve()
+        if place in taken:
+            raise typer.BadParameter(f"{output} {taken[place]}; choose another name")
+        taken[place] = "is written twice"
+
+
+def _one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
+    if values.ndim == 2 and frame == 0:
+        return values
+    if values.ndim != 3:
+        raise DataError(f"expected [row col] and frame 0, got shape {values.shape}", source=path)
+    if not 0 <= frame < values.shape[0]:
+        raise DataError(
+            f"expected a frame from 0 to {values.shape[0] - 1}, got {frame}", source=path
+        )
+    image: NDArray[Any] = values[frame]
+    return image
+
+
+def _channel_image(result: Reconstruction, path: Path, key: str | None) -> NDArray[Any]:
+    channels = {
+        name: estimate
+        for name, estimate in (("amplitude", result.amplitude), ("distance", result.distance_m))
+        if estimate is not None
+    }
+    name = key or next(iter(channels))
+    if name not in channels:
+        raise DataError(f"expected {' or '.join(channels)}, got {name!r}", source=path)
+    return channels[name].image
+
+
+def _image_name(arrays: dict[str, NDArray[np.generic]], path: Path, key: str | None) -> str:
+    images = [name for name, values in arrays.items() if values.ndim in (2, 3)]
+    candidates = [key] if key else ["amplitude"] if "amplitude" in arrays else images
+    if len(candidates) == 1 and candidates[0] in arrays:
+        return candidates[0]
+    raise DataError(
+        f"cannot tell which array to take; choose a key among {', '.join(arrays)}", source=path
+    )

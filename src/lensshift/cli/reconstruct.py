@@ -1,0 +1,272 @@
+"""`lensshift reconstruct`: from a burst to a super-resolved image, a preview and numbers."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.inputs import (
+    FrameAxis,
+    FrameAxisOption,
+    KeyOption,
+    ModulationOption,
+    OffsetsOption,
+    PitchOption,
+    StackOptions,
+    load_input_burst,
+    refuse_overwriting,
+)
+from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
+
+if TYPE_CHECKING:
+    from lensshift.core.types import Burst, Estimate, Reconstruction
+
+EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz")
+
+
+class Channel(StrEnum):
+    """What is reconstructed."""
+
+    AUTO = "auto"
+    AMPLITUDE = "amplitude"
+    DISTANCE = "distance"
+    PHASOR = "phasor"
+
+
+BurstArgument = Annotated[
+    Path, typer.Argument(help="A burst file, or an image stack (TIFF, NPY, NPZ, folder of images).")
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", help="Result file; default: BURST_xSCALE.nc beside it."),
+]
+ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Upscaling factor.")]
+MethodOption = Annotated[str, typer.Option(help="Method; a wrong name lists them.")]
+ChannelOption = Annotated[Channel, typer.Option(help="What to reconstruct.")]
+PsfOption = Annotated[
+    float, typer.Option("--psf-sigma-px", min=0.0, help="Blur of the optics in LR px.")
+]
+WeightOption = Annotated[
+    str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
+]
+FramesOption = Annotated[
+    str | None, typer.Option(help="Frames to use, as in 0,2,8,10; default: all.")
+]
+NoiseOption = Annotated[
+    float | None, typer.Option(min=0.0, help="Noise of one LR pixel; default: estimated.")
+]
+FillOption = Annotated[
+    float | None, typer.Option(min=0.0, max=1.0, help="Light-sensitive linear share of a pixel.")
+]
+NonNegativeOption = Annotated[bool, typer.Option("--non-negative", help="Forbid negative values.")]
+PhotometricOption = Annotated[
+    bool, typer.Option("--photometric", help="Estimate gain and offset of each frame.")
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of whatever is random.")]
+ExportOption = Annotated[
+    list[Path] | None, typer.Option("--export", help="Also write .tif, .png or .npz; repeatable.")
+]
+
+
+def reconstruct(
+    burst: BurstArgument,
+    out: OutOption = None,
+    scale: ScaleOption = 2,
+    method: MethodOption = "auto",
+    channel: ChannelOption = Channel.AUTO,
+    psf_sigma_px: PsfOption = 0.3,
+    prior_weight: WeightOption = "auto",
+    frames: FramesOption = None,
+    noise_sigma: NoiseOption = None,
+    fill_factor: FillOption = None,
+    non_negative: NonNegativeOption = False,
+    photometric: PhotometricOption = False,
+    seed: SeedOption = 0,
+    export: ExportOption = None,
+    offsets: OffsetsOption = None,
+    pitch_mm: PitchOption = None,
+    key: KeyOption = None,
+    frame_axis: FrameAxisOption = FrameAxis.FIRST,
+    modulation_hz: ModulationOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Reconstruct a super-resolved image from a burst.
+
+    Writes the result file and a PNG preview beside a bicubic of the same burst.
+
+    \b
+    Examples:
+      lensshift reconstruct burst.nc --scale 2 -o sharp.nc
+      lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
+    """
+    settings: dict[str, Any] = {
+        "scale": scale, "method": method, "channel": channel.value, "psf_sigma_px": psf_sigma_px,
+        "prior_weight": _parse_weight(prior_weight), "frames": _parse_frames(frames),
+        "noise_sigma": noise_sigma, "fill_factor": fill_factor, "non_negative": non_negative,
+        "photometric": photometric, "seed": seed,
+    }  # fmt: skip
+    stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
+    with session(as_json=as_json, debug=debug) as current:
+        check_method(method)
+        files = _plan(burst, offsets, out, export or [], scale)
+        _reconstruct(current, burst, load_input_burst(burst, stack), settings, files)
+
+
+@dataclass(frozen=True, slots=True)
+class _Files:
+    result: Path
+    preview: Path
+    exports: tuple[Path, ...]
+
+    @property
+    def all(self) -> tuple[Path, ...]:
+        return (self.result, self.preview, *self.exports)
+
+
+def check_method(method: str) -> None:
+    """Raise a usage error that lists the methods if there is no such method."""
+    from lensshift.reconstruction.methods import method_names
+
+    names = list(dict.fromkeys(("auto", *method_names())))
+    if method not in names:
+        raise typer.BadParameter(f"there is no method {method!r}; choose among {', '.join(names)}")
+
+
+def describe(estimate: Estimate) -> dict[str, Any]:
+    """Return what is worth knowing about one channel."""
+    return {
+        "status": estimate.status.value,
+        "iterations": len(estimate.objective),
+        "prior_weight": estimate.prior_weight,
+        "noise_sigma": estimate.noise_sigma,
+        "noise_gain": estimate.noise_gain,
+    }
+
+
+def channels_of(result: Reconstruction) -> dict[str, Estimate]:
+    """Return the channels that a reconstruction holds, by name."""
+    named = {"amplitude": result.amplitude, "distance": result.distance_m}
+    return {name: estimate for name, estimate in named.items() if estimate is not None}
+
+
+def say_channels(current: Session, result: Reconstruction) -> None:
+    """Print what is worth knowing about each channel."""
+    for name, estimate in channels_of(result).items():
+        known = describe(estimate)
+        current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
+        for label in ("prior_weight", "noise_sigma", "noise_gain"):
+            value = known[label]
+            text = "not known" if value is None else f"{value:.4g}"
+            current.say(f"  {label.replace('_', ' '):<13}{text}")
+
+
+def _reconstruct(
+    current: Session, source: Path, burst: Burst, settings: dict[str, Any], files: _Files
+) -> None:
+    import lensshift
+    from lensshift.io import export_reconstruction, save_reconstruction
+
+    rows, cols = burst.grid.shape
+    count = burst.frame_count
+    current.say(f"{source}: {count} frames of {rows} x {cols} px, offsets {burst.offset_source}")
+    progress = Progress(f"reconstructing with {settings['method']}")
+    start_s = time.perf_counter()
+    try:
+        result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
+    finally:
+        progress.close()
+    seconds = time.perf_counter() - start_s
+    save_reconstruction(result, files.result)
+    for path in files.exports:
+        export_reconstruction(result, path, bits=16)
+    _preview(burst, result, settings, files.preview)
+    shape = result.grid.shape
+    current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")
+    say_channels(current, result)
+    current.say("wrote " + ", ".join(str(path) for path in files.all))
+    current.result |= {
+        "input": source,
+        "frame_count": count,
+        "method": result.method,
+        "scale": result.scale,
+        "shape": shape,
+        "seconds": seconds,
+        "channels": {name: describe(part) for name, part in channels_of(result).items()},
+        "settings": dict(result.settings),
+        "files": files.all,
+    }
+
+
+def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], path: Path) -> None:
+    import lensshift
+    from lensshift.cli.preview import write_preview
+
+    same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
+    bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
+    channel, estimate = next(iter(channels_of(result).items()))
+    panels = {
+        f"{result.method} x{result.scale}": estimate.image,
+        f"bicubic x{result.scale} of one frame": channels_of(bicubic)[channel].image,
+    }
+    unit = "m" if channel == "distance" else ""
+    write_preview(panels, path, f"{channel} {unit}".strip())
+
+
+def _plan(
+    source: Path, offsets: Path | None, out: Path | None, exports: list[Path], scale: int
+) -> _Files:
+    """Decide all names, and complain before the work rather than after it."""
+    from lensshift.io.atomic import writable_target
+
+    whole = source.resolve()
+    name = whole.name if whole.is_dir() else whole.stem
+    folder = source.parent if source.name else whole.parent
+    result = out if out is not None else folder / f"{name}_x{scale}.nc"
+    if result.suffix.lower() in EXPORT_SUFFIXES:
+        raise typer.BadParameter(
+            f"{result}: the result is a netCDF file (.nc); use --export for {result.suffix}"
+        )
+    for path in exports:
+        if path.suffix.lower() not in EXPORT_SUFFIXES:
+            raise typer.BadParameter(
+                f"{path}: expected a name that ends in {', '.join(EXPORT_SUFFIXES)}"
+            )
+    files = _Files(result, result.with_name(f"{result.stem}_preview.png"), tuple(exports))
+    refuse_overwriting((source, offsets), files.all)
+    for path in files.all:
+        writable_target(path)
+    return files
+
+
+def _parse_weight(text: str) -> float | str | None:
+    if text == "auto":
+        return None
+    if text == "cross-validation":
+        return text
+    try:
+        weight = float(text)
+    except ValueError:
+        weight = -1.0
+    if not 0.0 <= weight < float("inf"):
+        raise typer.BadParameter(
+            f'expected a number from 0, "auto" or "cross-validation", got {text!r}',
+            param_hint="--prior-weight",
+        )
+    return weight
+
+
+def _parse_frames(text: str | None) -> tuple[int, ...] | None:
+    if text is None:
+        return None
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(
+            f"expected numbers as in 0,2,8,10, got {text!r}", param_hint="--frames"
+        ) from error

@@ -1,0 +1,143 @@
+"""What all verbs share: results as text or JSON, warnings, one-line errors, progress."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, TextIO
+
+import typer
+
+from lensshift.core.errors import QualityWarning
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to stdout.")
+]
+DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+# What can go wrong without a fault in this program.
+_FAILURES = (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError)
+_QUIET_S = 1.0
+_TERMINAL_EVERY_S = 0.1
+_FILE_EVERY_S = 5.0
+
+
+@dataclass
+class Session:
+    """One run of a verb: what it says and what it hands back.
+
+    Parameters
+    ----------
+    as_json : print only the result, as JSON
+    result : what JSON output holds beside "warnings"
+    """
+
+    as_json: bool = False
+    result: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def say(self, text: str) -> None:
+        """Print a line for people; nothing with --json."""
+        if not self.as_json:
+            typer.echo(text)
+
+    def warn(
+        self,
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        """Print a warning once, on one line (has the signature of `warnings.showwarning`)."""
+        text = " ".join(str(message).split())
+        if text not in self.warnings:
+            self.warnings.append(text)
+            typer.echo(f"warning: {text}", err=True)
+
+
+@contextmanager
+def session(*, as_json: bool, debug: bool) -> Iterator[Session]:
+    """Run the body of a verb; print its result, or its error on one line and exit with 1."""
+    current = Session(as_json)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", QualityWarning)
+        warnings.showwarning = current.warn
+        try:
+            yield current
+        except KeyboardInterrupt as error:
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(130) from error
+        except typer.Exit:  # a RuntimeError in the eyes of Python
+            raise
+        except _FAILURES as error:
+            _report(error, current, debug=debug)
+            raise typer.Exit(1) from error
+    if as_json:
+        typer.echo(to_json(current.result | {"warnings": current.warnings}))
+
+
+def _report(error: Exception, current: Session, *, debug: bool) -> None:
+    if debug:
+        traceback.print_exception(error)
+    text = " ".join(str(error).split()) or type(error).__name__
+    typer.echo(f"error: {text}", err=True)
+    if current.as_json:
+        typer.echo(to_json({"error": text, "warnings": current.warnings}))
+
+
+class Progress:
+    """Say how far an iteration is, on stderr, once it takes more than a second."""
+
+    def __init__(self, label: str) -> None:
+        self._label = label
+        self._start_s = self._last_s = time.monotonic()
+        self._open_line = False
+
+    def __call__(self, iteration: int, objective: float) -> None:
+        """Take note of one iteration."""
+        now_s = time.monotonic()
+        terminal = sys.stderr.isatty()
+        every_s = _TERMINAL_EVERY_S if terminal else _FILE_EVERY_S
+        first = self._last_s == self._start_s
+        if now_s - self._start_s < _QUIET_S or (not first and now_s - self._last_s < every_s):
+            return
+        self._last_s = now_s
+        text = f"{self._label}: iteration {iteration}, objective {objective:.4g}"
+        typer.echo(f"\r{text:<70}" if terminal else text, err=True, nl=not terminal)
+        self._open_line = terminal
+
+    def close(self) -> None:
+        """End the line on a terminal."""
+        if self._open_line:
+            typer.echo("", err=True)
+
+
+def to_json(value: Any) -> str:
+    """Return JSON; numbers that JSON does not know (NaN, infinity) become null."""
+    return json.dumps(_plain(value), indent=2)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)

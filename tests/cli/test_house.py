@@ -1,0 +1,177 @@
+"""What holds for every verb: help, version, exit codes, start-up, progress, preview."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conftest import Call
+from lensshift.cli import _one_line, session
+from lensshift.cli.preview import write_preview
+from lensshift.cli.session import Progress, to_json
+
+VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"]]
+COMMAND = [sys.executable, "-c", "from lensshift.cli import main; main()"]
+
+
+def process(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = COMMAND + [str(argument) for argument in arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_help_has_an_example_and_the_common_options(call: Call, verb: list[str]) -> None:
+    done = call(*verb, "--help")
+    assert done.exit_code == 0
+    assert f"  lensshift {' '.join(verb)} " in done.stdout
+    for option in ("--json", "--debug"):
+        assert option in done.stdout
+
+
+def test_top_level_help_and_version(call: Call) -> None:
+    assert "lensshift reconstruct burst.nc" in call("--help").stdout
+    assert "lensshift evaluate fidelity" in call("evaluate", "--help").stdout
+    assert call("--version").stdout.startswith("lensshift 0.")
+    assert call().exit_code == 2
+    assert call("nonsense").exit_code == 2
+
+
+def test_processes_end_with_the_right_code(tmp_path: Path) -> None:
+    assert process("--version").returncode == 0
+    wrong = process("info")
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert "Missing argument" in wrong.stderr
+    failed = process("info", tmp_path / "none.nc")
+    assert failed.returncode == 1
+    assert failed.stderr == f"error: {tmp_path / 'none.nc'}: there is no such file\n"
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom typer.testing import CliRunner\nfrom lensshift.cli.app import app\n"
+        "CliRunner().invoke(app, ['reconstruct', '--help'])\n"
+        "heavy = ('scipy', 'numba', 'h5py', 'h5netcdf', 'skimage', 'PIL', 'tifffile', 'rich')\n"
+        "print([name for name in heavy if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+INTERRUPTED = """
+import sys, types, time
+import lensshift
+methods = types.ModuleType("lensshift.reconstruction.methods")
+methods.method_names = lambda: ("auto",)
+sys.modules["lensshift.reconstruction.methods"] = methods
+def slow(*arguments, **options):
+    print("started", flush=True)
+    time.sleep(60)
+lensshift.reconstruct = slow
+from lensshift.cli import main
+main()
+"""
+
+
+def test_ctrl_c_leaves_nothing(burst_file: Path) -> None:
+    command = [sys.executable, "-c", INTERRUPTED, "reconstruct", str(burst_file)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stdout is not None
+        while "started" not in running.stdout.readline():
+            pass
+        os.kill(running.pid, signal.SIGINT)
+        _, errors = running.communicate(timeout=30)
+    assert running.returncode == 130
+    assert errors == "interrupted\n"
+    assert [path.name for path in burst_file.parent.iterdir()] == ["burst.nc"]
+
+
+def test_unexpected_error_is_one_line_too(capsys: pytest.CaptureFixture[str]) -> None:
+    _one_line(KeyError, KeyError("a\nb"), None)
+    written = capsys.readouterr().err
+    assert written.startswith("error: this should not happen (KeyError: ")
+    assert written.count("\n") == 1
+    with pytest.raises(SystemExit) as caught:
+        _one_line(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert caught.value.code == 130
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.mark.parametrize(("terminal", "lines"), [(False, 3), (True, 12)])
+def test_progress_speaks_after_a_second_and_not_too_often(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    terminal: bool,
+    lines: int,
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(time, "monotonic", clock)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
+    progress = Progress("working")
+    for step in range(100):
+        clock.now_s = step * 0.01
+        progress(step, 1.0)
+    assert capsys.readouterr().err == ""
+    for step in range(12):
+        clock.now_s = 1.0 + step
+        progress(step, 1.0 / (step + 1))
+    progress.close()
+    written = capsys.readouterr().err
+    assert written.count("working: iteration") == lines
+    assert written.endswith("\n")
+    assert ("\r" in written) is terminal
+
+
+def test_json_knows_no_nan_and_no_numpy() -> None:
+    value = {
+        "a": np.float64("nan"), "b": np.arange(2), "c": (Path("x"), True, None),
+        "d": float("inf"), 3: {1}, "e": np.bool_(True),
+    }  # fmt: skip
+    text = " ".join(to_json(value).split())
+    assert text == (
+        '{ "a": null, "b": [ 0, 1 ], "c": [ "x", true, null ], "d": null, "3": "{1}", "e": true }'
+    )
+
+
+def test_preview_uses_one_grey_scale(tmp_path: Path) -> None:
+    low, high = np.zeros((30, 41)), np.ones((30, 41))
+    high[0, 0] = np.nan
+    assert write_preview({"one": low, "two": high}, tmp_path / "p.png", "note") == (0.0, 1.0)
+    with Image.open(tmp_path / "p.png") as picture:
+        sheet = np.asarray(picture)
+    width = 41 * (640 // 41)  # enlarged by a whole factor
+    assert sheet.shape[1] >= 2 * width  # side by side
+    middle = sheet.shape[0] // 2
+    assert sheet[middle, 20 + width // 2] == 0
+    assert sheet[middle, 20 + width + 20 + width // 2] == 255
+    assert sheet[middle, 20 + width + 10] == 0  # the separator
+
+
+@pytest.mark.parametrize("shape", [(5, 64), (3, 2), (700, 3), (1, 1)])
+def test_preview_of_odd_shapes(tmp_path: Path, shape: tuple[int, int]) -> None:
+    image = np.full(shape, np.nan)
+    write_preview({"one": image, "two": image}, tmp_path / "p.png", "nothing but NaN")
+    with Image.open(tmp_path / "p.png") as picture:
+        assert min(picture.size) > 60
+
+
+def test_session_lets_other_warnings_through(capsys: pytest.CaptureFixture[str]) -> None:
+    current = session.Session()
+    current.warn("a\n b", RuntimeWarning, "file", 1)
+    current.warn("a b", RuntimeWarning, "file", 1)
+    assert current.warnings == ["a b"]
+    assert capsys.readouterr().err == "warning: a b\n"

@@ -1,0 +1,228 @@
+"""`lensshift reconstruct`: files, words, numbers and refusals."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from conftest import Call, FakeReconstruct
+from lensshift.core.types import Burst
+from lensshift.io import load_reconstruction, save_burst
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_default_names_and_words(call: Call, fake: FakeReconstruct, burst_file: Path) -> None:
+    done = call("reconstruct", burst_file)
+    assert done.exit_code == 0, done.output
+    assert names(burst_file.parent) == {"burst.nc", "burst_x2.nc", "burst_x2_preview.png"}
+    for words in (
+        "4 frames of 5 x 7 px, offsets planned",
+        "irwsr x2: 10 x 14 px in ",
+        "amplitude: converged, 2 iterations",
+        "prior weight 0.0125",
+        "noise sigma  not known",
+        "noise gain   1.25",
+        "burst_x2_preview.png",
+    ):
+        assert words in done.stdout
+    assert done.stderr == ""
+    result = load_reconstruction(burst_file.with_name("burst_x2.nc"))
+    assert result.amplitude is not None
+    assert result.amplitude.image.shape == (10, 14)
+
+
+def test_options_reach_the_reconstruction(
+    call: Call, fake: FakeReconstruct, burst_file: Path, tmp_path: Path
+) -> None:
+    done = call(
+        "reconstruct", burst_file, "-o", tmp_path / "o.nc", "--scale", 3, "--method", "irwsr",
+        "--channel", "distance", "--psf-sigma-px", 0.4, "--prior-weight", "0.5", "--frames", "0,2",
+        "--noise-sigma", 0.01, "--non-negative", "--photometric", "--fill-factor", 0.9, "--seed", 7,
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    used = dict(fake.calls[0])
+    used.pop("on_iteration")
+    assert used == {
+        "scale": 3, "method": "irwsr", "channel": "distance", "psf_sigma_px": 0.4,
+        "prior_weight": 0.5, "frames": (0, 2), "noise_sigma": 0.01, "non_negative": True,
+        "photometric": True, "fill_factor": 0.9, "seed": 7,
+    }  # fmt: skip
+    bicubic = {"scale": 3, "method": "bicubic", "channel": "distance", "frames": (0, 2)}
+    assert fake.calls[1] == bicubic | {"seed": 7, "std": False}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("auto", None), ("cross-validation", "cross-validation"), ("0", 0.0)]
+)
+def test_prior_weight(
+    call: Call, fake: FakeReconstruct, burst_file: Path, text: str, value: object
+) -> None:
+    assert call("reconstruct", burst_file, "--prior-weight", text).exit_code == 0
+    assert fake.calls[0]["prior_weight"] == value
+
+
+def test_json_is_all_there_is_on_stdout(
+    call: Call, fake: FakeReconstruct, burst_file: Path
+) -> None:
+    fake.warning = "the shifts leave 3 %\nof the pixels empty"
+    done = call("reconstruct", burst_file, "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["method"] == "irwsr"
+    assert found["shape"] == [10, 14]
+    assert found["channels"]["amplitude"] == {
+        "status": "converged",
+        "iterations": 2,
+        "prior_weight": 0.0125,
+        "noise_sigma": None,
+        "noise_gain": 1.25,
+    }
+    assert found["settings"]["inf"] is None
+    assert found["warnings"] == ["the shifts leave 3 % of the pixels empty"]
+    assert all(Path(file).is_file() for file in found["files"])
+    assert len(found["files"]) == 2
+    assert done.stderr == "warning: the shifts leave 3 % of the pixels empty\n"
+
+
+def test_exports(call: Call, fake: FakeReconstruct, burst_file: Path, burst: Burst) -> None:
+    folder = burst_file.parent
+    files = [folder / f"sharp{suffix}" for suffix in (".tif", ".png", ".npz")]
+    options = [part for file in files for part in ("--export", file)]
+    assert call("reconstruct", burst_file, *options).exit_code == 0
+    expected = np.kron(burst.amplitude[0], np.ones((2, 2)))
+    np.testing.assert_array_equal(tifffile.imread(files[0]), expected.astype("f4"))
+    with Image.open(files[1]) as picture:
+        assert (picture.mode, picture.size) == ("I;16", (14, 10))
+    with np.load(files[2]) as arrays:
+        np.testing.assert_array_equal(arrays["amplitude"], expected)
+
+
+def test_image_stack_with_offsets(call: Call, fake: FakeReconstruct, tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number in range(2):
+        Image.fromarray(np.full((5, 7), 9 + number, "u1")).save(folder / f"{number}.png")
+    (tmp_path / "shifts.csv").write_text("row,col\n0,0\n0.5,0.5\n")
+    options = ("--offsets", tmp_path / "shifts.csv", "--pitch-mm", "0.1,0.2")
+    done = call("reconstruct", folder, *options)
+    assert done.exit_code == 0, done.output
+    assert {"frames_x2.nc", "frames_x2_preview.png"} <= names(tmp_path)
+    assert load_reconstruction(tmp_path / "frames_x2.nc").grid.pitch_mm == (0.05, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--method", "magic"], "choose among auto, nearest, bicubic, irwsr"),
+        (["--scale", "0"], "Invalid value for '--scale'"),
+        (["--scale", "9"], "Invalid value for '--scale'"),
+        (["--channel", "phase"], "Invalid value for '--channel'"),
+        (["--prior-weight", "heavy"], '"auto" or "cross-validation", got \'heavy\''),
+        (["--prior-weight", "-1"], "got '-1'"),
+        (["--prior-weight", "nan"], "got 'nan'"),
+        (["--frames", "0;2"], "expected numbers as in 0,2,8,10"),
+        (["--psf-sigma-px", "-1"], "Invalid value for '--psf-sigma-px'"),
+        (["--fill-factor", "1.5"], "Invalid value for '--fill-factor'"),
+        (["--export", "sharp.jpg"], "expected a name that ends in .tif"),
+        (["-o", "sharp.png"], "the result is a netCDF file"),
+        (["--pitch-mm", "0.1"], "says itself where its frames lie"),
+        (["--pitch-mm", "wide"], "expected a pitch like 0.1 or 0.1,0.2, got 'wide'"),
+        (["--pitch-mm", "1,2,3"], "expected a pitch like"),
+        (["--nonsense"], "No such option"),
+    ],
+)
+def test_wrong_usage(
+    call: Call, fake: FakeReconstruct, burst_file: Path, options: list[str], said: str
+) -> None:
+    done = call("reconstruct", burst_file, *options)
+    assert done.exit_code == 2
+    assert said in " ".join(done.stderr.split())
+    assert done.stdout == ""
+    assert fake.calls == []
+    assert names(burst_file.parent) == {"burst.nc"}
+
+
+def test_inputs_are_not_overwritten(
+    call: Call, fake: FakeReconstruct, burst_file: Path, tmp_path: Path
+) -> None:
+    before = burst_file.read_bytes()
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    Image.fromarray(np.ones((5, 7), "u1")).save(folder / "0.png")
+    for arguments in (
+        (burst_file, "-o", burst_file),
+        (burst_file, "-o", tmp_path / "frames" / ".." / "burst.nc"),
+        (folder, "--pitch-mm", 1, "--export", folder / "0.png"),
+        (burst_file, "--export", tmp_path / "a.tif", "--export", tmp_path / "a.tif"),
+        (burst_file, "--export", tmp_path / "burst_x2_preview.png"),
+    ):
+        done = call("reconstruct", *arguments)
+        assert done.exit_code == 2, arguments
+        assert "would overwrite" in done.stderr or "is written twice" in done.stderr
+    assert burst_file.read_bytes() == before
+    assert fake.calls == []
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_failure_is_one_line(
+    call: Call, fake: FakeReconstruct, burst_file: Path, debug: bool
+) -> None:
+    fake.error = ValueError("expected at least 2 frames,\ngot 1")
+    done = call("reconstruct", burst_file, *(["--debug"] if debug else []))
+    assert done.exit_code == 1
+    assert ("Traceback" in done.stderr) is debug
+    assert done.stderr.endswith("error: expected at least 2 frames, got 1\n")
+    assert names(burst_file.parent) == {"burst.nc"}
+
+
+def test_failure_as_json(call: Call, fake: FakeReconstruct, tmp_path: Path) -> None:
+    done = call("reconstruct", tmp_path / "none.nc", "--json")
+    assert done.exit_code == 1
+    expected = f"{tmp_path / 'none.nc'}: there is no such file"
+    assert json.loads(done.stdout) == {"error": expected, "warnings": []}
+    assert done.stderr == f"error: {expected}\n"
+
+
+def test_unwritable_result_is_noticed_before_the_work(
+    call: Call, fake: FakeReconstruct, burst_file: Path, tmp_path: Path
+) -> None:
+    done = call("reconstruct", burst_file, "-o", tmp_path / "none" / "sharp.nc")
+    assert done.exit_code == 1
+    assert "there is no folder" in done.stderr
+    assert fake.calls == []
+
+
+def test_interrupt_leaves_nothing(call: Call, fake: FakeReconstruct, burst_file: Path) -> None:
+    fake.error = KeyboardInterrupt()
+    done = call("reconstruct", burst_file)
+    assert done.exit_code == 130
+    assert done.stderr == "interrupted\n"
+    assert names(burst_file.parent) == {"burst.nc"}
+
+
+def test_reconstruction_as_input_is_refused(
+    call: Call, fake: FakeReconstruct, burst_file: Path
+) -> None:
+    assert call("reconstruct", burst_file).exit_code == 0
+    done = call("reconstruct", burst_file.with_name("burst_x2.nc"))
+    assert done.exit_code == 1
+    assert "expected a burst, got a reconstruction" in done.stderr
+
+
+def test_complex_result_has_a_preview_but_no_picture(
+    call: Call, fake: FakeReconstruct, tmp_path: Path
+) -> None:
+    phasors: Any = np.exp(1j * np.linspace(0, 3, 35)).reshape(1, 5, 7)
+    save_burst(Burst.from_arrays(phasors, offset_px=[[0, 0]], pitch_mm=1.0), tmp_path / "b.nc")
+    assert call("reconstruct", tmp_path / "b.nc").exit_code == 0
+    assert (tmp_path / "b_x2_preview.png").is_file()
+    done = call("reconstruct", tmp_path / "b.nc", "--export", tmp_path / "b.tif")
+    assert done.exit_code == 1
+    assert "complex" in done.stderr
