@@ -55,6 +55,8 @@ def info(
         current.say(f"{file}: {kind.value}" + (f", schema {schema}" if schema else ""))
         if kind is Kind.RECONSTRUCTION:
             _say_result(current, load_reconstruction(file))
+        elif kind is Kind.STACK:
+            _say_stack(current, file, stack)
         else:
             _say_burst(current, load_input_burst(file, stack))
 
@@ -95,6 +97,34 @@ def _say_burst(current: Session, burst: Burst) -> None:
         current.say(f"  {number:>4}  {row:+9.4f} {col:+9.4f}{sigma}")
     for name, value in burst.meta.items():
         current.say(f"meta        {name}: {value!s:.100}")
+
+
+def _say_stack(current: Session, file: Path, stack: StackOptions) -> None:
+    """Describe the images even if shifts or pitch are not known yet."""
+    import numpy as np
+
+    from lensshift.io.image_stack import load_stack_fields
+
+    fields = load_stack_fields(file, key=stack.key, frame_axis=stack.frame_axis.number)
+    frames = fields["amplitude"]
+    with_offsets = stack.offsets is not None or "offset_px" in fields or len(frames) == 1
+    with_pitch = stack.pitch_mm is not None or "pitch_mm" in fields
+    if with_offsets and with_pitch:
+        _say_burst(current, load_input_burst(file, stack))
+        return
+    known: dict[str, Any] = {
+        "frame_count": frames.shape[0],
+        "shape": frames.shape[1:],
+        "dtype": str(frames.dtype),
+        "amplitude_range": _finite_range(frames, np.ones(frames.shape, bool)),
+        "missing": ([] if with_offsets else ["offsets"]) + ([] if with_pitch else ["pitch_mm"]),
+    }
+    current.result |= known
+    rows, cols = known["shape"]
+    current.say(f"frames      {known['frame_count']} of {rows} x {cols} px, {known['dtype']}")
+    current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
+    options = [f"--{name.replace('_', '-')}" for name in known["missing"]]
+    current.say(f"missing     {' and '.join(options)}, to make a burst of it")
 
 
 def _say_result(current: Session, result: Reconstruction) -> None:

@@ -25,6 +25,11 @@ class FrameAxis(StrEnum):
     FIRST = "first"
     LAST = "last"
 
+    @property
+    def number(self) -> int:
+        """The axis as NumPy counts."""
+        return 0 if self is FrameAxis.FIRST else -1
+
 
 OffsetsOption = Annotated[
     Path | None,
@@ -87,7 +92,7 @@ def load_input_burst(path: Path, options: StackOptions) -> Burst:
             options.offsets,
             pitch_mm=pitch_mm,
             key=options.key,
-            frame_axis=0 if options.frame_axis is FrameAxis.FIRST else -1,
+            frame_axis=options.frame_axis.number,
             modulation_hz=options.modulation_hz,
         )
     if kind is Kind.RECONSTRUCTION:

@@ -60,7 +60,7 @@ def load_image_stack(
     DataError
         If a file is missing, damaged, not greyscale, or does not fit the others.
     """
-    fields = _read_fields(source, key, frame_axis)
+    fields = load_stack_fields(source, key=key, frame_axis=frame_axis)
     fields |= _offset_fields(source, offsets, fields)
     given: dict[str, Any] = {
         "pitch_mm": pitch_mm,
@@ -78,9 +78,13 @@ def _label(source: str | Path | Sequence[str | Path]) -> Path:
     return Path(source) if isinstance(source, str | Path) else Path(source[0] if source else "")
 
 
-def _read_fields(
-    source: str | Path | Sequence[str | Path], key: str | None, frame_axis: int
+def load_stack_fields(
+    source: str | Path | Sequence[str | Path], *, key: str | None = None, frame_axis: int = 0
 ) -> dict[str, Any]:
+    """Read the fields of `Burst` that image files hold, at least `amplitude` [frame row col].
+
+    Takes the arguments of `load_image_stack` and raises what it raises.
+    """
     if isinstance(source, str | Path):
         path = Path(source)
         if path.suffix.lower() == ".npz":

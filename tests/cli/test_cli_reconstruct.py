@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
+from stand_in import Call, FakeReconstruct
 
-from conftest import Call, FakeReconstruct
 from lensshift.core.types import Burst
 from lensshift.io import load_reconstruction, save_burst
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
+from stand_in import Call, FakeReconstruct
 
-from conftest import Call, FakeReconstruct
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.evaluation import psnr_db
 from lensshift.io import load_burst, load_image_stack
@@ -110,6 +110,22 @@ def test_info_of_a_result_and_of_a_stack(call: Call, result_file: Path, tmp_path
     assert "one.npy: image stack\n" in done.stdout
     assert "distance    none" in done.stdout
     assert "modulation  not known" in done.stdout
+
+
+def test_info_of_a_stack_that_is_not_yet_a_burst(call: Call, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", frames=np.arange(70, dtype="u2").reshape(2, 5, 7))
+    done = call("info", tmp_path / "a.npz")
+    assert done.exit_code == 0, done.output
+    assert "2 of 5 x 7 px, uint16" in done.stdout
+    assert "amplitude   0 to 69" in done.stdout
+    assert "missing     --offsets and --pitch-mm, to make a burst of it" in done.stdout
+    found = json.loads(call("info", tmp_path / "a.npz", "--pitch-mm", 1, "--json").stdout)
+    assert (found["shape"], found["missing"]) == ([5, 7], ["offsets"])
+    (tmp_path / "s.csv").write_text("row,col\n0,0\n0,0.5\n")
+    options = ("--pitch-mm", 1, "--offsets", tmp_path / "s.csv")
+    assert "+0.5000" in call("info", tmp_path / "a.npz", *options).stdout
+    done = call("info", tmp_path / "none.npz")
+    assert (done.exit_code, done.stdout) == (1, "")
 
 
 def test_info_of_something_else(call: Call, tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from stand_in import Call
 
-from conftest import Call
-from lensshift.cli import _one_line, session
+from lensshift.cli import _one_line, main, session
 from lensshift.cli.preview import write_preview
 from lensshift.cli.session import Progress, to_json
 
@@ -50,6 +50,17 @@ def test_processes_end_with_the_right_code(tmp_path: Path) -> None:
     failed = process("info", tmp_path / "none.nc")
     assert failed.returncode == 1
     assert failed.stderr == f"error: {tmp_path / 'none.nc'}: there is no such file\n"
+
+
+def test_main_in_this_process(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    monkeypatch.setattr(sys, "argv", ["lensshift", "--version"])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.startswith("lensshift 0.")
 
 
 def test_help_loads_nothing_heavy() -> None:
