@@ -7,7 +7,6 @@ import scipy.integrate
 import scipy.optimize
 import scipy.sparse
 import scipy.special
-import scipy.stats
 
 from lensshift.forward.blur import APERTURE_TAIL, GAUSSIAN_TAIL, ApertureBlur, GaussianBlur
 
@@ -29,17 +28,19 @@ def gaussian_response(v: float, sigma: float) -> dict[int, float]:
     taps = [n for n in range(below - 99, below + 100) if abs(n - v) <= reach + 1e-9]
     d = np.array(taps) - v
 
-    def dual(theta: np.ndarray) -> float:
-        return float(scipy.special.logsumexp(theta[0] * d + theta[1] * d**2) - theta[1] * sigma**2)
+    if len(taps) == 3:  # the moments leave no freedom
+        w = np.linalg.solve(np.stack([d**0, d, d**2]), [1.0, 0.0, sigma**2])
+        return dict(zip(taps, w, strict=True))
 
-    found = scipy.optimize.minimize(
-        dual,
-        [0.0, -0.5 / sigma**2],
-        method="Nelder-Mead",
-        options={"xatol": 1e-12, "fatol": 1e-16, "maxiter": 4000, "maxfev": 4000},
-    ).x
-    w = np.exp(found[0] * d + found[1] * d**2)
-    return dict(zip(taps, w / w.sum(), strict=True))
+    def miss(theta: np.ndarray) -> np.ndarray:
+        w = scipy.special.softmax(theta[0] * d + theta[1] * d**2)
+        return np.array([w @ d, w @ d**2 - sigma**2])
+
+    found = scipy.optimize.root(miss, [0.0, -0.5 / sigma**2], method="hybr", tol=1e-13)
+    if np.abs(found.fun).max() > 1e-11:
+        raise AssertionError(f"no Gaussian found at v = {v}, sigma = {sigma}: {found.message}")
+    w = scipy.special.softmax(found.x[0] * d + found.x[1] * d**2)
+    return dict(zip(taps, w, strict=True))
 
 
 def aperture_response(v: float, width: float, sigma: float) -> dict[int, float]:
@@ -52,8 +53,8 @@ def aperture_response(v: float, width: float, sigma: float) -> dict[int, float]:
             weight = scipy.integrate.quad(
                 lambda t: (
                     (
-                        scipy.stats.norm.cdf((t - v + width / 2) / sigma)
-                        - scipy.stats.norm.cdf((t - v - width / 2) / sigma)
+                        scipy.special.ndtr((t - v + width / 2) / sigma)
+                        - scipy.special.ndtr((t - v - width / 2) / sigma)
                     )
                     / width
                 ),

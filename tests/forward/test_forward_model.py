@@ -18,7 +18,7 @@ def a_field(shape, frames=2, seed=0, size_px=1.5):
     rows, cols = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
     rng = np.random.default_rng(seed)
     a, b, c = rng.uniform(-size_px / 3, size_px / 3, (3, frames, 1, 1, 2))
-    return np.round(64 * (a + b * rows[..., None] + c * (rows * cols)[..., None])) / 64
+    return np.round(16 * (a + b * rows[..., None] + c * (rows * cols)[..., None])) / 16
 
 
 @pytest.mark.parametrize("blur", BLURS, ids=str)
@@ -47,7 +47,7 @@ def test_laws_for_shift_fields(scale, blur, rng):
         st.builds(ApertureBlur, st.floats(0.05, 1), st.floats(0, 0.6)),
     ),
 )
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 def test_laws_for_anything(shape, scale, offset, blur):
     rng = np.random.default_rng(0)
     check_linear_operator(forward_model(shape, scale, offset, blur=blur).operator, rng)
@@ -273,7 +273,7 @@ def test_without_shifts_there_is_one_frame_in_place():
         ({"offset_px": np.zeros((0, 2))}, "at least one frame"),
         ({"offset_px": [[np.inf, 0.0]]}, "finite"),
         ({"offset_px": [[0, 0]], "shift_field_px": np.zeros((1, 4, 6, 2))}, "got both"),
-        ({"shift_field_px": np.zeros((1, 6, 4, 2))}, "expected a shift field of 4 x 6"),
+        ({"shift_field_px": np.zeros((1, 6, 4, 2))}, "expected a shift field of \\(4, 6\\)"),
         ({"gain": [1.0, 1.0]}, r"expected gain \[frame\] of 1 frames"),
         ({"bias": [np.nan]}, "finite bias"),
     ],

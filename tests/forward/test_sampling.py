@@ -5,20 +5,16 @@ from lensshift.forward import sampling
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.warp import field_positions, frame_positions
 
-KERNELS = ("_regular_run", "_split", "_merge")
+PARTS = ("_regular_run", "_split", "_merge", "_sample_frame", "_spread_frame")
+KERNELS = ("forward_separable", "adjoint_separable", "forward_field", "adjoint_field")
+COMPILED = {name: getattr(sampling, name) for name in (*PARTS, *KERNELS)}
 
 
 @pytest.fixture
 def interpreted(monkeypatch):
     """Run the kernels as plain Python, line by line."""
-    for name in (
-        *KERNELS,
-        "forward_separable",
-        "adjoint_separable",
-        "forward_field",
-        "adjoint_field",
-    ):
-        monkeypatch.setattr(sampling, name, getattr(sampling, name).py_func)
+    for name, kernel in COMPILED.items():
+        monkeypatch.setattr(sampling, name, kernel.py_func)
     return sampling
 
 
@@ -27,10 +23,6 @@ def interpreted(monkeypatch):
 def test_compiled_kernels_equal_the_python_that_they_are_written_in(scale, shape, interpreted, rng):
     hr = (shape[0] * scale, shape[1] * scale)
     offset_px = np.array([[0.3, -0.6], [1.4, 0.25]])
-    compiled = {
-        name: getattr(__import__("lensshift.forward.model", fromlist=[name]), name)
-        for name in ("forward_separable", "adjoint_separable", "forward_field", "adjoint_field")
-    }
     x, y = rng.standard_normal(hr), rng.standard_normal((2, *shape))
     blur = GaussianBlur(0.4)
     field = np.broadcast_to(offset_px[:, None, None], (2, *shape, 2))
@@ -41,7 +33,7 @@ def test_compiled_kernels_equal_the_python_that_they_are_written_in(scale, shape
         taps = (*blur.taps(positions[0], scale, hr[0]), *blur.taps(positions[1], scale, hr[1]))
         for name, values, like in ((f"forward_{kind}", x, y), (f"adjoint_{kind}", y, x)):
             fast, slow = np.full((2, *like.shape), np.nan)
-            compiled[name](values, *taps, fast)
+            COMPILED[name](values, *taps, fast)
             getattr(interpreted, name)(values, *taps, slow)
             np.testing.assert_allclose(fast, slow, atol=1e-13)
 

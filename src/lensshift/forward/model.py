@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -178,30 +179,13 @@ def forward_model(
     ValueError
         If an argument has the wrong shape or range, or if both kinds of shift are given.
     """
-    rows, cols = _check_lr_shape(lr_shape)
-    scale = _check_scale(scale)
+    lr_shape, scale = _check_lr_shape(lr_shape), _check_scale(scale)
     blur = GaussianBlur(0.3) if blur is None else blur
-    hr_shape = (rows * scale, cols * scale)
-    offset: NDArray[np.float64] | None = None
-    if shift_field_px is None:
-        offset = np.array(np.zeros((1, 2)) if offset_px is None else offset_px, dtype=np.float64)
-        row_at, col_at = frame_positions((rows, cols), offset, scale)
-        inside = (
-            sees_image(row_at, hr_shape[0])[:, :, None]
-            & sees_image(col_at, hr_shape[1])[:, None, :]
-        )
-    elif offset_px is None:
-        row_at, col_at = field_positions(shift_field_px, scale)
-        if row_at.shape[1:] != (rows, cols):
-            raise ValueError(f"expected a shift field of {rows} x {cols}, got {row_at.shape[1:]}")
-        inside = sees_image(row_at, hr_shape[0]) & sees_image(col_at, hr_shape[1])
-    else:
-        raise ValueError("expected offset_px or shift_field_px, got both")
+    hr_shape = (lr_shape[0] * scale, lr_shape[1] * scale)
+    offset, row_at, col_at = _look_where(lr_shape, scale, offset_px, shift_field_px)
     count = row_at.shape[0]
-    if count == 0:
-        raise ValueError("expected the shifts of at least one frame, got none")
     return ForwardModel(
-        lr_shape=(rows, cols),
+        lr_shape=lr_shape,
         hr_shape=hr_shape,
         scale=scale,
         blur=blur,
@@ -210,7 +194,7 @@ def forward_model(
         offset_px=offset,
         gain=_per_frame(gain, 1.0, count, "gain"),
         bias=_per_frame(bias, 0.0, count, "bias"),
-        inside=inside,
+        inside=_inside(row_at, col_at, hr_shape),
     )
 
 
@@ -235,26 +219,52 @@ def sampling_operator(
         row_weight = row_weight * gain.reshape(-1, *(1,) * (row_weight.ndim - 1))
     out_shape = (gain.size, *lr_shape)
 
-    def weights(values: Array) -> tuple[Array, Array]:
-        # A dense field keeps its one copy in double precision; the kernels mix the two.
-        precision = np.float64 if dense else values.real.dtype
+    @lru_cache(maxsize=2)
+    def weights(precision: np.dtype[Any]) -> tuple[Array, Array]:
         return row_weight.astype(precision, copy=False), cols.weight.astype(precision, copy=False)
 
     def forward(x: Array) -> Array:
         x = _as_computed(x)
         y = np.empty(out_shape, x.dtype)
-        row, col = weights(x)
+        row, col = weights(x.real.dtype)
         take(x, rows.start, row, cols.start, col, y)
         return y
 
     def adjoint(y: Array) -> Array:
         y = _as_computed(y)
         x = np.empty(hr_shape, y.dtype)
-        row, col = weights(y)
+        row, col = weights(y.real.dtype)
         spread(y, rows.start, row, cols.start, col, x)
         return x
 
     return LinearOperator(hr_shape, out_shape, forward, adjoint)
+
+
+def _look_where(
+    lr_shape: tuple[int, int],
+    scale: int,
+    offset_px: ArrayLike | None,
+    shift_field_px: ArrayLike | None,
+) -> tuple[NDArray[np.float64] | None, Positions, Positions]:
+    """Return the offsets (None for a field) and the HR coordinates along row and col."""
+    offset: NDArray[np.float64] | None = None
+    if shift_field_px is None:
+        offset = np.array(np.zeros((1, 2)) if offset_px is None else offset_px, dtype=np.float64)
+        row_at, col_at = frame_positions(lr_shape, offset, scale)
+    elif offset_px is None:
+        row_at, col_at = field_positions(shift_field_px, scale)
+        if row_at.shape[1:] != lr_shape:
+            raise ValueError(f"expected a shift field of {lr_shape}, got {row_at.shape[1:]}")
+    else:
+        raise ValueError("expected offset_px or shift_field_px, got both")
+    if row_at.shape[0] == 0:
+        raise ValueError("expected the shifts of at least one frame, got none")
+    return offset, row_at, col_at
+
+
+def _inside(row_at: Positions, col_at: Positions, hr_shape: tuple[int, int]) -> NDArray[np.bool_]:
+    row, col = sees_image(row_at, hr_shape[0]), sees_image(col_at, hr_shape[1])
+    return row & col if row.ndim == 3 else row[:, :, None] & col[:, None, :]
 
 
 def _as_computed(values: Array) -> NDArray[Any]:

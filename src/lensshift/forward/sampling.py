@@ -15,22 +15,21 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 Starts = NDArray[np.int64]
+Run = tuple[int, int, int]
 
 # Only the contraction of a * b + c is allowed to differ from strict arithmetic.
 _FAST = {"contract"}
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _regular_run(start: Starts, weight: Array) -> tuple[int, int, int]:
+def _regular_run(start: Starts, weight: Array) -> Run:
     """Return (begin, end, stride) of the run of equal taps at equal steps around the middle."""
     count, taps = weight.shape
     middle = count // 2
-    if count < 2:
-        return middle, middle, 1
-    stride = start[middle] - start[middle - 1]
-    begin, end = middle, middle + 1
+    stride = start[middle] - start[middle - 1] if count > 1 else 0
     if stride < 1:
         return middle, middle, 1
+    begin, end = middle, middle + 1
     while begin > 0 and start[begin] - start[begin - 1] == stride:
         same = True
         for t in range(taps):
@@ -99,6 +98,72 @@ def _merge(planes: Array, stride: int, count: int, line: Array) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
+def _sample_frame(
+    x: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, out: Array
+) -> None:
+    """Take the taps of one frame: row taps into a line, then column taps from the line."""
+    width = x.shape[1]
+    count, taps = weight.shape
+    begin, end, stride = _regular_run(start, weight)
+    line, planes = np.empty(width, x.dtype), np.empty((stride, width // stride + 1), x.dtype)
+    for u in range(row_start.size):
+        top = row_start[u]
+        source, factor = x[top], row_weight[u, 0]
+        for j in range(width):
+            line[j] = factor * source[j]
+        for s in range(1, row_weight.shape[1]):
+            source, factor = x[top + s], row_weight[u, s]
+            for j in range(width):
+                line[j] += factor * source[j]
+        target = out[u]
+        for v in range(count):
+            target[v] = 0
+        if end > begin:
+            _split(line[start[begin] :], stride, (end - begin - 1) * stride + taps, planes)
+            inner = target[begin:end]
+            for t in range(taps):
+                part, factor = planes[t % stride, t // stride :], weight[begin, t]
+                for j in range(end - begin):
+                    inner[j] += factor * part[j]
+        for first, last in ((0, begin), (end, count)):
+            for v in range(first, last):
+                for t in range(taps):
+                    target[v] += weight[v, t] * line[start[v] + t]
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _spread_frame(
+    y: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, out: Array
+) -> None:
+    """Add one frame, spread over its taps, to the HR image; the adjoint of `_sample_frame`."""
+    width = out.shape[1]
+    count, taps = weight.shape
+    begin, end, stride = _regular_run(start, weight)
+    line, planes = np.empty(width, out.dtype), np.empty((stride, width // stride + 1), out.dtype)
+    for u in range(row_start.size):
+        source = y[u]
+        for j in range(width):
+            line[j] = 0
+        if end > begin:
+            planes[:] = 0
+            inner = source[begin:end]
+            for t in range(taps):
+                part, factor = planes[t % stride, t // stride :], weight[begin, t]
+                for j in range(end - begin):
+                    part[j] += factor * inner[j]
+            _merge(planes, stride, (end - begin - 1) * stride + taps, line[start[begin] :])
+        for first, last in ((0, begin), (end, count)):
+            for v in range(first, last):
+                for t in range(taps):
+                    line[start[v] + t] += weight[v, t] * source[v]
+        top = row_start[u]
+        for s in range(row_weight.shape[1]):
+            target, factor = out[top + s], row_weight[u, s]
+            for j in range(width):
+                target[j] += factor * line[j]
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def forward_separable(
     x: Array,
     row_start: Starts,
@@ -116,40 +181,8 @@ def forward_separable(
     col_start, col_weight : [frame col] and [frame col T]
     out : [frame row col], overwritten
     """
-    frames, rows, cols = out.shape
-    width = x.shape[1]
-    row_taps, col_taps = row_weight.shape[2], col_weight.shape[2]
-    line = np.empty(width, x.dtype)
-    for k in range(frames):
-        begin, end, stride = _regular_run(col_start[k], col_weight[k])
-        run = end - begin
-        used = (run - 1) * stride + col_taps
-        planes = np.empty((stride, width // stride + 1), x.dtype)
-        for u in range(rows):
-            top = row_start[k, u]
-            weight = row_weight[k, u, 0]
-            source = x[top]
-            for j in range(width):
-                line[j] = weight * source[j]
-            for s in range(1, row_taps):
-                weight = row_weight[k, u, s]
-                source = x[top + s]
-                for j in range(width):
-                    line[j] += weight * source[j]
-            target = out[k, u]
-            target[:] = 0
-            if run > 0:
-                _split(line[col_start[k, begin] :], stride, used, planes)
-                inner = target[begin:end]
-                for t in range(col_taps):
-                    weight = col_weight[k, begin, t]
-                    part = planes[t % stride, t // stride :]
-                    for j in range(run):
-                        inner[j] += weight * part[j]
-            for side in range(2):
-                for v in range(0 if side == 0 else end, begin if side == 0 else cols):
-                    for t in range(col_taps):
-                        target[v] += col_weight[k, v, t] * line[col_start[k, v] + t]
+    for k in range(out.shape[0]):
+        _sample_frame(x, row_start[k], row_weight[k], col_start[k], col_weight[k], out[k])
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -169,38 +202,9 @@ def adjoint_separable(
     row_start, row_weight, col_start, col_weight : as in `forward_separable`
     out : [row col] HR image, overwritten
     """
-    frames, rows, cols = y.shape
-    width = out.shape[1]
-    row_taps, col_taps = row_weight.shape[2], col_weight.shape[2]
-    line = np.empty(width, out.dtype)
     out[:] = 0
-    for k in range(frames):
-        begin, end, stride = _regular_run(col_start[k], col_weight[k])
-        run = end - begin
-        used = (run - 1) * stride + col_taps
-        planes = np.empty((stride, width // stride + 1), out.dtype)
-        for u in range(rows):
-            source = y[k, u]
-            line[:] = 0
-            if run > 0:
-                planes[:] = 0
-                inner = source[begin:end]
-                for t in range(col_taps):
-                    weight = col_weight[k, begin, t]
-                    part = planes[t % stride, t // stride :]
-                    for j in range(run):
-                        part[j] += weight * inner[j]
-                _merge(planes, stride, used, line[col_start[k, begin] :])
-            for side in range(2):
-                for v in range(0 if side == 0 else end, begin if side == 0 else cols):
-                    for t in range(col_taps):
-                        line[col_start[k, v] + t] += col_weight[k, v, t] * source[v]
-            top = row_start[k, u]
-            for s in range(row_taps):
-                weight = row_weight[k, u, s]
-                target = out[top + s]
-                for j in range(width):
-                    target[j] += weight * line[j]
+    for k in range(y.shape[0]):
+        _spread_frame(y[k], row_start[k], row_weight[k], col_start[k], col_weight[k], out)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -222,17 +226,19 @@ def forward_field(
     out : [frame row col], overwritten
     """
     frames, rows, cols = out.shape
-    row_taps, col_taps = row_weight.shape[3], col_weight.shape[3]
+    row_taps, col_taps = np.uintp(row_weight.shape[3]), np.uintp(col_weight.shape[3])
     for k in range(frames):
         for u in range(rows):
             for v in range(cols):
-                top, left = row_start[k, u, v], col_start[k, u, v]
+                # Unsigned, so that no index is tested for counting from the end.
+                top, left = np.uintp(row_start[k, u, v]), np.uintp(col_start[k, u, v])
+                row, col = row_weight[k, u, v], col_weight[k, u, v]
                 out[k, u, v] = 0
                 for s in range(row_taps):
-                    part = col_weight[k, u, v, 0] * x[top + s, left]
-                    for t in range(1, col_taps):
-                        part += col_weight[k, u, v, t] * x[top + s, left + t]
-                    out[k, u, v] += row_weight[k, u, v, s] * part
+                    part = col[0] * x[top + s, left]
+                    for t in range(np.uintp(1), col_taps):
+                        part += col[t] * x[top + s, left + t]
+                    out[k, u, v] += row[s] * part
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -253,14 +259,14 @@ def adjoint_field(
     out : [row col] HR image, overwritten
     """
     frames, rows, cols = y.shape
-    row_taps, col_taps = row_weight.shape[3], col_weight.shape[3]
+    row_taps, col_taps = np.uintp(row_weight.shape[3]), np.uintp(col_weight.shape[3])
     out[:] = 0
     for k in range(frames):
         for u in range(rows):
             for v in range(cols):
-                top, left = row_start[k, u, v], col_start[k, u, v]
-                value = y[k, u, v]
+                top, left = np.uintp(row_start[k, u, v]), np.uintp(col_start[k, u, v])
+                row, col = row_weight[k, u, v], col_weight[k, u, v]
                 for s in range(row_taps):
-                    part = row_weight[k, u, v, s] * value
+                    part = row[s] * y[k, u, v]
                     for t in range(col_taps):
-                        out[top + s, left + t] += col_weight[k, u, v, t] * part
+                        out[top + s, left + t] += col[t] * part
