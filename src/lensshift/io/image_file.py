@@ -83,7 +83,7 @@ def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
 def _load_tiff(path: str | Path) -> NDArray[Any]:
     import tifffile
 
-    with _complaints_of_tifffile() as complaints, tifffile.TiffFile(path) as file:
+    with _strict_tifffile(), tifffile.TiffFile(path) as file:
         series = file.series
         if len(series) != 1:
             raise DataError(f"expected pages of one size, got {len(series)} kinds of pages")
@@ -96,8 +96,6 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
         values = series[0].asarray()
         if "S" in series[0].axes:
             values = _grey(np.moveaxis(values, series[0].axes.index("S"), -1))
-    if complaints:  # tifffile leaves out pages that it cannot find
-        raise DataError(f"damaged or cut short ({complaints[0]:.200})")
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
     frames = values.reshape(-1, *values.shape[-2:])
@@ -107,17 +105,26 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
 
 
 @contextmanager
-def _complaints_of_tifffile() -> Iterator[list[str]]:
-    """Collect the errors that tifffile only logs."""
+def _strict_tifffile() -> Iterator[None]:
+    """Turn the errors that tifffile raises or only logs into a `DataError`.
+
+    It logs pages that it cannot find, and leaves them out.
+    """
+    import tifffile
+
     complaints: list[str] = []
     handler = logging.Handler(logging.ERROR)
     handler.emit = lambda record: complaints.append(record.getMessage())  # type: ignore[method-assign]
     logger = logging.getLogger("tifffile")
     logger.addHandler(handler)
     try:
-        yield complaints
+        yield
+    except tifffile.TiffFileError as error:  # older versions: not a ValueError
+        complaints.append(str(error))
     finally:
         logger.removeHandler(handler)
+    if complaints:
+        raise DataError(f"damaged or cut short ({complaints[0]:.200})")
 
 
 def _load_pillow(path: str | Path) -> NDArray[Any]:
