@@ -13,8 +13,8 @@ from PIL import Image
 from stand_in import Call
 
 from lensshift.cli import _one_line, main, session
-from lensshift.cli.preview import write_preview
 from lensshift.cli.session import Progress, to_json
+from lensshift.io.preview import write_preview
 
 VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"]]
 COMMAND = [sys.executable, "-c", "from lensshift.cli import main; main()"]

@@ -205,7 +205,7 @@ def _reconstruct(
 
 def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], path: Path) -> None:
     import lensshift
-    from lensshift.cli.preview import write_preview
+    from lensshift.io.preview import write_preview
 
     same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
     bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
