@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def cubic(distance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Keys kernel with a = -1/2 at a distance in samples."""
-    d = np.abs(distance)
+def cubic(distance_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the Keys kernel with a = -1/2 at a distance in samples of the stretched grid."""
+    d = np.abs(distance_px)
     near = (1.5 * d - 2.5) * d * d + 1.0
     far = ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0
     return np.where(d <= 1, near, np.where(d <= 2, far, 0.0))
