@@ -20,6 +20,7 @@ from lensshift.scene import Target
 QUARTER_SQUARE_PX = ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25))
 _SAMPLES_PER_HR_PX = 10
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+_SAMPLES_AT_ONCE = 2_000_000  # a few hundred MB at most
 _KERNEL_SIGMAS = 4.0
 
 
@@ -135,38 +136,52 @@ def pixel_means(
     samples : per pixel and axis; their mean is the integral
     optics_sigma_px : blur before the pixels, in pixels of `grid`
     """
+    moved = np.asarray(offset_px, dtype=np.float64)
+    margin = int(np.ceil(_KERNEL_SIGMAS * optics_sigma_px))
+    rows, cols = grid.shape
+    rows_at_once = max(1, _SAMPLES_AT_ONCE // (samples**2 * (cols + 2 * margin)))
+    means = np.empty(grid.shape)
+    for first in range(0, rows, rows_at_once):
+        last = min(first + rows_at_once, rows)
+        places = _sample_places(grid, (first - margin, last + margin), margin, samples, moved)
+        sharp = target(*places)
+        means[first:last] = _binned(sharp, samples, optics_sigma_px, margin)
+    return means
+
+
+def _binned(
+    sharp: NDArray[np.float64], samples: int, optics_sigma_px: float, margin: int
+) -> NDArray[np.float64]:
+    """Blur samples, take the mean of each pixel and cut the margin off."""
     from scipy.ndimage import gaussian_filter
 
-    margin = int(np.ceil(_KERNEL_SIGMAS * optics_sigma_px))
-    row_mm, col_mm = _sample_places(grid, np.asarray(offset_px, np.float64), margin, samples)
-    seen = target(row_mm, col_mm)
+    seen = sharp
     if optics_sigma_px > 0:
         seen = gaussian_filter(
-            seen, optics_sigma_px * samples, mode="nearest", truncate=_KERNEL_SIGMAS
+            sharp, optics_sigma_px * samples, mode="nearest", truncate=_KERNEL_SIGMAS
         )
-    rows, cols = (count + 2 * margin for count in grid.shape)
+    rows, cols = (count // samples for count in seen.shape)
     means = seen.reshape(rows, samples, cols, samples).mean(axis=(1, 3))
     inside: NDArray[np.float64] = means[margin : rows - margin, margin : cols - margin]
     return inside
 
 
 def _sample_places(
-    grid: Grid, moved_px: NDArray[np.float64], margin: int, samples: int
+    grid: Grid, rows: tuple[int, int], margin: int, samples: int, moved_px: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where the samples of all pixels lie on the target, in mm from the middle.
+    """Return where the samples of some rows of pixels lie on the target, in mm from the middle.
 
     Each line of samples is staggered by another fraction of their spacing: on a plain lattice
     an edge along a row or column would move by a whole sample or not at all.
     """
-    fine = [np.arange((count + 2 * margin) * samples) for count in grid.shape]
-    row, col = np.meshgrid(*fine, indexing="ij")
-    row_stagger, col_stagger = (np.mod(index * _GOLDEN, 1.0) for index in (col, row))
-    return tuple(
-        ((index + stagger) / samples - margin - 0.5 * count - moved) * pitch_mm
-        for index, stagger, count, moved, pitch_mm in zip(
-            (row, col), (row_stagger, col_stagger), grid.shape, moved_px, grid.pitch_mm, strict=True
-        )
+    row, col = np.meshgrid(
+        np.arange(rows[0] * samples, rows[1] * samples),
+        np.arange(-margin * samples, (grid.shape[1] + margin) * samples),
+        indexing="ij",
     )
+    row_px = (row + np.mod(col * _GOLDEN, 1.0)) / samples - 0.5 * grid.shape[0] - moved_px[0]
+    col_px = (col + np.mod(row * _GOLDEN, 1.0)) / samples - 0.5 * grid.shape[1] - moved_px[1]
+    return row_px * grid.pitch_mm[0], col_px * grid.pitch_mm[1]
 
 
 def _expose(

@@ -32,6 +32,13 @@ def test_a_pixel_gets_the_share_of_its_area() -> None:
     np.testing.assert_allclose(share[2:5, 5], [0.25, 1.0, 0.25], atol=0.02)
 
 
+def test_large_sensors_are_done_in_strips(monkeypatch: pytest.MonkeyPatch) -> None:
+    target = demo_target((1.4, 1.1))
+    whole = pixel_means(target, GRID, (0.3, -0.1), 8, 0.4)
+    monkeypatch.setattr("lensshift.camera._SAMPLES_AT_ONCE", 8 * 8 * 15 * 2)
+    np.testing.assert_allclose(pixel_means(target, GRID, (0.3, -0.1), 8, 0.4), whole, atol=1e-12)
+
+
 def test_positive_offset_moves_the_content_down_and_right() -> None:
     target = demo_target((7 * 0.2, 11 * 0.1))
     still = pixel_means(target, GRID, (0, 0), 16, 0.2)

@@ -1,0 +1,34 @@
+"""The examples run as their readers will run them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+def run_example(*arguments: object) -> str:
+    command = [sys.executable, "-W", "error", *(str(argument) for argument in arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_quickstart_prints_methods_in_order_of_quality() -> None:
+    lines = run_example(EXAMPLES / "quickstart.py").splitlines()
+    psnr_db = {line.split()[0]: float(line.split()[2]) for line in lines[:3]}
+    assert psnr_db["auto"] > psnr_db["bicubic"] + 3
+    assert psnr_db["auto"] > psnr_db["nearest"] + 3
+
+
+def test_eia_chart_predicts_the_other_frames(reference_dir: Path, tmp_path: Path) -> None:
+    frames, picture = reference_dir / "real_sequences" / "mdsp_eia.npz", tmp_path / "chart.png"
+    lines = run_example(EXAMPLES / "eia_chart.py", frames, "--out", picture).splitlines()
+    rms = {line.split()[0]: float(line.split()[1]) for line in lines[:3]}
+    assert rms["auto"] <= 7.4
+    assert rms["auto"] < rms["shift-and-add"] < rms["bicubic"]
+    with Image.open(picture) as drawn:
+        assert np.asarray(drawn).std() > 20

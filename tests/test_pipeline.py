@@ -1,0 +1,76 @@
+"""The whole chain: what it writes, what it says, and what it leaves behind when it fails."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.io import load_burst, load_image_stack, load_reconstruction
+from lensshift.pipeline import demo_burst, run
+
+
+def test_run_writes_what_it_says_and_beats_the_yardsticks(tmp_path: Path) -> None:
+    seen: list[int] = []
+    summary = run(tmp_path / "a" / "b", on_iteration=lambda number, _: seen.append(number))
+    names = ["burst.nc", "truth.tif", "result.nc", "preview.png"]
+    assert [path.name for path in summary.files] == names
+    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == sorted(names)
+    assert load_burst(summary.files[0]).amplitude.shape == (4, 16, 64)
+    truth = load_image_stack(summary.files[1], pitch_mm=1.0).amplitude[0]
+    image = load_reconstruction(summary.files[2]).amplitude
+    assert image is not None
+    assert image.image.shape == truth.shape == (32, 128)
+    inside = np.s_[4:-4, 4:-4]
+    rmse = float(np.sqrt(np.mean((image.image[inside] - truth[inside]) ** 2)))
+    assert rmse == pytest.approx(summary.fidelity["auto"]["rmse"], rel=1e-4)
+    with Image.open(summary.files[3]) as picture:
+        assert picture.width > 500
+    psnr_db = {name: numbers["psnr_db"] for name, numbers in summary.fidelity.items()}
+    assert set(psnr_db) == {"nearest", "bicubic", "auto"}
+    assert psnr_db["auto"] > max(psnr_db["nearest"], psnr_db["bicubic"]) + 3
+    assert seen
+    assert summary.seconds > 0
+
+
+def test_same_seed_same_numbers(tmp_path: Path) -> None:
+    first, again, other = (
+        run(tmp_path, method="shift-and-add", scale=3, seed=seed).fidelity for seed in (1, 1, 2)
+    )
+    assert first == again
+    assert first["shift-and-add"] != other["shift-and-add"]
+
+
+def test_a_yardstick_can_be_asked_for(tmp_path: Path) -> None:
+    assert set(run(tmp_path, method="nearest").fidelity) == {"nearest", "bicubic"}
+
+
+def test_nothing_is_left_behind_by_a_failure(tmp_path: Path) -> None:
+    class StopError(Exception):
+        pass
+
+    def stop(iteration: int, objective: float) -> None:
+        raise StopError
+
+    with pytest.raises(StopError):
+        run(tmp_path / "out", on_iteration=stop)
+    with pytest.raises(ValueError, match="method"):
+        run(tmp_path / "out", method="magic")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(DataError, match=r"out.*file"):
+        run(tmp_path / "out")
+    with pytest.raises(DataError, match="cannot make the folder"):
+        run(tmp_path / "out" / "deeper", method="nearest")
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_demo_burst_takes_any_sensor() -> None:
+    burst, truth = demo_burst(Grid((13, 9), (0.1, 0.2)), scale=3)
+    assert burst.amplitude.shape == (4, 13, 9)
+    assert truth.image.shape == (39, 27)
