@@ -31,36 +31,56 @@ def half_plane(window: int) -> Directions:
     return np.array(sorted(pairs, key=lambda d: (abs(d[0]) + abs(d[1]), d[0], -d[1])), np.int64)
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
+def _overlap(right: int, cols: int) -> tuple[int, int]:
+    """Return the first and last + 1 column that have a neighbour `right` columns away."""
+    first = min(max(0, -right), cols)
+    return first, max(first, min(cols, cols - right))
+
+
+@njit(cache=True, fastmath=True, nogil=True)
 def differences(x: Array, directions: Directions, out: Array) -> None:
     """Write the differences of an image [row col] into out [direction row col]."""
     rows, cols = x.shape
     for d in range(len(directions)):
         down, right = directions[d]
-        first, last = max(0, -right), min(cols, cols - right)
+        first, last = _overlap(right, cols)
         for i in range(rows):
-            for j in range(cols):
-                out[d, i, j] = 0
-            if i + down < rows:
-                for j in range(first, last):
-                    out[d, i, j] = x[i + down, j + right] - x[i, j]
+            target = out[d, i]
+            if i + down >= rows or last <= first:
+                for j in range(cols):
+                    target[j] = 0
+                continue
+            for j in range(first):
+                target[j] = 0
+            for j in range(last, cols):
+                target[j] = 0
+            # Slices, because an index that might be negative keeps a loop from being vectorised.
+            here, there = x[i, first:last], x[i + down, first + right : last + right]
+            inner = target[first:last]
+            for j in range(len(inner)):
+                inner[j] = there[j] - here[j]
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def add_differences_adjoint(e: Array, directions: Directions, out: Array) -> None:
     """Add the adjoint of `differences`, [direction row col] to [row col], to out."""
     rows, cols = out.shape
-    for d in range(len(directions)):
-        down, right = directions[d]
-        first, last = max(0, -right), min(cols, cols - right)
-        for i in range(rows - down):
-            for j in range(first, last):
-                out[i, j] -= e[d, i, j]
-            for j in range(first, last):
-                out[i + down, j + right] += e[d, i, j]
+    for i in range(rows):
+        for d in range(len(directions)):
+            down, right = directions[d]
+            first, last = _overlap(right, cols)
+            if i + down >= rows or last <= first:
+                continue
+            step = e[d, i, first:last]
+            minus, plus = out[i, first:last], out[i + down, first + right : last + right]
+            for j in range(len(step)):
+                minus[j] -= step[j]
+            for j in range(len(step)):
+                plus[j] += step[j]
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Array) -> None:
     """Add sum_d D_d^T a_d D_d x to out; a [direction row col] real, x and out [row col]."""
     rows, cols = x.shape
@@ -68,28 +88,33 @@ def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Arra
     for i in range(rows):
         for d in range(len(directions)):
             down, right = directions[d]
-            if i + down >= rows:
+            first, last = _overlap(right, cols)
+            if i + down >= rows or last <= first:
                 continue
-            first, last = max(0, -right), min(cols, cols - right)
-            for j in range(first, last):
-                e[j] = a[d, i, j] * (x[i + down, j + right] - x[i, j])
-            for j in range(first, last):
-                out[i, j] -= e[j]
-            for j in range(first, last):
-                out[i + down, j + right] += e[j]
+            here, there = x[i, first:last], x[i + down, first + right : last + right]
+            share = a[d, i, first:last]
+            minus, plus = out[i, first:last], out[i + down, first + right : last + right]
+            for j in range(len(here)):
+                e[j] = share[j] * (there[j] - here[j])
+            for j in range(len(here)):
+                minus[j] -= e[j]
+            for j in range(len(here)):
+                plus[j] += e[j]
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def add_laplacian_diagonal(a: Array, directions: Directions, out: Array) -> None:
     """Add the diagonal of sum_d D_d^T a_d D_d to out [row col]."""
     rows, cols = out.shape
     for i in range(rows):
         for d in range(len(directions)):
             down, right = directions[d]
-            if i + down >= rows:
+            first, last = _overlap(right, cols)
+            if i + down >= rows or last <= first:
                 continue
-            first, last = max(0, -right), min(cols, cols - right)
-            for j in range(first, last):
-                out[i, j] += a[d, i, j]
-            for j in range(first, last):
-                out[i + down, j + right] += a[d, i, j]
+            share = a[d, i, first:last]
+            here, there = out[i, first:last], out[i + down, first + right : last + right]
+            for j in range(len(share)):
+                here[j] += share[j]
+            for j in range(len(share)):
+                there[j] += share[j]

@@ -1,0 +1,107 @@
+"""Differences between HR neighbours against NumPy slices and a sparse matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse
+from numpy.typing import NDArray
+
+from lensshift.reconstruction.differences import (
+    add_differences_adjoint,
+    add_laplacian_diagonal,
+    add_weighted_laplacian,
+    differences,
+    half_plane,
+)
+
+SHAPES = [(7, 5), (4, 9), (1, 6), (6, 1), (1, 1), (2, 2)]
+TYPES = [np.float32, np.float64, np.complex64, np.complex128]
+
+
+def difference_matrix(
+    shape: tuple[int, int], directions: NDArray[np.int64]
+) -> scipy.sparse.csr_array:
+    """Return the matrix from the raveled image to the raveled [direction row col]."""
+    rows, cols = shape
+    matrix = scipy.sparse.lil_array((len(directions) * rows * cols, rows * cols))
+    for d, (down, right) in enumerate(directions):
+        for i in range(rows):
+            for j in range(cols):
+                if 0 <= i + down < rows and 0 <= j + right < cols:
+                    entry = (d * rows + i) * cols + j
+                    matrix[entry, (i + down) * cols + j + right] = 1
+                    matrix[entry, i * cols + j] = -1
+    return matrix.tocsr()
+
+
+def draw(rng: np.random.Generator, shape: tuple[int, ...], dtype: type) -> NDArray:
+    values = rng.standard_normal(shape)
+    if np.issubdtype(dtype, np.complexfloating):
+        values = values + 1j * rng.standard_normal(shape)
+    return values.astype(dtype)
+
+
+def close(dtype: type) -> dict[str, float]:
+    return {"rtol": 0, "atol": 200 * np.finfo(dtype).eps}
+
+
+@pytest.mark.parametrize("window", [1, 2, 3])
+def test_half_plane_keeps_one_of_each_pair(window: int) -> None:
+    kept = [tuple(d) for d in half_plane(window)]
+    assert len(kept) == len(set(kept)) == ((2 * window + 1) ** 2 - 1) // 2
+    assert not {(-row, -col) for row, col in kept} & set(kept)
+    assert all(row >= 0 for row, _ in kept)
+
+
+def test_half_plane_wants_a_window() -> None:
+    with pytest.raises(ValueError, match="at least 1"):
+        half_plane(0)
+
+
+def test_window_1_in_the_documented_order() -> None:
+    np.testing.assert_array_equal(half_plane(1), [(0, 1), (1, 0), (1, 1), (1, -1)])
+
+
+@pytest.mark.parametrize("dtype", TYPES)
+@pytest.mark.parametrize("window", [1, 2, 3])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_all_kernels_equal_a_sparse_matrix(
+    shape: tuple[int, int], window: int, dtype: type
+) -> None:
+    rng = np.random.default_rng(0)
+    directions = half_plane(window)
+    stack = (len(directions), *shape)
+    D = difference_matrix(shape, directions)
+    x, e, start = draw(rng, shape, dtype), draw(rng, stack, dtype), draw(rng, shape, dtype)
+    a = rng.random(stack).astype(x.real.dtype)
+
+    out = np.full(stack, np.nan, dtype)
+    differences(x, directions, out)
+    np.testing.assert_allclose(out.ravel(), D @ x.ravel(), **close(dtype))
+
+    out = start.copy()
+    add_differences_adjoint(e, directions, out)
+    np.testing.assert_allclose((out - start).ravel(), D.T @ e.ravel(), **close(dtype))
+
+    out = start.copy()
+    add_weighted_laplacian(x, a, directions, out)
+    expected = D.T @ (a.ravel() * (D @ x.ravel()))
+    np.testing.assert_allclose((out - start).ravel(), expected, **close(dtype))
+
+    diagonal = np.zeros(shape, a.dtype)
+    add_laplacian_diagonal(a, directions, diagonal)
+    expected = (D.T @ scipy.sparse.diags_array(a.ravel()) @ D).diagonal()
+    np.testing.assert_allclose(diagonal.ravel(), expected, **close(dtype))
+
+
+def test_differences_are_the_numpy_slices() -> None:
+    x = np.random.default_rng(1).standard_normal((6, 8))
+    out = np.empty((4, 6, 8))
+    differences(x, half_plane(1), out)
+    np.testing.assert_array_equal(out[0, :, :-1], x[:, 1:] - x[:, :-1])
+    np.testing.assert_array_equal(out[1, :-1], x[1:] - x[:-1])
+    np.testing.assert_array_equal(out[2, :-1, :-1], x[1:, 1:] - x[:-1, :-1])
+    np.testing.assert_array_equal(out[3, :-1, 1:], x[1:, :-1] - x[:-1, 1:])
+    assert not out[0, :, -1].any()
+    assert not out[3, :, 0].any()
