@@ -1,1 +1,79 @@
-"""Super-resolution for cameras whose lens moves a fraction of a pixel between frames."""
+"""Super-resolution for cameras whose lens moves a fraction of a pixel between frames.
+
+::
+
+                     cli                        you type
+                      |
+                   pipeline                     the whole chain in one file
+                      |
+          reconstruction   evaluation           stages, strangers to each other
+                |
+       camera . | no entry . forward            what the world does | what we assume
+          |
+        scene             io                    files and foreign formats <-> core types
+         \\_________ core _________/             nouns, grid, units, errors
+
+Data, in order: ``Burst -> Reconstruction (Estimates) -> Fidelity``.
+
+Names are loaded when they are first used, so that ``import lensshift`` stays quick.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lensshift.core.errors import DataError as DataError
+    from lensshift.core.errors import QualityWarning as QualityWarning
+    from lensshift.core.grid import Grid as Grid
+    from lensshift.core.types import Burst as Burst
+    from lensshift.core.types import Estimate as Estimate
+    from lensshift.core.types import Reconstruction as Reconstruction
+    from lensshift.core.types import ShiftField as ShiftField
+    from lensshift.core.types import Status as Status
+    from lensshift.evaluation import fidelity as fidelity
+    from lensshift.io import load_burst as load_burst
+    from lensshift.io import load_image_stack as load_image_stack
+    from lensshift.io import load_reconstruction as load_reconstruction
+    from lensshift.io import save_burst as save_burst
+    from lensshift.io import save_reconstruction as save_reconstruction
+    from lensshift.pipeline import run as run
+    from lensshift.reconstruction.methods import method_names as method_names
+    from lensshift.reconstruction.reconstruct import reconstruct as reconstruct
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "DataError": "core.errors",
+    "QualityWarning": "core.errors",
+    "Grid": "core.grid",
+    "Burst": "core.types",
+    "Estimate": "core.types",
+    "Reconstruction": "core.types",
+    "ShiftField": "core.types",
+    "Status": "core.types",
+    "fidelity": "evaluation",
+    "load_burst": "io",
+    "load_image_stack": "io",
+    "load_reconstruction": "io",
+    "save_burst": "io",
+    "save_reconstruction": "io",
+    "run": "pipeline",
+    "method_names": "reconstruction.methods",
+    "reconstruct": "reconstruction.reconstruct",
+}
+
+__all__ = sorted([*_HOME, "__version__"])
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'lensshift' has no attribute {name!r}")
+    value = getattr(import_module(f"lensshift.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -36,11 +36,11 @@ class FakeReconstruct:
         image = np.kron(source[0], np.ones((scale, scale)))
         estimate = Estimate(
             image=image,
-            std=np.ones(image.shape),
+            uncertainty=np.full(image.shape, 1.25),
             objective=(2.5, 2.0),
             status=Status.CONVERGED,
             prior_weight=0.0125,
-            noise_gain=1.25,
+            noise_sigma=1.0,
         )
         return Reconstruction(
             amplitude=None if channel == "distance" else estimate,

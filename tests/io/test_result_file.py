@@ -18,13 +18,12 @@ def make_estimate(seed: int = 0, **fields: Any) -> Estimate:
     rng = np.random.default_rng(seed)
     complete: dict[str, Any] = {
         "image": rng.random((10, 14)),
-        "std": rng.random((10, 14)),
+        "uncertainty": rng.random((10, 14)),
         "objective": (3.0, 2.0, 1.5),
         "status": Status.MAX_ITERATIONS,
         "confidence": rng.random((3, 5, 7)),
         "prior_weight": 0.01,
         "noise_sigma": 0.005,
-        "noise_gain": 1.25,
     }
     return Estimate(**(complete | fields))
 
@@ -32,7 +31,7 @@ def make_estimate(seed: int = 0, **fields: Any) -> Estimate:
 def make_reconstruction(**fields: Any) -> Reconstruction:
     complete: dict[str, Any] = {
         "amplitude": make_estimate(),
-        "distance_m": make_estimate(1, objective=(1.0,), prior_weight=None, std=None),
+        "distance_m": make_estimate(1, objective=(1.0,), prior_weight=None, uncertainty=None),
         "grid": Grid((10, 14), (0.075, 0.05)),
         "scale": 2,
         "method": "irwsr",
@@ -121,7 +120,7 @@ def test_other_programs_read_it(tmp_path: Path) -> None:
         ({"amplitude": None, "distance_m": None}, "neither"),
         ({"settings": {"solver": object()}}, "settings: "),
         ({"grid": Grid((10, 15), (1.0, 1.0))}, "col: "),
-        ({"amplitude": make_estimate(std=np.ones((10, 13)))}, "amplitude_std: "),
+        ({"amplitude": make_estimate(uncertainty=np.ones((10, 13)))}, "amplitude_std: "),
         ({"amplitude": make_estimate(image=np.ones(3))}, "amplitude: "),
     ],
 )

@@ -228,26 +228,41 @@ class Estimate:
     Parameters
     ----------
     image : [row col] on the HR grid
-    std : [row col] standard deviation of `image` from the frames' noise, or None
+    uncertainty : [row col] standard deviation of `image` from the frames' noise, or a function
+        that computes it when `std` is first asked for, or None
     objective : its value after each outer iteration
     status : how the iterations ended
     confidence : [frame row col] weight of each LR pixel in 0 .. 1, or None
     prior_weight : weight of the prior that was used, or None
-    noise_sigma : noise of one LR pixel that was given or estimated, or None
-    noise_gain : noise of an HR pixel / noise of an LR pixel (rms over the image), or None
+    noise_sigma : standard deviation of the noise of one LR pixel, given or estimated, or None
     predict : called with a frame number of the burst or an offset (row, col) in LR pixels,
         returns that LR frame as the forward model sees `image`
+    notes : what else the method found out, text and numbers
     """
 
     image: NDArray[Any]
-    std: NDArray[np.float64] | None = None
+    uncertainty: NDArray[np.float64] | Callable[[], NDArray[np.float64]] | None = None
     objective: tuple[float, ...] = ()
     status: Status = Status.DIRECT
     confidence: NDArray[np.float64] | None = None
     prior_weight: float | None = None
     noise_sigma: float | None = None
-    noise_gain: float | None = None
     predict: Callable[[int | ArrayLike], NDArray[Any]] = _no_prediction
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def std(self) -> NDArray[np.float64] | None:
+        """Standard deviation [row col] of `image`, computed once when it is first asked for."""
+        if callable(self.uncertainty):
+            object.__setattr__(self, "uncertainty", self.uncertainty())
+        return self.uncertainty  # type: ignore[return-value]
+
+    @property
+    def noise_gain(self) -> float | None:
+        """Noise of an HR pixel over noise of an LR pixel (rms over the image), or None."""
+        if self.noise_sigma is None or self.noise_sigma <= 0 or self.std is None:
+            return None
+        return float(np.sqrt(np.mean(self.std**2)) / self.noise_sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

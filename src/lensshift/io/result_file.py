@@ -36,7 +36,8 @@ _CHANNELS = {
     "amplitude": ("amplitude", "1", "amplitude"),
     "distance_m": ("distance", "m", "radial distance, camera frame"),
 }
-_NUMBERS = ("prior_weight", "noise_sigma", "noise_gain")
+_KEPT = ("prior_weight", "noise_sigma")
+_NUMBERS = (*_KEPT, "noise_gain")
 
 
 def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> None:
@@ -146,13 +147,14 @@ def _read_channel(container: Container, field: str) -> Estimate:
     status = _status(container, name)
     if status is not Status.NOT_FINITE and not np.isfinite(image).any():
         raise DataError("every pixel is NaN or infinite", field=name)
-    optional: dict[str, Any] = {number: container.number(number, of=name) for number in _NUMBERS}
+    optional: dict[str, Any] = {number: container.number(number, of=name) for number in _KEPT}
     if container.has(f"{name}_std"):
-        optional["std"] = container.array(f"{name}_std", kinds="f")
-        if optional["std"].shape != image.shape:
+        std = container.array(f"{name}_std", kinds="f")
+        if std.shape != image.shape:
             raise DataError(
-                f"expected shape {image.shape}, got {optional['std'].shape}", field=f"{name}_std"
+                f"expected shape {image.shape}, got {std.shape}", field=f"{name}_std"
             )
+        optional["uncertainty"] = std
     if container.has(f"{name}_confidence"):
         optional["confidence"] = container.array(f"{name}_confidence", kinds="f")
         if optional["confidence"].ndim != 3:

@@ -1,1 +1,1 @@
-
+"""From frames with known shifts to one super-resolved image: one call, many methods."""

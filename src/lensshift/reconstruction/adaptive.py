@@ -1,0 +1,263 @@
+"""Sparse neighbour differences with a weight that needs no tuning: the solver behind `auto`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.types import Estimate, Status
+from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.differences import differences
+from lensshift.reconstruction.least_squares import (
+    NEIGHBOURS,
+    mean_column_square,
+    smooth_fit,
+    solve_penalised,
+)
+from lensshift.reconstruction.noise import estimate_noise
+from lensshift.reconstruction.outliers import confidence
+
+Array = NDArray[Any]
+OnIteration = Callable[[int, float], None]
+
+# Diagonal neighbours are farther away: their differences count 1 / length.
+SHARE = (1.0 / np.sqrt((NEIGHBOURS**2).sum(axis=1))).reshape(-1, 1, 1)
+# How clumped the gradient of a picture is where lone edges end and texture begins.
+LONE_EDGES, TEXTURE = 0.262, 0.288
+CLUMP_WINDOW_HR_PX = 17
+# In a scene of lone edges the model errs at the edges, by this much of the local gradient,
+# because an HR pixel cannot say where inside it the edge lies.
+EDGE_ERROR_PX, CAUTIOUS_EDGE_ERROR_PX = 0.065, 0.03
+EXTRA_WEIGHT_LONE_EDGES = 0.3
+GROUPING = 0.6
+REPLICATE_STEPS = 3
+START_SMOOTHING, RESTART_SMOOTHING, SMOOTHING_DECAY = 0.1, 0.05, 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class SparseGradient:
+    """Robust fit with a sparse penalty on neighbour differences whose weight sets itself.
+
+        F(x) = sum w |A x - y|^2 + lambda sum_d share_d (|D_d x|^2 + eps^2)^(p / 2)
+
+    minimised by iterative reweighting, each step a few conjugate gradients; eps shrinks from
+    step to step (graduated non-convexity). Without `prior_weight` the weight is the one that the
+    maximum a posteriori estimate gives to the scale of a generalised Gaussian prior, found again
+    in every step,
+
+        lambda = 2 c sigma^2 N / (p sum_d share_d |D_d x|^p),   c = 0.45 / blur_hr_px^1.5
+
+    where c < 1 allows for what the blur hides of the differences. With `adapt` the picture of
+    the first steps is asked whether its edges stand alone or make a texture,
+
+        clumping = mean of (E|g|)^2 / E|g|^2 in windows, weighted by |g|^2
+
+    Lone edges get a slightly heavier prior, and data that weigh less right at the edges;
+    texture gets differences that are grouped with those of their neighbours.
+
+    Parameters
+    ----------
+    exponent : p; 2 is Tikhonov, 1 total variation
+    texture_exponent : p for scenes of texture, once `adapt` has found them
+    prior_weight : lambda, or None
+    noise_sigma : noise of an LR pixel (per component if complex), or None to estimate it
+    blur_hr_px : width of the pixel response in HR pixels
+    robust : whether outliers and frames that do not fit lose weight
+    adapt : whether to look at the kind of scene
+    iterations, inner_iterations : reweightings, and conjugate gradients in each
+    first_steps : reweightings before the scene is judged
+    tolerance : stop when no pixel moves by more than this
+    non_negative : whether negative values are set to zero after each step
+
+    Images should lie within about 0 .. 1.
+    """
+
+    exponent: float = 0.9
+    texture_exponent: float = 0.6
+    prior_weight: float | None = None
+    noise_sigma: float | None = None
+    blur_hr_px: float = 0.6
+    robust: bool = True
+    adapt: bool = True
+    iterations: int = 16
+    inner_iterations: int = 10
+    first_steps: int = 6
+    tolerance: float = 2e-4
+    non_negative: bool = False
+
+    def __call__(
+        self,
+        A: LinearOperator,
+        y: Array,
+        weight: Array,
+        x0: Array | None = None,
+        on_iteration: OnIteration | None = None,
+    ) -> Estimate:
+        """Return the estimate [row col] from frames and their weights [frame row col]."""
+        sigma, inlier = self._noise(A, y, weight)
+        state = _State(weight=weight * inlier, lone_edges=0.0)
+        state.x = smooth_fit(A, y, state.weight, 0.03, 30) if x0 is None else x0.copy()
+        square = mean_column_square(A)
+        status = Status.MAX_ITERATIONS
+        for t in range(self.iterations):
+            if t == self.first_steps and self.adapt:
+                state.judge_scene()
+            before = state.x
+            coefficients = self._coefficients(state, sigma)
+            if t > 0 and self.robust:
+                state.weight = self._confidence(A, y, weight, sigma, state)
+            state.x = solve_penalised(
+                A, y, state.weight, coefficients, before, self.inner_iterations,
+                column_square=square,
+            )  # fmt: skip
+            if self.non_negative:
+                state.x = np.maximum(state.x, 0.0)
+            state.note_objective(A, y)
+            if on_iteration is not None:
+                on_iteration(t + 1, state.objective[-1])
+            if not np.isfinite(state.objective[-1]):
+                status = Status.NOT_FINITE
+                break
+            settled = t >= self.first_steps + 3 or not self.adapt
+            if settled and np.max(np.abs(state.x - before)) < self.tolerance:
+                status = Status.CONVERGED
+                break
+        return state.estimate(status, sigma, self)
+
+    def _noise(self, A: LinearOperator, y: Array, weight: Array) -> tuple[float, Array]:
+        """Return sigma, and the pixels that are no outliers at first sight."""
+        if self.noise_sigma is not None and not self.robust:
+            return self.noise_sigma, weight > 0
+        noise = estimate_noise(A, y, weight)
+        if not self.robust:
+            return max(noise.total, 1e-6), weight > 0
+        return max(self.noise_sigma or noise.sigma, 1e-6), noise.inlier
+
+    def _coefficients(self, state: _State, sigma: float) -> Array:
+        """Return the quadratic that touches the penalty from above at x; updates lambda."""
+        p = self.exponent
+        if self.adapt and state.judged:
+            p += (1.0 - state.lone_edges) * (self.texture_exponent - self.exponent)
+        steps = np.empty((len(NEIGHBOURS), *state.x.shape), state.x.dtype)
+        differences(state.x, NEIGHBOURS, steps)
+        square = (steps * steps.conj()).real
+        state.square = square
+        state.smoothing = max(0.2 * sigma, state.smoothing * SMOOTHING_DECAY)
+        eps2 = state.smoothing**2
+        if self.adapt and state.judged:
+            square = _grouped(square, GROUPING * (1.0 - state.lone_edges))
+        energy = np.mean((SHARE * ((state.square + eps2) ** (p / 2) - eps2 ** (p / 2))).sum(axis=0))
+        energy += SHARE.sum() * (0.3 * sigma) ** p
+        if self.prior_weight is None:
+            share = 0.45 * self.blur_hr_px**-1.5 + EXTRA_WEIGHT_LONE_EDGES * state.lone_edges
+            found = 2.0 * share * sigma**2 / (p * energy)
+            state.prior_weight = float(
+                found if state.prior_weight is None else np.sqrt(found * state.prior_weight)
+            )
+        else:
+            state.prior_weight = self.prior_weight
+        state.penalty = state.prior_weight * float(
+            (SHARE * (state.square + eps2) ** (p / 2)).sum()
+        )
+        return 0.5 * state.prior_weight * p * SHARE * (square + eps2) ** (p / 2 - 1.0)
+
+    def _confidence(
+        self, A: LinearOperator, y: Array, weight: Array, sigma: float, state: _State
+    ) -> Array:
+        """Return the weight of each LR pixel: outliers, odd frames and edges count less."""
+        across, down, *diagonals = state.square
+        gradient = 0.5 * (across + down + 0.5 * sum(diagonals))
+        edge_error_px = EDGE_ERROR_PX * state.lone_edges if state.judged else CAUTIOUS_EDGE_ERROR_PX
+        if not self.adapt:
+            edge_error_px = 0.0
+        scale = np.sqrt(sigma**2 + edge_error_px**2 * np.maximum(A.forward(gradient), 0.0))
+        return weight * confidence(y - A.forward(state.x), weight, scale) * (sigma / scale) ** 2
+
+    def replicate(self, A: LinearOperator, y: Array, estimate: Estimate) -> Array:
+        """Answer other noise on the frames, from the estimate on, with its weights and lambda."""
+        if estimate.confidence is None or estimate.noise_sigma is None:
+            raise ValueError("expected an estimate that this solver made")
+        state = _State(weight=estimate.confidence, judged=self.adapt, smoothing=0.0)
+        state.lone_edges = estimate.notes.get("lone_edges", 0.0)
+        state.x = estimate.image
+        fixed = replace(self, prior_weight=estimate.prior_weight)
+        steps = 1 if self.exponent == 2.0 else REPLICATE_STEPS
+        for _ in range(steps):
+            coefficients = fixed._coefficients(state, estimate.noise_sigma)
+            state.x = solve_penalised(
+                A, y, state.weight, coefficients, state.x, 3 * self.inner_iterations // steps + 2
+            )
+        return state.x
+
+
+@dataclass(slots=True)
+class _State:
+    weight: Array
+    lone_edges: float
+    judged: bool = False
+    smoothing: float = START_SMOOTHING
+    prior_weight: float | None = None
+    penalty: float = 0.0
+    clumping: float | None = None
+    objective: list[float] = field(default_factory=list)
+    x: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    square: Array = field(default_factory=lambda: np.zeros((1, 1, 1)))
+
+    def judge_scene(self) -> None:
+        """Decide from the picture so far whether its edges stand alone."""
+        self.clumping = clumping(self.square)
+        share = (TEXTURE - self.clumping) / (TEXTURE - LONE_EDGES)
+        self.lone_edges = float(np.clip(share, 0.0, 1.0))
+        self.judged = True
+        self.smoothing = RESTART_SMOOTHING
+
+    def note_objective(self, A: LinearOperator, y: Array) -> None:
+        residual = y - A.forward(self.x)
+        misfit = float(np.sum(self.weight * (residual * residual.conj()).real))
+        self.objective.append(misfit + self.penalty)
+
+    def estimate(self, status: Status, sigma: float, solver: SparseGradient) -> Estimate:
+        notes = {"exponent": solver.exponent, "iterations": len(self.objective)}
+        if self.clumping is not None:
+            notes |= {"clumping": self.clumping, "lone_edges": self.lone_edges}
+        return Estimate(
+            image=self.x,
+            objective=tuple(self.objective),
+            status=status,
+            confidence=np.clip(self.weight, 0.0, 1.0),
+            prior_weight=self.prior_weight,
+            noise_sigma=sigma,
+            notes=notes,
+        )
+
+
+def clumping(square: Array) -> float:
+    """Return how much the gradient fills its surroundings: 0 for lone edges, 1 for even texture.
+
+    Parameters
+    ----------
+    square : [direction row col] squared differences, the first two across and down
+    """
+    from scipy.ndimage import uniform_filter
+
+    energy = square[0] + square[1]
+    mean = uniform_filter(np.sqrt(energy), CLUMP_WINDOW_HR_PX)
+    power = uniform_filter(energy, CLUMP_WINDOW_HR_PX)
+    total = float(energy.sum())
+    if total <= 0.0:
+        return 0.0
+    return float((energy * mean**2 / np.maximum(power, 1e-300)).sum() / total)
+
+
+def _grouped(square: Array, share: float) -> Array:
+    """Mix each squared difference with the mean of its 3 x 3 neighbours."""
+    from scipy.ndimage import uniform_filter
+
+    if share <= 0.0:
+        return square
+    mixed: Array = (1.0 - share) * square + share * uniform_filter(square, size=(0, 3, 3))
+    return mixed

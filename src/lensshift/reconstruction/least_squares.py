@@ -1,0 +1,125 @@
+"""Weighted least squares with a quadratic penalty on neighbour differences, by conjugate gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.differences import (
+    Directions,
+    add_laplacian_diagonal,
+    add_weighted_laplacian,
+    half_plane,
+)
+
+Array = NDArray[Any]
+
+NEIGHBOURS = half_plane(1)
+
+
+def conjugate_gradient(
+    apply: Callable[[Array], Array],
+    b: Array,
+    x0: Array,
+    inverse_diagonal: Array,
+    iterations: int,
+    tolerance: float = 1e-4,
+) -> Array:
+    """Solve H x = b for a Hermitian positive definite H, preconditioned by its diagonal.
+
+    Stops when the preconditioned residual has shrunk to `tolerance` times that of x = 0.
+    Source: Hestenes and Stiefel 1952.
+    """
+    x = x0.copy()
+    r = b - apply(x)
+    z = inverse_diagonal * r
+    p = z.copy()
+    rz = np.vdot(r, z).real
+    enough = tolerance**2 * np.vdot(b, inverse_diagonal * b).real
+    for _ in range(iterations):
+        if rz <= enough or rz == 0.0:
+            break
+        q = apply(p)
+        step = rz / np.vdot(p, q).real
+        x += step * p
+        r -= step * q
+        z = inverse_diagonal * r
+        rz, before = np.vdot(r, z).real, rz
+        p *= rz / before
+        p += z
+    return x
+
+
+def mean_column_square(A: LinearOperator, seed: int = 0) -> float:
+    """Return the mean of the diagonal of A^T A, estimated with one random vector of signs."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], A.in_shape)
+    y = A.forward(signs)
+    return float(np.vdot(y, y).real / signs.size)
+
+
+def solve_penalised(
+    A: LinearOperator,
+    y: Array,
+    weight: Array,
+    coefficients: Array,
+    x0: Array,
+    iterations: int,
+    *,
+    directions: Directions = NEIGHBOURS,
+    column_square: float | None = None,
+    tolerance: float = 1e-4,
+) -> Array:
+    """Minimise sum w |A x - y|^2 + sum_d a_d |D_d x|^2.
+
+        (A^T W A + sum_d D_d^T a_d D_d) x = A^T W y
+
+    Parameters
+    ----------
+    A : HR image [row col] to frames [frame row col], rows that sum to about 1
+    y, weight : [frame row col]
+    coefficients : [direction row col] a
+    x0 : [row col] start
+    column_square : mean of the diagonal of A^T A if it is known, for the preconditioner
+    """
+    square = mean_column_square(A) if column_square is None else column_square
+
+    def apply(x: Array) -> Array:
+        out = A.adjoint(weight * A.forward(x))
+        add_weighted_laplacian(x, coefficients, directions, out)
+        return out
+
+    # Each HR pixel is seen with about the same kernel, so its share of A^T A goes with A^T w.
+    seen = A.adjoint(weight.astype(np.float64))
+    mean_seen = weight.size / seen.size
+    diagonal = seen * (square / mean_seen) + 1e-9
+    add_laplacian_diagonal(coefficients, directions, diagonal)
+    b = A.adjoint(weight * y)
+    return conjugate_gradient(apply, b, x0, 1.0 / diagonal, iterations, tolerance)
+
+
+def smooth_fit(
+    A: LinearOperator, y: Array, weight: Array, stiffness: float, iterations: int = 60
+) -> Array:
+    """Fit a smooth image: minimise sum w |A x - y|^2 + stiffness |L x|^2, L the mean of D^T D.
+
+    The penalty on second differences makes a soft low pass: what it leaves in the residual are
+    the highest frequencies, where there is least of the scene.
+    """
+    quarter = np.full((len(NEIGHBOURS), *A.in_shape), 0.25) / np.sqrt(
+        (NEIGHBOURS**2).sum(axis=1)
+    ).reshape(-1, 1, 1)
+
+    def laplacian(x: Array) -> Array:
+        out = np.zeros_like(x)
+        add_weighted_laplacian(x, quarter, NEIGHBOURS, out)
+        return out
+
+    def apply(x: Array) -> Array:
+        return A.adjoint(weight * A.forward(x)) + stiffness * laplacian(laplacian(x))
+
+    b = A.adjoint(weight * y)
+    return conjugate_gradient(apply, b, np.zeros_like(b), np.ones(A.in_shape), iterations, 1e-3)

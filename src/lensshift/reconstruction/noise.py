@@ -1,0 +1,98 @@
+"""Noise of one LR pixel, estimated from the frames themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.differences import differences
+from lensshift.reconstruction.least_squares import NEIGHBOURS, smooth_fit
+
+Array = NDArray[Any]
+
+# The residual of the soft low pass is judged on the calmest share of the pixels only.
+CALM_SHARE = 0.3
+LOW_PASS_STIFFNESS = 0.1
+CALM_STIFFNESS = 3.0
+OUTLIER_SIGMAS = 4.0
+GAUSSIAN_MAD = 1.4826
+
+
+def robust_scale(values: Array) -> float:
+    """Return the standard deviation of Gaussian values from their median absolute deviation.
+
+    Complex values count as twice as many real ones: the result is per component.
+    """
+    if values.dtype.kind == "c":
+        values = np.concatenate([values.real.ravel(), values.imag.ravel()])
+    return float(GAUSSIAN_MAD * np.median(np.abs(values - np.median(values))))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """What the frames say of their noise.
+
+    Parameters
+    ----------
+    sigma : standard deviation of one LR pixel, per real component, outliers left out
+    total : the same with the outliers: what a method feels that cannot leave them out
+    inlier : [frame row col] False at outliers
+    """
+
+    sigma: float
+    total: float
+    inlier: NDArray[np.bool_]
+
+
+def estimate_noise(
+    A: LinearOperator, y: Array, weight: Array, passes: int = 3, seed: int = 0
+) -> Noise:
+    """Estimate the noise of the frames and mark the pixels that are not outliers.
+
+        sigma = MAD(r(y)) / MAD(r(white noise)),   r = residual of a soft low pass of all frames
+
+    Together the shifted frames sample the scene more finely than its blur, so the highest
+    frequencies of the burst hold little but noise. The same linear filter applied to unit white
+    noise gives the factor exactly, whatever shifts, borders and gaps there are. Only the pixels
+    where the picture is calm (small gradient of a much smoother fit, which the noise hardly
+    moves) are counted; pixels beyond 4 sigma are left out of the next pass.
+
+    Parameters
+    ----------
+    A : HR image [row col] to frames [frame row col]
+    y, weight : [frame row col]
+    """
+    from scipy.ndimage import uniform_filter
+
+    noise = np.random.default_rng(seed).standard_normal(y.shape)
+    kept = (weight > 0).astype(np.float64)
+    inlier: NDArray[np.bool_] = kept > 0
+    sigma = total = 0.0
+    for _ in range(passes):
+        residual = y - A.forward(smooth_fit(A, y, kept, LOW_PASS_STIFFNESS))
+        reference = noise - A.forward(smooth_fit(A, noise, kept, LOW_PASS_STIFFNESS))
+        smooth = smooth_fit(A, y, kept, CALM_STIFFNESS)
+        steps = np.empty((len(NEIGHBOURS), *A.in_shape), smooth.dtype)
+        differences(smooth, NEIGHBOURS, steps)
+        unrest = A.forward(uniform_filter((np.abs(steps) ** 2).sum(axis=0), 5))
+        calm = inlier & (unrest <= np.quantile(unrest[inlier], CALM_SHARE))
+        sigma = robust_scale(residual[calm]) / max(robust_scale(reference[calm]), 1e-12)
+        if total == 0.0:
+            total = max(sigma, _spread(residual[calm]) / max(_spread(reference[calm]), 1e-12))
+        found = (np.abs(residual) <= OUTLIER_SIGMAS * max(sigma, 1e-12)) & (weight > 0)
+        if np.count_nonzero(found) < 0.5 * np.count_nonzero(weight > 0):
+            break
+        if np.array_equal(found, inlier):
+            break
+        inlier, kept = found, found.astype(np.float64)
+    return Noise(sigma, total, inlier)
+
+
+def _spread(values: Array) -> float:
+    """Return the root mean square, per real component."""
+    parts = 2.0 if values.dtype.kind == "c" else 1.0
+    return float(np.sqrt(np.mean(np.abs(values) ** 2) / parts))

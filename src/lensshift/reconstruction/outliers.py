@@ -1,0 +1,50 @@
+"""Which LR pixels, and which frames, to believe."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+HUBER_SIGMAS = 2.0
+# A frame whose median residual exceeds this (of a range of 0 .. 1) has another brightness.
+BIAS_LIMIT = 0.02
+# A frame whose residual is wider than that of the median frame by more than this loses weight.
+SPREAD_LIMIT, SPREAD_POWER = 1.5, 10
+
+
+def confidence(residual: Array, weight: Array, scale: Array | float) -> NDArray[np.float64]:
+    """Return a confidence in 0 .. 1 for each LR pixel.
+
+        min(1, 2 scale / |r|) * [|median r_k| < 0.02] * min(1, 1.5 median_k(s_k) / s_k)^10
+
+    Parameters
+    ----------
+    residual, weight : [frame row col]; pixels of weight 0 are not counted
+    scale : [frame row col] or one number, the standard deviation expected of the residual
+    """
+    size = np.abs(residual)
+    pixel = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(size, 1e-300))
+    return np.asarray(pixel * frame_confidence(residual, weight)[:, None, None])
+
+
+def frame_confidence(residual: Array, weight: Array) -> NDArray[np.float64]:
+    """Return a confidence in 0 .. 1 for each frame, from the bias and the spread of its residual.
+
+    Frames that stand alone, or all of which are odd, keep their weight.
+    """
+    size = np.where(weight > 0, np.abs(residual), np.nan).reshape(len(residual), -1)
+    signed = np.where(weight > 0, residual.real, np.nan).reshape(len(residual), -1)
+    seen = np.any(weight > 0, axis=(1, 2))
+    bias, spread = np.zeros(len(residual)), np.zeros(len(residual))
+    bias[seen] = np.abs(np.nanmedian(signed[seen], axis=1))
+    spread[seen] = np.nanmedian(size[seen], axis=1)
+    even = bias < BIAS_LIMIT
+    if not np.any(even & seen):
+        return seen.astype(np.float64)
+    typical = np.median(spread[even & seen])
+    narrow = np.minimum(1.0, SPREAD_LIMIT * typical / np.maximum(spread, 1e-300))
+    return even * seen * narrow**SPREAD_POWER

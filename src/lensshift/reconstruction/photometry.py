@@ -1,0 +1,70 @@
+"""Gain and bias of each frame against the burst as a whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.least_squares import smooth_fit
+from lensshift.reconstruction.noise import robust_scale
+
+Array = NDArray[Any]
+
+HUBER_SIGMAS = 1.345
+
+
+def estimate_photometry(
+    A: LinearOperator, y: Array, weight: Array, rounds: int = 4
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Estimate gain and bias [frame] such that y_k = gain_k (A x)_k + bias_k.
+
+    A smooth x is fitted to the corrected frames and each frame is regressed on its prediction
+    (Huber weights), in turn. Only ratios and differences between frames can be seen, so the
+    geometric mean of the gains is held at 1 and the mean of the biases at 0.
+
+    Parameters
+    ----------
+    A : HR image [row col] to frames [frame row col], gain 1
+    y, weight : [frame row col]
+
+    Raises
+    ------
+    ValueError
+        If the frames are complex.
+    """
+    if y.dtype.kind == "c":
+        raise ValueError("photometric estimation expects real frames, got complex phasors")
+    count = len(y)
+    gain, bias = np.ones(count), np.zeros(count)
+    for _ in range(rounds):
+        corrected = (y - bias[:, None, None]) / gain[:, None, None]
+        seen = A.forward(smooth_fit(A, corrected, weight, 0.03, 20))
+        for k in range(count):
+            used = weight[k] > 0
+            if np.count_nonzero(used) >= 3:
+                gain[k], bias[k] = _regress(seen[k][used], y[k][used])
+        gain = np.maximum(gain, 1e-3)
+        gain /= np.exp(np.mean(np.log(gain)))
+        bias -= bias.mean()
+    return gain, bias
+
+
+def _regress(x: Array, y: Array, passes: int = 8) -> tuple[float, float]:
+    """Return slope and intercept of y over x by a Huber fit; slope 1 where x is flat."""
+    w = np.ones_like(x)
+    slope, intercept = 1.0, float(np.median(y - x))
+    for _ in range(passes):
+        mean_x, mean_y = np.average(x, weights=w), np.average(y, weights=w)
+        spread = np.average((x - mean_x) ** 2, weights=w)
+        residual = y - slope * x - intercept
+        scale = max(robust_scale(residual), 1e-9)
+        # Too flat a frame has no slope to see: only its bias is fitted.
+        if spread * w.sum() > (10.0 * scale) ** 2:
+            slope = float(np.average((x - mean_x) * (y - mean_y), weights=w) / spread)
+        intercept = float(mean_y - slope * mean_x)
+        residual = np.abs(y - slope * x - intercept)
+        w = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(residual, 1e-12))
+    return slope, intercept

@@ -1,0 +1,225 @@
+"""One call for all methods: a burst goes in, a super-resolved picture comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
+from lensshift.forward.blur import Blur
+from lensshift.reconstruction.methods import Method, find_method
+from lensshift.reconstruction.photometry import estimate_photometry
+from lensshift.reconstruction.problem import Problem, make_blur, make_problem, predictor
+from lensshift.reconstruction.request import Request
+
+Array = NDArray[Any]
+Channel = Literal["auto", "amplitude", "distance", "phasor"]
+
+
+def reconstruct(
+    burst: Burst,
+    scale: int = 2,
+    method: str = "auto",
+    channel: Channel = "auto",
+    psf_sigma_px: float = 0.3,
+    prior_weight: float | Literal["cross-validation"] | None = None,
+    *,
+    frames: Sequence[int] | None = None,
+    fill_factor: float | None = None,
+    noise_sigma: float | None = None,
+    pixel_variance: ArrayLike | None = None,
+    shift_field: ShiftField | None = None,
+    photometric: bool = False,
+    non_negative: bool = False,
+    seed: int = 0,
+    std: bool = True,
+    on_iteration: Callable[[int, float], None] | None = None,
+    **options: Any,
+) -> Reconstruction:
+    """Reconstruct a super-resolved image from a burst of shifted frames.
+
+        y_k = gain_k (D B M_k x) + bias_k + n
+
+    Parameters
+    ----------
+    burst : the frames with their sub-pixel offsets
+    scale : HR pixels per LR pixel, 1 to 8
+    method : one of `lensshift.method_names()`; "auto" needs no tuning
+    channel : "amplitude", "distance", or "auto": amplitude, and distance if the burst has it
+    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289.
+        With `fill_factor`: width of the optical spot alone
+    prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
+        "cross-validation"
+    frames : numbers of the frames to use, by default all; the others can be predicted
+    fill_factor : light-sensitive share of the pixel width in (0, 1]: exact square aperture
+    noise_sigma : noise of one LR pixel in units of the channel, if it is known
+    pixel_variance : [frame row col] known noise variance of each LR pixel
+    shift_field : offset of every pixel of every frame instead of `burst.offset_px`
+    photometric : whether to estimate gain and bias of each frame
+    non_negative : whether negative values are forbidden
+    seed : of everything random
+    std : whether the propagated noise is wanted (it is computed when first asked for)
+    on_iteration : called with the number of the iteration and the objective; an exception
+        raised in it ends the work and leaves nothing behind
+    options : what only some methods know (see `lensshift.reconstruction.methods`)
+
+    Returns
+    -------
+    Reconstruction
+        with an `Estimate` for each channel
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or unknown to the method.
+
+    Warns
+    -----
+    QualityWarning
+        If the frames do not fit the shifts.
+    """
+    chosen = find_method(method)
+    _check(chosen, method, options, scale, prior_weight, noise_sigma)
+    blur = make_blur(psf_sigma_px, fill_factor)
+    used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
+    part = burst.select(used)
+    field = None if shift_field is None else _select_field(shift_field, used, burst)
+    variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
+    request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
+    found: dict[str, Estimate] = {}
+    for name, values in _channels(part, channel).items():
+        problem = make_problem(
+            part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
+            intensity=chosen.intensity, pixel_variance=variance,
+        )  # fmt: skip
+        found[name] = _solve(burst, problem, used, chosen, request, photometric)
+    settings = _settings(blur, used, request, photometric, noise_sigma, field)
+    return Reconstruction(
+        amplitude=found.get("amplitude"),
+        distance_m=found.get("distance"),
+        grid=burst.grid.refine(scale),
+        scale=scale,
+        method=method,
+        settings=settings,
+    )
+
+
+def _solve(
+    burst: Burst,
+    problem: Problem,
+    used: tuple[int, ...],
+    method: Method,
+    request: Request,
+    photometric: bool,
+) -> Estimate:
+    """Run the method and bring the estimate back to the units of the burst."""
+    gain, bias = np.ones(len(used)), np.zeros(len(used))
+    if photometric:
+        gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.weight)
+        problem = problem.with_photometry(gain, bias)
+    estimate = method.run(problem, request)
+    unit = problem.intensity
+    image = np.asarray(estimate.image) * unit
+    notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": (bias * unit).tolist()}
+                                    if photometric else {})  # fmt: skip
+    std = estimate.uncertainty
+    if callable(std):
+        compute = std
+        scaled: Any = lambda: compute() * unit  # noqa: E731
+    else:
+        scaled = None if std is None else std * unit
+    return replace(
+        estimate,
+        image=image,
+        uncertainty=scaled,
+        noise_sigma=None if estimate.noise_sigma is None else estimate.noise_sigma * unit,
+        predict=predictor(burst, problem, used, gain, bias * unit, image),
+        notes=notes,
+    )
+
+
+def _channels(burst: Burst, channel: Channel) -> dict[str, Array]:
+    if channel not in ("auto", "amplitude", "distance", "phasor"):
+        raise ValueError(
+            f"expected channel auto, amplitude, distance or phasor, got {channel!r}"
+        )
+    if channel == "phasor":
+        raise ValueError(
+            "the phasor channel is not built yet; give complex frames as amplitude instead"
+        )
+    if channel == "distance" and burst.distance_m is None:
+        raise ValueError("the burst has no distance_m; expected channel amplitude or auto")
+    found = {}
+    if channel in ("auto", "amplitude"):
+        found["amplitude"] = burst.amplitude
+    if channel in ("auto", "distance") and burst.distance_m is not None:
+        found["distance"] = burst.distance_m
+    return found
+
+
+def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
+    numbers = tuple(int(k) for k in frames)
+    if not numbers or min(numbers) < 0 or max(numbers) >= burst.frame_count:
+        raise ValueError(
+            f"expected frames from 0 to {burst.frame_count - 1}, got {list(frames)}"
+        )
+    if len(set(numbers)) != len(numbers):
+        raise ValueError(f"expected each frame once, got {list(frames)}")
+    return numbers
+
+
+def _select_field(field: ShiftField, used: tuple[int, ...], burst: Burst) -> ShiftField:
+    expected = (*burst.amplitude.shape, 2)
+    if field.offset_px.shape != expected:
+        raise ValueError(f"expected a shift field of {expected}, got {field.offset_px.shape}")
+    return ShiftField(field.offset_px[list(used)])
+
+
+def _check(
+    method: Method,
+    name: str,
+    options: dict[str, Any],
+    scale: int,
+    prior_weight: float | str | None,
+    noise_sigma: float | None,
+) -> None:
+    unknown = sorted(set(options) - set(method.options))
+    if unknown:
+        known = ", ".join(method.options) or "none"
+        raise ValueError(f"{name} does not know {', '.join(unknown)}; its options: {known}")
+    if isinstance(scale, bool) or scale != int(scale) or not 1 <= scale <= 8:
+        raise ValueError(f"expected a whole scale from 1 to 8, got {scale}")
+    if isinstance(prior_weight, str):
+        if prior_weight != "cross-validation":
+            raise ValueError(
+                f'expected prior_weight a number, None or "cross-validation", got {prior_weight!r}'
+            )
+    elif prior_weight is not None and not (np.isfinite(prior_weight) and prior_weight >= 0):
+        raise ValueError(f"expected a prior_weight of at least 0, got {prior_weight}")
+    if noise_sigma is not None and not (np.isfinite(noise_sigma) and noise_sigma > 0):
+        raise ValueError(f"expected a positive noise_sigma, got {noise_sigma}")
+
+
+def _settings(
+    blur: Blur,
+    used: tuple[int, ...],
+    request: Request,
+    photometric: bool,
+    noise_sigma: float | None,
+    field: ShiftField | None,
+) -> dict[str, Any]:
+    return {
+        "blur": blur,
+        "frames": list(used),
+        "prior_weight": request.prior_weight,
+        "noise_sigma": noise_sigma,
+        "non_negative": request.non_negative,
+        "photometric": photometric,
+        "shift_field": field is not None,
+        "seed": request.seed,
+        **request.options,
+    }

@@ -1,0 +1,92 @@
+"""Choose the weight of a prior without knowing the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.noise import robust_scale
+
+Array = NDArray[Any]
+
+HELD_OUT = 0.1
+DECADES = np.arange(-6.0, 0.1, 1.0)
+CLIP_SIGMAS = 3.0
+
+
+def weight_from_noise(
+    solve: Callable[[float, Array], Array],
+    energy: Callable[[Array], float],
+    x0: Array,
+    noise_sigma: float,
+    share: float,
+    rounds: int = 3,
+) -> float:
+    """Return the weight at which the prior says what the picture shows.
+
+        lambda = 2 share sigma^2 N / P(x)
+
+    is the maximum a posteriori scale of a prior exp(-lambda P / (2 sigma^2)) that is homogeneous
+    in x, with N HR pixels; x and lambda are found in turn.
+
+    Parameters
+    ----------
+    solve : (lambda, x0) -> HR image
+    energy : P
+    x0 : start
+    share : part of the N differences that the data can see, less than 1 for a wide blur
+    """
+    x, weight = x0, 0.0
+    for _ in range(rounds):
+        weight = 2.0 * share * noise_sigma**2 * x0.size / max(energy(x), 1e-12)
+        x = solve(weight, x)
+    return weight
+
+
+def cross_validate(
+    solve: Callable[[float, Array], Array],
+    A: LinearOperator,
+    y: Array,
+    weight: Array,
+    seed: int,
+    on_trial: Callable[[int, float], None] | None = None,
+) -> float:
+    """Return the weight of the prior that predicts LR pixels best which it has not seen.
+
+    A tenth of the usable pixels, drawn with `seed`, is held out; weights from 1e-6 to 1 are
+    tried in decades, then in thirds and ninths of a decade around the best, at the final scale.
+    The score is the mean of min(|r|, 3 s): a few outliers, or edges that no model gets right,
+    do not decide.
+
+    Parameters
+    ----------
+    solve : (lambda, weight [frame row col]) -> HR image
+    """
+    drawn = np.random.default_rng(seed).random(y.shape) < HELD_OUT
+    held = drawn & (weight > 0)
+    if not held.any():
+        raise ValueError("too few valid pixels for cross-validation; give prior_weight a number")
+    training = np.where(held, 0.0, weight)
+    residuals: dict[float, Array] = {}
+
+    def try_weights(exponents: Array) -> float:
+        for exponent in exponents:
+            value = float(np.round(exponent, 6))
+            if value not in residuals:
+                image = solve(10.0**value, training)
+                residuals[value] = np.abs(y - A.forward(image))[held]
+                if on_trial is not None:
+                    on_trial(len(residuals), float(np.mean(residuals[value])))
+        clip = CLIP_SIGMAS * min(robust_scale(np.concatenate([r, -r])) for r in residuals.values())
+        return min(
+            residuals, key=lambda value: float(np.mean(np.minimum(residuals[value], clip)))
+        )
+
+    best = try_weights(DECADES)
+    for step in (1 / 3, 1 / 9):
+        best = try_weights(best + step * np.array([-2, -1, 1, 2]))
+    return float(10.0**best)

@@ -1,0 +1,61 @@
+"""How the noise of the frames comes out in the HR image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+REPLICATES = 12
+
+
+def propagated_std(
+    resolve: Callable[[Array], Array],
+    y: Array,
+    noise_sigma: float,
+    *,
+    weight: Array | None = None,
+    replicates: int = REPLICATES,
+    smooth_hr_px: float = 1.0,
+    seed: int = 0,
+) -> NDArray[np.float64]:
+    """Return the standard deviation of each HR pixel, from replicates of the noise.
+
+        std^2 = var_j x(y + sigma n_j),   n_j white noise
+
+    The whole solver answers each replicate, so what its weights do to the noise is in it: a
+    sparse prior hides noise in flat parts and lets more through at edges. The variance of the
+    few replicates is smoothed over about a pixel. It is the noise alone: what the prior or a
+    wrong shift falsifies does not show.
+
+    Parameters
+    ----------
+    resolve : frames [frame row col] -> HR image [row col]
+    noise_sigma : of one LR pixel (per component if complex)
+    weight : [frame row col] relative inverse variance of the pixels, at most 1
+    smooth_hr_px : width of the smoothing in HR pixels, 0 for none
+    """
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(seed)
+    sigma = np.full(y.shape, noise_sigma)
+    if weight is not None:
+        sigma /= np.sqrt(np.where(weight > 0, weight, 1.0))
+    answers = []
+    for _ in range(replicates):
+        noise = rng.standard_normal(y.shape)
+        if y.dtype.kind == "c":
+            noise = noise + 1j * rng.standard_normal(y.shape)
+        answers.append(resolve(y + sigma * noise))
+    stack = np.stack(answers)
+    variance = np.mean(np.abs(stack - stack.mean(axis=0)) ** 2, axis=0)
+    variance *= replicates / (replicates - 1)
+    if stack.dtype.kind == "c":
+        variance /= 2.0
+    if smooth_hr_px > 0:
+        variance = gaussian_filter(variance, smooth_hr_px, mode="nearest")
+    return np.sqrt(variance)
