@@ -87,12 +87,13 @@ def test_irwsr_with_irregular_shifts(
     )
 
 
-@pytest.mark.parametrize(("shape", "rounds"), [(SMALL, 30), (LARGE, 3)])
+@pytest.mark.parametrize(("shape", "rounds"), [(SMALL, 30), (LARGE, 1)])
 def test_auto(
     benchmark: BenchmarkFixture, report: list[str], shape: tuple[int, int], rounds: int
 ) -> None:
     burst, truth = burst_of(shape, SQUARE_PX)
-    result = benchmark.pedantic(solve, (burst, "auto"), rounds=rounds, warmup_rounds=1)
+    solve(burst_of(SMALL, SQUARE_PX)[0], "auto")  # compiles
+    result = benchmark.pedantic(solve, (burst, "auto"), rounds=rounds)
     report.append(
         f"auto at {shape[1]} x {shape[0]} x 4: {1e3 * benchmark.stats.stats.median:.1f} ms, "
         f"PSNR {psnr_db(result.amplitude.image, truth):.2f} dB"

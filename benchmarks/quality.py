@@ -29,7 +29,7 @@ def load_case(path: Path) -> tuple[Burst, np.ndarray, int, float]:
         burst = Burst.from_arrays(
             np.moveaxis(case["LR"], -1, 0), offset_px=-case["shifts"][:, ::-1], pitch_mm=0.155
         )
-        return burst, case["gt"].astype(float), int(case["mag"]), float(case["psf"])
+        return burst, case["gt"], int(case["mag"]), float(case["psf"])
 
 
 def table(rows: dict[str, dict[str, str]]) -> str:
