@@ -286,9 +286,7 @@ class Reconstruction:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _as_frames(
-    values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
-) -> NDArray[Any]:
+def _as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
     frames = np.asarray(values)
     if frames.dtype.kind not in "uifc":
         raise DataError(f"expected numbers, got dtype {frames.dtype}", field=name)

@@ -151,9 +151,7 @@ def _read_channel(container: Container, field: str) -> Estimate:
     if container.has(f"{name}_std"):
         std = container.array(f"{name}_std", kinds="f")
         if std.shape != image.shape:
-            raise DataError(
-                f"expected shape {image.shape}, got {std.shape}", field=f"{name}_std"
-            )
+            raise DataError(f"expected shape {image.shape}, got {std.shape}", field=f"{name}_std")
         optional["uncertainty"] = std
     if container.has(f"{name}_confidence"):
         optional["confidence"] = container.array(f"{name}_confidence", kinds="f")

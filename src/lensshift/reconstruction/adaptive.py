@@ -20,6 +20,7 @@ from lensshift.reconstruction.least_squares import (
 )
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.outliers import confidence
+from lensshift.reconstruction.selection import prior_share
 
 Array = NDArray[Any]
 OnIteration = Callable[[int, float], None]
@@ -49,7 +50,7 @@ class SparseGradient:
     maximum a posteriori estimate gives to the scale of a generalised Gaussian prior, found again
     in every step,
 
-        lambda = 2 c sigma^2 N / (p sum_d share_d |D_d x|^p),   c = 0.45 / blur_hr_px^1.5
+        lambda = 2 c sigma^2 N / (p sum_d share_d |D_d x|^p),   c = prior_share(blur_hr_px)
 
     where c < 1 allows for what the blur hides of the differences. With `adapt` the picture of
     the first steps is asked whether its edges stand alone or make a texture,
@@ -153,17 +154,16 @@ class SparseGradient:
         energy = np.mean((SHARE * ((state.square + eps2) ** (p / 2) - eps2 ** (p / 2))).sum(axis=0))
         energy += SHARE.sum() * (0.3 * sigma) ** p
         if self.prior_weight is None:
-            share = 0.45 * self.blur_hr_px**-1.5 + EXTRA_WEIGHT_LONE_EDGES * state.lone_edges
+            share = prior_share(self.blur_hr_px) + EXTRA_WEIGHT_LONE_EDGES * state.lone_edges
             found = 2.0 * share * sigma**2 / (p * energy)
             state.prior_weight = float(
                 found if state.prior_weight is None else np.sqrt(found * state.prior_weight)
             )
         else:
             state.prior_weight = self.prior_weight
-        state.penalty = state.prior_weight * float(
-            (SHARE * (state.square + eps2) ** (p / 2)).sum()
-        )
-        return 0.5 * state.prior_weight * p * SHARE * (square + eps2) ** (p / 2 - 1.0)
+        state.penalty = state.prior_weight * float((SHARE * (state.square + eps2) ** (p / 2)).sum())
+        a = 0.5 * state.prior_weight * p * SHARE * (square + eps2) ** (p / 2 - 1.0)
+        return np.asarray(a)
 
     def _confidence(
         self, A: LinearOperator, y: Array, weight: Array, sigma: float, state: _State
@@ -175,14 +175,19 @@ class SparseGradient:
         if not self.adapt:
             edge_error_px = 0.0
         scale = np.sqrt(sigma**2 + edge_error_px**2 * np.maximum(A.forward(gradient), 0.0))
-        return weight * confidence(y - A.forward(state.x), weight, scale) * (sigma / scale) ** 2
+        trust = confidence(y - A.forward(state.x), weight, scale)
+        return np.asarray(weight * trust * (sigma / scale) ** 2)
 
     def replicate(self, A: LinearOperator, y: Array, estimate: Estimate) -> Array:
         """Answer other noise on the frames, from the estimate on, with its weights and lambda."""
         if estimate.confidence is None or estimate.noise_sigma is None:
             raise ValueError("expected an estimate that this solver made")
-        state = _State(weight=estimate.confidence, judged=self.adapt, smoothing=0.0)
-        state.lone_edges = estimate.notes.get("lone_edges", 0.0)
+        state = _State(
+            weight=estimate.confidence,
+            lone_edges=estimate.notes.get("lone_edges", 0.0),
+            judged=self.adapt,
+            smoothing=0.0,
+        )
         state.x = estimate.image
         fixed = replace(self, prior_weight=estimate.prior_weight)
         steps = 1 if self.exponent == 2.0 else REPLICATE_STEPS

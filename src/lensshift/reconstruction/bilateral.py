@@ -12,29 +12,42 @@ from lensshift.core.types import Estimate
 from lensshift.reconstruction.irwsr import Irwsr
 from lensshift.reconstruction.least_squares import smooth_fit
 from lensshift.reconstruction.noise import estimate_noise
-from lensshift.reconstruction.priors import BilateralTotalVariation
+from lensshift.reconstruction.priors import PRIORS, BilateralTotalVariation, Prior
 from lensshift.reconstruction.problem import Problem
 from lensshift.reconstruction.request import Request
-from lensshift.reconstruction.robust import L1Btv
-from lensshift.reconstruction.selection import cross_validate, weight_from_noise
+from lensshift.reconstruction.robust import ReweightedFit
+from lensshift.reconstruction.selection import cross_validate, prior_share, weight_from_noise
 from lensshift.reconstruction.uncertainty import propagated_std
-
-# Part of the neighbour differences that the data can see, per prior (benchmarks/quality.py).
-BTV_SHARE = 0.6
 
 
 def irwsr(problem: Problem, request: Request) -> Estimate:
     """Corrected IRW-SR."""
     names = ("window", "alpha", "sparsity", "iterations", "inner_iterations")
-    return _btv(problem, request, Irwsr(prior_weight=1.0, **_options(request, names)))
+    solver = Irwsr(prior_weight=1.0, **_options(request, names))
+    prior = BilateralTotalVariation(solver.window, solver.alpha)
+    return _fitted(problem, request, solver, problem.model, prior)
 
 
 def l1_btv(problem: Problem, request: Request) -> Estimate:
     """Farsiu's L1 data term with bilateral total variation."""
-    return _btv(
-        problem, request,
-        L1Btv(prior_weight=1.0, **_options(request, ("window", "alpha", "iterations"))),
-    )  # fmt: skip
+    prior = BilateralTotalVariation(**_options(request, ("window", "alpha")))
+    solver = ReweightedFit(1.0, prior, "l1", **_options(request, ("iterations",)))
+    return _fitted(problem, request, solver, problem.model.operator, prior)
+
+
+def maximum_a_posteriori(problem: Problem, request: Request) -> Estimate:
+    """A data term and a prior of the caller's choice."""
+    name = request.options.get("prior", "tv")
+    if name not in PRIORS:
+        raise ValueError(f"expected prior {', '.join(PRIORS)}, got {name!r}")
+    names = {"btv": ("window", "alpha"), "huber": ("threshold",), "tv": ()}[name]
+    unknown = {"window", "alpha", "threshold"} & set(request.options) - set(names)
+    if unknown:
+        raise ValueError(f"prior {name} does not know {', '.join(sorted(unknown))}")
+    prior = PRIORS[name](**_options(request, names))
+    data_term = request.options.get("data_term", "l2")
+    solver = ReweightedFit(1.0, prior, data_term, **_options(request, ("iterations",)))
+    return _fitted(problem, request, solver, problem.model.operator, prior)
 
 
 def irwsr_toolbox(problem: Problem, request: Request) -> Estimate:
@@ -56,38 +69,40 @@ def irwsr_toolbox(problem: Problem, request: Request) -> Estimate:
     )  # fmt: skip
 
 
-def _btv(problem: Problem, request: Request, solver: Irwsr | L1Btv) -> Estimate:
-    """Run a solver with a bilateral prior at a weight that is given or chosen."""
-    model, y, weight = problem.model, problem.y, problem.weight
+def _fitted(problem: Problem, request: Request, solver: Any, system: Any, prior: Prior) -> Estimate:
+    """Run a solver of these (its system is a model or an operator) at a given or chosen weight."""
+    y, weight = problem.y, problem.weight
     if y.dtype.kind == "c":
         raise ValueError("this method expects real frames; use tikhonov, tv or auto for phasors")
+
+    def at(value: float) -> Any:
+        return replace(solver, prior_weight=value)
+
     chosen = request.prior_weight
     if chosen is None:
-        sigma = problem.noise_sigma or estimate_noise(model.operator, y, weight).sigma
-        prior = BilateralTotalVariation(solver.window, solver.alpha)
+        sigma = problem.noise_sigma or estimate_noise(problem.model.operator, y, weight).sigma
         chosen = weight_from_noise(
-            lambda value, x: replace(solver, prior_weight=value)(model, y, weight, x).image,
-            prior.value, smooth_fit(model.operator, y, weight, 0.03, 30), max(sigma, 1e-6),
-            BTV_SHARE,
+            lambda value, x: at(value)(system, y, weight, x).image,
+            prior.value, smooth_fit(problem.model.operator, y, weight, 0.03, 30),
+            max(sigma, 1e-6), prior_share(problem.blur_sigma_px * problem.scale),
         )  # fmt: skip
     elif chosen == "cross-validation":
         chosen = cross_validate(
-            lambda value, w: replace(solver, prior_weight=value)(model, y, w).image,
-            model.operator, y, weight, request.seed, request.on_iteration,
+            lambda value, w: at(value)(system, y, w).image,
+            problem.model.operator, y, weight, request.seed, request.on_iteration,
         )  # fmt: skip
-    solver = replace(solver, prior_weight=chosen)
-    estimate = solver(model, y, weight, on_iteration=request.on_iteration)
+    estimate: Estimate = at(chosen)(system, y, weight, on_iteration=request.on_iteration)
     if request.non_negative:
         estimate = replace(estimate, image=np.maximum(estimate.image, 0.0))
     if problem.noise_sigma is not None:
         estimate = replace(estimate, noise_sigma=problem.noise_sigma)
     if not request.std:
         return estimate
-    again = replace(solver, iterations=3)
+    again = replace(solver, prior_weight=chosen, iterations=3)
 
     def std() -> NDArray[np.float64]:
         return propagated_std(
-            lambda values: again(model, values, weight, estimate.image).image,
+            lambda values: again(system, values, weight, estimate.image).image,
             y, estimate.noise_sigma or 0.0, weight=weight, seed=request.seed,
         )  # fmt: skip
 

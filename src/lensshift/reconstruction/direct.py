@@ -17,9 +17,7 @@ def nearest(problem: Problem, request: Request) -> Estimate:
     return _estimate(
         problem,
         request,
-        baselines.nearest(
-            problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale
-        ),
+        baselines.nearest(problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale),
     )
 
 

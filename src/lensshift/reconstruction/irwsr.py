@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction import irwsr_kernels as kernels
-from lensshift.reconstruction.differences import Directions, differences, half_plane
+from lensshift.reconstruction.differences import (
+    Directions,
+    add_laplacian_diagonal,
+    differences,
+    half_plane,
+)
 from lensshift.reconstruction.least_squares import solve_penalised
 
 Array = NDArray[Any]
@@ -164,7 +169,7 @@ class _Separable:
     ) -> None:
         seen = self.operator.adjoint(trust)
         inverse = self.seen * seen + np.float32(1e-6)
-        kernels.add_laplacian_diagonal(a, directions, inverse)
+        add_laplacian_diagonal(a, directions, inverse)
         np.reciprocal(inverse, out=inverse)
         b = self.operator.adjoint(trust * self.y)
         kernels.solve_separable(x, b, trust, *self.taps, inverse, a, directions, iterations)
@@ -217,9 +222,7 @@ class _Interlaced:
     ) -> None:
         b = self._convolved(self._scattered(trust * self.y) / self.norm)
         weight = self._scattered(trust) / self.norm**2
-        kernels.solve_interlaced(
-            x, b, weight, self.kernel, a, directions, self.seen, iterations
-        )
+        kernels.solve_interlaced(x, b, weight, self.kernel, a, directions, self.seen, iterations)
 
 
 class _Field:

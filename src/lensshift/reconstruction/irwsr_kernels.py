@@ -16,7 +16,7 @@ Array = NDArray[Any]
 BINS = 2048
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def weighted_median(values: Array, weights: Array, centre: float, fold: bool) -> float:
     """Return the weighted median of values (or of |values - centre| if `fold`).
 
@@ -54,7 +54,7 @@ def weighted_median(values: Array, weights: Array, centre: float, fold: bool) ->
     return result
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def observation_weights(
     residual: Array, static: Array, confidence: Array, bias_threshold: float
 ) -> float:
@@ -84,7 +84,7 @@ def observation_weights(
     return sigma
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def median_3x3(image: Array, out: Array) -> None:
     """Write the 3 x 3 median of an image into out, zeros outside (Paeth's network of 19)."""
     rows, cols = image.shape
@@ -120,10 +120,8 @@ def median_3x3(image: Array, out: Array) -> None:
         up, mid, low = mid, low, up
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
-def prior_weights(
-    steps: Array, share: Array, exponent: float, median: Array, beta: Array
-) -> float:
+@njit(cache=True, fastmath=True, nogil=True)
+def prior_weights(steps: Array, share: Array, exponent: float, median: Array, beta: Array) -> float:
     """Update the weights of the differences in place and return their scale.
 
         beta = 1 if |z| <= 2 s else p (2 s / |z|)^(1 - p),   z = median3x3(share_d D_d x)
@@ -159,13 +157,13 @@ def prior_weights(
     return scale
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def penalty_and_coefficients(
     steps: Array, beta: Array, share: Array, prior_weight: float, mu: float, a: Array
 ) -> float:
     """Write the quadratic that touches the prior from above into a; return the prior's value.
 
-        2 lambda sum_d share_d beta_d sqrt(e_d^2 + mu),   a_d = lambda share_d beta_d / sqrt(...)
+    2 lambda sum_d share_d beta_d sqrt(e_d^2 + mu),   a_d = lambda share_d beta_d / sqrt(...)
     """
     total = 0.0
     for d in range(len(steps)):
@@ -176,11 +174,11 @@ def penalty_and_coefficients(
             root = np.sqrt(e[n] * e[n] + floor)
             out[n] = factor * w[n] / root
             part += factor * w[n] * root
-        total += 2.0 * part
+        total += 2.0 * float(part)
     return total
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def convolve(image: Array, kernel: Array, work: Array, out: Array) -> None:
     """Write the separable convolution with a symmetric kernel into out, zeros outside."""
     rows, cols = image.shape
@@ -212,7 +210,7 @@ def convolve(image: Array, kernel: Array, work: Array, out: Array) -> None:
                 target[j] += kernel[radius + t] * (left[j] + right[j])
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def _dot(a: Array, b: Array) -> float:
     x, y = a.ravel(), b.ravel()
     total = 0.0
@@ -220,11 +218,11 @@ def _dot(a: Array, b: Array) -> float:
         part = np.float32(0.0)
         for n in range(start, min(start + 4096, x.size)):
             part += x[n] * y[n]
-        total += part
+        total += float(part)
     return total
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def _update(x: Array, r: Array, p: Array, q: Array, inverse: Array, step: float) -> float:
     """x += step p, r -= step q; return r . (inverse r)."""
     x_, r_, p_, q_, i_ = x.ravel(), r.ravel(), p.ravel(), q.ravel(), inverse.ravel()
@@ -236,11 +234,11 @@ def _update(x: Array, r: Array, p: Array, q: Array, inverse: Array, step: float)
             value = r_[n] - s * q_[n]
             r_[n] = value
             part += value * value * i_[n]
-        total += part
+        total += float(part)
     return total
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def _redirect(p: Array, r: Array, inverse: Array, beta: float) -> None:
     """p = inverse r + beta p."""
     p_, r_, i_ = p.ravel(), r.ravel(), inverse.ravel()
@@ -249,7 +247,7 @@ def _redirect(p: Array, r: Array, inverse: Array, beta: float) -> None:
         p_[n] = i_[n] * r_[n] + b * p_[n]
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def _scale(image: Array, by: Array) -> None:
     """image *= by."""
     v, w = image.ravel(), by.ravel()
@@ -257,7 +255,7 @@ def _scale(image: Array, by: Array) -> None:
         v[n] *= w[n]
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def solve_interlaced(
     x: Array, b: Array, weight: Array, kernel: Array, a: Array, directions: Array,
     seen: float, iterations: int,
@@ -303,7 +301,7 @@ def solve_interlaced(
         rz = fresh
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def solve_separable(
     x: Array, b: Array, weight: Array, row_start: Array, row_weight: Array, col_start: Array,
     col_weight: Array, inverse: Array, a: Array, directions: Array, iterations: int,

@@ -1,4 +1,4 @@
-"""Weighted least squares with a quadratic penalty on neighbour differences, by conjugate gradients."""
+"""Weighted least squares with a penalty on neighbour differences, by conjugate gradients."""
 
 from __future__ import annotations
 

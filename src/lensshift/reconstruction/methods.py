@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from lensshift.core.types import Estimate
 from lensshift.reconstruction import bilateral, direct, sparse
@@ -61,9 +60,7 @@ METHODS: Mapping[str, Method] = {
         direct.drizzle,
         options=("pixfrac", "kernel"),
     ),
-    "tikhonov": Method(
-        "least squares with squared neighbour differences; linear", sparse.tikhonov
-    ),
+    "tikhonov": Method("least squares with squared neighbour differences; linear", sparse.tikhonov),
     "tv": Method(
         "least squares with total variation over eight neighbours",
         sparse.total_variation,
@@ -74,6 +71,12 @@ METHODS: Mapping[str, Method] = {
         bilateral.l1_btv,
         peak_of,
         options=("window", "alpha", "iterations"),
+    ),
+    "map": Method(
+        "maximum a posteriori: prior tv, huber or btv, data_term l2, l1 or huber",
+        bilateral.maximum_a_posteriori,
+        peak_of,
+        options=("prior", "data_term", "window", "alpha", "threshold", "iterations"),
     ),
     "irwsr": Method(
         "iteratively reweighted minimisation (Koehler), corrected, at the final scale",

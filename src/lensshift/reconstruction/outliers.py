@@ -44,7 +44,7 @@ def frame_confidence(residual: Array, weight: Array) -> NDArray[np.float64]:
     spread[seen] = np.nanmedian(size[seen], axis=1)
     even = bias < BIAS_LIMIT
     if not np.any(even & seen):
-        return seen.astype(np.float64)
+        return np.asarray(seen, np.float64)
     typical = np.median(spread[even & seen])
     narrow = np.minimum(1.0, SPREAD_LIMIT * typical / np.maximum(spread, 1e-300))
-    return even * seen * narrow**SPREAD_POWER
+    return np.asarray(even * seen * narrow**SPREAD_POWER, np.float64)

@@ -86,7 +86,7 @@ class TotalVariation:
 class Huber:
     """Huber function of the differences to the eight neighbours.
 
-        h(e) = e^2 / (2 t) if |e| <= t else |e| - t / 2
+    h(e) = e^2 / (2 t) if |e| <= t else |e| - t / 2
     """
 
     threshold: float = 0.02

@@ -169,7 +169,7 @@ def predictor(
         if not 0 <= number < burst.frame_count:
             raise ValueError(
                 f"expected a frame from 0 to {burst.frame_count - 1} or an offset (row, col), "
-                f"got {frame}"
+                f"got {frame!r}"
             )
         if number not in used:
             return problem.model.frame(burst.offset_px[number])(image)

@@ -144,9 +144,7 @@ def _solve(
 
 def _channels(burst: Burst, channel: Channel) -> dict[str, Array]:
     if channel not in ("auto", "amplitude", "distance", "phasor"):
-        raise ValueError(
-            f"expected channel auto, amplitude, distance or phasor, got {channel!r}"
-        )
+        raise ValueError(f"expected channel auto, amplitude, distance or phasor, got {channel!r}")
     if channel == "phasor":
         raise ValueError(
             "the phasor channel is not built yet; give complex frames as amplitude instead"
@@ -164,9 +162,7 @@ def _channels(burst: Burst, channel: Channel) -> dict[str, Array]:
 def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
     numbers = tuple(int(k) for k in frames)
     if not numbers or min(numbers) < 0 or max(numbers) >= burst.frame_count:
-        raise ValueError(
-            f"expected frames from 0 to {burst.frame_count - 1}, got {list(frames)}"
-        )
+        raise ValueError(f"expected frames from 0 to {burst.frame_count - 1}, got {list(frames)}")
     if len(set(numbers)) != len(numbers):
         raise ValueError(f"expected each frame once, got {list(frames)}")
     return numbers

@@ -58,9 +58,7 @@ class ReweightedFit:
 
     def __post_init__(self) -> None:
         if self.data_term not in DATA_TERMS:
-            raise ValueError(
-                f"expected data_term {', '.join(DATA_TERMS)}, got {self.data_term!r}"
-            )
+            raise ValueError(f"expected data_term {', '.join(DATA_TERMS)}, got {self.data_term!r}")
 
     def __call__(
         self,

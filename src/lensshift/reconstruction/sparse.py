@@ -48,7 +48,7 @@ def _sparse(problem: Problem, request: Request, solver: SparseGradient) -> Estim
     solver = replace(
         solver,
         noise_sigma=problem.noise_sigma,
-        blur_hr_px=max(problem.blur_sigma_px * problem.scale, 0.3),
+        blur_hr_px=problem.blur_sigma_px * problem.scale,
         non_negative=request.non_negative,
         iterations=request.options.get("iterations", solver.iterations),
     )

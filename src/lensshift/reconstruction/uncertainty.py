@@ -58,4 +58,4 @@ def propagated_std(
         variance /= 2.0
     if smooth_hr_px > 0:
         variance = gaussian_filter(variance, smooth_hr_px, mode="nearest")
-    return np.sqrt(variance)
+    return np.asarray(np.sqrt(variance))
