@@ -69,6 +69,17 @@ def irwsr_toolbox(problem: Problem, request: Request) -> Estimate:
     )  # fmt: skip
 
 
+def _noise_power(problem: Problem, solver: Irwsr | ReweightedFit) -> float:
+    """Return what `weight_from_noise` asks for, from the noise given or estimated."""
+    sigma = problem.noise_sigma
+    if sigma is None:
+        sigma = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
+    sigma = max(sigma, 1e-6)
+    share = prior_share(problem.blur_sigma_px * problem.scale)
+    linear = isinstance(solver, ReweightedFit) and solver.data_term == "l1"
+    return share * (sigma if linear else 2.0 * sigma**2)
+
+
 def _fitted(problem: Problem, request: Request, solver: Any, system: Any, prior: Prior) -> Estimate:
     """Run a solver of these (its system is a model or an operator) at a given or chosen weight."""
     y, weight = problem.y, problem.weight
@@ -80,11 +91,11 @@ def _fitted(problem: Problem, request: Request, solver: Any, system: Any, prior:
 
     chosen = request.prior_weight
     if chosen is None:
-        sigma = problem.noise_sigma or estimate_noise(problem.model.operator, y, weight).sigma
+        power = _noise_power(problem, solver)
         chosen = weight_from_noise(
             lambda value, x: at(value)(system, y, weight, x).image,
             prior.value, smooth_fit(problem.model.operator, y, weight, 0.03, 30),
-            max(sigma, 1e-6), prior_share(problem.blur_sigma_px * problem.scale),
+            power,
         )  # fmt: skip
     elif chosen == "cross-validation":
         chosen = cross_validate(

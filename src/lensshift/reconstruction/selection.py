@@ -31,27 +31,27 @@ def weight_from_noise(
     solve: Callable[[float, Array], Array],
     energy: Callable[[Array], float],
     x0: Array,
-    noise_sigma: float,
-    share: float,
+    noise_power: float,
     rounds: int = 3,
 ) -> float:
     """Return the weight at which the prior says what the picture shows.
 
-        lambda = 2 share sigma^2 N / P(x)
+        lambda = noise_power N / P(x)
 
-    is the maximum a posteriori scale of a prior exp(-lambda P / (2 sigma^2)) that is homogeneous
-    in x, with N HR pixels; x and lambda are found in turn.
+    is the maximum a posteriori scale of a prior P that is homogeneous of degree 1 in x, with N
+    HR pixels; x and lambda are found in turn.
 
     Parameters
     ----------
     solve : (lambda, x0) -> HR image
     energy : P
     x0 : start
-    share : part of the N differences that the data can see, less than 1 for a wide blur
+    noise_power : what the data term costs for each pixel of pure noise times the part of the
+        differences that the data can see: 2 c sigma^2 for squares, c sigma for L1
     """
     x, weight = x0, 0.0
     for _ in range(rounds):
-        weight = 2.0 * share * noise_sigma**2 * x0.size / max(energy(x), 1e-12)
+        weight = noise_power * x0.size / max(energy(x), 1e-12)
         x = solve(weight, x)
     return weight
 
