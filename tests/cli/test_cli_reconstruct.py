@@ -27,7 +27,7 @@ def test_default_names_and_words(call: Call, fake: FakeReconstruct, burst_file: 
         "irwsr x2: 10 x 14 px in ",
         "amplitude: converged, 2 iterations",
         "prior weight 0.0125",
-        "noise sigma  not known",
+        "noise sigma  1",
         "noise gain   1.25",
         "burst_x2_preview.png",
     ):
@@ -81,7 +81,7 @@ def test_json_is_all_there_is_on_stdout(
         "status": "converged",
         "iterations": 2,
         "prior_weight": 0.0125,
-        "noise_sigma": None,
+        "noise_sigma": 1.0,
         "noise_gain": 1.25,
     }
     assert found["settings"]["inf"] is None

@@ -107,7 +107,8 @@ def test_other_programs_read_it(tmp_path: Path) -> None:
     with xarray.open_dataset(tmp_path / "result.nc", group="entry/data") as data:
         assert data.amplitude.dims == ("row", "col")
         assert data.amplitude.attrs["status"] == "max_iterations"
-        assert data.amplitude.attrs["noise_gain"] == 1.25
+        rms = np.sqrt(np.mean(data.amplitude_std.values**2))
+        assert data.amplitude.attrs["noise_gain"] == pytest.approx(rms / 0.005)
         assert data.distance.attrs["units"] == "m"
         assert data.attrs["method"] == "irwsr"
         assert data.amplitude_confidence.dims == ("frame", "lr_row", "lr_col")
@@ -152,7 +153,7 @@ def damage(path: Path, name: str, values: Any, attributes: dict[str, Any] | None
         ("amplitude", np.ones((10, 13)), {}, "amplitude_std: expected shape (10, 13)"),
         ("amplitude", np.ones((10, 14)), {"status": "fine"}, "amplitude@status: "),
         ("amplitude", np.ones((10, 14)), {"status": 3}, "status: "),
-        ("amplitude", np.ones((10, 14)), {"noise_gain": "big"}, "noise_gain: "),
+        ("amplitude", np.ones((10, 14)), {"noise_sigma": "big"}, "noise_sigma: "),
         ("distance", np.ones((11, 14)), {}, "distance: expected shape (10, 14)"),
         ("amplitude_confidence", np.ones((5, 7)), {}, "amplitude_confidence: "),
         ("amplitude_std", np.ones((10, 14), int), {}, "amplitude_std: "),

@@ -149,10 +149,9 @@ class SparseGradient:
         state.square = square
         state.smoothing = max(0.2 * sigma, state.smoothing * SMOOTHING_DECAY)
         eps2 = state.smoothing**2
-        if self.adapt and state.judged:
-            square = _grouped(square, GROUPING * (1.0 - state.lone_edges))
-        energy = np.mean((SHARE * ((state.square + eps2) ** (p / 2) - eps2 ** (p / 2))).sum(axis=0))
-        energy += SHARE.sum() * (0.3 * sigma) ** p
+        touched = (square + eps2) ** (p / 2)
+        per_pixel = float(np.sum(SHARE * touched)) / state.x.size
+        energy = per_pixel - SHARE.sum() * (eps2 ** (p / 2) - (0.3 * sigma) ** p)
         if self.prior_weight is None:
             share = prior_share(self.blur_hr_px) + EXTRA_WEIGHT_LONE_EDGES * state.lone_edges
             found = 2.0 * share * sigma**2 / (p * energy)
@@ -161,8 +160,14 @@ class SparseGradient:
             )
         else:
             state.prior_weight = self.prior_weight
-        state.penalty = state.prior_weight * float((SHARE * (state.square + eps2) ** (p / 2)).sum())
-        a = 0.5 * state.prior_weight * p * SHARE * (square + eps2) ** (p / 2 - 1.0)
+        state.penalty = state.prior_weight * per_pixel * state.x.size
+        grouping = GROUPING * (1.0 - state.lone_edges) if self.adapt and state.judged else 0.0
+        if grouping > 0.0:
+            square = _grouped(square, grouping)
+            slope = (square + eps2) ** (p / 2 - 1.0)
+        else:
+            slope = touched / (square + eps2)
+        a = 0.5 * state.prior_weight * p * SHARE * slope
         return np.asarray(a)
 
     def _confidence(
@@ -262,7 +267,5 @@ def _grouped(square: Array, share: float) -> Array:
     """Mix each squared difference with the mean of its 3 x 3 neighbours."""
     from scipy.ndimage import uniform_filter
 
-    if share <= 0.0:
-        return square
     mixed: Array = (1.0 - share) * square + share * uniform_filter(square, size=(0, 3, 3))
     return mixed
