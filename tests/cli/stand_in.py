@@ -10,7 +10,6 @@ from typer.testing import Result
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, Status
 
-METHODS = ("nearest", "bicubic", "irwsr")
 Call = Callable[..., Result]
 
 

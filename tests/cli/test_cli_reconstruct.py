@@ -120,7 +120,7 @@ def test_image_stack_with_offsets(call: Call, fake: FakeReconstruct, tmp_path: P
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--method", "magic"], "choose among auto, nearest, bicubic, irwsr"),
+        (["--method", "magic"], "choose among auto, nearest, bicubic"),
         (["--scale", "0"], "Invalid value for '--scale'"),
         (["--scale", "9"], "Invalid value for '--scale'"),
         (["--channel", "phase"], "Invalid value for '--channel'"),
