@@ -24,6 +24,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lensshift.camera import simulate_burst as simulate_burst
     from lensshift.core.errors import DataError as DataError
     from lensshift.core.errors import QualityWarning as QualityWarning
     from lensshift.core.grid import Grid as Grid
@@ -60,6 +61,7 @@ _HOME = {
     "save_burst": "io",
     "save_reconstruction": "io",
     "run": "pipeline",
+    "simulate_burst": "camera",
     "method_names": "reconstruction.methods",
     "reconstruct": "reconstruction.reconstruct",
 }
