@@ -1,0 +1,74 @@
+"""Gain and bias of each frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pixel_camera import SQUARE_PX, edge_scene, photograph
+
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
+from lensshift.reconstruction.photometry import estimate_photometry
+
+SHAPE = (20, 24)
+GAIN = np.array([1.1, 0.95, 1.0, 0.97])
+BIAS = np.array([0.03, -0.02, -0.04, 0.03])
+
+
+@pytest.fixture
+def A():
+    return forward_model(SHAPE, 2, SQUARE_PX, blur=GaussianBlur(0.3)).operator
+
+
+def _frames() -> np.ndarray:
+    frames = photograph(edge_scene, SHAPE, SQUARE_PX)
+    frames = GAIN[:, None, None] * frames + BIAS[:, None, None]
+    return frames + 0.003 * np.random.default_rng(0).standard_normal(frames.shape)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05])
+def test_gain_and_bias_line_the_frames_up(A, outliers: float) -> None:
+    y = _frames()
+    rng = np.random.default_rng(1)
+    y = np.where(rng.random(y.shape) < outliers, rng.integers(0, 2, y.shape), y)
+    gain, bias = estimate_photometry(A, y, np.ones(y.shape))
+    assert np.exp(np.mean(np.log(gain))) == pytest.approx(1.0)
+    assert bias.mean() == pytest.approx(0.0, abs=1e-12)
+    # The scene may take a common gain and bias: compare what a level of 0.2 and 0.8 becomes.
+    true_gain = GAIN / np.exp(np.mean(np.log(GAIN)))
+    np.testing.assert_allclose(gain, true_gain, atol=0.01)
+    for level in (0.2, 0.8):
+        brought_back = (GAIN * level + BIAS - bias) / gain
+        assert np.ptp(brought_back) < 0.01
+
+
+def test_equal_frames_keep_gain_one_and_bias_zero(A) -> None:
+    y = photograph(edge_scene, SHAPE, SQUARE_PX)
+    gain, bias = estimate_photometry(A, y, np.ones(y.shape))
+    np.testing.assert_allclose(gain, 1.0, atol=5e-3)
+    np.testing.assert_allclose(bias, 0.0, atol=5e-3)
+
+
+def test_flat_frames_are_brought_close_together(A) -> None:
+    rng = np.random.default_rng(2)
+    level = 0.5 + np.array([0.1, -0.1, 0.05, -0.05])
+    y = level[:, None, None] * np.ones((4, *SHAPE))
+    y += 0.01 * rng.standard_normal(y.shape)
+    gain, bias = estimate_photometry(A, y, np.ones(y.shape))
+    # What is gain and what is bias cannot be seen, but both stay tame.
+    np.testing.assert_allclose(gain, 1.0, atol=0.1)
+    assert np.ptp((level - bias) / gain) < np.ptp(level) / 4.0
+
+
+def test_a_frame_without_valid_pixels_changes_nothing(A) -> None:
+    y, weight = _frames(), np.ones((4, *SHAPE))
+    weight[3] = 0.0
+    y[3] = 0.0
+    gain, bias = estimate_photometry(A, y, weight)
+    assert np.all(np.isfinite(gain)) and np.all(np.isfinite(bias))
+    np.testing.assert_allclose(gain[:3] / gain[0], GAIN[:3] / GAIN[0], atol=0.02)
+
+
+def test_complex_frames_are_refused(A) -> None:
+    with pytest.raises(ValueError, match="real frames"):
+        estimate_photometry(A, np.ones((4, *SHAPE), complex), np.ones((4, *SHAPE)))

@@ -1,0 +1,103 @@
+"""The weight of a prior, found without the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pixel_camera import SQUARE_PX, edge_scene, interior_psnr, photograph, truth
+
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
+from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.least_squares import NEIGHBOURS, solve_penalised
+from lensshift.reconstruction.selection import cross_validate, prior_share, weight_from_noise
+
+SHAPE = (14, 18)
+
+
+@pytest.fixture(scope="module")
+def A() -> LinearOperator:
+    return forward_model(SHAPE, 2, SQUARE_PX, blur=GaussianBlur(0.3)).operator
+
+
+@pytest.fixture(scope="module")
+def y() -> np.ndarray:
+    frames = photograph(edge_scene, SHAPE, SQUARE_PX)
+    return frames + 0.02 * np.random.default_rng(5).standard_normal(frames.shape)
+
+
+def _solver(A: LinearOperator, y: np.ndarray):
+    def solve(value: float, weight: np.ndarray) -> np.ndarray:
+        even = np.full((len(NEIGHBOURS), *A.in_shape), value)
+        return solve_penalised(A, y, weight, even, np.zeros(A.in_shape), 100)
+
+    return solve
+
+
+def test_cross_validation_is_neither_far_too_soft_nor_too_stiff(
+    A: LinearOperator, y: np.ndarray
+) -> None:
+    solve, ones = _solver(A, y), np.ones(y.shape)
+    expected = truth(edge_scene, SHAPE, 2)
+    chosen = cross_validate(solve, A, y, ones, seed=0)
+    by_weight = [interior_psnr(solve(10.0**e, ones), expected) for e in (-6, -3, -2, -1.5, -1, 0)]
+    found = interior_psnr(solve(chosen, ones), expected)
+    assert 1e-5 < chosen < 0.5
+    assert found > max(by_weight) - 2.5
+    assert found > by_weight[0] + 3.0
+    assert found > by_weight[-1] + 3.0
+
+
+def test_cross_validation_follows_the_seed_alone(A: LinearOperator, y: np.ndarray) -> None:
+    solve, ones = _solver(A, y), np.ones(y.shape)
+    assert cross_validate(solve, A, y, ones, 3) == cross_validate(solve, A, y, ones, 3)
+
+
+def test_cross_validation_reports_trials_and_never_trains_on_held_out_pixels(
+    A: LinearOperator, y: np.ndarray
+) -> None:
+    trials: list[int] = []
+    masks: list[np.ndarray] = []
+    ones = np.ones(y.shape)
+    ones[0, 0, 0] = 0.0
+
+    def solve(value: float, weight: np.ndarray) -> np.ndarray:
+        masks.append(weight.copy())
+        return np.full(A.in_shape, 0.5)
+
+    cross_validate(solve, A, y, ones, 1, lambda number, score: trials.append(number))
+    assert trials == list(range(1, len(masks) + 1))
+    assert all(np.array_equal(mask, masks[0]) for mask in masks)
+    share = np.mean(masks[0] == 0.0)
+    assert 0.05 < share < 0.16
+    assert masks[0][0, 0, 0] == 0.0
+
+
+def test_cross_validation_without_usable_pixels_says_what_to_do(
+    A: LinearOperator, y: np.ndarray
+) -> None:
+    with pytest.raises(ValueError, match="prior_weight a number"):
+        cross_validate(_solver(A, y), A, y, np.zeros(y.shape), 0)
+
+
+def test_weight_from_noise_on_a_toy_with_a_closed_form() -> None:
+    # min |x - y|^2 + weight |x|^2: x = y / (1 + weight); prior P = sum |x|.
+    y = np.linspace(1.0, 3.0, 50)
+    power = 0.01
+
+    def solve(weight: float, x: np.ndarray) -> np.ndarray:
+        return y / (1.0 + weight)
+
+    found = weight_from_noise(solve, lambda x: float(np.abs(x).sum()), y, power, rounds=60)
+    # weight = power N (1 + weight) / sum y
+    slope = power * y.size / y.sum()
+    assert found == pytest.approx(slope / (1.0 - slope), rel=1e-9)
+    once = weight_from_noise(solve, lambda x: float(np.abs(x).sum()), y, power, rounds=1)
+    assert once == pytest.approx(slope, rel=1e-12)
+
+
+def test_a_wider_blur_hides_more_of_the_differences() -> None:
+    shares = [prior_share(blur) for blur in (0.3, 0.6, 1.2)]
+    assert shares == sorted(shares, reverse=True)
+    assert prior_share(0.0) == prior_share(0.3)
+    assert prior_share(1.0) == pytest.approx(0.45)

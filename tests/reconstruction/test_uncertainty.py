@@ -1,0 +1,103 @@
+"""The error map against what the noise really does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pixel_camera import SQUARE_PX, edge_scene, make_burst, photograph
+
+from lensshift.reconstruction.reconstruct import reconstruct
+from lensshift.reconstruction.uncertainty import propagated_std
+
+SHAPE, SIGMA = (12, 18), 0.02
+INSIDE = (slice(3, -3), slice(3, -3))
+
+
+def _clean() -> np.ndarray:
+    return photograph(edge_scene, SHAPE, SQUARE_PX)
+
+
+def _spread(method: str, draws: int, **settings: object) -> np.ndarray:
+    """Standard deviation of the image over independent noise draws."""
+    rng = np.random.default_rng(77)
+    clean = _clean()
+    images = []
+    for _ in range(draws):
+        burst = make_burst(clean + SIGMA * rng.standard_normal(clean.shape))
+        found = reconstruct(burst, method=method, std=False, **settings).amplitude
+        images.append(found.image)
+    return np.std(images, axis=0, ddof=1)
+
+
+def _claimed(method: str, bursts: int, **settings: object) -> np.ndarray:
+    """Mean over a few bursts of the standard deviation that the estimate states."""
+    rng = np.random.default_rng(5)
+    clean = _clean()
+    stds = []
+    for _ in range(bursts):
+        burst = make_burst(clean + SIGMA * rng.standard_normal(clean.shape))
+        stds.append(reconstruct(burst, method=method, **settings).amplitude.std)
+    return np.mean(stds, axis=0)
+
+
+def test_std_of_tikhonov_agrees_with_monte_carlo() -> None:
+    settings = {"prior_weight": 0.02, "noise_sigma": SIGMA}
+    spread = _spread("tikhonov", 120, **settings)[INSIDE]
+    claimed = _claimed("tikhonov", 1, **settings)[INSIDE]
+    assert np.sqrt(np.mean((claimed / spread - 1.0) ** 2)) < 0.15
+
+
+def test_std_of_shift_and_add_agrees_with_monte_carlo() -> None:
+    spread = _spread("shift-and-add", 120)[INSIDE]
+    claimed = _claimed("shift-and-add", 1, noise_sigma=SIGMA)[INSIDE]
+    assert np.sqrt(np.mean((claimed / spread - 1.0) ** 2)) < 0.15
+
+
+def test_std_of_auto_is_right_in_the_mean() -> None:
+    spread = _spread("auto", 40)[INSIDE]
+    claimed = _claimed("auto", 3)[INSIDE]
+    assert claimed.mean() == pytest.approx(spread.mean(), rel=0.4)
+
+
+def test_noise_gain_is_the_rms_of_the_std_over_the_noise() -> None:
+    rng = np.random.default_rng(2)
+    burst = make_burst(_clean() + SIGMA * rng.standard_normal((4, *SHAPE)))
+    for method in ("auto", "tikhonov", "irwsr", "shift-and-add"):
+        estimate = reconstruct(burst, method=method).amplitude
+        expected = np.sqrt(np.mean(estimate.std**2)) / estimate.noise_sigma
+        assert estimate.noise_gain == pytest.approx(expected)
+        assert 0.01 < estimate.noise_gain < 5.0
+    stiff = reconstruct(burst, method="tikhonov", prior_weight=1.0).amplitude
+    soft = reconstruct(burst, method="tikhonov", prior_weight=1e-3).amplitude
+    assert stiff.noise_gain < soft.noise_gain
+
+
+def test_std_is_computed_once_and_only_when_asked_for() -> None:
+    burst = make_burst(_clean() + SIGMA * np.random.default_rng(2).standard_normal((4, *SHAPE)))
+    estimate = reconstruct(burst).amplitude
+    assert callable(estimate.uncertainty)
+    assert estimate.std is estimate.std
+
+
+def test_std_of_a_linear_filter_has_a_closed_form() -> None:
+    y = np.zeros((2, 30, 30))
+    found = propagated_std(lambda v: v.mean(axis=0), y, 0.1, replicates=200, smooth_hr_px=2.0)
+    np.testing.assert_allclose(found, 0.1 / np.sqrt(2.0), rtol=0.1)
+
+
+def test_std_follows_the_weight_of_the_pixels() -> None:
+    weight = np.ones((1, 40, 40))
+    weight[:, :, 20:] = 0.25
+    found = propagated_std(
+        lambda v: v[0], np.zeros(weight.shape), 0.1, weight=weight, replicates=300, smooth_hr_px=0.0
+    )
+    assert found[:, :20].mean() == pytest.approx(0.1, rel=0.03)
+    assert found[:, 20:].mean() == pytest.approx(0.2, rel=0.03)
+
+
+def test_std_of_phasors_is_per_component_and_seeded() -> None:
+    y = np.zeros((1, 30, 30), complex)
+    found = propagated_std(lambda v: v[0], y, 0.1, replicates=100, seed=1)
+    assert found.mean() == pytest.approx(0.1, rel=0.05)
+    again = propagated_std(lambda v: v[0], y, 0.1, replicates=100, seed=1)
+    np.testing.assert_array_equal(found, again)
