@@ -67,6 +67,8 @@ class SparseGradient:
     prior_weight : lambda, or None
     noise_sigma : noise of an LR pixel (per component if complex), or None to estimate it
     blur_hr_px : width of the pixel response in HR pixels
+    shift_error_hr_px : standard deviation of the shifts in HR pixels, if they are uncertain;
+        an LR pixel is believed less the steeper the picture is there
     robust : whether outliers and frames that do not fit lose weight
     adapt : whether to look at the kind of scene
     iterations, inner_iterations : reweightings, and conjugate gradients in each
@@ -82,6 +84,7 @@ class SparseGradient:
     prior_weight: float | None = None
     noise_sigma: float | None = None
     blur_hr_px: float = 0.6
+    shift_error_hr_px: float = 0.0
     robust: bool = True
     adapt: bool = True
     iterations: int = 16
@@ -179,8 +182,10 @@ class SparseGradient:
         edge_error_px = EDGE_ERROR_PX * state.lone_edges if state.judged else CAUTIOUS_EDGE_ERROR_PX
         if not self.adapt:
             edge_error_px = 0.0
-        scale = np.sqrt(sigma**2 + edge_error_px**2 * np.maximum(A.forward(gradient), 0.0))
+        error2 = edge_error_px**2 + self.shift_error_hr_px**2
+        scale = np.sqrt(sigma**2 + error2 * np.maximum(A.forward(gradient), 0.0))
         trust = confidence(y - A.forward(state.x), weight, scale)
+        state.trust = float(np.mean(trust[weight > 0]))
         return np.asarray(weight * trust * (sigma / scale) ** 2)
 
     def replicate(self, A: LinearOperator, y: Array, estimate: Estimate) -> Array:
@@ -213,6 +218,7 @@ class _State:
     prior_weight: float | None = None
     penalty: float = 0.0
     clumping: float | None = None
+    trust: float = 1.0
     objective: list[float] = field(default_factory=list)
     x: Array = field(default_factory=lambda: np.zeros((1, 1)))
     square: Array = field(default_factory=lambda: np.zeros((1, 1, 1)))
@@ -231,7 +237,11 @@ class _State:
         self.objective.append(misfit + self.penalty)
 
     def estimate(self, status: Status, sigma: float, solver: SparseGradient) -> Estimate:
-        notes = {"exponent": solver.exponent, "iterations": len(self.objective)}
+        notes = {
+            "exponent": solver.exponent,
+            "iterations": len(self.objective),
+            "trust": self.trust,
+        }
         if self.clumping is not None:
             notes |= {"clumping": self.clumping, "lone_edges": self.lone_edges}
         return Estimate(

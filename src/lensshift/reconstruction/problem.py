@@ -31,6 +31,7 @@ class Problem:
     intensity : what 1 stands for in the units of the burst
     blur_sigma_px : width of the pixel response in LR pixels
     noise_sigma : noise of an LR pixel in units of `intensity`, or None
+    shift_error_px : standard deviation of the offsets (rms over frames and axes), 0 if not known
     """
 
     y: Array
@@ -39,6 +40,7 @@ class Problem:
     intensity: float
     blur_sigma_px: float
     noise_sigma: float | None
+    shift_error_px: float = 0.0
 
     @property
     def scale(self) -> int:
@@ -135,6 +137,7 @@ def make_problem(
         intensity=unit,
         blur_sigma_px=blur_width_px(blur),
         noise_sigma=None if noise_sigma is None else noise_sigma / unit,
+        shift_error_px=_rms(burst.offset_sigma_px),
     )
 
 
@@ -177,6 +180,10 @@ def predictor(
         return np.asarray(gain[k] * problem.model.operator(image)[k] + bias[k])
 
     return predict
+
+
+def _rms(values: Array | None) -> float:
+    return 0.0 if values is None else float(np.sqrt(np.mean(values**2)))
 
 
 def _variance_weight(pixel_variance: Array, weight: Array) -> NDArray[np.float64]:

@@ -27,7 +27,8 @@ REJECTED_LIMIT, BELIEVED_LIMIT = 0.2, 0.6
 
 def auto(problem: Problem, request: Request) -> Estimate:
     """Robust fit with the sparse prior that sets itself."""
-    return warn_of_misfit(problem, _sparse(problem, request, SparseGradient()))
+    solver = SparseGradient(shift_error_hr_px=problem.shift_error_px * problem.scale)
+    return warn_of_misfit(problem, _sparse(problem, request, solver))
 
 
 def tikhonov(problem: Problem, request: Request) -> Estimate:
@@ -77,19 +78,17 @@ def warn_of_misfit(problem: Problem, estimate: Estimate) -> Estimate:
     residual = problem.y - problem.model.operator(estimate.image)
     trust = frame_confidence(residual, problem.weight)
     left_out = np.flatnonzero(trust < 0.5)
-    believed = 1.0
-    if estimate.confidence is not None:
-        believed = float(np.mean(estimate.confidence[problem.weight > 0]))
+    believed = float(estimate.notes["trust"])
     if left_out.size >= REJECTED_LIMIT * trust.size or believed < BELIEVED_LIMIT:
         spread = np.array([robust_scale(r[w > 0]) if np.any(w > 0) else 0.0
                            for r, w in zip(residual, problem.weight, strict=True)])  # fmt: skip
         times = float(spread.max() / max(estimate.noise_sigma or 1.0, 1e-12))
         warnings.warn(
             f"the frames do not fit the assumed shifts: {left_out.size} of {trust.size} frames "
-            f"rejected, mean confidence {believed:.2f}, worst frame off by {times:.0f} times the "
-            "noise; check offset_px and whether the scene moved or turned",
+            f"rejected, mean trust in a pixel {believed:.2f}, worst frame off by {times:.0f} times "
+            "the noise; check offset_px and whether the scene moved or turned",
             QualityWarning,
             stacklevel=4,
         )
-    notes = dict(estimate.notes) | {"rejected": left_out.tolist(), "mean_confidence": believed}
+    notes = dict(estimate.notes) | {"rejected": left_out.tolist()}
     return replace(estimate, notes=notes)
