@@ -1,0 +1,374 @@
+"""The one call for all methods: what it promises, whatever the method."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pixel_camera import (
+    SQUARE_PX,
+    edge_scene,
+    interior_psnr,
+    make_burst,
+    photograph,
+    smooth_scene,
+    truth,
+)
+
+from lensshift.core.types import Burst, ShiftField, Status
+from lensshift.reconstruction.methods import method_names, method_summary
+from lensshift.reconstruction.reconstruct import reconstruct
+
+SHAPE, HR_SHAPE = (9, 13), (18, 26)
+LINEAR = ("nearest", "bicubic", "shift-and-add", "drizzle", "tikhonov")
+PLAIN = ("nearest", "bicubic", "shift-and-add", "drizzle", "deconvolution")
+REAL_ONLY = ("l1-btv", "map", "irwsr", "irwsr-toolbox")
+
+
+def _noisy(scene=smooth_scene, shape=SHAPE, sigma: float = 0.01, seed: int = 0) -> np.ndarray:
+    frames = photograph(scene, shape, SQUARE_PX)
+    return frames + sigma * np.random.default_rng(seed).standard_normal(frames.shape)
+
+
+def _image(burst: Burst, method: str = "auto", **settings: Any) -> np.ndarray:
+    found = reconstruct(burst, method=method, **settings).amplitude
+    assert found is not None
+    return found.image
+
+
+def _weight(method: str) -> dict[str, Any]:
+    return {} if method in PLAIN else {"prior_weight": 0.01}
+
+
+# ---- every method
+
+
+@pytest.mark.parametrize("method", method_names())
+def test_every_method_runs_on_a_small_odd_burst(method: str) -> None:
+    found = reconstruct(make_burst(_noisy()), 2, method)
+    estimate = found.amplitude
+    assert estimate is not None
+    assert found.distance_m is None
+    assert (found.method, found.scale, found.grid.shape) == (method, 2, HR_SHAPE)
+    assert estimate.image.shape == HR_SHAPE
+    assert np.all(np.isfinite(estimate.image))
+    assert estimate.status is not Status.NOT_FINITE
+    assert interior_psnr(estimate.image, truth(smooth_scene, SHAPE, 2)) > 25.0
+    if estimate.std is not None:
+        assert estimate.std.shape == HR_SHAPE
+        assert np.all(estimate.std >= 0)
+        assert np.all(np.isfinite(estimate.std))
+    assert method_summary(method)
+
+
+@pytest.mark.parametrize("method", method_names())
+def test_no_method_touches_the_burst(method: str) -> None:
+    burst = make_burst(_noisy())
+    before = burst.amplitude.copy()
+    reconstruct(burst, 2, method, **_weight(method))
+    np.testing.assert_array_equal(burst.amplitude, before)
+
+
+@pytest.mark.parametrize("method", method_names())
+def test_what_invalid_pixels_hold_does_not_matter(method: str) -> None:
+    frames = _noisy()
+    valid = np.ones(frames.shape, bool)
+    valid[0, 4, 5] = valid[2, 1, 7:9] = valid[3, :, 12] = False
+    settings = _weight(method)
+    images = []
+    for value in (0.0, 1e6, np.nan, np.inf):
+        images.append(
+            _image(make_burst(np.where(valid, frames, value), valid=valid), method, **settings)
+        )
+    assert np.all(np.isfinite(images[0]))
+    for image in images[1:]:
+        np.testing.assert_array_equal(image, images[0])
+
+
+@pytest.mark.parametrize("method", method_names())
+def test_negative_values_can_be_forbidden(method: str) -> None:
+    burst = make_burst(_noisy(edge_scene) - 0.21)
+    if method == "irwsr-toolbox":
+        with pytest.raises(ValueError, match="non-negative"):
+            reconstruct(burst, method=method, non_negative=True)
+        return
+    assert _image(burst, method, **_weight(method)).min() < 0.0
+    assert _image(burst, method, non_negative=True, **_weight(method)).min() >= 0.0
+
+
+@pytest.mark.parametrize("method", LINEAR)
+def test_real_and_imaginary_parts_of_phasors_do_not_mix(method: str) -> None:
+    real, imaginary = _noisy(seed=1), _noisy(edge_scene, seed=2) - 0.5
+    settings = _weight(method) | {"noise_sigma": 0.01}
+    both = _image(make_burst(real + 1j * imaginary), method, **settings)
+    parts = [_image(make_burst(part), method, **settings) for part in (real, imaginary)]
+    assert both.dtype.kind == "c"
+    # The conjugate gradients stop at a relative residual of 1e-4.
+    tolerance = 2e-3 if method == "tikhonov" else 1e-9
+    np.testing.assert_allclose(both.real, parts[0], atol=tolerance)
+    np.testing.assert_allclose(both.imag, parts[1], atol=tolerance)
+
+
+@pytest.mark.parametrize("method", [*LINEAR, "deconvolution"])
+def test_a_common_phase_of_phasors_comes_through(method: str) -> None:
+    frames, turn = _noisy(seed=1) * np.exp(0.3j), np.exp(0.7j)
+    settings = _weight(method) | {"noise_sigma": 0.01}
+    image = _image(make_burst(frames), method, **settings)
+    turned = _image(make_burst(turn * frames), method, **settings)
+    np.testing.assert_allclose(turned, turn * image, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["auto", "tv"])
+def test_sparse_methods_take_phasors(method: str) -> None:
+    image = _image(make_burst(_noisy(seed=1) * np.exp(0.7j)), method)
+    assert image.dtype.kind == "c"
+    np.testing.assert_allclose(
+        np.abs(image - truth(smooth_scene, SHAPE, 2) * np.exp(0.7j)), 0, atol=0.1
+    )
+
+
+@pytest.mark.parametrize("method", REAL_ONLY)
+def test_methods_for_real_frames_refuse_phasors(method: str) -> None:
+    with pytest.raises(ValueError, match=r"real|complex"):
+        reconstruct(make_burst(_noisy() + 0j), method=method)
+
+
+# ---- units
+
+
+def test_auto_answers_a_hundredth_of_the_frames_with_a_hundredth_of_the_image() -> None:
+    frames = _noisy(edge_scene, (16, 24))
+    image = _image(make_burst(frames))
+    np.testing.assert_allclose(_image(make_burst(0.01 * frames)), 0.01 * image, atol=1e-8)
+
+
+def test_std_and_noise_come_in_the_units_of_the_frames() -> None:
+    frames = _noisy(sigma=0.02)
+    for method in ("auto", "bicubic"):
+        small = reconstruct(make_burst(frames), method=method).amplitude
+        large = reconstruct(make_burst(100.0 * frames), method=method).amplitude
+        assert large.noise_sigma == pytest.approx(100.0 * small.noise_sigma, rel=1e-6)
+        np.testing.assert_allclose(large.std, 100.0 * small.std, rtol=1e-6)
+        assert large.noise_gain == pytest.approx(small.noise_gain, rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["auto", "irwsr", "bicubic"])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_integer_frames_come_back_in_their_units(method: str, kind: type) -> None:
+    top = np.iinfo(kind).max
+    frames = np.round(_noisy() * top).astype(kind)
+    image = _image(make_burst(frames), method)
+    np.testing.assert_allclose(image, truth(smooth_scene, SHAPE, 2) * top, atol=0.12 * top)
+    as_floats = _image(make_burst(frames / top), method)
+    np.testing.assert_allclose(image / top, as_floats, atol=1e-6)
+
+
+def test_a_given_noise_is_believed() -> None:
+    burst = make_burst(_noisy(edge_scene, (16, 24), sigma=0.02))
+    quiet = reconstruct(burst, noise_sigma=0.005).amplitude
+    loud = reconstruct(burst, noise_sigma=0.05).amplitude
+    assert (quiet.noise_sigma, loud.noise_sigma) == (pytest.approx(0.005), pytest.approx(0.05))
+    assert quiet.prior_weight < loud.prior_weight
+    flat = (slice(6, -6), slice(-12, -4))
+    assert loud.image[flat].std() < quiet.image[flat].std()
+
+
+# ---- frames, shift fields, prediction
+
+
+def test_only_the_frames_asked_for_are_used() -> None:
+    frames = _noisy()
+    spoilt = frames.copy()
+    spoilt[1] = 7.0
+    found = reconstruct(make_burst(spoilt), frames=(3, 0, 2))
+    alone = reconstruct(make_burst(frames[[3, 0, 2]], SQUARE_PX[[3, 0, 2]]))
+    np.testing.assert_array_equal(found.amplitude.image, alone.amplitude.image)
+    assert found.settings["frames"] == [3, 0, 2]
+
+
+def test_frames_can_be_predicted_by_number_and_by_offset() -> None:
+    shape = (16, 24)
+    offsets = np.vstack([SQUARE_PX, (0.4, -0.1)])
+    clean = photograph(smooth_scene, shape, offsets)
+    burst = make_burst(clean, offsets)
+    estimate = reconstruct(burst, frames=(0, 1, 2, 3)).amplitude
+    inside = (slice(2, -2), slice(2, -2))
+    for k in range(5):
+        np.testing.assert_allclose(estimate.predict(k)[inside], clean[k][inside], atol=0.01)
+    np.testing.assert_allclose(estimate.predict((0.4, -0.1)), estimate.predict(4), atol=1e-12)
+    np.testing.assert_allclose(estimate.predict(offsets[2]), estimate.predict(2), atol=1e-12)
+    for wrong in (5, -1):
+        with pytest.raises(ValueError, match="frame from 0 to 4"):
+            estimate.predict(wrong)
+    with pytest.raises(ValueError, match="offset_px"):
+        estimate.predict((0.1, 0.2, 0.3))
+    with pytest.raises(ValueError, match="offset_px"):
+        estimate.predict((0.1, np.nan))
+
+
+def test_every_method_can_predict() -> None:
+    burst = make_burst(_noisy())
+    for method in PLAIN:
+        assert reconstruct(burst, method=method).amplitude.predict(1).shape == SHAPE
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "irwsr", "shift-and-add", "bicubic"])
+def test_a_constant_shift_field_equals_the_offsets(method: str) -> None:
+    burst = make_burst(_noisy())
+    field = ShiftField(np.broadcast_to(SQUARE_PX[:, None, None, :], (4, *SHAPE, 2)).copy())
+    nowhere = make_burst(burst.amplitude, np.zeros((4, 2)))
+    settings = _weight(method)
+    expected = _image(burst, method, **settings)
+    found = _image(nowhere, method, shift_field=field, **settings)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_shift_field_is_selected_with_its_frames() -> None:
+    burst = make_burst(_noisy())
+    field = ShiftField(np.broadcast_to(SQUARE_PX[:, None, None, :], (4, *SHAPE, 2)).copy())
+    nowhere = make_burst(burst.amplitude, np.zeros((4, 2)))
+    found = _image(nowhere, "tikhonov", shift_field=field, frames=(3, 1), prior_weight=0.01)
+    expected = _image(burst, "tikhonov", frames=(3, 1), prior_weight=0.01)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_gain_and_bias_are_found_on_request() -> None:
+    shape = (16, 24)
+    gain, bias = np.array([1.1, 0.95, 1.0, 0.97]), np.array([0.02, -0.03, 0.02, -0.01])
+    frames = 50.0 * (gain[:, None, None] * _noisy(edge_scene, shape) + bias[:, None, None])
+    estimate = reconstruct(make_burst(frames), photometric=True).amplitude
+    true_gain = gain / np.exp(np.mean(np.log(gain)))
+    np.testing.assert_allclose(estimate.notes["gain"], true_gain, atol=0.02)
+    found_gain, found_bias = np.array(estimate.notes["gain"]), np.array(estimate.notes["bias"])
+    for level in (0.2, 0.8):
+        seen = 50.0 * (gain * level + bias)
+        assert np.ptp((seen - found_bias) / found_gain) < 50.0 * 0.01
+    # The prediction of a used frame has its gain and bias in it again.
+    for k in range(4):
+        residual = (frames[k] - estimate.predict(k))[2:-2, 2:-2]
+        assert abs(np.median(residual)) < 50.0 * 0.005
+
+
+def test_known_variance_takes_a_bad_frame_out() -> None:
+    frames = _noisy(smooth_scene, (16, 24), sigma=0.002)
+    frames[1] += 0.5 * np.random.default_rng(3).standard_normal(frames[1].shape)
+    variance = np.full(frames.shape, 0.002**2)
+    variance[1] = 0.5**2
+    expected = truth(smooth_scene, (16, 24), 2)
+    blind = _image(make_burst(frames), "tikhonov", prior_weight=0.01)
+    told = _image(make_burst(frames), "tikhonov", prior_weight=0.01, pixel_variance=variance)
+    assert interior_psnr(told, expected) > interior_psnr(blind, expected) + 6.0
+
+
+def test_a_burst_with_distance_gives_both_channels() -> None:
+    amplitude, distance = _noisy(edge_scene), 2.0 + _noisy()
+    burst = make_burst(amplitude, distance_m=distance)
+    both = reconstruct(burst)
+    np.testing.assert_array_equal(both.amplitude.image, _image(make_burst(amplitude)))
+    np.testing.assert_allclose(both.distance_m.image, 2.0 + truth(smooth_scene, SHAPE, 2), atol=0.1)
+    assert reconstruct(burst, channel="amplitude").distance_m is None
+    alone = reconstruct(burst, channel="distance")
+    assert alone.amplitude is None
+    np.testing.assert_array_equal(alone.distance_m.image, both.distance_m.image)
+
+
+# ---- weights, progress, arguments
+
+
+@pytest.mark.parametrize("method", ["tikhonov", "tv", "irwsr", "l1-btv"])
+def test_cross_validation_is_repeatable(method: str) -> None:
+    burst = make_burst(_noisy(edge_scene))
+    settings = {"prior_weight": "cross-validation", "seed": 4, "std": False}
+    first = reconstruct(burst, method=method, **settings).amplitude
+    second = reconstruct(burst, method=method, **settings).amplitude
+    assert 1e-8 < first.prior_weight < 10.0
+    assert first.prior_weight == second.prior_weight
+    np.testing.assert_array_equal(first.image, second.image)
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv", "l1-btv", "map", "irwsr"])
+def test_a_given_weight_is_kept_and_its_std_is_repeatable(method: str) -> None:
+    burst = make_burst(_noisy(edge_scene))
+    first, second = (reconstruct(burst, method=method, prior_weight=0.02).amplitude for _ in "ab")
+    assert first.prior_weight == pytest.approx(0.02)
+    np.testing.assert_array_equal(first.std, second.std)
+
+
+def test_std_can_be_left_out() -> None:
+    for method in ("auto", "shift-and-add", "irwsr"):
+        estimate = reconstruct(make_burst(_noisy()), method=method, std=False).amplitude
+        assert estimate.std is None
+        assert estimate.noise_gain is None
+
+
+class _StopError(Exception):
+    """What a user's callback raises to stop."""
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv", "l1-btv", "map", "irwsr"])
+def test_progress_is_reported_and_can_stop_the_work(method: str) -> None:
+    burst = make_burst(_noisy())
+    calls: list[tuple[int, float]] = []
+    reconstruct(
+        burst, method=method, prior_weight=0.01,
+        on_iteration=lambda step, value: calls.append((step, value)),
+    )  # fmt: skip
+    steps = [step for step, _ in calls]
+    assert steps
+    assert steps == sorted(set(steps))
+    assert all(np.isfinite(value) for _, value in calls)
+
+    def stop(step: int, value: float) -> None:
+        raise _StopError
+
+    with pytest.raises(_StopError):
+        reconstruct(burst, method=method, on_iteration=stop)
+
+
+def test_iterations_are_an_option() -> None:
+    estimate = reconstruct(make_burst(_noisy()), iterations=2).amplitude
+    assert len(estimate.objective) == 2
+    assert estimate.status is Status.MAX_ITERATIONS
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"method": "magic"}, "auto, nearest, bicubic"),
+        ({"window": 2}, "auto does not know window; its options: iterations"),
+        ({"method": "tikhonov", "pixfrac": 1.0}, "its options: none"),
+        ({"scale": 0}, "whole scale from 1 to 8"),
+        ({"scale": 9}, "whole scale from 1 to 8"),
+        ({"scale": 2.5}, "whole scale from 1 to 8"),
+        ({"scale": True}, "whole scale from 1 to 8"),
+        ({"channel": "colour"}, "amplitude, distance or phasor"),
+        ({"channel": "phasor"}, "not built yet"),
+        ({"channel": "distance"}, "no distance_m"),
+        ({"prior_weight": -0.1}, "at least 0"),
+        ({"prior_weight": np.nan}, "at least 0"),
+        ({"prior_weight": "guess"}, "cross-validation"),
+        ({"noise_sigma": 0.0}, "positive noise_sigma"),
+        ({"noise_sigma": np.inf}, "positive noise_sigma"),
+        ({"frames": ()}, "frames from 0 to 3"),
+        ({"frames": (0, 4)}, "frames from 0 to 3"),
+        ({"frames": (-1, 0)}, "frames from 0 to 3"),
+        ({"frames": (1, 1)}, "each frame once"),
+        ({"psf_sigma_px": -1.0}, "sigma"),
+        ({"fill_factor": 1.5}, "fill"),
+        ({"shift_field": ShiftField(np.zeros((4, 9, 12, 2)))}, r"shift field of \(4, 9, 13, 2\)"),
+        ({"pixel_variance": np.zeros((4, *SHAPE))}, "positive, finite pixel_variance"),
+        ({"pixel_variance": np.ones((4, 9, 12))}, r"pixel_variance of \(4, 9, 13\)"),
+        ({"method": "nearest", "frame": 4}, "frame from 0 to 3"),
+        ({"method": "map", "prior": "magic"}, "tv"),
+        ({"method": "map", "prior": "tv", "window": 2}, "prior tv does not know window"),
+    ],
+)
+def test_a_wrong_argument_says_what_was_expected(settings: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        reconstruct(make_burst(_noisy()), **settings)
+
+
+def test_offsets_far_beyond_the_frame_are_refused() -> None:
+    with pytest.raises(ValueError, match="offsets in pixels"):
+        reconstruct(make_burst(_noisy(), SQUARE_PX + 500.0))

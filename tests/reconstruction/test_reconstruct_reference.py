@@ -1,0 +1,59 @@
+"""The default method against the stored cases and on real frames: what version 0.1 must reach."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pixel_camera import interior_psnr, make_burst
+
+from lensshift.core.errors import QualityWarning
+from lensshift.reconstruction.reconstruct import reconstruct
+
+SQUARE = (0, 2, 8, 10)
+
+
+@pytest.mark.parametrize(
+    ("case", "least_db"),
+    [
+        ("edge_x2_4f", 45.0),
+        ("tofamp_x2_4f", 40.5),
+        pytest.param("cam_x2_4f", 39.5, marks=pytest.mark.slow),
+        pytest.param("camout_x3_12f", 30.1, marks=pytest.mark.slow),
+    ],
+)
+def test_auto_reaches_the_best_tuned_peers(reference_dir: Path, case: str, least_db: float) -> None:
+    with np.load(reference_dir / "irwsr" / f"{case}_input.npz") as data:
+        burst = make_burst(np.moveaxis(data["LR"], 2, 0), -data["shifts"][:, ::-1])
+        found = reconstruct(burst, int(data["mag"]), psf_sigma_px=float(data["psf"]))
+        reached = interior_psnr(found.amplitude.image, data["gt"])
+    assert reached >= least_db
+
+
+def test_auto_predicts_the_held_out_frames_of_the_chart(reference_dir: Path) -> None:
+    with np.load(reference_dir / "real_sequences" / "mdsp_eia.npz") as data:
+        frames = data["frames"]
+    steps = np.arange(16)
+    offsets = -0.25 * np.stack([steps // 4, steps % 4], axis=1)
+    offsets -= offsets[list(SQUARE)].mean(axis=0)
+    estimate = reconstruct(make_burst(frames, offsets), frames=SQUARE, std=False).amplitude
+    residuals = [
+        (frames[k].astype(float) - estimate.predict(k))[4:-4, 4:-4]
+        for k in range(16)
+        if k not in SQUARE
+    ]
+    assert np.sqrt(np.mean(np.square(residuals))) <= 7.4
+
+
+@pytest.mark.parametrize(
+    "frames", [range(0, 20, 3), pytest.param(range(20), marks=pytest.mark.slow)]
+)
+def test_a_scene_that_turned_is_not_shown_without_a_warning(
+    reference_dir: Path, frames: range
+) -> None:
+    with np.load(reference_dir / "real_sequences" / "mdsp_adyoron_rotation.npz") as data:
+        burst = make_burst(data["frames"], -data["shifts_est"][:, ::-1])
+    with pytest.warns(QualityWarning, match="do not fit the assumed shifts"):
+        estimate = reconstruct(burst, std=False).amplitude
+    assert estimate.notes["rejected"] or estimate.notes["trust"] < 0.6
