@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -170,6 +171,13 @@ def _ramp(at: Positions, sigma: float) -> Positions:
 
 def _gaussian_table(phases: Positions, sigma: float) -> tuple[int, Weights]:
     """Return first tap and weights [phase, T] of mean p and variance max(sigma^2, p (1 - p))."""
+    return _solved_table(phases.tobytes(), sigma)
+
+
+# The moments are solved once for the few phases of a burst, not for every burst of a stream.
+@lru_cache(maxsize=64)
+def _solved_table(phase_bytes: bytes, sigma: float) -> tuple[int, Weights]:
+    phases = np.frombuffer(phase_bytes, dtype=np.float64)
     reach = _gaussian_reach(sigma)
     t = np.arange(-int(reach), int(reach) + 2, dtype=np.float64)
     table = np.zeros((phases.size, t.size))
@@ -178,6 +186,7 @@ def _gaussian_table(phases: Positions, sigma: float) -> tuple[int, Weights]:
     wide = np.flatnonzero(sigma**2 - phases * (1.0 - phases) > _NO_EXCESS)
     if wide.size:
         table[wide] = _maximum_entropy(phases[wide], sigma, t, reach)
+    table.flags.writeable = False
     return int(t[0]), table
 
 

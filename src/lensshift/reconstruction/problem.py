@@ -79,8 +79,9 @@ def peak_of(values: Array, used: NDArray[np.bool_]) -> float:
     """
     if values.dtype.kind in "ui":
         return float(np.iinfo(values.dtype).max)
-    top = brightness_of(values, used)
-    return top if top > NORMALISED_LIMIT else 1.0
+    if np.max(np.abs(values), where=used, initial=0.0) <= NORMALISED_LIMIT:
+        return 1.0
+    return max(brightness_of(values, used), 1.0)
 
 
 def brightness_of(values: Array, used: NDArray[np.bool_]) -> float:

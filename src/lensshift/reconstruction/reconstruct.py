@@ -86,7 +86,7 @@ def reconstruct(
     _check(chosen, method, options, scale, prior_weight, noise_sigma)
     blur = make_blur(psf_sigma_px, fill_factor)
     used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
-    part = burst.select(used)
+    part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
