@@ -35,7 +35,8 @@ CLUMP_WINDOW_HR_PX = 17
 EDGE_ERROR_PX, CAUTIOUS_EDGE_ERROR_PX = 0.065, 0.03
 EXTRA_WEIGHT_LONE_EDGES = 0.3
 GROUPING = 0.6
-REPLICATE_STEPS = 3
+# A replicate starts from the estimate, softened this much so that its edges can move a little.
+REPLICATE_STEPS, REPLICATE_SMOOTHING_SIGMAS = 3, 1.5
 START_SMOOTHING, RESTART_SMOOTHING, SMOOTHING_DECAY = 0.1, 0.05, 0.75
 
 
@@ -196,7 +197,7 @@ class SparseGradient:
             weight=estimate.confidence,
             lone_edges=estimate.notes.get("lone_edges", 0.0),
             judged=self.adapt,
-            smoothing=0.0,
+            smoothing=REPLICATE_SMOOTHING_SIGMAS * estimate.noise_sigma,
         )
         state.x = estimate.image
         fixed = replace(self, prior_weight=estimate.prior_weight)

@@ -71,13 +71,15 @@ def irwsr_toolbox(problem: Problem, request: Request) -> Estimate:
 
 def _noise_power(problem: Problem, solver: Irwsr | ReweightedFit) -> float:
     """Return what `weight_from_noise` asks for, from the noise given or estimated."""
+    data_term = solver.data_term if isinstance(solver, ReweightedFit) else "huber"
     sigma = problem.noise_sigma
     if sigma is None:
-        sigma = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
+        noise = estimate_noise(problem.model.operator, problem.y, problem.weight)
+        # Squares feel the outliers; the other data terms hardly do.
+        sigma = noise.total if data_term == "l2" else noise.sigma
     sigma = max(sigma, 1e-6)
     share = prior_share(problem.blur_sigma_px * problem.scale)
-    linear = isinstance(solver, ReweightedFit) and solver.data_term == "l1"
-    return share * (sigma if linear else 2.0 * sigma**2)
+    return share * (sigma if data_term == "l1" else 2.0 * sigma**2)
 
 
 def _fitted(problem: Problem, request: Request, solver: Any, system: Any, prior: Prior) -> Estimate:

@@ -46,5 +46,6 @@ def frame_confidence(residual: Array, weight: Array) -> NDArray[np.float64]:
     if not np.any(even & seen):
         return np.asarray(seen, np.float64)
     typical = np.median(spread[even & seen])
-    narrow = np.minimum(1.0, SPREAD_LIMIT * typical / np.maximum(spread, 1e-300))
+    limit = SPREAD_LIMIT * typical
+    narrow = np.where(spread <= limit, 1.0, limit / np.maximum(spread, 1e-300))
     return np.asarray(even * seen * narrow**SPREAD_POWER, np.float64)
