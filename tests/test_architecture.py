@@ -30,6 +30,7 @@ DIMENSIONED = {
 }  # fmt: skip
 # Plain numbers with such a word in their name: a step of a solver, counts, shares.
 DIMENSIONLESS = {
+    "modulation",  # contrast of an MTF
     "step_size", "row_weight", "col_weight", "row_share", "col_share", "photometric_offset",
 }  # fmt: skip
 

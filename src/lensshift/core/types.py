@@ -11,7 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.core.grid import Grid
+from lensshift.core.grid import Grid as Grid
+from lensshift.core.motion import ShiftField as ShiftField
+from lensshift.core.motion import ShiftPlan as ShiftPlan
+from lensshift.core.motion import StageMap as StageMap
+from lensshift.core.optical import MtfCurve as MtfCurve
+from lensshift.core.optical import Psf as Psf
 
 OffsetSource = Literal["planned", "calibrated", "registered"]
 OFFSET_SOURCES: tuple[OffsetSource, ...] = ("planned", "calibrated", "registered")
@@ -27,27 +32,29 @@ class Status(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Psf:
-    """A point spread function sampled every `step_px` LR pixels.
+class Frame:
+    """One exposure of the camera.
 
     Parameters
     ----------
-    kernel : [row col], odd in both directions, centred; it is scaled to sum to 1
-    step_px : spacing of the samples in LR pixels
+    amplitude : [row col] normalised
+    distance_m : [row col] radial, or None
+    valid : [row col] False where a pixel must not be used
+    time_s : when it was taken
     """
 
-    kernel: NDArray[np.float64]
-    step_px: float
+    amplitude: NDArray[Any]
+    distance_m: NDArray[Any] | None
+    valid: NDArray[np.bool_]
+    time_s: float
 
     def __post_init__(self) -> None:
-        kernel = np.asarray(self.kernel, dtype=np.float64)
-        if kernel.ndim != 2 or kernel.shape[0] % 2 == 0 or kernel.shape[1] % 2 == 0:
-            raise ValueError(f"expected a PSF kernel [row col] of odd size, got {kernel.shape}")
-        if not np.all(np.isfinite(kernel)) or kernel.sum() <= 0:
-            raise ValueError("expected a finite PSF kernel with a positive sum")
-        if not self.step_px > 0:
-            raise ValueError(f"expected a positive step_px, got {self.step_px}")
-        object.__setattr__(self, "kernel", kernel / kernel.sum())
+        for name in ("amplitude", "distance_m", "valid"):
+            values = getattr(self, name)
+            if values is not None and (values.ndim != 2 or values.shape != self.amplitude.shape):
+                raise DataError(
+                    f"expected [row col] like amplitude, got {values.shape}", field=name
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,26 +202,6 @@ class Burst:
             modulation_hz=self.modulation_hz,
             meta=self.meta,
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ShiftField:
-    """Image offset of every pixel of every frame, for optics whose shift varies over the sensor.
-
-    Parameters
-    ----------
-    offset_px : [frame row col 2] (row, col), with the sign of `Burst.offset_px`
-    """
-
-    offset_px: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        offset = np.asarray(self.offset_px, dtype=np.float64)
-        if offset.ndim != 4 or offset.shape[-1] != 2:
-            raise ValueError(f"expected offset_px [frame row col 2], got shape {offset.shape}")
-        if not np.all(np.isfinite(offset)):
-            raise ValueError("expected finite offsets in the shift field")
-        object.__setattr__(self, "offset_px", offset)
 
 
 def _no_prediction(frame: int | ArrayLike) -> NDArray[Any]:

@@ -1,0 +1,57 @@
+"""What a lens or a pixel does to contrast: point spread functions and MTF curves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Psf:
+    """A point spread function sampled every `step_px` LR pixels.
+
+    Parameters
+    ----------
+    kernel : [row col], odd in both directions, centred; it is scaled to sum to 1
+    step_px : spacing of the samples in LR pixels
+    """
+
+    kernel: NDArray[np.float64]
+    step_px: float
+
+    def __post_init__(self) -> None:
+        kernel = np.asarray(self.kernel, dtype=np.float64)
+        if kernel.ndim != 2 or kernel.shape[0] % 2 == 0 or kernel.shape[1] % 2 == 0:
+            raise ValueError(f"expected a PSF kernel [row col] of odd size, got {kernel.shape}")
+        if not np.all(np.isfinite(kernel)) or kernel.sum() <= 0:
+            raise ValueError("expected a finite PSF kernel with a positive sum")
+        if not self.step_px > 0:
+            raise ValueError(f"expected a positive step_px, got {self.step_px}")
+        object.__setattr__(self, "kernel", kernel / kernel.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MtfCurve:
+    """Contrast over spatial frequency on the sensor.
+
+    Parameters
+    ----------
+    frequency_lpmm : [n] rising, line pairs per millimetre
+    modulation : [n] contrast, 1 at frequency 0
+    std : [n] standard deviation of the modulation, or None
+    label : what was measured or computed
+    """
+
+    frequency_lpmm: NDArray[np.float64]
+    modulation: NDArray[np.float64]
+    std: NDArray[np.float64] | None = None
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        shape = self.frequency_lpmm.shape
+        if len(shape) != 1 or np.any(np.diff(self.frequency_lpmm) <= 0):
+            raise ValueError(f"expected rising frequencies [n], got shape {shape}")
+        if self.modulation.shape != shape or (self.std is not None and self.std.shape != shape):
+            raise ValueError(f"expected modulation and std of shape {shape}")

@@ -1,0 +1,135 @@
+"""The nouns: what they accept, what they refuse, and the half-pixel rule."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
+from lensshift.core.types import Burst, Frame, MtfCurve, Psf, ShiftField, ShiftPlan, StageMap
+from lensshift.core.units import (
+    distance_to_phase,
+    mm_to_px,
+    phase_to_distance,
+    px_to_mm,
+    unambiguous_range_m,
+)
+
+SHAPE = (5, 7)
+OFFSET_PX = np.array([[0.0, 0.0], [0.5, -0.25], [0.1, 0.2]])
+
+
+def make_burst(**fields: object) -> Burst:
+    complete = {
+        "amplitude": np.arange(105.0).reshape(3, *SHAPE),
+        "offset_px": OFFSET_PX,
+        "pitch_mm": (0.15, 0.1),
+    }
+    return Burst.from_arrays(**(complete | fields))  # type: ignore[arg-type]
+
+
+@given(st.integers(1, 8), st.integers(0, 50))
+def test_hr_pixels_tile_their_lr_pixel(scale: int, index: int) -> None:
+    children = index * scale + np.arange(scale)
+    assert hr_to_lr(children, scale).mean() == pytest.approx(index)
+    np.testing.assert_allclose(lr_to_hr(hr_to_lr(children, scale), scale), children, atol=1e-9)
+
+
+def test_a_finer_grid_covers_the_same_area() -> None:
+    grid = Grid(SHAPE, (0.15, 0.1))
+    fine = grid.refine(3)
+    assert fine.shape == (15, 21)
+    np.testing.assert_allclose(
+        np.multiply(fine.shape, fine.pitch_mm), np.multiply(grid.shape, grid.pitch_mm)
+    )
+    with pytest.raises(ValueError, match="at least 1 x 1"):
+        Grid((0, 4), (1.0, 1.0))
+    with pytest.raises(ValueError, match="positive"):
+        Grid(SHAPE, (0.1, -0.1))
+
+
+@given(st.floats(0.01, 7.4))
+def test_phase_and_distance_are_inverse(distance_m: float) -> None:
+    phase = distance_to_phase(distance_m, 20e6)
+    assert phase_to_distance(phase, 20e6) == pytest.approx(distance_m)
+    assert distance_to_phase(unambiguous_range_m(20e6), 20e6) == pytest.approx(2 * np.pi)
+    assert mm_to_px(px_to_mm(distance_m, 0.155), 0.155) == pytest.approx(distance_m)
+
+
+@pytest.mark.parametrize("frequency_hz", [0.0, -1.0, np.nan])
+def test_no_range_without_a_frequency(frequency_hz: float) -> None:
+    with pytest.raises(ValueError, match="positive modulation frequency"):
+        unambiguous_range_m(frequency_hz)
+
+
+def test_selection_keeps_frames_and_offsets_together() -> None:
+    burst = make_burst(time_s=[1.0, 2.0, 3.0])
+    part = burst.select([2, 0])
+    np.testing.assert_array_equal(part.amplitude, burst.amplitude[[2, 0]])
+    np.testing.assert_array_equal(part.offset_px, OFFSET_PX[[2, 0]])
+    assert part.time_s is not None
+    np.testing.assert_array_equal(part.time_s, [3.0, 1.0])
+    with pytest.raises(ValueError, match="frame numbers from 0 to 2"):
+        burst.select([3])
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        burst.grid = burst.grid.refine(2)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"amplitude": np.zeros((3, 5))}, "amplitude: expected .frame row col."),
+        ({"amplitude": np.zeros((3, 0, 7))}, "amplitude: expected at least one pixel"),
+        ({"amplitude": np.full((3, *SHAPE), np.nan)}, "amplitude: every valid pixel is NaN"),
+        ({"amplitude": np.full((3, *SHAPE), "a")}, "amplitude: expected numbers"),
+        ({"offset_px": np.zeros((2, 2))}, "offset_px: expected shape .3, 2."),
+        ({"offset_px": [[0, 0], [0, 1], [0, np.inf]]}, "offset_px: expected finite"),
+        ({"valid": np.zeros((3, *SHAPE), bool)}, "valid: every pixel is marked invalid"),
+        ({"valid": np.ones((3, 5, 6), bool)}, "valid: expected shape"),
+        ({"distance_m": np.zeros((3, 5, 6))}, "distance_m: expected shape"),
+        ({"pitch_mm": 0.0}, "pitch_mm: expected two positive pitches"),
+        ({"modulation_hz": -1.0}, "modulation_hz: expected a positive frequency"),
+        ({"offset_source": "guessed"}, "offset_source: expected one of planned"),
+        ({"time_s": [1.0]}, "time_s: expected shape"),
+    ],
+)
+def test_a_burst_that_contradicts_itself(fields: dict[str, object], said: str) -> None:
+    with pytest.raises(DataError, match=said) as caught:
+        make_burst(**fields)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_bad_pixel_must_be_marked() -> None:
+    amplitude = np.ones((3, *SHAPE))
+    amplitude[1, 2, 3] = np.nan
+    with pytest.raises(DataError, match="1 of 105 pixels"):
+        make_burst(amplitude=amplitude)
+    assert make_burst(amplitude=amplitude, valid=np.isfinite(amplitude)).frame_count == 3
+
+
+def test_a_psf_sums_to_one_and_has_a_centre() -> None:
+    assert Psf(np.ones((3, 5)), 0.5).kernel.sum() == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="odd size"):
+        Psf(np.ones((2, 3)), 0.5)
+
+
+def test_other_nouns_refuse_the_wrong_shape() -> None:
+    with pytest.raises(ValueError, match="rising"):
+        MtfCurve(np.array([1.0, 1.0]), np.ones(2))
+    with pytest.raises(ValueError, match="of shape"):
+        MtfCurve(np.array([0.0, 1.0]), np.ones(3))
+    with pytest.raises(ValueError, match="target_px"):
+        ShiftPlan(np.zeros((4, 3)))
+    with pytest.raises(ValueError, match="reference"):
+        ShiftPlan(np.zeros((4, 2)), reference=4)
+    with pytest.raises(ValueError, match="px_per_mm"):
+        StageMap(np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="field_px_per_mm"):
+        StageMap(np.eye(2), np.zeros((5, 7, 2)))
+    with pytest.raises(ValueError, match="frame row col 2"):
+        ShiftField(np.zeros((3, 5, 7)))
+    with pytest.raises(DataError, match="valid: expected"):
+        Frame(np.zeros(SHAPE), None, np.ones((7, 5), bool), 0.0)
