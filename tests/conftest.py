@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# Times mean nothing on a shared machine, and the first call of a kernel compiles it.
+settings.register_profile("lensshift", deadline=None)
+settings.load_profile("lensshift")
 
 REFERENCE_VARIABLE = "LENSSHIFT_REFERENCE"
 
