@@ -38,7 +38,7 @@ def pixel_aperture_mtf(
 
     Source: Boreman, Modulation Transfer Function in Optical and Electro-Optical Systems, 2001.
     """
-    row_mm, col_mm = _pitches(pitch_mm)
+    row_mm, col_mm = pitch_pair_mm(pitch_mm)
     if not 0 < fill_factor <= 1:
         raise ValueError(f"expected a fill factor above 0 and up to 1, got {fill_factor}")
     along = np.sqrt(fill_factor) * np.asarray(frequency_lpmm, dtype=np.float64)
@@ -136,6 +136,16 @@ def first_crossing_lpmm(curve: MtfCurve, level: float) -> float:
     return float(f0 + (f1 - f0) * (m0 - level) / (m0 - m1))
 
 
+def pitch_pair_mm(pitch_mm: float | tuple[float, float]) -> tuple[float, float]:
+    """Return a pitch, one or (row, col), as a pair; `ValueError` if one is not positive."""
+    pair = (pitch_mm, pitch_mm) if isinstance(pitch_mm, int | float) else tuple(pitch_mm)
+    if len(pair) != 2:
+        raise ValueError(f"expected a pitch in mm or a pair (row, col), got {pitch_mm}")
+    for pitch in pair:
+        _check_positive(pitch, "pitch in mm")
+    return float(pair[0]), float(pair[1])
+
+
 def lpmm_to_cycles_per_px(frequency_lpmm: ArrayLike, pitch_mm: float) -> NDArray[np.float64]:
     """Convert line pairs per mm on the sensor to cycles per pixel."""
     _check_positive(pitch_mm, "pitch in mm")
@@ -162,15 +172,6 @@ def cycles_per_mrad_to_lpmm(
     """Convert cycles per mrad in the scene to line pairs per mm on the sensor."""
     _check_positive(focal_length_mm, "focal length in mm")
     return np.asarray(np.asarray(cycles_per_mrad, dtype=np.float64) * 1000.0 / focal_length_mm)
-
-
-def _pitches(pitch_mm: float | tuple[float, float]) -> tuple[float, float]:
-    pair = (pitch_mm, pitch_mm) if isinstance(pitch_mm, int | float) else tuple(pitch_mm)
-    if len(pair) != 2:
-        raise ValueError(f"expected a pitch in mm or a pair (row, col), got {pitch_mm}")
-    for pitch in pair:
-        _check_positive(pitch, "pitch in mm")
-    return float(pair[0]), float(pair[1])
 
 
 def _check_positive(value: float, name: str) -> None:
