@@ -1,5 +1,7 @@
 """The star agrees with its closed form under a Gaussian blur and with a fine rendering."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -39,6 +41,7 @@ def exact_star(
     return np.asarray(0.5 + 0.4 * blurred_amplitude(np.hypot(row, col), cycles, sigma) * wave)
 
 
+@cache
 def rendered_star(
     square: bool,
     shape: tuple[int, int] = SHAPE,
@@ -95,7 +98,7 @@ def test_sectors_show_the_direction_across() -> None:
     assert found[0] < 0.55 < 0.85 < found[2]
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(
     row=st.floats(50, 70), col=st.floats(60, 80), cycles=st.integers(12, 30),
     seed=st.integers(0, 99),
@@ -135,12 +138,12 @@ def test_std_is_that_of_repeated_measurements(levels: tuple[float, float] | None
             center_px=(30.3, 34.8),
             levels=levels,
         )
-        for _ in range(60)
+        for _ in range(40)
     ]
     scatter = np.std([run.mtf.modulation for run in runs], axis=0, ddof=1)
     told = np.mean([run.mtf.std for run in runs if run.mtf.std is not None], axis=0)
     # The scale counts as independent of the rings, which it is not quite where it was taken from.
-    assert 0.93 < np.mean(told / scatter) < (1.07 if levels else 1.3)
+    assert 0.9 < np.mean(told / scatter) < (1.1 if levels else 1.3)
     assert np.mean([run.residual for run in runs]) == pytest.approx(0.02, rel=0.1)
 
 
@@ -167,6 +170,19 @@ def test_invalid_pixels_are_left_out() -> None:
     np.testing.assert_allclose(result.center_px, CENTER, atol=5e-3)
     truth = blurred_amplitude(result.radius_mm, CYCLES, 1.0)
     np.testing.assert_allclose(result.mtf.modulation, truth, atol=5e-3)
+
+
+@pytest.mark.parametrize("cycles", [24, 25])
+@pytest.mark.parametrize("background", [0.1, 0.9])
+def test_centre_of_a_disc_on_another_background(cycles: int, background: float) -> None:
+    center, shape = (66.4, 90.2), (121, 191)
+    image = exact_star(shape, center, cycles)
+    row, col = np.indices(shape)
+    image[np.hypot(row - center[0], col - center[1]) > 50] = background
+    image *= 1 + 0.002 * (col - 95)
+    image += np.random.default_rng(2).normal(0, 0.02, shape)
+    result = siemens_star_mtf(image, cycles=cycles, pitch_mm=1.0, radius_range_mm=(9.0, 48.0))
+    np.testing.assert_allclose(result.center_px, center, atol=0.02)
 
 
 def test_rings_beyond_nyquist_are_told() -> None:

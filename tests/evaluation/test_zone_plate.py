@@ -1,5 +1,7 @@
 """The zone plate agrees with blur times pixel aperture, and finds what an LR grid folds."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ LEVELS = (0.1, 0.9)  # mean 0.5, contrast 0.8
 Floats = NDArray[np.float64]
 
 
+@cache
 def rendered_plate(
     sigma: float,
     shape: tuple[int, int] = SHAPE,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -113,6 +114,11 @@ def siemens_star_mtf(
     pixels = list_pixels(image, pitch_mm, valid)
     center = _find_center_px(star, pixels, radius_range_mm) if center_px is None else center_px
     radii_mm = radius_range_mm or _default_range_mm(pixels, center, cycles)
+    if radii_mm[0] >= radii_mm[1]:
+        raise ValueError(
+            f"expected an image that reaches {radii_mm[0]:.4g} mm from the centre, where {cycles} "
+            f"cycles have 2 pixels each, got {radii_mm[1]:.4g} mm"
+        )
     row_mm, col_mm = pixels.place_mm(center)
     radius_mm, angle_rad = np.hypot(row_mm, col_mm), np.arctan2(row_mm, col_mm)
     waves = star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm)
@@ -201,23 +207,25 @@ class _Star:
 def _find_center_px(
     star: _Star, pixels: Pixels, radius_range_mm: tuple[float, float] | None
 ) -> tuple[float, float]:
-    start_px = symmetry_center_px(pixels, parity=-1 if star.cycles % 2 else 1)
-    radii_mm = radius_range_mm or _default_range_mm(pixels, start_px, star.cycles)
-    return refine_center_px(
-        pixels, start_px, lambda row, col: star.waves(row, col, radii_mm, pixels.pitch_mm)
-    )
+    """Refine the better of two starts: an odd star on an even disc turns into neither."""
+
+    def waves_about(start_px: tuple[float, float], row_mm: Floats, col_mm: Floats) -> Waves:
+        radii_mm = radius_range_mm or _default_range_mm(pixels, start_px, star.cycles)
+        return star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm)
+
+    def energy(start_px: tuple[float, float]) -> float:
+        place_mm = pixels.place_mm(start_px)
+        _, fits = star.measure(pixels, waves_about(start_px, *place_mm), np.hypot(*place_mm))
+        return sum(fit.count * fit.modulation**2 for fit in fits)
+
+    start_px = max((symmetry_center_px(pixels, parity) for parity in (1, -1)), key=energy)
+    return refine_center_px(pixels, start_px, partial(waves_about, start_px))
 
 
 def _default_range_mm(
     pixels: Pixels, center_px: tuple[float, float], cycles: int
 ) -> tuple[float, float]:
-    nyquist_mm, border_mm = cycles * max(pixels.pitch_mm) / np.pi, min(pixels.reach_mm(center_px))
-    if nyquist_mm >= border_mm:
-        raise ValueError(
-            f"expected an image that reaches {nyquist_mm:.4g} mm from the centre, where {cycles} "
-            f"cycles have 2 pixels each, got {border_mm:.4g} mm"
-        )
-    return nyquist_mm, border_mm
+    return cycles * max(pixels.pitch_mm) / np.pi, min(pixels.reach_mm(center_px))
 
 
 def _sector(waves: Waves, angle_rad: Floats, half_rad: float) -> Waves:

@@ -200,7 +200,7 @@ class Pixels:
     def reach_mm(self, center_px: tuple[float, float]) -> tuple[float, float]:
         """Return how far the image reaches on both sides of a centre, along (row, col)."""
         row_px, col_px = (min(c, n - 1 - c) for c, n in zip(center_px, self.shape, strict=True))
-        if not min(row_px, col_px) > 0:
+        if not min(row_px, col_px) >= 0:
             raise ValueError(f"expected a centre inside the image {self.shape}, got {center_px}")
         return row_px * self.pitch_mm[0], col_px * self.pitch_mm[1]
 
@@ -278,9 +278,14 @@ def fit_harmonic(
     waves = [wave(phase) for phase in phases_rad for wave in (np.cos, np.sin)]
     design = np.column_stack([*waves, background])
     count, unknowns = design.shape
-    if count < 2 * unknowns or _condition(design) > _MAX_CONDITION:
+    norm = np.linalg.norm(design, axis=0)
+    if count < 2 * unknowns or not np.all(norm > 0):
         return None
-    coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
+    u, singular, vt = np.linalg.svd(design / norm, full_matrices=False)
+    if singular[0] > _MAX_CONDITION * singular[-1]:
+        return None
+    root = vt.T / singular / norm[:, None]  # root root^T = (design^T design)^-1
+    coefficients = root @ (u.T @ values)
     left = values - design @ coefficients
     mean_columns = background.mean(axis=0)
     level = float(mean_columns @ coefficients[len(waves) :])
@@ -292,7 +297,7 @@ def fit_harmonic(
     change = np.zeros(unknowns)  # of the modulation with the coefficients
     change[:2] = np.cos(phase_rad) / level, np.sin(phase_rad) / level
     change[len(waves) :] = -modulation / level * mean_columns
-    variance = change @ np.linalg.solve(design.T @ design, change) * (left @ left)
+    variance = np.sum((change @ root) ** 2) * (left @ left)
     return HarmonicFit(
         modulation=modulation,
         std=float(np.sqrt(variance / (count - unknowns))),
@@ -300,11 +305,6 @@ def fit_harmonic(
         count=count,
         residual=float(np.sqrt(np.mean(left**2))),
     )
-
-
-def _condition(design: Floats) -> float:
-    norm = np.linalg.norm(design, axis=0)
-    return float(np.linalg.cond(design / norm)) if np.all(norm > 0) else np.inf
 
 
 def contrast_at_zero(
