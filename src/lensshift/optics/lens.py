@@ -1,0 +1,317 @@
+"""The lens as data: surfaces make elements, elements and gaps make a lens."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.optics.glass import (
+    AIR,
+    GLASSES,
+    REFERENCE_TEMPERATURE_C,
+    glass_names,
+    refractive_index,
+)
+
+_CHECKED_HEIGHTS = np.linspace(0.0, 1.0, 33)  # of the smaller semi-diameter
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A surface of revolution.
+
+        z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)) + A4 r^4 + A6 r^6 + ...,   c = 1 / radius
+
+    Parameters
+    ----------
+    radius_mm : positive if the centre of curvature lies behind the vertex, infinite for a plane
+    conic : k; 0 is a sphere, -1 a paraboloid
+    asphere : A4, A6, A8, ... in mm^-3, mm^-5, mm^-7, ...
+    semi_diameter_mm : light farther from the axis of the element is stopped
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range or the surface ends before its semi-diameter.
+    """
+
+    radius_mm: float
+    conic: float = 0.0
+    asphere: tuple[float, ...] = ()
+    semi_diameter_mm: float = math.inf
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.radius_mm) or self.radius_mm == 0:
+            raise ValueError(f"expected a radius other than 0 mm, got {self.radius_mm}")
+        if not self.semi_diameter_mm > 0:
+            raise ValueError(f"expected a positive semi-diameter, got {self.semi_diameter_mm} mm")
+        if not all(math.isfinite(value) for value in (self.conic, *self.asphere)):
+            raise ValueError("expected a finite conic constant and asphere coefficients")
+        bend = (1.0 + self.conic) * self.curvature_per_mm**2
+        if math.isfinite(self.semi_diameter_mm) and bend * self.semi_diameter_mm**2 > 1.0:
+            raise ValueError(
+                f"expected a semi-diameter up to {bend**-0.5:.4f} mm for radius {self.radius_mm} "
+                f"mm and conic {self.conic}, got {self.semi_diameter_mm} mm"
+            )
+
+    @property
+    def curvature_per_mm(self) -> float:
+        """1 / radius, 0 for a plane."""
+        return 1.0 / self.radius_mm
+
+    def sag_mm(self, height_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return z at distances from the axis; NaN where the surface has ended."""
+        c, square = self.curvature_per_mm, np.asarray(height_mm, dtype=np.float64) ** 2
+        with np.errstate(invalid="ignore"):
+            sag = c * square / (1.0 + np.sqrt(1.0 - (1.0 + self.conic) * c * c * square))
+        for power, coefficient in enumerate(self.asphere, start=2):
+            sag = sag + coefficient * square**power
+        return np.asarray(sag)
+
+    def reversed(self) -> Surface:
+        """Return the surface as light from the other side meets it."""
+        return replace(self, radius_mm=-self.radius_mm, asphere=tuple(-a for a in self.asphere))
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """Surfaces that move as one: a single lens, a cemented group, a cover glass.
+
+    A point p of the element lies at R p + decenter, where R leans its axis by `tilt_rad`:
+    R = R_x(-row) R_y(col), about the vertex of the first surface (x along columns, y along rows,
+    right-handed rotations: the coordinate break (-row, col, 0) of optical design programs).
+
+    Parameters
+    ----------
+    surfaces : in the order in which light meets them, at least two
+    glass : between them, one less than surfaces
+    thickness_mm : between the vertices, one less than surfaces
+    name : for tables and messages
+    decenter_mm : (row, col)
+    tilt_rad : by how much the axis leans towards (row, col)
+
+    Raises
+    ------
+    ValueError
+        If the numbers do not fit together, a glass is unknown or surfaces cross.
+    """
+
+    surfaces: tuple[Surface, ...]
+    glass: tuple[str, ...]
+    thickness_mm: tuple[float, ...]
+    name: str = ""
+    decenter_mm: tuple[float, float] = (0.0, 0.0)
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        spaces = len(self.surfaces) - 1
+        if spaces < 1 or len(self.glass) != spaces or len(self.thickness_mm) != spaces:
+            raise ValueError(
+                f"expected n surfaces, n - 1 glasses and n - 1 thicknesses, got "
+                f"{len(self.surfaces)}, {len(self.glass)} and {len(self.thickness_mm)}"
+            )
+        for number, glass in enumerate(self.glass, start=1):
+            if glass not in GLASSES:
+                known = ", ".join(name for name in glass_names() if name != AIR)
+                raise ValueError(f"surface {number}: expected a glass of {known}, got {glass!r}")
+        for number, thickness_mm in enumerate(self.thickness_mm, start=1):
+            if not (math.isfinite(thickness_mm) and thickness_mm > 0):
+                raise ValueError(
+                    f"surface {number}: expected a positive thickness, got {thickness_mm} mm"
+                )
+            _check_order(self.surfaces[number - 1], self.surfaces[number], thickness_mm, number)
+        if not np.all(np.isfinite([*self.decenter_mm, *self.tilt_rad])):
+            raise ValueError("expected a finite decentre and tilt")
+
+    @property
+    def length_mm(self) -> float:
+        """From the first vertex to the last."""
+        return sum(self.thickness_mm)
+
+    def reversed(self) -> Element:
+        """Return the element turned round, its last surface first."""
+        return replace(
+            self,
+            surfaces=tuple(surface.reversed() for surface in self.surfaces[::-1]),
+            glass=self.glass[::-1],
+            thickness_mm=self.thickness_mm[::-1],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """The aperture that limits the light: a round hole in a plane in air.
+
+    Parameters
+    ----------
+    diameter_mm : of the hole
+    position_mm : from the first vertex of the lens, negative in front of it
+    rides_on : number of the element that carries it, or None if it is fixed in space
+    """
+
+    diameter_mm: float
+    position_mm: float = 0.0
+    rides_on: int | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.diameter_mm) and self.diameter_mm > 0):
+            raise ValueError(f"expected a positive stop diameter, got {self.diameter_mm} mm")
+        if not math.isfinite(self.position_mm):
+            raise ValueError(f"expected a finite stop position, got {self.position_mm} mm")
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """Elements in a row, light from object to sensor.
+
+    Parameters
+    ----------
+    elements : in the order in which light meets them
+    gaps_mm : air behind each element; the last one reaches to the sensor
+    stop : the aperture
+    object_mm : from the object to the first vertex, or infinite
+    wavelength_nm : of the design, used where no other is given
+    temperature_c : of glass and air; radii and thicknesses are taken as they are
+    name : for tables and figures
+
+    Raises
+    ------
+    ValueError
+        If a gap is negative, surfaces overlap, or the stop lies in glass, behind the lens, or
+        is larger than the surfaces beside it.
+    """
+
+    elements: tuple[Element, ...]
+    gaps_mm: tuple[float, ...]
+    stop: Stop
+    object_mm: float = math.inf
+    wavelength_nm: float = 850.0
+    temperature_c: float = REFERENCE_TEMPERATURE_C
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.elements or len(self.gaps_mm) != len(self.elements):
+            raise ValueError(
+                f"expected a gap behind each of at least one element, got {len(self.gaps_mm)} "
+                f"gaps and {len(self.elements)} elements"
+            )
+        if not all(math.isfinite(gap_mm) and gap_mm >= 0 for gap_mm in self.gaps_mm):
+            raise ValueError(f"expected gaps of at least 0 mm, got {self.gaps_mm}")
+        if not self.object_mm > 0:
+            raise ValueError(f"expected a positive object distance, got {self.object_mm} mm")
+        number = 0
+        for element, behind, gap_mm in zip(
+            self.elements[:-1], self.elements[1:], self.gaps_mm[:-1], strict=True
+        ):
+            number += len(element.surfaces)
+            _check_order(element.surfaces[-1], behind.surfaces[0], gap_mm, number)
+        self._check_stop()
+        self.indices()  # tells of a wavelength or temperature that a glass does not know
+
+    def _check_stop(self) -> None:
+        carrier = self.stop.rides_on
+        if carrier is not None and not 0 <= carrier < len(self.elements):
+            raise ValueError(
+                f"expected the stop on an element from 0 to {len(self.elements) - 1}, got {carrier}"
+            )
+        before = self.elements_before_stop()
+        beside = []
+        if before > 0:
+            beside.append(self.elements[before - 1].surfaces[-1])
+        if before < len(self.elements):
+            beside.append(self.elements[before].surfaces[0])
+        smallest_mm = min(surface.semi_diameter_mm for surface in beside)
+        if self.stop.diameter_mm > 2.0 * smallest_mm:
+            raise ValueError(
+                f"expected a stop no larger than the surface beside it, "
+                f"{2.0 * smallest_mm:g} mm, got {self.stop.diameter_mm:g} mm"
+            )
+
+    def positions_mm(self) -> NDArray[np.float64]:
+        """Return where the first vertex of each element and the sensor lie, [element + 1]."""
+        lengths = [e.length_mm + gap for e, gap in zip(self.elements, self.gaps_mm, strict=True)]
+        return np.concatenate([[0.0], np.cumsum(lengths)])
+
+    def indices(self, wavelength_nm: float | None = None) -> tuple[tuple[float, ...], ...]:
+        """Return the refractive index of each glass of each element."""
+        chosen_nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
+        return tuple(
+            tuple(refractive_index(g, chosen_nm, self.temperature_c) for g in element.glass)
+            for element in self.elements
+        )
+
+    def elements_before_stop(self) -> int:
+        """Return how many elements light passes before the stop.
+
+        Raises
+        ------
+        ValueError
+            If the stop lies in an element or behind the sensor.
+        """
+        stop_mm = self.stop.position_mm
+        starts_mm = self.positions_mm()
+        if stop_mm > starts_mm[-1]:
+            raise ValueError(
+                f"expected a stop in front of the sensor at {starts_mm[-1]:g} mm, got {stop_mm} mm"
+            )
+        count = 0
+        for start_mm, element in zip(starts_mm, self.elements, strict=False):
+            if stop_mm <= start_mm:
+                break
+            if stop_mm < start_mm + element.length_mm - 1e-9:
+                raise ValueError(
+                    f"expected a stop in air, got {stop_mm} mm, which is inside element "
+                    f"{count + 1} ({element.name})"
+                )
+            count += 1
+        return count
+
+    def with_decenter(self, element: int, decenter_mm: tuple[float, float]) -> Lens:
+        """Return the lens with one element at another decentre (row, col)."""
+        self.check_element(element)
+        moved = replace(self.elements[element], decenter_mm=decenter_mm)
+        return self._with_element(element, moved)
+
+    def with_tilt(self, element: int, tilt_rad: tuple[float, float]) -> Lens:
+        """Return the lens with one element at another tilt (row, col)."""
+        self.check_element(element)
+        return self._with_element(element, replace(self.elements[element], tilt_rad=tilt_rad))
+
+    def with_sensor(self, back_focal_mm: float) -> Lens:
+        """Return the lens with the sensor at another distance behind the last vertex."""
+        return replace(self, gaps_mm=(*self.gaps_mm[:-1], back_focal_mm))
+
+    def check_element(self, element: int) -> None:
+        """Raise a ValueError if there is no element of this number, counted from 0."""
+        if not 0 <= element < len(self.elements):
+            raise ValueError(
+                f"expected an element from 0 to {len(self.elements) - 1}, got {element}"
+            )
+
+    def _with_element(self, number: int, element: Element) -> Lens:
+        elements = (*self.elements[:number], element, *self.elements[number + 1 :])
+        return replace(self, elements=elements)
+
+
+def cover_glass(glass: str, thickness_mm: float, semi_diameter_mm: float = math.inf) -> Element:
+    """Return a plane-parallel plate, to be put in front of the sensor as the last element."""
+    plane = Surface(math.inf, semi_diameter_mm=semi_diameter_mm)
+    return Element((plane, plane), (glass,), (thickness_mm,), name="cover glass")
+
+
+def _check_order(front: Surface, back: Surface, distance_mm: float, number: int) -> None:
+    """Raise a ValueError if the back surface reaches before the front one anywhere on both."""
+    largest_mm = min(front.semi_diameter_mm, back.semi_diameter_mm)
+    if not math.isfinite(largest_mm):
+        return
+    heights_mm = largest_mm * _CHECKED_HEIGHTS
+    room_mm = distance_mm + back.sag_mm(heights_mm) - front.sag_mm(heights_mm)
+    if room_mm.min() < -1e-9:
+        worst_mm = heights_mm[room_mm.argmin()]
+        raise ValueError(
+            f"surface {number}: expected surface {number + 1} behind it, but they overlap by "
+            f"{-room_mm.min():.4f} mm at {worst_mm:.2f} mm from the axis"
+        )

@@ -1,0 +1,239 @@
+"""Lens files in TOML, and the lenses that come with the package."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from lensshift.core.errors import DataError
+from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
+from lensshift.optics.lens import Element, Lens, Stop, Surface
+
+_LENS_KEYS = {"name", "wavelength_nm", "temperature_c", "object_mm", "stop", "element"}
+_STOP_KEYS = {"diameter_mm", "position_mm", "rides_on"}
+_ELEMENT_KEYS = {
+    "name", "glass", "thickness_mm", "gap_mm", "decenter_mm", "tilt_deg", "surface",
+}  # fmt: skip
+_SURFACE_KEYS = {"radius_mm", "conic", "asphere", "semi_diameter_mm"}
+
+
+def lens_names() -> tuple[str, ...]:
+    """Return the names of the lenses that come with the package."""
+    folder = resources.files("lensshift.optics") / "prescriptions"
+    files = (entry.name for entry in folder.iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml")))
+
+
+def load_lens(path_or_name: str | Path) -> Lens:
+    """Read a lens from a TOML file, or one of `lens_names()`.
+
+    Angles are in degrees in the file, (row, col) pairs as in the program, elements numbered from
+    1; `inf` is a plane surface, an object at infinity, a surface without an edge.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, is not TOML, or describes no lens: with file, element, surface
+        and line.
+    """
+    if str(path_or_name) in lens_names():
+        folder = resources.files("lensshift.optics") / "prescriptions"
+        text = (folder / f"{path_or_name}.toml").read_text(encoding="utf-8")
+        return parse_lens(text, source=f"{path_or_name}.toml")
+    path = Path(path_or_name)
+    if not path.is_file():
+        raise DataError(f"expected a lens file or a name of {', '.join(lens_names())}", source=path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise DataError("expected a text file in UTF-8", source=path) from error
+    return parse_lens(text, source=path)
+
+
+def parse_lens(text: str, source: str | Path = "") -> Lens:
+    """Return the lens that a text in TOML describes; see `load_lens`."""
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:  # its message names line and column
+        raise DataError(f"expected TOML, got {error}", source=source) from error
+    try:
+        return _lens(content, text)
+    except DataError as error:
+        raise error.in_file(source) from error
+    except ValueError as error:
+        raise DataError(str(error), source=source) from error
+
+
+def save_lens(lens: Lens, path: str | Path) -> None:
+    """Write a lens as TOML, so that `load_lens` returns the same lens.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+    """
+    try:
+        Path(path).write_text(format_lens(lens), encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+
+
+def format_lens(lens: Lens) -> str:
+    """Return the TOML text of a lens."""
+    lines = [
+        f"name = {_text(lens.name)}",
+        f"wavelength_nm = {_value(lens.wavelength_nm)}",
+        f"temperature_c = {_value(lens.temperature_c)}",
+        f"object_mm = {_value(lens.object_mm)}",
+        "",
+        "[stop]",
+        f"diameter_mm = {_value(lens.stop.diameter_mm)}",
+        f"position_mm = {_value(lens.stop.position_mm)}",
+    ]
+    if lens.stop.rides_on is not None:
+        lines.append(f"rides_on = {lens.stop.rides_on + 1}")
+    for element, gap_mm in zip(lens.elements, lens.gaps_mm, strict=True):
+        lines += [
+            "",
+            "[[element]]",
+            f"name = {_text(element.name)}",
+            f"glass = [{', '.join(_text(glass) for glass in element.glass)}]",
+            f"thickness_mm = {_values(element.thickness_mm)}",
+            f"gap_mm = {_value(gap_mm)}",
+        ]
+        if any(element.decenter_mm):
+            lines.append(f"decenter_mm = {_values(element.decenter_mm)}")
+        if any(element.tilt_rad):
+            lines.append(f"tilt_deg = {_values(tuple(map(math.degrees, element.tilt_rad)))}")
+        for surface in element.surfaces:
+            lines += ["", "[[element.surface]]", f"radius_mm = {_value(surface.radius_mm)}"]
+            if surface.conic:
+                lines.append(f"conic = {_value(surface.conic)}")
+            if surface.asphere:
+                lines.append(f"asphere = {_values(surface.asphere)}")
+            lines.append(f"semi_diameter_mm = {_value(surface.semi_diameter_mm)}")
+    return "\n".join(lines) + "\n"
+
+
+def _lens(content: dict[str, Any], text: str) -> Lens:
+    _check_keys(content, _LENS_KEYS, "lens", {"stop", "element"})
+    stop = _table(content["stop"], "stop")
+    _check_keys(stop, _STOP_KEYS, "stop", {"diameter_mm"})
+    tables = content["element"]
+    if not isinstance(tables, list):
+        raise DataError("expected tables headed [[element]]", field="element")
+    elements, gaps_mm = [], []
+    for number, table in enumerate(tables, start=1):
+        where = f"element {number}, line {_line(text, '[[element]]', number)}"
+        element = _table(table, where)
+        _check_keys(element, _ELEMENT_KEYS, where, {"glass", "thickness_mm", "gap_mm", "surface"})
+        first = sum(len(one["surface"]) for one in tables[: number - 1])
+        elements.append(_element(element, where, text, first))
+        gaps_mm.append(_number(element, "gap_mm", where))
+    rides_on = stop.get("rides_on")
+    if rides_on is not None and not isinstance(rides_on, int):
+        raise DataError(f"expected the number of an element, got {rides_on!r}", field="rides_on")
+    return Lens(
+        elements=tuple(elements),
+        gaps_mm=tuple(gaps_mm),
+        stop=Stop(
+            diameter_mm=_number(stop, "diameter_mm", "stop"),
+            position_mm=_number(stop, "position_mm", "stop", 0.0),
+            rides_on=None if rides_on is None else rides_on - 1,
+        ),
+        object_mm=_number(content, "object_mm", "lens", math.inf),
+        wavelength_nm=_number(content, "wavelength_nm", "lens", 850.0),
+        temperature_c=_number(content, "temperature_c", "lens", REFERENCE_TEMPERATURE_C),
+        name=str(content.get("name", "")),
+    )
+
+
+def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -> Element:
+    surfaces = []
+    for number, content in enumerate(table["surface"], start=1):
+        line = _line(text, "[[element.surface]]", first_surface + number)
+        at = f"{where.split(',')[0]} surface {number}, line {line}"
+        surface = _table(content, at)
+        _check_keys(surface, _SURFACE_KEYS, at, {"radius_mm"})
+        try:
+            surfaces.append(_surface(surface, at))
+        except DataError:
+            raise
+        except ValueError as error:
+            raise DataError(str(error), field=at) from error
+    tilt_deg = _numbers(table.get("tilt_deg", [0.0, 0.0]), "tilt_deg", where, 2)
+    row_mm, col_mm = _numbers(table.get("decenter_mm", [0.0, 0.0]), "decenter_mm", where, 2)
+    glass = table["glass"]
+    try:
+        return Element(
+            surfaces=tuple(surfaces),
+            glass=tuple(glass) if isinstance(glass, list) else (glass,),
+            thickness_mm=_numbers(table["thickness_mm"], "thickness_mm", where),
+            name=str(table.get("name", "")),
+            decenter_mm=(row_mm, col_mm),
+            tilt_rad=(math.radians(tilt_deg[0]), math.radians(tilt_deg[1])),
+        )
+    except DataError:
+        raise
+    except ValueError as error:
+        raise DataError(str(error), field=where) from error
+
+
+def _surface(table: dict[str, Any], where: str) -> Surface:
+    return Surface(
+        radius_mm=_number(table, "radius_mm", where),
+        conic=_number(table, "conic", where, 0.0),
+        asphere=_numbers(table.get("asphere", []), "asphere", where),
+        semi_diameter_mm=_number(table, "semi_diameter_mm", where, math.inf),
+    )
+
+
+def _table(value: object, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise DataError(f"expected a table, got {value!r}", field=where)
+    return value
+
+
+def _check_keys(table: dict[str, Any], known: set[str], where: str, needed: set[str]) -> None:
+    for key in table:
+        if key not in known:
+            raise DataError(f"expected {', '.join(sorted(known))}, got {key!r}", field=where)
+    for key in sorted(needed - set(table)):
+        raise DataError(f"expected {key!r}, which is missing", field=where)
+
+
+def _number(table: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
+    value = table.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise DataError(f"expected a number for {key!r}, got {value!r}", field=where)
+    return float(value)
+
+
+def _numbers(value: object, key: str, where: str, count: int | None = None) -> tuple[float, ...]:
+    values = value if isinstance(value, list) else [value]
+    if count is not None and len(values) != count:
+        raise DataError(f"expected {count} numbers for {key!r}, got {value!r}", field=where)
+    return tuple(_number({key: one}, key, where) for one in values)
+
+
+def _line(text: str, heading: str, number: int) -> int:
+    """Return the line of the n-th heading; 0 if the file writes its tables another way."""
+    found = [i for i, line in enumerate(text.splitlines(), 1) if line.strip().startswith(heading)]
+    return found[number - 1] if number <= len(found) else 0
+
+
+def _text(text: str) -> str:
+    import json
+
+    return json.dumps(text, ensure_ascii=False)  # a JSON string is a TOML basic string
+
+
+def _value(value: float) -> str:
+    return repr(float(value))
+
+
+def _values(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(map(_value, values)) + "]"

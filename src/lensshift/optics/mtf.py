@@ -1,0 +1,230 @@
+"""How sharply the lens images: MTF of any field, azimuth, focus and build.
+
+Two ways: exact (`lensshift.optics.otf`) and fast, geometric times diffraction, here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.grid import Grid
+from lensshift.core.optical import MtfCurve
+from lensshift.optics.lens import Lens
+from lensshift.optics.paraxial import paraxial
+from lensshift.optics.spots import Spots, fields_for_image, spots
+from lensshift.optics.trace import Build
+
+Array = NDArray[np.float64]
+
+AZIMUTHS_RAD = (0.0, 0.5 * np.pi)  # across columns (a vertical edge), across rows
+_FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """The light: wavelengths and how much of each.
+
+    Parameters
+    ----------
+    wavelength_nm : [n]
+    weight : [n] share of each wavelength, scaled to sum to 1
+
+    Raises
+    ------
+    ValueError
+        If they differ in number, a weight is negative or all are 0.
+    """
+
+    wavelength_nm: Array
+    weight: Array
+
+    def __post_init__(self) -> None:
+        wavelength_nm = np.atleast_1d(np.asarray(self.wavelength_nm, dtype=np.float64))
+        weight = np.atleast_1d(np.asarray(self.weight, dtype=np.float64))
+        if wavelength_nm.ndim != 1 or wavelength_nm.shape != weight.shape:
+            raise ValueError(
+                f"expected a weight for each wavelength, got {weight.shape} and "
+                f"{wavelength_nm.shape}"
+            )
+        if not (np.all(weight >= 0) and weight.sum() > 0):
+            raise ValueError(f"expected weights >= 0 that are not all 0, got {weight}")
+        object.__setattr__(self, "wavelength_nm", wavelength_nm)
+        object.__setattr__(self, "weight", weight / weight.sum())
+
+
+def led_band(centre_nm: float, fwhm_nm: float, samples: int = 5) -> Band:
+    """Return the band of an LED, a Gaussian of the given full width at half maximum.
+
+    Gauss-Hermite nodes: exact for polynomials of degree 2 samples - 1 in the wavelength.
+
+    Raises
+    ------
+    ValueError
+        If the width is negative or there is no sample.
+    """
+    if not fwhm_nm >= 0 or samples < 1:
+        raise ValueError(f"expected a width >= 0 nm and samples >= 1, got {fwhm_nm}, {samples}")
+    node, weight = np.polynomial.hermite_e.hermegauss(samples)
+    return Band(centre_nm + node * (fwhm_nm / _FWHM_PER_SIGMA), weight)
+
+
+def diffraction_mtf(frequency_lpmm: ArrayLike, cutoff_lpmm: ArrayLike) -> Array:
+    """Return the MTF of a perfect lens with a round pupil.
+
+        MTF = 2/pi (arccos v - v sqrt(1 - v^2)),    v = frequency / cutoff, 0 for v > 1
+
+    The cutoff of a lens is 1 / (wavelength x working f-number).
+    """
+    v = np.abs(np.asarray(frequency_lpmm, dtype=np.float64)) / np.asarray(cutoff_lpmm)
+    v = np.minimum(v, 1.0)
+    return np.asarray(2.0 / np.pi * (np.arccos(v) - v * np.sqrt(1.0 - v * v)))
+
+
+def diffraction_limit(lens: Lens, frequency_lpmm: ArrayLike) -> MtfCurve:
+    """Return the MTF on the axis that the lens would have without aberrations."""
+    cutoff_lpmm = 1e6 / (lens.wavelength_nm * paraxial(lens).working_f_number)
+    frequency = np.asarray(frequency_lpmm, dtype=np.float64)
+    return MtfCurve(frequency, diffraction_mtf(frequency, cutoff_lpmm), label="diffraction limit")
+
+
+def fast_mtf(
+    lens: Lens,
+    field_tan: ArrayLike,
+    frequency_lpmm: ArrayLike,
+    azimuth_rad: ArrayLike = AZIMUTHS_RAD,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+    defocus_mm: ArrayLike = 0.0,
+    rings: int = 6,
+) -> Array:
+    """Return geometric MTF times diffraction MTF, [... azimuth frequency].
+
+        MTF = | sum_rays w exp(-2 pi i f e) | D(f, cutoff),    cutoff = 4 std(cosine) / wavelength
+
+    with e the landing point and the cosine of the ray along the azimuth: four standard deviations
+    are the width of a round pupil, also seen obliquely or vignetted.
+
+    Parameters
+    ----------
+    field_tan, build : as for `trace`
+    frequency_lpmm : [frequency]
+    azimuth_rad : [azimuth] direction in which the pattern repeats: 0 along columns, pi/2 along
+        rows
+    band : the light; the design wavelength alone by default
+    defocus_mm : [...] sensor moved away from the lens; broadcasts with the leading axes
+    rings : of the pupil quadrature
+
+    Raises
+    ------
+    ValueError
+        As in `spots`.
+    """
+    frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
+    azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
+    axes = np.stack([np.sin(azimuth), np.cos(azimuth)])
+    light = band or Band(np.array([lens.wavelength_nm]), np.ones(1))
+    parts = [
+        spots(lens, field_tan, build=build, wavelength_nm=float(nm), rings=rings)
+        for nm in light.wavelength_nm
+    ]
+    share = [w * part.transmission for w, part in zip(light.weight, parts, strict=True)]
+    total = sum(share)
+    centre = sum(
+        (s / total)[..., None] * part.centroid_mm for s, part in zip(share, parts, strict=True)
+    )
+    otf = sum(
+        (s / total)[..., None, None]
+        * _spot_otf(part, part.centroid_mm - centre, axes, frequency, float(nm), defocus_mm)
+        for s, part, nm in zip(share, parts, light.wavelength_nm, strict=True)
+    )
+    return np.asarray(np.abs(otf))
+
+
+def _spot_otf(
+    spot: Spots,
+    from_centre_mm: Array,
+    axes: Array,
+    frequency_lpmm: Array,
+    wavelength_nm: float,
+    defocus_mm: ArrayLike,
+) -> NDArray[np.complex128]:
+    """Return the OTF of one wavelength about a point, [... azimuth frequency]."""
+    from lensshift.optics.otf_kernel import spot_sums
+
+    moved = spot.ray_mm + from_centre_mm[..., None, :]
+    away = np.asarray(defocus_mm, dtype=np.float64)
+    if np.any(away):
+        axial = np.where(spot.weight > 0, spot.direction[..., 2], 1.0)
+        moved = moved + away[..., None, None] * spot.direction[..., :2] / axial[..., None]
+    landing = np.moveaxis(moved @ axes, -1, -2)  # [... azimuth ray]
+    cosine = np.moveaxis(spot.direction[..., :2] @ axes, -1, -2)
+    weight = spot.weight[..., None, :]
+    mean = (weight * cosine).sum(axis=-1, keepdims=True)
+    width = 4.0 * np.sqrt((weight * (cosine - mean) ** 2).sum(axis=-1))
+    limit = diffraction_mtf(frequency_lpmm, width[..., None] / (wavelength_nm * 1e-6))
+    geometric = np.empty(limit.shape, dtype=np.complex128)
+    rays = landing.shape[-1]
+    spot_sums(
+        landing.reshape(-1, len(axes.T), rays),
+        np.broadcast_to(spot.weight, (*landing.shape[:-2], rays)).reshape(-1, rays),
+        frequency_lpmm,
+        geometric.reshape(-1, len(axes.T), len(frequency_lpmm)),
+    )
+    return geometric * limit
+
+
+def sensor_mtf(
+    lens: Lens,
+    grid: Grid,
+    frequency_lpmm: ArrayLike,
+    azimuth_rad: ArrayLike = AZIMUTHS_RAD,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+    rings: int = 4,
+) -> Array:
+    """Return the fast MTF at every pixel of a sensor, [row col azimuth frequency].
+
+    Parameters
+    ----------
+    grid : of the sensor, centred on the axis
+    frequency_lpmm, azimuth_rad, build, band, rings : as for `fast_mtf`
+    """
+    near_mm = 1e-2 * min(grid.pitch_mm)  # the MTF changes slowly
+    fields = fields_for_image(lens, pixel_centres_mm(grid), tolerance_mm=near_mm)
+    return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, build=build, band=band, rings=rings)
+
+
+def through_focus(
+    lens: Lens,
+    field_tan: ArrayLike,
+    frequency_lpmm: float,
+    defocus_mm: ArrayLike,
+    azimuth_rad: ArrayLike = AZIMUTHS_RAD,
+    *,
+    band: Band | None = None,
+) -> Array:
+    """Return the fast MTF at several sensor positions, [focus ... azimuth].
+
+    Parameters
+    ----------
+    field_tan : [... 2] (row, col)
+    defocus_mm : [focus] sensor moved away from the lens
+    """
+    fields = np.asarray(field_tan, dtype=np.float64)
+    steps = np.asarray(defocus_mm, dtype=np.float64)
+    away = steps.reshape(-1, *(1,) * (fields.ndim - 1))
+    return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, band=band, defocus_mm=away)[..., 0]
+
+
+def pixel_centres_mm(grid: Grid) -> Array:
+    """Return the pixel centres [row col 2] (row, col) of a sensor that is centred on the axis."""
+    along = [
+        (np.arange(count) - 0.5 * (count - 1)) * pitch_mm
+        for count, pitch_mm in zip(grid.shape, grid.pitch_mm, strict=True)
+    ]
+    return np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)

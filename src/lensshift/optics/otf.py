@@ -1,0 +1,168 @@
+"""The exact OTF of one field: autocorrelation of the pupil in direction cosines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.optical import MtfCurve
+from lensshift.optics.lens import Lens
+from lensshift.optics.mtf import AZIMUTHS_RAD, Band
+from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.spots import Spots, spots_of_rays
+from lensshift.optics.trace import Build, RayBundle, trace
+
+Array = NDArray[np.floating]
+
+_RINGS, _ARMS = 12, 48
+_DEGREE = 12  # of the polynomials in the direction cosines
+_MARGIN = 1.02  # of the square that holds the pupil
+_SAMPLES = 128
+
+
+def exact_mtf(
+    lens: Lens,
+    field_tan: ArrayLike,
+    frequency_lpmm: ArrayLike,
+    azimuth_rad: float = 0.0,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+    label: str = "",
+) -> MtfCurve:
+    """Return the MTF of one field: the modulus of `exact_otf`."""
+    frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
+    otf = exact_otf(lens, field_tan, frequency, azimuth_rad, build=build, band=band)
+    return MtfCurve(frequency, np.abs(otf[0]), label=label)
+
+
+def exact_otf(
+    lens: Lens,
+    field_tan: ArrayLike,
+    frequency_lpmm: ArrayLike,
+    azimuth_rad: ArrayLike = AZIMUTHS_RAD,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+    samples: int = _SAMPLES,
+) -> NDArray[np.complex128]:
+    """Return the complex OTF of one field about the centroid of its light, [azimuth frequency].
+
+        OTF(f) = integral A(u + s/2) A(u - s/2) exp(2 pi i [W(u + s/2) - W(u - s/2)] / lambda) du
+                 / integral A(u)^2 du,    s = lambda f
+
+    over the direction cosines u at the sensor. W is the path of the plane wave of direction u at
+    the centroid, A is 1 where its ray passes stop and surfaces; both come from polynomials fitted
+    to traced rays. No exit pupil is needed, so decentred elements change nothing.
+
+    Parameters
+    ----------
+    field_tan : [2] (row, col)
+    frequency_lpmm : [frequency]
+    azimuth_rad : [azimuth] direction in which the pattern repeats: 0 along columns, pi/2 along
+        rows
+    build : as for `trace`, without leading axes
+    band : the light; the design wavelength alone by default
+    samples : of the pupil along each axis
+
+    Raises
+    ------
+    ValueError
+        If several fields are given, or as in `spots`.
+
+    Source: Hopkins, Proc. Phys. Soc. B 70 (1957) 449.
+    """
+    frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
+    azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
+    axes = np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
+    light = band or Band(np.array([lens.wavelength_nm]), np.ones(1))
+    points, weight = pupil_quadrature(_RINGS, _ARMS)
+    traced = []
+    for nm in light.wavelength_nm:
+        rays = trace(lens, field_tan, points, build=build, wavelength_nm=float(nm), heights=True)
+        if rays.path_mm.ndim != 1:
+            raise ValueError(f"expected one field and one build, got {rays.path_mm.shape[:-1]}")
+        traced.append((rays, spots_of_rays(lens, rays, weight)))
+    share = np.array([w * s.transmission for w, (_, s) in zip(light.weight, traced, strict=True)])
+    share = share / share.sum()
+    centre = share @ np.stack([spot.centroid_mm for _, spot in traced])
+    otf = np.zeros((len(axes), len(frequency)), dtype=np.complex128)
+    for part, nm, (rays, spot) in zip(share, light.wavelength_nm, traced, strict=True):
+        pupil = _fit(rays, spot, points, weight, centre)
+        for number, axis in enumerate(axes):
+            otf[number] += part * _autocorrelate(pupil, frequency, axis, float(nm) * 1e-6, samples)
+    return otf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PupilFit:
+    """Polynomials over the pupil in direction cosines.
+
+    centre [2] and radius scale the cosines to the unit square; terms [i j quantity] are Chebyshev
+    coefficients of the path, the two pupil coordinates, and the heights at vignetting surfaces.
+    """
+
+    centre: Array
+    radius: float
+    terms: Array
+
+    def sample(self, row: Array, col: Array, step: float) -> tuple[Array, Array]:
+        """Return path and amplitude on the grid of two scaled axes; edges are one step soft."""
+        values = np.einsum(
+            "ri,cj,ijq->qrc", _chebyshev(row), _chebyshev(col), self.terms, optimize=True
+        )
+        amplitude = _soft_edge(values[1] ** 2 + values[2] ** 2, step)
+        for height in values[3:]:
+            amplitude = np.minimum(amplitude, _soft_edge(height, step))
+        return values[0], amplitude
+
+
+def _soft_edge(square: Array, step: float) -> Array:
+    """Return 1 inside the unit circle, 0 outside, over one step in between."""
+    return np.clip((1.0 - square) / (2.0 * step) + 0.5, 0.0, 1.0)
+
+
+def _chebyshev(x: Array) -> Array:
+    return np.polynomial.chebyshev.chebvander(x, _DEGREE)
+
+
+def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: Array) -> _PupilFit:
+    traced = np.isfinite(rays.path_mm)  # vignetted rays too: their paths are smooth
+    cosine = rays.direction[traced, :2]
+    path = rays.path_mm[traced] + np.einsum(
+        "rc,rc->r", centre_mm - rays.position_mm[traced], cosine
+    )
+    middle = 0.5 * (cosine.max(axis=0) + cosine.min(axis=0))
+    radius = _MARGIN * float(np.abs(cosine - middle).max())
+    quantities = [path - path.mean(), points[traced, 0], points[traced, 1]]
+    if rays.heights is not None:
+        squares = rays.heights[traced] ** 2
+        quantities += [square for square in squares.T if square.max() > 0.98]
+    scaled = (cosine - middle) / radius
+    first, second = np.meshgrid(range(_DEGREE + 1), range(_DEGREE + 1), indexing="ij")
+    used = first + second <= _DEGREE
+    design = _chebyshev(scaled[:, 0])[:, first[used]] * _chebyshev(scaled[:, 1])[:, second[used]]
+    root = np.sqrt(weight[traced])[:, None]
+    solved = np.linalg.lstsq(design * root, np.stack(quantities, axis=-1) * root, rcond=None)[0]
+    terms = np.zeros((_DEGREE + 1, _DEGREE + 1, len(quantities)))
+    terms[first[used], second[used]] = solved
+    return _PupilFit(middle, radius, terms)
+
+
+def _autocorrelate(
+    pupil: _PupilFit, frequency_lpmm: Array, axis: Array, wavelength_mm: float, samples: int
+) -> NDArray[np.complex128]:
+    step = 2.0 / samples
+    along = (np.arange(samples) + 0.5) * step - 1.0
+    _, amplitude = pupil.sample(along, along, step)
+    total = float(np.sum(amplitude))
+    otf = np.empty(len(frequency_lpmm), dtype=np.complex128)
+    for number, frequency in enumerate(frequency_lpmm):
+        row, col = 0.5 * wavelength_mm * frequency / pupil.radius * axis
+        path_1, amplitude_1 = pupil.sample(along + row, along + col, step)
+        path_2, amplitude_2 = pupil.sample(along - row, along - col, step)
+        phase = (2.0 * np.pi / wavelength_mm) * (path_1 - path_2)
+        otf[number] = np.sum(np.minimum(amplitude_1, amplitude_2) * np.exp(1j * phase)) / total
+    return otf

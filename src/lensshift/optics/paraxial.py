@@ -1,0 +1,201 @@
+"""First-order data: focal length, pupils, magnification, and what a small decentre does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.optics.lens import Element, Lens
+
+Matrix = NDArray[np.floating]
+
+
+@dataclass(frozen=True, slots=True)
+class Paraxial:
+    """The first-order data of a lens.
+
+    Parameters
+    ----------
+    focal_length_mm : effective focal length
+    back_focal_mm : from the last vertex to the image of an infinitely far object
+    image_mm : from the last vertex to the paraxial image of the object
+    magnification : of the object on the sensor side, 0 for an infinitely far object
+    entrance_pupil_mm : position from the first vertex
+    entrance_pupil_diameter_mm : image of the stop seen from the object
+    exit_pupil_mm : position from the last vertex
+    exit_pupil_diameter_mm : image of the stop seen from the sensor
+    f_number : focal length over entrance pupil diameter
+    working_f_number : 1 / (2 sin of the marginal ray's paraxial slope) at the image
+    """
+
+    focal_length_mm: float
+    back_focal_mm: float
+    image_mm: float
+    magnification: float
+    entrance_pupil_mm: float
+    entrance_pupil_diameter_mm: float
+    exit_pupil_mm: float
+    exit_pupil_diameter_mm: float
+    f_number: float
+    working_f_number: float
+
+
+def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
+    """Return the first-order data of the centred lens.
+
+        (height, slope)_behind = M (height, slope)_before,    focal length = -1 / M_10
+
+    Raises
+    ------
+    ValueError
+        If the lens has no power: there is no focal length.
+    """
+    system = system_matrix(lens, wavelength_nm)
+    power = _power(system)
+    front, behind = _around_stop(lens, wavelength_nm)
+    entrance_mm, entrance_scale = _pupil(np.linalg.inv(front))
+    exit_mm, exit_scale = _pupil(behind)
+    image_mm, magnification = _image(system, lens.object_mm)
+    pupil_diameter_mm = lens.stop.diameter_mm * abs(entrance_scale)
+    exit_diameter_mm = lens.stop.diameter_mm * abs(exit_scale)
+    slope = 0.5 * exit_diameter_mm / (image_mm - exit_mm)
+    return Paraxial(
+        focal_length_mm=1.0 / power,
+        back_focal_mm=_image(system, math.inf)[0],
+        image_mm=image_mm,
+        magnification=magnification,
+        entrance_pupil_mm=entrance_mm,
+        entrance_pupil_diameter_mm=pupil_diameter_mm,
+        exit_pupil_mm=exit_mm,
+        exit_pupil_diameter_mm=exit_diameter_mm,
+        f_number=1.0 / (abs(power) * pupil_diameter_mm),
+        working_f_number=0.5 / abs(slope),
+    )
+
+
+def focal_length_mm(element: Element, indices: tuple[float, ...]) -> float:
+    """Return the focal length of one element in air, infinite for a plane-parallel plate."""
+    power = -element_matrix(element, indices)[1, 0]
+    return math.inf if abs(power) < 1e-12 else float(1.0 / power)
+
+
+def object_for_magnification_mm(
+    lens: Lens, magnification: float, wavelength_nm: float | None = None
+) -> float:
+    """Return the distance from object to first vertex that gives a magnification.
+
+        object = f (M_11 - 1 / m),    f = -1 / M_10
+
+    Raises
+    ------
+    ValueError
+        If the lens has no power or the magnification is 0.
+    """
+    system = system_matrix(lens, wavelength_nm)
+    power = _power(system)
+    if magnification == 0:
+        raise ValueError("expected a magnification other than 0")
+    return float((system[1, 1] - 1.0 / magnification) / power)
+
+
+def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> NDArray[np.float64]:
+    """Return by how much the image moves per decentre of each element, [element].
+
+        gain_j = A_behind (1 - A_j) - B_behind C_j + ...: the change of the ray that leaves
+        element j when the element moves by 1, followed to the sensor
+
+    An element with matrix E that moves by s adds (1 - E) (s, 0) to the ray behind it.
+    """
+    chain = _elements(lens, wavelength_nm)
+    gains = np.zeros(len(chain))
+    behind = np.eye(2)
+    for number in range(len(chain) - 1, -1, -1):
+        behind = behind @ _gap(lens.gaps_mm[number])
+        added = (np.eye(2) - chain[number]) @ np.array([1.0, 0.0])
+        gains[number] = (behind @ added)[0]
+        behind = behind @ chain[number]
+    return gains
+
+
+def system_matrix(lens: Lens, wavelength_nm: float | None = None) -> Matrix:
+    """Return the [2 2] matrix from the first to the last vertex, acting on (height, slope)."""
+    matrix = np.eye(2)
+    for number, element in enumerate(_elements(lens, wavelength_nm)):
+        matrix = element @ matrix
+        if number + 1 < len(lens.elements):
+            matrix = _gap(lens.gaps_mm[number]) @ matrix
+    return matrix
+
+
+def element_matrix(element: Element, indices: tuple[float, ...]) -> Matrix:
+    """Return the [2 2] matrix of one element in air, from its first to its last vertex."""
+    matrix, before = np.eye(2), 1.0
+    for number, surface in enumerate(element.surfaces):
+        after = indices[number] if number < len(indices) else 1.0
+        bend = (after - before) * surface.curvature_per_mm / after
+        matrix = np.array([[1.0, 0.0], [-bend, before / after]]) @ matrix
+        if number < len(indices):
+            matrix = _gap(element.thickness_mm[number]) @ matrix
+        before = after
+    return matrix
+
+
+def entrance_pupil(lens: Lens) -> tuple[float, float]:
+    """Return position from the first vertex in mm, and size over that of the stop."""
+    front, _ = _around_stop(lens, None)
+    return _pupil(np.linalg.inv(front))
+
+
+def _elements(lens: Lens, wavelength_nm: float | None) -> list[Matrix]:
+    indices = lens.indices(wavelength_nm)
+    return [element_matrix(e, n) for e, n in zip(lens.elements, indices, strict=True)]
+
+
+def _around_stop(lens: Lens, wavelength_nm: float | None) -> tuple[Matrix, Matrix]:
+    """Return the matrices from the first vertex to the stop and from there to the last vertex."""
+    before = lens.elements_before_stop()
+    starts_mm = lens.positions_mm()
+    chain = _elements(lens, wavelength_nm)
+    front, at_mm = np.eye(2), 0.0
+    for number in range(before):
+        front = chain[number] @ _gap(starts_mm[number] - at_mm) @ front
+        at_mm = starts_mm[number] + lens.elements[number].length_mm
+    front = _gap(lens.stop.position_mm - at_mm) @ front
+    behind, at_mm = np.eye(2), lens.stop.position_mm
+    for number in range(before, len(chain)):
+        behind = chain[number] @ _gap(starts_mm[number] - at_mm) @ behind
+        at_mm = starts_mm[number] + lens.elements[number].length_mm
+    if before == len(chain):
+        last_mm = starts_mm[-2] + lens.elements[-1].length_mm
+        behind = _gap(last_mm - lens.stop.position_mm)
+    return front, behind
+
+
+def _gap(distance_mm: float) -> Matrix:
+    return np.array([[1.0, distance_mm], [0.0, 1.0]])
+
+
+def _pupil(matrix: Matrix) -> tuple[float, float]:
+    """Return where the plane in front of `matrix` is imaged behind it, and the magnification."""
+    if abs(matrix[1, 1]) < 1e-12:
+        raise ValueError("expected a pupil at a finite distance, but the stop is in a focal plane")
+    position_mm = -matrix[0, 1] / matrix[1, 1]
+    return float(position_mm), float(matrix[0, 0] + position_mm * matrix[1, 0])
+
+
+def _image(system: Matrix, object_mm: float) -> tuple[float, float]:
+    if math.isinf(object_mm):
+        return float(-system[0, 0] / system[1, 0]), 0.0
+    matrix = system @ _gap(object_mm)
+    image_mm = -matrix[0, 1] / matrix[1, 1]
+    return float(image_mm), float(matrix[0, 0] + image_mm * matrix[1, 0])
+
+
+def _power(system: Matrix) -> float:
+    power = float(-system[1, 0])
+    if abs(power) < 1e-12:
+        raise ValueError("expected a lens with power, got one without a focal length")
+    return power

@@ -1,0 +1,58 @@
+"""Rays that sample the stop: points on the unit disc and their weights."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def pupil_quadrature(
+    rings: int = 6, arms: int | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points [ray 2] (row, col) on the unit disc and weights [ray] that sum to 1.
+
+        mean of f over the disc = sum w f,    exact for polynomials of degree up to 4 rings - 2
+
+    Gauss-Legendre in the squared radius, evenly spread angles: `arms` of them, by default
+    4 rings.
+
+    Raises
+    ------
+    ValueError
+        If there is no ring or there are fewer than three arms.
+
+    Source: G. W. Forbes, J. Opt. Soc. Am. A 5 (1988) 1943.
+    """
+    count = 4 * rings if arms is None else arms
+    if rings < 1 or count < 3:
+        raise ValueError(f"expected at least 1 ring and 3 arms, got {rings} and {count}")
+    node, weight = _gauss_legendre(rings)
+    radius = np.sqrt((node + 1.0) / 2.0)
+    angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
+    points = radius[:, None, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+    weights = np.repeat(weight / (2.0 * count), count)
+    return points.reshape(-1, 2), weights
+
+
+@lru_cache(maxsize=32)
+def _gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return np.asarray(node), np.asarray(weight)
+
+
+def pupil_grid(count: int) -> NDArray[np.float64]:
+    """Return the points [ray 2] (row, col) of a square grid that lie on the unit disc.
+
+    Raises
+    ------
+    ValueError
+        If `count`, the number of points across the disc, is below 2.
+    """
+    if count < 2:
+        raise ValueError(f"expected at least 2 points across the pupil, got {count}")
+    along = (np.arange(count) + 0.5) * (2.0 / count) - 1.0
+    row, col = np.meshgrid(along, along, indexing="ij")
+    inside = row**2 + col**2 <= 1.0
+    return np.stack([row[inside], col[inside]], axis=-1)

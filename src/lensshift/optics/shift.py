@@ -1,0 +1,215 @@
+"""How the image moves when an element moves: shift maps, their inverse, their evenness."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.core.motion import ShiftField, StageMap
+from lensshift.optics.lens import Lens
+from lensshift.optics.mtf import pixel_centres_mm
+from lensshift.optics.paraxial import decenter_gains
+from lensshift.optics.spots import fields_for_image, spots
+from lensshift.optics.trace import Build
+
+Array = NDArray[np.float64]
+
+_RINGS = 2  # of the pupil: the centroid is smooth
+_INVERSE_STEPS = 12
+_INVERSE_PX = 1e-9
+_PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
+
+
+def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> ShiftField:
+    """Return the image offset of every pixel when one element is moved.
+
+        offset(u) = u - image of the same object point when the element is at rest
+
+    for the object point whose image is at pixel u after the move: what `ShiftField` means.
+
+    Parameters
+    ----------
+    lens : at rest
+    element : number of the element that moves, counted from 0
+    decenter_mm : [2] or [frame 2] (row, col), added to the decentre of the element
+    grid : of the sensor, centred on the axis
+
+    Returns
+    -------
+    offsets of [frame row col 2]; one frame if a single move is given
+
+    Raises
+    ------
+    ValueError
+        If there is no such element, a number is not finite, or a pixel receives no light.
+    """
+    moves = np.atleast_2d(np.asarray(decenter_mm, dtype=np.float64))
+    if moves.ndim != 2 or moves.shape[1] != 2 or not np.all(np.isfinite(moves)):
+        raise ValueError(f"expected finite decenter_mm [frame 2], got shape {moves.shape}")
+    pixels_mm = pixel_centres_mm(grid).reshape(-1, 2)
+    moved = moving(lens, element, moves[:, None, :])
+    fields = fields_for_image(lens, pixels_mm, build=moved, rings=_RINGS)
+    resting_mm = spots(lens, fields, rings=_RINGS).centroid_mm
+    offset_px = (pixels_mm - resting_mm) / np.asarray(grid.pitch_mm)
+    return ShiftField(offset_px.reshape(len(moves), *grid.shape, 2))
+
+
+def stage_map(lens: Lens, element: int, grid: Grid) -> StageMap:
+    """Return how far the image moves per mm of one element, over the sensor and at its centre.
+
+    Central differences over 0.05 mm; the stage axes are (row, col).
+
+    Raises
+    ------
+    ValueError
+        As in `shift_map`.
+    """
+    probes = _PROBE_MM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    field = _per_mm(shift_map(lens, element, probes, grid).offset_px)
+    centre = Grid((1, 1), grid.pitch_mm)
+    at_centre = _per_mm(shift_map(lens, element, probes, centre).offset_px)
+    return StageMap(px_per_mm=at_centre[0, 0], field_px_per_mm=field)
+
+
+def decenter_for_shift(
+    lens: Lens, element: int, offset_px: ArrayLike, grid: Grid
+) -> NDArray[np.float64]:
+    """Return the decentre of an element that moves the centre of the image as wanted.
+
+    Parameters
+    ----------
+    offset_px : [... 2] (row, col) at the centre of the sensor
+    grid : of the sensor; only its pitch matters
+
+    Returns
+    -------
+    decenter_mm [... 2] (row, col)
+
+    Raises
+    ------
+    ValueError
+        If moving the element does not move the image, or the shift is not reached.
+    """
+    wanted = np.asarray(offset_px, dtype=np.float64)
+    if wanted.ndim < 1 or wanted.shape[-1] != 2 or not np.all(np.isfinite(wanted)):
+        raise ValueError(f"expected finite offset_px [... 2], got shape {wanted.shape}")
+    lens.check_element(element)
+    gain = decenter_gains(lens)[element]
+    if abs(gain) < 1e-6:
+        raise ValueError(
+            f"expected an element whose decentre moves the image, but element {element + 1} "
+            f"({lens.elements[element].name}) moves it by {gain:.2g} mm per mm"
+        )
+    targets = wanted.reshape(-1, 2)
+    px_per_mm = gain / np.asarray(grid.pitch_mm)
+    moves_mm = targets / px_per_mm
+    centre = Grid((1, 1), grid.pitch_mm)
+    for _ in range(_INVERSE_STEPS):
+        error_px = targets - shift_map(lens, element, moves_mm, centre).offset_px[:, 0, 0]
+        moves_mm = moves_mm + error_px / px_per_mm
+        if np.abs(error_px).max() < _INVERSE_PX:
+            return np.asarray(moves_mm.reshape(wanted.shape))
+    raise ValueError(
+        f"expected a shift that element {element + 1} can make, but after {_INVERSE_STEPS} steps "
+        f"{np.abs(error_px).max():.2g} px are missing"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftUniformity:
+    """How even a shift is over the sensor.
+
+    Parameters
+    ----------
+    max_error_px : largest distance between the shift of a pixel and the wanted one
+    rms_error_px : root mean square of that distance
+    mean_px : (row, col) shift averaged over the sensor
+    """
+
+    max_error_px: float
+    rms_error_px: float
+    mean_px: tuple[float, float]
+
+
+def shift_uniformity(field: ShiftField, wanted_px: ArrayLike) -> tuple[ShiftUniformity, ...]:
+    """Compare the shift of every pixel with the wanted one, frame by frame.
+
+    Parameters
+    ----------
+    wanted_px : [frame 2] (row, col)
+
+    Raises
+    ------
+    ValueError
+        If the number of frames differs.
+    """
+    wanted = np.asarray(wanted_px, dtype=np.float64)
+    if wanted.shape != (len(field.offset_px), 2):
+        raise ValueError(
+            f"expected wanted_px of {(len(field.offset_px), 2)}, got shape {wanted.shape}"
+        )
+    error = np.linalg.norm(field.offset_px - wanted[:, None, None, :], axis=-1)
+    mean = field.offset_px.mean(axis=(1, 2))
+    return tuple(
+        ShiftUniformity(
+            max_error_px=float(one.max()),
+            rms_error_px=float(np.sqrt(np.mean(one**2))),
+            mean_px=(float(row), float(col)),
+        )
+        for one, (row, col) in zip(error, mean, strict=True)
+    )
+
+
+def save_shift_field(field: ShiftField, path: str | Path) -> None:
+    """Write a shift field as a NumPy archive with the array `offset_px` [frame row col 2].
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+    """
+    try:
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, offset_px=field.offset_px)
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+
+
+def load_shift_field(path: str | Path) -> ShiftField:
+    """Read what `save_shift_field` wrote.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, no such archive, or holds no field of offsets.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return ShiftField(archive["offset_px"])
+    except KeyError as error:
+        raise DataError("expected an array of this name", field="offset_px", source=path) from error
+    except (OSError, zipfile.BadZipFile, EOFError) as error:
+        raise DataError("expected a NumPy archive (.npz)", source=path) from error
+    except (ValueError, TypeError) as error:
+        raise DataError(str(error), source=path) from error
+
+
+def moving(lens: Lens, element: int, decenter_mm: Array) -> Build:
+    """Return builds [...] in which one element is moved by decenter_mm [... 2]."""
+    lens.check_element(element)
+    moves = np.zeros((*decenter_mm.shape[:-1], len(lens.elements), 2))
+    moves[..., element, :] = decenter_mm
+    return Build(decenter_mm=moves)
+
+
+def _per_mm(offset_px: Array) -> Array:
+    """Return [row col 2 2] image over stage from offsets at the four probes."""
+    row = offset_px[0] - offset_px[1]
+    col = offset_px[2] - offset_px[3]
+    return np.stack([row, col], axis=-1) / (2.0 * _PROBE_MM)

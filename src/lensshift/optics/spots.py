@@ -1,0 +1,240 @@
+"""Where the light of an object point lands: spots, image points, distortion, wavefront."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.optics.lens import Lens
+from lensshift.optics.paraxial import paraxial
+from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.trace import Build, RayBundle, trace
+
+Array = NDArray[np.float64]
+
+_FIELD_STEPS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spots:
+    """The spot of each object point.
+
+    Parameters
+    ----------
+    centroid_mm : [... 2] (row, col) on the sensor
+    rms_radius_mm : [...] root mean square distance from the centroid
+    transmission : [...] share of the light through the stop that reaches the sensor
+    ray_mm : [... ray 2] landing points relative to the centroid
+    direction : [... ray 3] cosines (row, col, axial) at the sensor
+    weight : [... ray] sums to 1 over the rays, 0 for those that are lost
+    """
+
+    centroid_mm: Array
+    rms_radius_mm: Array
+    transmission: Array
+    ray_mm: Array
+    direction: Array
+    weight: Array
+
+
+def spots(
+    lens: Lens,
+    field_tan: ArrayLike,
+    *,
+    build: Build | None = None,
+    wavelength_nm: float | None = None,
+    rings: int = 6,
+) -> Spots:
+    """Trace the spot of each object point.
+
+    Parameters
+    ----------
+    field_tan, build, wavelength_nm : as for `trace`
+    rings : of the pupil quadrature
+
+    Raises
+    ------
+    ValueError
+        If no ray of an object point arrives: with the surface where most of them are lost.
+    """
+    points, weight = pupil_quadrature(rings)
+    rays = trace(lens, field_tan, points, build=build, wavelength_nm=wavelength_nm)
+    return spots_of_rays(lens, rays, weight)
+
+
+def spots_of_rays(lens: Lens, rays: RayBundle, weight: Array) -> Spots:
+    """Return the spots of rays [... ray] that carry weights [ray]; see `spots`."""
+    passed = rays.passed
+    alive = np.where(passed, weight, 0.0)
+    transmission = alive.sum(axis=-1)
+    if not np.all(transmission > 0):
+        raise ValueError(_why_dark(lens, rays))
+    if transmission.min() < 0.5:
+        warnings.warn(
+            f"a field loses {100 * (1 - transmission.min()):.0f} % of its light to vignetting",
+            QualityWarning,
+            stacklevel=3,
+        )
+    share = alive / transmission[..., None]
+    position = np.where(passed[..., None], rays.position_mm, 0.0)
+    centroid = np.einsum("...r,...rc->...c", share, position)
+    relative = np.where(passed[..., None], position - centroid[..., None, :], 0.0)
+    spread = np.einsum("...r,...rc,...rc->...", share, relative, relative)
+    return Spots(
+        centroid_mm=centroid,
+        rms_radius_mm=np.sqrt(spread),
+        transmission=transmission,
+        ray_mm=relative,
+        direction=np.where(passed[..., None], rays.direction, 0.0),
+        weight=share,
+    )
+
+
+def fields_for_image(
+    lens: Lens,
+    image_mm: ArrayLike,
+    *,
+    build: Build | None = None,
+    rings: int = 2,
+    tolerance_mm: float = 1e-7,
+) -> Array:
+    """Return the fields [... 2] whose spots have their centroids at points of the sensor.
+
+    Newton's method with the derivative of the paraxial lens: the error falls by the relative
+    distortion in every step.
+
+    Parameters
+    ----------
+    image_mm : [... 2] (row, col) on the sensor
+    build : deviations of the elements; leading axes broadcast with those of `image_mm`
+    rings : of the pupil quadrature that makes the spots
+    tolerance_mm : how close the centroids must come
+
+    Raises
+    ------
+    ValueError
+        If a point of the sensor is not reached by light within a few steps.
+    """
+    wanted = np.asarray(image_mm, dtype=np.float64)
+    slope_mm = image_per_field_mm(lens)
+    field = wanted / slope_mm
+    for _ in range(_FIELD_STEPS):
+        error = wanted - spots(lens, field, build=build, rings=rings).centroid_mm
+        field = field + error / slope_mm
+        if np.abs(error).max() < tolerance_mm:
+            return field
+    raise ValueError(
+        f"expected points that the lens can image, but after {_FIELD_STEPS} steps one is "
+        f"{np.abs(error).max():.2g} mm away"
+    )
+
+
+def image_per_field_mm(lens: Lens) -> float:
+    """Return how far the paraxial chief ray moves on the sensor per unit of `field_tan`."""
+    data = paraxial(lens)
+    slope = data.entrance_pupil_diameter_mm / data.exit_pupil_diameter_mm
+    sign = np.sign(data.focal_length_mm) or 1.0
+    return float(sign * slope * (lens.gaps_mm[-1] - data.exit_pupil_mm))
+
+
+def distortion(lens: Lens, field_tan: ArrayLike, *, rings: int = 4) -> Array:
+    """Return the relative distortion of each field, [...].
+
+        distortion = |centroid| / |paraxial image on the sensor| - 1
+
+    Parameters
+    ----------
+    field_tan : [... 2] (row, col), not on the axis
+
+    Raises
+    ------
+    ValueError
+        If a field is on the axis, or as in `spots`.
+    """
+    field = np.asarray(field_tan, dtype=np.float64)
+    ideal = np.linalg.norm(field, axis=-1) * abs(image_per_field_mm(lens))
+    if not np.all(ideal > 0):
+        raise ValueError("expected fields away from the axis, where distortion is not defined")
+    real = np.linalg.norm(spots(lens, field, rings=rings).centroid_mm, axis=-1)
+    return np.asarray(real / ideal - 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wavefront:
+    """The wavefront of one object point.
+
+    Parameters
+    ----------
+    pupil : [ray 2] (row, col) on the unit disc
+    error_waves : [ray] path minus that of the ideal wave towards the centroid, mean 0
+    rms_waves : root mean square over the stop
+    centroid_mm : (row, col), the centre of the ideal wave
+    """
+
+    pupil: Array
+    error_waves: Array
+    rms_waves: float
+    centroid_mm: Array
+
+
+def wavefront(
+    lens: Lens,
+    field_tan: ArrayLike,
+    *,
+    build: Build | None = None,
+    wavelength_nm: float | None = None,
+    rings: int = 8,
+) -> Wavefront:
+    """Return the wavefront error about the centroid of the spot.
+
+        W = path + (centroid - position) . direction
+
+    the path of the plane wave that the ray belongs to, at the centroid. No exit pupil is needed,
+    so decentred elements change nothing.
+
+    Parameters
+    ----------
+    field_tan : [2] (row, col)
+    build, wavelength_nm : as for `trace`, without leading axes
+
+    Raises
+    ------
+    ValueError
+        If several fields are given, or as in `spots`.
+    """
+    points, weight = pupil_quadrature(rings)
+    rays = trace(lens, field_tan, points, build=build, wavelength_nm=wavelength_nm)
+    if rays.path_mm.ndim != 1:
+        raise ValueError(f"expected one field and one build, got {rays.path_mm.shape[:-1]}")
+    spot = spots_of_rays(lens, rays, weight)
+    path = rays.path_mm - np.einsum("rc,rc->r", spot.ray_mm, spot.direction[:, :2])
+    path = np.where(rays.passed, path, 0.0)
+    waves = (path - spot.weight @ path) / ((wavelength_nm or lens.wavelength_nm) * 1e-6)
+    return Wavefront(
+        pupil=points[rays.passed],
+        error_waves=waves[rays.passed],
+        rms_waves=float(np.sqrt(spot.weight @ waves**2)),
+        centroid_mm=spot.centroid_mm,
+    )
+
+
+def _why_dark(lens: Lens, rays: RayBundle) -> str:
+    """Say at which surface the rays of the darkest field are lost, and how."""
+    dark = ~rays.passed.any(axis=-1)
+    status, failed_at = rays.status[dark].ravel(), rays.failed_at[dark].ravel()
+    surface = int(np.bincount(failed_at).argmax())
+    kind = int(np.bincount(status[failed_at == surface]).argmax())
+    how = ("", "miss it", "are totally reflected", "lie outside its semi-diameter")[kind]
+    number = surface
+    for element in lens.elements:
+        if number < len(element.surfaces):
+            break
+        number -= len(element.surfaces)
+    return (
+        f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "
+        f"arrives: at surface {surface + 1} (surface {number + 1} of {element.name}) most {how}"
+    )

@@ -1,0 +1,295 @@
+"""Trace rays through a lens: many fields, decentres and builds in one call."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.optics.lens import Lens
+from lensshift.optics.paraxial import entrance_pupil
+
+Array = NDArray[np.float64]
+
+_AIM_STEPS = 12
+_AIM_MM = 1e-10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Build:
+    """How a lens as built, or many of them, deviate from the lens as drawn.
+
+    Leading axes `...` are free: each array has its own or none, and they broadcast against each
+    other and against those of the fields.
+
+    Parameters
+    ----------
+    decenter_mm : [... element 2] (row, col), added to that of the element
+    tilt_rad : [... element 2] (row, col), added to that of the element
+    gap_mm : [... element], added to the gap behind the element; the last one moves the sensor
+    index_factor : [... element], factor on n - 1 of its glasses
+    """
+
+    decenter_mm: Array | None = None
+    tilt_rad: Array | None = None
+    gap_mm: Array | None = None
+    index_factor: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayBundle:
+    """Rays where they meet the sensor; NaN for those that are missed or totally reflected.
+
+    Parameters
+    ----------
+    position_mm : [... ray 2] (row, col) on the sensor, from the axis
+    direction : [... ray 3] cosines (row, col, axial)
+    path_mm : [... ray] optical path from the object, or from a plane across the incoming light
+        through the centre of the entrance pupil
+    status : [... ray] 0 passed, 1 missed a surface, 2 totally reflected, 3 outside a semi-diameter
+    failed_at : [... ray] number of the surface where that happened, -1 if it did not
+    heights : [... ray surface] distance from the axis of the element over the semi-diameter, or
+        None
+    """
+
+    position_mm: Array
+    direction: Array
+    path_mm: Array
+    status: NDArray[np.uint8]
+    failed_at: NDArray[np.int16]
+    heights: Array | None = None
+
+    @property
+    def passed(self) -> NDArray[np.bool_]:
+        """[... ray] which rays reach the sensor within all semi-diameters."""
+        return np.asarray(self.status == 0)
+
+    def counts(self) -> dict[str, int]:
+        """Return how many rays passed, missed a surface, were totally reflected, or vignetted."""
+        names = ("passed", "missed", "reflected", "vignetted")
+        numbers = np.bincount(self.status.ravel(), minlength=len(names))
+        return {name: int(n) for name, n in zip(names, numbers, strict=True)}
+
+
+def trace(
+    lens: Lens,
+    field_tan: ArrayLike,
+    pupil: ArrayLike,
+    *,
+    build: Build | None = None,
+    wavelength_nm: float | None = None,
+    heights: bool = False,
+) -> RayBundle:
+    """Trace rays from points of the object through points of the stop to the sensor.
+
+    The object point of a field lies at -field_tan (object distance + entrance pupil position);
+    its image lies on the side of +field_tan. The rays pass the stop exactly at `pupil`, whatever
+    lies in front of it.
+
+    Parameters
+    ----------
+    field_tan : [... 2] (row, col) tangent of the angle between chief ray and axis in object space
+    pupil : [ray 2] (row, col) in units of the radius of the stop
+    build : deviations of the elements; its leading axes broadcast with those of `field_tan`
+    wavelength_nm : instead of the design wavelength
+    heights : also return how far from the axis each surface is met
+
+    Returns
+    -------
+    arrays with the broadcast leading axes `...`, then [ray ...]
+
+    Raises
+    ------
+    ValueError
+        If a shape is not as above, the shapes do not broadcast, or a number is not finite.
+    """
+    fields = _pairs(field_tan, "field_tan")
+    points = _pairs(pupil, "pupil")
+    if points.ndim != 2:
+        raise ValueError(f"expected pupil [ray 2], got shape {points.shape}")
+    system = _System(lens, build or Build(), fields, wavelength_nm)
+    rays = _launch(lens, system, points)
+    return system.bundle(rays, heights)
+
+
+@dataclass(slots=True)
+class _Rays:
+    """Rays on their way, changed in place by the kernel: [batch ray ...]."""
+
+    origin: Array
+    direction: Array
+    path: Array
+    status: NDArray[np.uint8]
+    failed_at: NDArray[np.int16]
+
+
+class _System:
+    """A lens, its builds and fields as the plain arrays that the kernel takes."""
+
+    def __init__(
+        self, lens: Lens, build: Build, fields: Array, wavelength_nm: float | None
+    ) -> None:
+        count = len(lens.elements)
+        decenter = np.array([e.decenter_mm for e in lens.elements])
+        tilt = np.array([e.tilt_rad for e in lens.elements])
+        gap = np.array(lens.gaps_mm)
+        if build.decenter_mm is not None:
+            decenter = decenter + _checked(build.decenter_mm, (count, 2), "decenter_mm")
+        if build.tilt_rad is not None:
+            tilt = tilt + _checked(build.tilt_rad, (count, 2), "tilt_rad")
+        if build.gap_mm is not None:
+            gap = gap + _checked(build.gap_mm, (count,), "gap_mm")
+        index = self._indices(lens, build.index_factor, wavelength_nm)
+        self.shape = np.broadcast_shapes(
+            fields.shape[:-1], decenter.shape[:-2], tilt.shape[:-2], gap.shape[:-1],
+            index.shape[:-1],
+        )  # fmt: skip
+        self.fields = self._flat(fields, 1)
+        self.decenter = self._flat(decenter, 2)
+        lengths = np.array([e.length_mm for e in lens.elements])
+        ends = np.cumsum(self._flat(gap, 1) + lengths, axis=-1)
+        starts = np.concatenate([np.zeros((len(ends), 1)), ends[:, :-1]], axis=-1)
+        self.sensor = np.ascontiguousarray(ends[:, -1])
+        self.vertices = np.concatenate([self.decenter, starts[..., None]], axis=-1)
+        self.rotations = np.ascontiguousarray(_rotations(self._flat(tilt, 2)))
+        self.index = np.ascontiguousarray(self._flat(index, 1))
+        self._tables(lens)
+
+    def _flat(self, values: Array, trailing: int) -> Array:
+        tail = values.shape[values.ndim - trailing :]
+        return np.broadcast_to(values, (*self.shape, *tail)).reshape(-1, *tail)
+
+    def _indices(self, lens: Lens, factor: Array | None, wavelength_nm: float | None) -> Array:
+        """Return the index behind each surface, [... surface]."""
+        count = len(lens.elements)
+        scale = np.ones(count) if factor is None else _checked(factor, (count,), "index_factor")
+        columns = []
+        for number, indices in enumerate(lens.indices(wavelength_nm)):
+            columns += [1.0 + (n - 1.0) * scale[..., number] for n in indices]
+            columns.append(np.ones(scale.shape[:-1]))
+        return np.stack(columns, axis=-1)
+
+    def _tables(self, lens: Lens) -> None:
+        surfaces = [surface for element in lens.elements for surface in element.surfaces]
+        self.element = np.repeat(
+            np.arange(len(lens.elements)), [len(e.surfaces) for e in lens.elements]
+        )
+        self.depth = np.concatenate(
+            [np.cumsum([0.0, *element.thickness_mm]) for element in lens.elements]
+        )
+        self.curvature = np.array([surface.curvature_per_mm for surface in surfaces])
+        self.conic = np.array([surface.conic for surface in surfaces])
+        self.semi_diameter = np.array([surface.semi_diameter_mm for surface in surfaces])
+        self.terms = np.array([len(surface.asphere) for surface in surfaces])
+        self.asphere = np.zeros((len(surfaces), max(1, self.terms.max())))
+        for row, surface in zip(self.asphere, surfaces, strict=True):
+            row[: len(surface.asphere)] = surface.asphere
+
+    def follow(self, rays: _Rays, surfaces: int, plane_mm: Array, heights: Array) -> None:
+        """Trace rays in place through the first surfaces to a plane."""
+        from lensshift.optics.trace_kernel import trace_kernel
+
+        trace_kernel(
+            rays.origin, rays.direction, rays.path, rays.status, rays.failed_at,
+            heights, self.vertices, self.rotations, self.index, plane_mm,
+            self.element, self.depth, self.curvature, self.conic, self.asphere,
+            self.terms, self.semi_diameter, surfaces,
+        )  # fmt: skip
+
+    def bundle(self, rays: _Rays, with_heights: bool) -> RayBundle:
+        """Trace rays to the sensor and give them the axes of the caller."""
+        surfaces = len(self.element)
+        heights = np.full((*rays.path.shape, surfaces), np.nan) if with_heights else _NO_HEIGHTS
+        self.follow(rays, surfaces, self.sensor, heights)
+        shape = (*self.shape, rays.path.shape[1])
+        return RayBundle(
+            position_mm=rays.origin[..., :2].reshape(*shape, 2),
+            direction=rays.direction.reshape(*shape, 3),
+            path_mm=rays.path.reshape(shape),
+            status=rays.status.reshape(shape),
+            failed_at=rays.failed_at.reshape(shape),
+            heights=heights.reshape(*shape, surfaces) if with_heights else None,
+        )
+
+
+_NO_HEIGHTS = np.zeros((1, 1, 0))
+
+
+def _launch(lens: Lens, system: _System, pupil: Array) -> _Rays:
+    """Return rays in front of the lens that pass the stop at the points of the pupil."""
+    stop = lens.stop
+    target = np.broadcast_to(
+        pupil * (0.5 * stop.diameter_mm), (len(system.fields), *pupil.shape)
+    ).copy()
+    stop_mm = np.full(len(system.fields), stop.position_mm)
+    if stop.rides_on is not None:
+        target += system.decenter[:, stop.rides_on, None, :]
+        stop_mm += system.vertices[:, stop.rides_on, 2] - lens.positions_mm()[stop.rides_on]
+    before = lens.elements_before_stop()
+    if before == 0:
+        return _towards(lens, system.fields, target, stop_mm, stop.position_mm)
+    position_mm, scale = entrance_pupil(lens)
+    pupil_mm = np.full(len(system.fields), position_mm)
+    surfaces = int(np.sum(system.element < before))
+    entering = target * scale
+    for _ in range(_AIM_STEPS):
+        rays = _towards(lens, system.fields, entering, pupil_mm, position_mm)
+        system.follow(rays, surfaces, stop_mm, _NO_HEIGHTS)
+        error = np.nan_to_num(target - rays.origin[..., :2])
+        entering = entering + error * scale
+        if np.abs(error).max() < _AIM_MM:
+            break
+    return _towards(lens, system.fields, entering, pupil_mm, position_mm)
+
+
+def _towards(lens: Lens, fields: Array, target: Array, plane_mm: Array, pupil_mm: float) -> _Rays:
+    """Return rays from the object points through the points [batch ray 2] of a plane."""
+    origin = np.empty((*target.shape[:-1], 3))
+    origin[..., :2] = target
+    origin[..., 2] = plane_mm[:, None]
+    direction = np.empty_like(origin)
+    if math.isinf(lens.object_mm):
+        direction[..., :2] = fields[:, None, :]
+        direction[..., 2] = 1.0
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+        path = np.einsum("bri,bri->br", origin, direction) - pupil_mm * direction[..., 2]
+    else:
+        points = -fields * (lens.object_mm + pupil_mm)
+        direction[..., :2] = target - points[:, None, :]
+        direction[..., 2] = plane_mm[:, None] + lens.object_mm
+        path = np.linalg.norm(direction, axis=-1)
+        direction /= path[..., None]
+    return _Rays(
+        origin, direction, path, np.zeros(path.shape, np.uint8), np.full(path.shape, -1, np.int16)
+    )
+
+
+def _rotations(tilt_rad: Array) -> Array:
+    """Return the matrices [... 3 3] from element to lens in (row, col, axial) for tilts [... 2]."""
+    sin_row, sin_col = np.sin(tilt_rad[..., 0]), np.sin(tilt_rad[..., 1])
+    cos_row, cos_col = np.cos(tilt_rad[..., 0]), np.cos(tilt_rad[..., 1])
+    zero = np.zeros_like(sin_row)
+    rows = [
+        [cos_row, -sin_row * sin_col, sin_row * cos_col],
+        [zero, cos_col, sin_col],
+        [-sin_row, -cos_row * sin_col, cos_row * cos_col],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _pairs(values: ArrayLike, name: str) -> Array:
+    pairs = np.asarray(values, dtype=np.float64)
+    if pairs.ndim < 1 or pairs.shape[-1] != 2 or not np.all(np.isfinite(pairs)):
+        raise ValueError(f"expected finite {name} [... 2] (row, col), got shape {pairs.shape}")
+    return pairs
+
+
+def _checked(values: ArrayLike, tail: tuple[int, ...], name: str) -> Array:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape[array.ndim - len(tail) :] != tail or not np.all(np.isfinite(array)):
+        raise ValueError(
+            f"expected finite {name} [... {' '.join(map(str, tail))}], got shape {array.shape}"
+        )
+    return array

@@ -1,0 +1,166 @@
+"""The inner loop of the ray trace: one ray after the other, surface after surface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+# What can happen to a ray.
+PASSED, MISSED, REFLECTED, VIGNETTED = 0, 1, 2, 3
+
+_NEWTON_STEPS = 20
+_CLOSE_MM = 1e-10  # the last step squares it
+_Vector = tuple[float, float, float]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slope(
+    square: float, curvature: float, conic: float, asphere: Array, s: int, terms: int
+) -> tuple[float, float]:
+    """Return sag and d sag / d r^2 at the squared height r^2; NaN where the surface has ended."""
+    root = np.sqrt(1.0 - (1.0 + conic) * curvature * curvature * square)
+    sag = curvature * square / (1.0 + root)
+    slope = 0.5 * curvature / root
+    power = square
+    for i in range(terms):
+        slope += (i + 2) * asphere[s, i] * power
+        power *= square
+        sag += asphere[s, i] * power
+    return sag, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet_conic(p: _Vector, d: _Vector, curvature: float, conic: float) -> float:
+    """Return the distance along a ray from the vertex plane to a conic, NaN if it misses."""
+    b = d[2] - curvature * (p[0] * d[0] + p[1] * d[1])
+    square = curvature * (p[0] * p[0] + p[1] * p[1])
+    inside = b * b - curvature * (1.0 + conic * d[2] * d[2]) * square
+    return float(square / (b + np.sqrt(inside)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet_asphere(
+    p: _Vector, d: _Vector, curvature: float, conic: float, asphere: Array, s: int, terms: int
+) -> float:
+    """Return the distance along a ray from the vertex plane to an asphere, NaN if it misses."""
+    t = _meet_conic(p, d, curvature, conic)
+    if np.isnan(t):
+        t = 0.0
+    for _ in range(_NEWTON_STEPS):
+        row, col = p[0] + t * d[0], p[1] + t * d[1]
+        sag, slope = _slope(row * row + col * col, curvature, conic, asphere, s, terms)
+        step = (t * d[2] - sag) / (d[2] - 2.0 * slope * (row * d[0] + col * d[1]))
+        t -= step
+        if abs(step) < _CLOSE_MM:
+            return t
+        if np.isnan(step):
+            return np.nan
+    return np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refract(d: _Vector, row: float, col: float, slope: float, ratio: float) -> _Vector:
+    """Bend the direction by Snell's law in vector form; NaN if it is totally reflected."""
+    n_row, n_col = -2.0 * slope * row, -2.0 * slope * col
+    scale = 1.0 / np.sqrt(n_row * n_row + n_col * n_col + 1.0)
+    cosine = (n_row * d[0] + n_col * d[1] + d[2]) * scale
+    along = np.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine)) - ratio * cosine
+    along *= scale
+    return ratio * d[0] + along * n_row, ratio * d[1] + along * n_col, ratio * d[2] + along
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _into(m: Array, b: int, e: int, v: _Vector) -> _Vector:
+    """Return a vector of the lens in the axes of an element."""
+    return (
+        m[b, e, 0, 0] * v[0] + m[b, e, 1, 0] * v[1] + m[b, e, 2, 0] * v[2],
+        m[b, e, 0, 1] * v[0] + m[b, e, 1, 1] * v[1] + m[b, e, 2, 1] * v[2],
+        m[b, e, 0, 2] * v[0] + m[b, e, 1, 2] * v[1] + m[b, e, 2, 2] * v[2],
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _out_of(m: Array, b: int, e: int, v: _Vector) -> _Vector:
+    """Return a vector of an element in the axes of the lens."""
+    return (
+        m[b, e, 0, 0] * v[0] + m[b, e, 0, 1] * v[1] + m[b, e, 0, 2] * v[2],
+        m[b, e, 1, 0] * v[0] + m[b, e, 1, 1] * v[1] + m[b, e, 1, 2] * v[2],
+        m[b, e, 2, 0] * v[0] + m[b, e, 2, 1] * v[1] + m[b, e, 2, 2] * v[2],
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trace_kernel(
+    origin: Array, direction: Array, path: Array, status: Array, failed_at: Array,
+    heights: Array, vertices: Array, rotations: Array, index: Array, plane: Array,
+    element: Array, depth: Array, curvature: Array, conic: Array, asphere: Array,
+    terms: Array, semi_diameter: Array, surfaces: int,
+) -> None:  # fmt: skip
+    """Trace rays in place through the first `surfaces` surfaces to a plane across the axis.
+
+    Lengths in mm, vectors as (row, col, axial).
+
+    Parameters
+    ----------
+    origin, direction : [batch ray 3], of length 1
+    path : [batch ray] optical path so far
+    status, failed_at : [batch ray] what happened, and at which surface
+    heights : [batch ray surface] distance from the axis over semi-diameter, or [1 1 0]
+    vertices : [batch element 3] where the first vertex of each element is
+    rotations : [batch element 3 3] from the element to the lens
+    index : [batch surface] refractive index behind each surface
+    plane : [batch] axial position of the last plane
+    element, depth : [surface] its element, and how far its vertex lies behind the first one
+    curvature, conic, asphere, terms, semi_diameter : [surface], asphere [surface term] of which
+        `terms` are used
+    """
+    for b in range(origin.shape[0]):
+        for r in range(origin.shape[1]):
+            before, length = 1.0, path[b, r]
+            p = (origin[b, r, 0], origin[b, r, 1], origin[b, r, 2])
+            d = (direction[b, r, 0], direction[b, r, 1], direction[b, r, 2])
+            for s in range(surfaces):
+                e = element[s]
+                if s == 0 or element[s - 1] != e:
+                    v = (vertices[b, e, 0], vertices[b, e, 1], vertices[b, e, 2])
+                    p = _into(rotations, b, e, (p[0] - v[0], p[1] - v[1], p[2] - v[2]))
+                    d = _into(rotations, b, e, d)
+                t = (depth[s] - p[2]) / d[2]
+                at = (p[0] + t * d[0], p[1] + t * d[1], 0.0)
+                if terms[s]:
+                    t += _meet_asphere(at, d, curvature[s], conic[s], asphere, s, terms[s])
+                else:
+                    t += _meet_conic(at, d, curvature[s], conic[s])
+                p = (p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2])
+                length += before * t
+                square = p[0] * p[0] + p[1] * p[1]
+                _, slope = _slope(square, curvature[s], conic[s], asphere, s, terms[s])
+                if np.isnan(slope):
+                    status[b, r], failed_at[b, r] = MISSED, s
+                    break
+                height = np.sqrt(square) / semi_diameter[s]
+                if heights.shape[2]:
+                    heights[b, r, s] = height
+                if height > 1.0 and status[b, r] == PASSED:
+                    status[b, r], failed_at[b, r] = VIGNETTED, s
+                d = _refract(d, p[0], p[1], slope, before / index[b, s])
+                if np.isnan(d[2]):
+                    status[b, r], failed_at[b, r] = REFLECTED, s
+                    break
+                before = index[b, s]
+                if s == surfaces - 1 or element[s + 1] != e:
+                    p, d = _out_of(rotations, b, e, p), _out_of(rotations, b, e, d)
+                    v = (vertices[b, e, 0], vertices[b, e, 1], vertices[b, e, 2])
+                    p = (p[0] + v[0], p[1] + v[1], p[2] + v[2])
+            t = (plane[b] - p[2]) / d[2]
+            if status[b, r] == MISSED or status[b, r] == REFLECTED:
+                t = np.nan
+            for i in range(3):
+                origin[b, r, i] = p[i] + t * d[i]
+                direction[b, r, i] = d[i] + 0.0 * t
+            path[b, r] = length + before * t
