@@ -166,7 +166,7 @@ def _spot_otf(
     mean = (weight * cosine).sum(axis=-1, keepdims=True)
     width = 4.0 * np.sqrt((weight * (cosine - mean) ** 2).sum(axis=-1))
     limit = diffraction_mtf(frequency_lpmm, width[..., None] / (wavelength_nm * 1e-6))
-    geometric = np.empty(limit.shape, dtype=np.complex128)
+    geometric = np.empty((*landing.shape[:-1], len(frequency_lpmm)), dtype=np.complex128)
     rays = landing.shape[-1]
     spot_sums(
         landing.reshape(-1, len(axes.T), rays),
@@ -174,7 +174,7 @@ def _spot_otf(
         frequency_lpmm,
         geometric.reshape(-1, len(axes.T), len(frequency_lpmm)),
     )
-    return geometric * limit
+    return np.asarray(geometric * limit, dtype=np.complex128)
 
 
 def sensor_mtf(

@@ -121,11 +121,11 @@ class _PupilFit:
 
 def _soft_edge(square: Array, step: float) -> Array:
     """Return 1 inside the unit circle, 0 outside, over one step in between."""
-    return np.clip((1.0 - square) / (2.0 * step) + 0.5, 0.0, 1.0)
+    return np.asarray(np.clip((1.0 - square) / (2.0 * step) + 0.5, 0.0, 1.0))
 
 
 def _chebyshev(x: Array) -> Array:
-    return np.polynomial.chebyshev.chebvander(x, _DEGREE)
+    return np.asarray(np.polynomial.chebyshev.chebvander(x, _DEGREE))
 
 
 def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: Array) -> _PupilFit:

@@ -104,14 +104,14 @@ def object_for_magnification_mm(
 def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> NDArray[np.float64]:
     """Return by how much the image moves per decentre of each element, [element].
 
-        gain_j = A_behind (1 - A_j) - B_behind C_j + ...: the change of the ray that leaves
-        element j when the element moves by 1, followed to the sensor
+        gain_j = [ M_j (1 - E_j) (1, 0) ]_height
 
-    An element with matrix E that moves by s adds (1 - E) (s, 0) to the ray behind it.
+    with E_j the matrix of element j and M_j that of everything from there to the sensor: an
+    element that moves by s adds (1 - E_j) (s, 0) to the ray behind it.
     """
     chain = _elements(lens, wavelength_nm)
     gains = np.zeros(len(chain))
-    behind = np.eye(2)
+    behind: Matrix = np.eye(2)
     for number in range(len(chain) - 1, -1, -1):
         behind = behind @ _gap(lens.gaps_mm[number])
         added = (np.eye(2) - chain[number]) @ np.array([1.0, 0.0])
@@ -122,7 +122,7 @@ def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> NDArray[np
 
 def system_matrix(lens: Lens, wavelength_nm: float | None = None) -> Matrix:
     """Return the [2 2] matrix from the first to the last vertex, acting on (height, slope)."""
-    matrix = np.eye(2)
+    matrix: Matrix = np.eye(2)
     for number, element in enumerate(_elements(lens, wavelength_nm)):
         matrix = element @ matrix
         if number + 1 < len(lens.elements):
@@ -132,7 +132,8 @@ def system_matrix(lens: Lens, wavelength_nm: float | None = None) -> Matrix:
 
 def element_matrix(element: Element, indices: tuple[float, ...]) -> Matrix:
     """Return the [2 2] matrix of one element in air, from its first to its last vertex."""
-    matrix, before = np.eye(2), 1.0
+    matrix: Matrix = np.eye(2)
+    before = 1.0
     for number, surface in enumerate(element.surfaces):
         after = indices[number] if number < len(indices) else 1.0
         bend = (after - before) * surface.curvature_per_mm / after
@@ -159,12 +160,14 @@ def _around_stop(lens: Lens, wavelength_nm: float | None) -> tuple[Matrix, Matri
     before = lens.elements_before_stop()
     starts_mm = lens.positions_mm()
     chain = _elements(lens, wavelength_nm)
-    front, at_mm = np.eye(2), 0.0
+    front: Matrix = np.eye(2)
+    at_mm = 0.0
     for number in range(before):
         front = chain[number] @ _gap(starts_mm[number] - at_mm) @ front
         at_mm = starts_mm[number] + lens.elements[number].length_mm
     front = _gap(lens.stop.position_mm - at_mm) @ front
-    behind, at_mm = np.eye(2), lens.stop.position_mm
+    behind: Matrix = np.eye(2)
+    at_mm = lens.stop.position_mm
     for number in range(before, len(chain)):
         behind = chain[number] @ _gap(starts_mm[number] - at_mm) @ behind
         at_mm = starts_mm[number] + lens.elements[number].length_mm

@@ -21,6 +21,7 @@ from lensshift.optics.trace import Build
 Array = NDArray[np.float64]
 
 _RINGS = 2  # of the pupil: the centroid is smooth
+_NEAR = 1e-3  # of a pixel; the offset changes by less than 1e-5 px over it
 _INVERSE_STEPS = 12
 _INVERSE_PX = 1e-9
 _PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
@@ -29,9 +30,9 @@ _PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a mill
 def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> ShiftField:
     """Return the image offset of every pixel when one element is moved.
 
-        offset(u) = u - image of the same object point when the element is at rest
+        offset(u) = image after the move - image before it
 
-    for the object point whose image is at pixel u after the move: what `ShiftField` means.
+    of the object point whose image is at pixel u after the move: what `ShiftField` means.
 
     Parameters
     ----------
@@ -54,9 +55,12 @@ def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> S
         raise ValueError(f"expected finite decenter_mm [frame 2], got shape {moves.shape}")
     pixels_mm = pixel_centres_mm(grid).reshape(-1, 2)
     moved = moving(lens, element, moves[:, None, :])
-    fields = fields_for_image(lens, pixels_mm, build=moved, rings=_RINGS)
+    fields = fields_for_image(
+        lens, pixels_mm, build=moved, rings=_RINGS, tolerance_mm=_NEAR * min(grid.pitch_mm)
+    )
+    moved_mm = spots(lens, fields, build=moved, rings=_RINGS).centroid_mm
     resting_mm = spots(lens, fields, rings=_RINGS).centroid_mm
-    offset_px = (pixels_mm - resting_mm) / np.asarray(grid.pitch_mm)
+    offset_px = (moved_mm - resting_mm) / np.asarray(grid.pitch_mm)
     return ShiftField(offset_px.reshape(len(moves), *grid.shape, 2))
 
 

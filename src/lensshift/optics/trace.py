@@ -13,7 +13,7 @@ from lensshift.optics.paraxial import entrance_pupil
 
 Array = NDArray[np.float64]
 
-_AIM_STEPS = 12
+_AIM_STEPS = 50
 _AIM_MM = 1e-10
 
 

@@ -1,0 +1,134 @@
+"""Write a lens as a sequential Zemax file (.zmx)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from lensshift.core.errors import DataError
+from lensshift.optics.lens import Element, Lens, Surface
+from lensshift.optics.paraxial import entrance_pupil
+
+_GLASS_NAMES = {"fused silica": "F_SILICA"}
+
+
+def save_zmx(lens: Lens, path: str | Path) -> None:
+    """Write a lens as a sequential .zmx file, millimetres and degrees.
+
+    A decentred or tilted element stands between two coordinate breaks, the second of which
+    returns to the axis exactly. The stop becomes a plane of its own.
+
+    Raises
+    ------
+    ValueError
+        If the stop rides on an element that is decentred: the format cannot say so.
+    DataError
+        If the file cannot be written.
+    """
+    text = format_zmx(lens)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+
+
+def format_zmx(lens: Lens) -> str:
+    """Return the text of the .zmx file of a lens; see `save_zmx`."""
+    stop = lens.stop
+    if stop.rides_on is not None and any(lens.elements[stop.rides_on].decenter_mm):
+        raise ValueError("expected a stop fixed in space, or on an element that is not decentred")
+    pupil_mm = stop.diameter_mm * abs(entrance_pupil(lens)[1])
+    header = [
+        "MODE SEQ",
+        f"NAME {lens.name}",
+        "UNIT MM X W X CM MR CPMM",
+        f"ENPD {_number(pupil_mm)}",
+        f"ENVD {_number(lens.temperature_c)} 1 0",
+        "GCAT SCHOTT OHARA MISC",
+        "FTYP 0 0 1 1 0 0 0",
+        "XFLN 0",
+        "YFLN 0",
+        "FWGN 1",
+        f"WAVM 1 {_number(1e-3 * lens.wavelength_nm)} 1",
+        "PWAV 1",
+    ]
+    blocks = _blocks(lens)
+    body = [f"SURF {n}\n" + "\n".join(f"  {line}" for line in b) for n, b in enumerate(blocks)]
+    return "\n".join([*header, *body]) + "\n"
+
+
+def _blocks(lens: Lens) -> list[list[str]]:
+    """Return the lines of each surface, from the object to the image."""
+    before = lens.elements_before_stop()
+    stop_mm = lens.stop.position_mm
+    ends_mm = [0.0]  # where the air in front of each element, and of the sensor, begins
+    starts_mm = lens.positions_mm()
+    for start_mm, element in zip(starts_mm, lens.elements, strict=False):
+        ends_mm.append(float(start_mm) + element.length_mm)
+    far = math.isinf(lens.object_mm)
+    to_stop_mm = stop_mm if before == 0 else 0.0
+    blocks = [_plane(math.inf if far else lens.object_mm + to_stop_mm)]
+    for number, element in enumerate(lens.elements):
+        if number == before:
+            blocks.append(_stop(lens, float(starts_mm[number]) - stop_mm))
+        gap_mm = lens.gaps_mm[number]
+        if number + 1 == before:
+            gap_mm = stop_mm - ends_mm[number + 1]
+        blocks += _element(element, gap_mm)
+    if before == len(lens.elements):
+        blocks.append(_stop(lens, float(starts_mm[-1]) - stop_mm))
+    return [*blocks, _plane(0.0)]
+
+
+def _element(element: Element, gap_mm: float) -> list[list[str]]:
+    row_mm, col_mm = element.decenter_mm
+    about_x_deg, about_y_deg = -math.degrees(element.tilt_rad[0]), math.degrees(element.tilt_rad[1])
+    away = any((*element.decenter_mm, *element.tilt_rad))
+    blocks = []
+    if away:
+        blocks.append(_break((col_mm, row_mm, about_x_deg, about_y_deg, 0.0, 0), 0.0))
+    for number, surface in enumerate(element.surfaces):
+        if number < len(element.glass):
+            glass, distance_mm = element.glass[number], element.thickness_mm[number]
+        else:  # back to the first vertex, about which the element is tilted
+            glass, distance_mm = "", -element.length_mm if away else gap_mm
+        blocks.append(_surface(surface, glass, distance_mm))
+    if away:
+        back = (-col_mm, -row_mm, -about_x_deg, -about_y_deg, 0.0, 1)
+        blocks.append(_break(back, element.length_mm + gap_mm))
+    return blocks
+
+
+def _surface(surface: Surface, glass: str, distance_mm: float) -> list[str]:
+    lines = [
+        f"TYPE {'EVENASPH' if surface.asphere else 'STANDARD'}",
+        f"CURV {_number(surface.curvature_per_mm)}",
+    ]
+    if surface.conic:
+        lines.append(f"CONI {_number(surface.conic)}")
+    for number, coefficient in enumerate(surface.asphere, start=2):
+        lines.append(f"PARM {number} {_number(coefficient)}")
+    lines.append(f"DISZ {_number(distance_mm)}")
+    if glass:
+        lines.append(f"GLAS {_GLASS_NAMES.get(glass, glass)}")
+    if math.isfinite(surface.semi_diameter_mm):
+        lines.append(f"DIAM {_number(surface.semi_diameter_mm)} 1 0 0 1")
+    return lines
+
+
+def _stop(lens: Lens, distance_mm: float) -> list[str]:
+    return ["STOP", *_plane(distance_mm), f"DIAM {_number(0.5 * lens.stop.diameter_mm)} 1 0 0 1"]
+
+
+def _plane(distance_mm: float) -> list[str]:
+    return ["TYPE STANDARD", "CURV 0.0", f"DISZ {_number(distance_mm)}"]
+
+
+def _break(values: tuple[float, ...], distance_mm: float) -> list[str]:
+    lines = ["TYPE COORDBRK", "CURV 0.0"]
+    lines += [f"PARM {number} {_number(value)}" for number, value in enumerate(values, start=1)]
+    return [*lines, f"DISZ {_number(distance_mm)}"]
+
+
+def _number(value: float) -> str:
+    return "INFINITY" if math.isinf(value) else repr(float(value))

@@ -1,0 +1,67 @@
+"""Lenses that several tests use, and the same trace in another program."""
+
+import math
+
+import numpy as np
+
+from lensshift.optics.glass import refractive_index
+from lensshift.optics.lens import Element, Lens, Stop, Surface
+from lensshift.optics.trace import Build
+
+PLANE = Surface(math.inf)
+WAVELENGTH_NM = 850.0
+
+
+def perfect_lens(stop_mm: float = 20.0, focal_mm: float = 50.0) -> Lens:
+    """Return a plano-hyperbolic lens, which images an infinitely far axial point perfectly."""
+    index = refractive_index("N-BK7", WAVELENGTH_NM)
+    radius_mm = -focal_mm * (index - 1.0)
+    element = Element((PLANE, Surface(radius_mm, conic=-(index**2))), ("N-BK7",), (8.0,))
+    return Lens((element,), (focal_mm,), Stop(stop_mm), wavelength_nm=WAVELENGTH_NM)
+
+
+def batoid_trace(
+    lens: Lens, build: Build, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Trace rays [n 3] in (row, col, axial) through one build with batoid.
+
+    Returns the same three as a `RayBundle`; the path starts at `origin` and is NaN for rays that
+    batoid gives up.
+    """
+    import batoid
+
+    x, y, z = origin[:, 1], origin[:, 0], origin[:, 2]
+    rays = batoid.RayVector(x, y, z, direction[:, 1], direction[:, 0], direction[:, 2])
+    lens_axes = batoid.CoordSys()
+    starts = lens.positions_mm()
+    moves = np.zeros((len(lens.elements), 2)) if build.decenter_mm is None else build.decenter_mm
+    tilts = np.zeros((len(lens.elements), 2)) if build.tilt_rad is None else build.tilt_rad
+    for number, (element, indices) in enumerate(zip(lens.elements, lens.indices(), strict=True)):
+        row, col = np.add(element.decenter_mm, moves[number])
+        lean_row, lean_col = np.add(element.tilt_rad, tilts[number])
+        turn = batoid.RotX(-lean_row) @ batoid.RotY(lean_col)
+        vertex = np.array([col, row, starts[number]])
+        media = [batoid.ConstMedium(n) for n in (1.0, *indices, 1.0)]
+        depths = np.cumsum([0.0, *element.thickness_mm])
+        for surface, depth, before, after in zip(
+            element.surfaces, depths, media[:-1], media[1:], strict=True
+        ):
+            axes = batoid.CoordSys(vertex + turn @ [0.0, 0.0, depth], turn)
+            batoid_surface(surface).refract(rays, before, after, coordSys=axes)
+    sensor = batoid.CoordSys().shiftGlobal([0.0, 0.0, starts[-1]])
+    batoid.Plane().intersect(rays, coordSys=sensor)
+    rays.toCoordSys(lens_axes)
+    position = np.stack([rays.y, rays.x], axis=-1)
+    cosines = np.stack([rays.vy, rays.vx, rays.vz], axis=-1)
+    return position, cosines, np.where(rays.failed, np.nan, rays.t)
+
+
+def batoid_surface(surface: Surface) -> object:
+    """Return the surface in batoid."""
+    import batoid
+
+    if math.isinf(surface.radius_mm):
+        return batoid.Plane()
+    if surface.asphere:
+        return batoid.Asphere(surface.radius_mm, surface.conic, list(surface.asphere))
+    return batoid.Quadric(surface.radius_mm, surface.conic)

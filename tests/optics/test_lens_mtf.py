@@ -1,0 +1,225 @@
+"""MTF, wavefront and spots against diffraction theory and the studied lenses."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lenses import WAVELENGTH_NM, perfect_lens
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.grid import Grid
+from lensshift.optics.lens import Lens
+from lensshift.optics.lens_file import load_lens
+from lensshift.optics.mtf import (
+    Band,
+    diffraction_limit,
+    diffraction_mtf,
+    fast_mtf,
+    led_band,
+    pixel_centres_mm,
+    sensor_mtf,
+    through_focus,
+)
+from lensshift.optics.otf import exact_mtf, exact_otf
+from lensshift.optics.paraxial import paraxial
+from lensshift.optics.pupil import pupil_grid
+from lensshift.optics.shift import moving
+from lensshift.optics.spots import (
+    distortion,
+    fields_for_image,
+    image_per_field_mm,
+    spots,
+    wavefront,
+)
+from lensshift.optics.trace import trace
+
+HORIZONTAL, VERTICAL = math.tan(math.radians(6.5)), math.tan(math.radians(1.6))
+STUDIED_LPMM = np.array([3.226, 6.452, 12.9])
+
+
+def test_exact_and_fast_mtf_of_a_perfect_lens_are_those_of_its_pupil() -> None:
+    lens = perfect_lens(stop_mm=8.0)
+    marginal = trace(lens, [0.0, 0.0], [[1.0, 0.0]]).direction[0, 0]
+    cutoff_lpmm = 2.0 * abs(marginal) / (WAVELENGTH_NM * 1e-6)
+    frequency = cutoff_lpmm * np.array([0.001, 0.1, 0.3, 0.5, 0.7, 0.95, 1.05])
+    theory = diffraction_mtf(frequency, cutoff_lpmm)
+    for azimuth_rad in (0.0, 0.7, math.pi / 2):
+        exact = exact_mtf(lens, [0.0, 0.0], frequency, azimuth_rad)
+        assert exact.modulation == pytest.approx(theory, abs=2e-3)
+        fast = fast_mtf(lens, [0.0, 0.0], frequency, azimuth_rad)[0]
+        assert fast == pytest.approx(theory, abs=3e-3)  # the pupil is not quite uniform
+
+
+def test_diffraction_mtf_is_the_overlap_of_two_discs() -> None:
+    along = np.linspace(-1.5, 1.5, 1501)
+    row, col = np.meshgrid(along, along, indexing="ij")
+    for v in (0.2, 0.6, 0.9):
+        both = (row**2 + (col - v) ** 2 < 1) & (row**2 + (col + v) ** 2 < 1)
+        share = both.sum() / (row**2 + col**2 < 1).sum()
+        assert diffraction_mtf(v, 1.0) == pytest.approx(share, abs=1e-3)
+    assert diffraction_mtf([0.0, 1.0, 2.0], 1.0) == pytest.approx([1.0, 0.0, 0.0])
+    limit = diffraction_limit(load_lens("petzval_a"), STUDIED_LPMM)
+    assert limit.modulation == pytest.approx([0.992, 0.985, 0.970], abs=1e-3)
+
+
+def test_defocus_follows_the_shape_of_a_uniform_blur_disc() -> None:
+    # Geometric limit: MTF = 2 J1(x) / x with x = 2 pi f radius of the blur.
+    from scipy.special import j1
+
+    lens = perfect_lens(stop_mm=5.0)
+    marginal = trace(lens, [0.0, 0.0], [[1.0, 0.0]]).direction[0]
+    slope = abs(marginal[0] / marginal[2])
+    defocus_mm = 1.0
+    x = 2.0 * math.pi * 6.0 * slope * defocus_mm
+    got = through_focus(lens, [0.0, 0.0], 6.0, [-defocus_mm, 0.0, defocus_mm])
+    cutoff_lpmm = 2.0 * slope / (WAVELENGTH_NM * 1e-6)
+    expected = float(2.0 * j1(x) / x * diffraction_mtf(6.0, cutoff_lpmm))
+    assert got[0] == pytest.approx([expected] * 2, abs=5e-3)
+    assert got[2] == pytest.approx([expected] * 2, abs=5e-3)
+    assert got[1] == pytest.approx([float(diffraction_mtf(6.0, cutoff_lpmm))] * 2, abs=1e-3)
+    moved = fast_mtf(lens.with_sensor(50.0 + defocus_mm), [0.0, 0.0], [6.0])[:, 0]
+    assert got[2] == pytest.approx(moved, abs=1e-9)
+
+
+def test_exact_otf_equals_the_transform_of_the_point_spread_function() -> None:
+    # An independent way: the field at the sensor as a sum of plane waves, its square, its sum.
+    lens = perfect_lens(stop_mm=4.0).with_sensor(49.7)
+    field = [0.01, 0.02]
+    rays = trace(lens, field, pupil_grid(80))
+    centre = rays.position_mm.mean(axis=0)
+    cosine = rays.direction[:, :2]
+    path = rays.path_mm + ((centre - rays.position_mm) * cosine).sum(axis=1)
+    wave = 2.0 * np.pi / (WAVELENGTH_NM * 1e-6)
+    period_mm = WAVELENGTH_NM * 1e-6 / (0.08 / 80)  # that of the grid of directions
+    x_mm = np.arange(-100, 100) * (period_mm / 200)
+    phase = wave * (path - path.mean())
+    columns = np.exp(1j * wave * np.outer(cosine[:, 1], x_mm))
+    rows = np.exp(1j * wave * np.outer(cosine[:, 0], x_mm))
+    amplitude = (rows * np.exp(1j * phase)[:, None]).T @ columns
+    spread = (np.abs(amplitude) ** 2).sum(axis=0)  # line spread function over columns
+    frequency = np.array([5.0, 15.0, 30.0, 50.0])
+    direct = np.abs(spread @ np.exp(-2j * np.pi * np.outer(x_mm, frequency))) / spread.sum()
+    exact = exact_mtf(lens, field, frequency, 0.0).modulation
+    assert exact == pytest.approx(direct, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "expected"),
+    [
+        ("petzval_a", (0.0, 0.0), (0.986, 0.960, 0.874)),
+        ("petzval_a", (0.0, HORIZONTAL), (0.984, 0.954, 0.869)),
+        ("petzval_a", (VERTICAL, 0.0), (0.987, 0.963, 0.886)),
+        ("petzval_a", (VERTICAL, HORIZONTAL), (0.983, 0.951, 0.860)),
+        ("petzval_b", (0.0, 0.0), (0.977, 0.928, 0.780)),
+        ("petzval_b", (0.0, HORIZONTAL), (0.873, 0.597, 0.324)),
+        ("petzval_b", (VERTICAL, 0.0), (0.979, 0.934, 0.799)),
+        ("petzval_b", (VERTICAL, HORIZONTAL), (0.857, 0.557, 0.323)),
+    ],
+)
+def test_the_studied_lenses_centred(
+    name: str, field: tuple[float, float], expected: tuple[float, ...]
+) -> None:
+    curve = exact_mtf(load_lens(name), field, STUDIED_LPMM)
+    assert curve.modulation == pytest.approx(expected, abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "move_mm", "expected"),
+    [
+        ("petzval_a", -0.0444, (0.979, 0.936, 0.812)),
+        ("petzval_a", 0.0444, (0.987, 0.966, 0.907)),
+        ("petzval_b", -0.0441, (0.897, 0.663, 0.333)),
+        ("petzval_b", 0.0441, (0.847, 0.532, 0.320)),
+    ],
+)
+def test_the_studied_lenses_with_the_first_element_moved(
+    name: str, move_mm: float, expected: tuple[float, ...]
+) -> None:
+    lens = load_lens(name)
+    build = moving(lens, 0, np.array([0.0, move_mm]))
+    curve = exact_mtf(lens, (0.0, HORIZONTAL), STUDIED_LPMM, build=build)
+    assert curve.modulation == pytest.approx(expected, abs=3e-3)
+
+
+def test_fast_mtf_is_near_the_exact_one_and_the_wavefront_that_of_other_programs() -> None:
+    lens = load_lens("petzval_a")
+    fields = np.array([[0.0, 0.0], [0.0, HORIZONTAL], [VERTICAL, HORIZONTAL]])
+    fast = fast_mtf(lens, fields, STUDIED_LPMM[:2])
+    exact = np.stack([np.abs(exact_otf(lens, field, STUDIED_LPMM[:2])) for field in fields])
+    assert fast == pytest.approx(exact, abs=4e-3)
+    assert wavefront(lens, [0.0, 0.0]).rms_waves == pytest.approx(0.542, abs=2e-3)
+
+
+def test_sensor_mtf_is_symmetric_and_contains_single_fields() -> None:
+    lens, grid = load_lens("petzval_a"), Grid((5, 9), (0.5, 1.1))
+    got = sensor_mtf(lens, grid, [3.0, 7.0])
+    assert got.shape == (5, 9, 2, 2)
+    assert got == pytest.approx(got[::-1, ::-1], abs=1e-6)
+    field = fields_for_image(lens, pixel_centres_mm(grid)[1, 7])
+    assert got[1, 7] == pytest.approx(fast_mtf(lens, field, [3.0, 7.0]), abs=1e-3)
+
+
+def test_an_led_blurs_by_axial_and_lateral_colour() -> None:
+    lens = load_lens("petzval_a")
+    narrow = led_band(850.0, 0.0, 3)
+    field = [0.0, HORIZONTAL]
+    alone = exact_mtf(lens, field, STUDIED_LPMM).modulation
+    assert exact_mtf(lens, field, STUDIED_LPMM, band=narrow).modulation == pytest.approx(alone)
+    broad = led_band(850.0, 40.0)
+    assert np.sqrt(broad.weight @ (broad.wavelength_nm - 850.0) ** 2) == pytest.approx(
+        40.0 / 2.35482, rel=1e-5
+    )
+    exact = np.abs(exact_otf(lens, field, STUDIED_LPMM[:2], band=broad))
+    fast = fast_mtf(lens, field, STUDIED_LPMM[:2], band=broad)
+    assert fast == pytest.approx(exact, abs=4e-3)
+    assert np.abs(exact[0] - alone[:2]).max() > 1e-5  # the band does something
+    with pytest.raises(ValueError, match="weights >= 0"):
+        Band(np.array([850.0]), np.array([-1.0]))
+    with pytest.raises(ValueError, match="a weight for each"):
+        Band(np.array([850.0, 860.0]), np.array([1.0]))
+    with pytest.raises(ValueError, match="a width >= 0"):
+        led_band(850.0, -1.0)
+
+
+def vignetting(lens: Lens, share: float) -> Lens:
+    """Return the lens with the last surface smaller than the beam."""
+    last = lens.elements[-1]
+    small = replace(last.surfaces[1], semi_diameter_mm=share)
+    element = replace(last, surfaces=(last.surfaces[0], small))
+    return replace(lens, elements=(*lens.elements[:-1], element))
+
+
+def test_vignetting_narrows_the_pupil_of_the_exact_mtf() -> None:
+    lens = vignetting(perfect_lens(stop_mm=8.0), 2.0)
+    rays = trace(lens, [0.0, 0.0], pupil_grid(400))
+    widest = np.abs(rays.direction[rays.passed, 0]).max()
+    frequency = np.array([20.0, 50.0, 80.0])
+    theory = diffraction_mtf(frequency, 2.0 * widest / (WAVELENGTH_NM * 1e-6))
+    with pytest.warns(QualityWarning, match="loses 7. % of its light"):
+        curve = exact_mtf(lens, [0.0, 0.0], frequency)
+    assert curve.modulation == pytest.approx(theory, abs=6e-3)
+
+
+def test_distortion_and_field_inversion() -> None:
+    lens = load_lens("petzval_b")
+    # The studied 2 % is of a corner field, from the paraxial image on the sensor.
+    assert distortion(lens, [0.0, HORIZONTAL]) == pytest.approx(0.0196, abs=5e-4)
+    image_mm = np.array([[0.3, -4.9], [1.2, 4.8]])
+    fields = fields_for_image(lens, image_mm)
+    assert spots(lens, fields, rings=2).centroid_mm == pytest.approx(image_mm, abs=1e-7)
+    # The sensor is near the paraxial image of the object, and the pupil at the first vertex.
+    ideal_mm = -paraxial(lens).magnification * lens.object_mm
+    assert image_per_field_mm(lens) == pytest.approx(ideal_mm, rel=1e-3)
+    with pytest.raises(ValueError, match="away from the axis"):
+        distortion(lens, [0.0, 0.0])
+    with pytest.raises(ValueError, match=r"one is .* mm away|no ray of"):
+        fields_for_image(lens, [[40.0, 0.0]])
+
+
+def test_exact_functions_take_one_field() -> None:
+    lens = load_lens("petzval_a")
+    with pytest.raises(ValueError, match="one field and one build"):
+        exact_otf(lens, [[0.0, 0.0], [0.0, 0.1]], [3.0])
+    with pytest.raises(ValueError, match="one field and one build"):
+        wavefront(lens, [[0.0, 0.0], [0.0, 0.1]])
