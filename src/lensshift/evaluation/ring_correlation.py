@@ -1,0 +1,214 @@
+"""Fourier ring correlation: up to which frequency two independent images agree."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import QualityWarning
+
+Floats = NDArray[np.float64]
+
+FIXED_THRESHOLD = 1 / 7
+_MIN_SIDE_PX = 8
+# With fewer samples the correlation of pure noise scatters by more than the fixed threshold.
+_MIN_SAMPLES = 1 / FIXED_THRESHOLD**2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingCorrelation:
+    """Correlation of two images, ring by ring in frequency.
+
+    Parameters
+    ----------
+    frequency_lpmm : [ring] mean frequency of the ring
+    correlation : [ring] from -1 to 1
+    samples : [ring] Fourier samples, less what the window correlates; the correlation of pure noise
+        has a standard deviation of 1 / sqrt(samples)
+    half_bit : [ring] threshold for half a bit of information per sample
+    cutoff_lpmm : first crossing of the half-bit threshold
+    fixed_cutoff_lpmm : first crossing of 1/7
+
+    Cut-offs are 0 if the first ring is already below, None if no ring is.
+    """
+
+    frequency_lpmm: Floats
+    correlation: Floats
+    samples: Floats
+    half_bit: Floats
+    cutoff_lpmm: float | None
+    fixed_cutoff_lpmm: float | None
+
+    @property
+    def resolution_mm(self) -> float | None:
+        """Period at the half-bit cut-off; infinite if nothing agrees, None if all rings do."""
+        return _period_mm(self.cutoff_lpmm)
+
+    @property
+    def fixed_resolution_mm(self) -> float | None:
+        """Period at the cut-off of 1/7; infinite if nothing agrees, None if all rings do."""
+        return _period_mm(self.fixed_cutoff_lpmm)
+
+
+def fourier_ring_correlation(
+    first: ArrayLike,
+    second: ArrayLike,
+    *,
+    pitch_mm: float | tuple[float, float],
+    window: bool = True,
+) -> RingCorrelation:
+    """Correlate two images of one scene with independent noise.
+
+        FRC(r) = Re sum F1 F2* / sqrt( sum |F1|^2 sum |F2|^2 ),   sums over ring r
+        half bit: T(r) = (0.2071 + 1.9102 / sqrt n) / (1.2071 + 0.9102 / sqrt n)
+
+    For signal and white noise of power S and N in each image FRC = S / (S + N). Rings are as wide
+    as one Fourier sample along the shorter side and end at the smaller Nyquist frequency. What
+    both images share counts as signal: two results of one prior, or of frames they have in common,
+    agree in what the prior invented.
+
+    Parameters
+    ----------
+    first, second : [row col], finite, of one shape and at least 8 pixels on each side
+    pitch_mm : pixel spacing, one or (row, col)
+    window : whether to lay a Hann window, against the jump from border to border
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or an image has no contrast.
+
+    Warns
+    -----
+    QualityWarning
+        If the median ring has too few samples to tell 1/7 from noise.
+
+    Source: van Heel and Schatz, J. Struct. Biol. 151 (2005) 250; Banterle et al., J. Struct. Biol.
+    183 (2013) 363.
+    """
+    images = [_image(first, "first"), _image(second, "second")]
+    if images[0].shape != images[1].shape:
+        raise ValueError(
+            f"expected two images of one shape, got {images[0].shape} and {images[1].shape}"
+        )
+    shape = images[0].shape
+    weight = np.outer(*(_hann(n) for n in shape)) if window else np.ones(shape)
+    spectra = [_spectrum(image, weight) for image in images]
+    radius_lpmm, ring = _rings(shape, pitch_mm)
+    inside = ring > 0
+    index = ring[inside] - 1
+
+    def ring_sums(values: Floats) -> Floats:
+        return np.bincount(index, weights=values[inside]).astype(np.float64)
+
+    count = ring_sums(np.ones(shape))
+    cross = ring_sums(np.real(spectra[0] * np.conj(spectra[1])))
+    power = [ring_sums(np.abs(spectrum) ** 2) for spectrum in spectra]
+    norm = np.sqrt(power[0] * power[1])
+    correlation = np.divide(cross, norm, out=np.zeros_like(cross), where=norm > 0)
+    samples = count**2 / ring_sums(_neighbours(ring, weight))
+    _warn_if_few(samples)
+    root = np.sqrt(samples)
+    half_bit = (0.2071 + 1.9102 / root) / (1.2071 + 0.9102 / root)
+    frequency_lpmm = ring_sums(radius_lpmm) / count
+    fixed = np.full_like(half_bit, FIXED_THRESHOLD)
+    return RingCorrelation(
+        frequency_lpmm=frequency_lpmm,
+        correlation=correlation,
+        samples=samples,
+        half_bit=half_bit,
+        cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - half_bit),
+        fixed_cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - fixed),
+    )
+
+
+def _hann(count: int) -> Floats:
+    # Zero half a pixel outside the image, so that no pixel is thrown away.
+    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)
+
+
+def _spectrum(image: Floats, weight: Floats) -> NDArray[np.complex128]:
+    # The weighted mean, or the window would spread what is left of it over the first ring.
+    centred = image - np.average(image, weights=weight)
+    if np.abs(centred).max() <= 1e-12 * np.abs(image).max():
+        raise ValueError(f"expected images with contrast, got a constant {image.flat[0]:.6g}")
+    return np.fft.fft2(centred * weight)
+
+
+def _rings(
+    shape: tuple[int, ...], pitch_mm: float | tuple[float, float]
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return frequency and ring (from 1; 0 for none) of each Fourier sample [row col]."""
+    pitches = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), 2)
+    if not (np.all(np.isfinite(pitches)) and np.all(pitches > 0)):
+        raise ValueError(f"expected a positive pitch in mm, got {pitch_mm}")
+    row_lpmm, col_lpmm = (np.fft.fftfreq(n, p) for n, p in zip(shape, pitches, strict=True))
+    radius_lpmm = np.hypot(row_lpmm[:, None], col_lpmm)
+    width_lpmm = float(np.max(1 / (np.array(shape) * pitches)))
+    nyquist_lpmm = 1 / (2 * pitches.max())
+    last = int(nyquist_lpmm / width_lpmm * (1 + 1e-9))
+    ring = np.rint(radius_lpmm / width_lpmm).astype(np.int64)
+    ring[ring > last] = 0
+    return radius_lpmm, ring
+
+
+def _neighbours(ring: NDArray[np.int64], weight: Floats) -> Floats:
+    """Return how many samples of its own ring each sample is worth, itself included [row col].
+
+    A window w correlates Fourier samples d apart by c(d) = FFT(w^2)(d) / sum w^2; the variance of a
+    sum over a ring grows by the sum of |c|^2.
+    """
+    squares = np.fft.fft2(weight**2)
+    kernel = np.abs(squares / squares[0, 0]) ** 2
+    worth = np.zeros(ring.shape)
+    for shift in np.argwhere(kernel > 1e-6):  # 25 for a Hann window
+        worth += kernel[tuple(shift)] * (np.roll(ring, shift, (0, 1)) == ring)
+    return worth
+
+
+def _warn_if_few(samples: Floats) -> None:
+    median = float(np.median(samples))
+    if median < _MIN_SAMPLES:
+        warnings.warn(
+            f"the median of {samples.size} rings has {median:.0f} independent samples: the "
+            f"correlation of noise scatters by {1 / np.sqrt(median):.2f}; average over several "
+            "pairs or take a larger image",
+            QualityWarning,
+            stacklevel=3,
+        )
+
+
+def _first_crossing_lpmm(frequency_lpmm: Floats, excess: Floats) -> float | None:
+    """Return where the excess over a threshold first falls below 0."""
+    below = np.flatnonzero(excess < 0)
+    if below.size == 0:
+        return None
+    k = int(below[0])
+    if k == 0:
+        return 0.0
+    share = excess[k - 1] / (excess[k - 1] - excess[k])
+    return float(frequency_lpmm[k - 1] + share * (frequency_lpmm[k] - frequency_lpmm[k - 1]))
+
+
+def _period_mm(cutoff_lpmm: float | None) -> float | None:
+    if cutoff_lpmm is None:
+        return None
+    return 1 / cutoff_lpmm if cutoff_lpmm > 0 else float("inf")
+
+
+def _image(image: ArrayLike, name: str) -> Floats:
+    values = np.asarray(image)
+    if values.dtype.kind not in "buif":
+        raise ValueError(f"expected a real {name} image, got dtype {values.dtype}")
+    if values.ndim != 2 or min(values.shape) < _MIN_SIDE_PX:
+        raise ValueError(
+            f"expected the {name} image as [row col] of at least {_MIN_SIDE_PX} pixels a side, "
+            f"got shape {values.shape}"
+        )
+    bad = int(np.count_nonzero(~np.isfinite(values)))
+    if bad:
+        raise ValueError(f"expected finite pixels, got {bad} NaN or infinite in the {name} image")
+    return values.astype(np.float64)
