@@ -1,6 +1,8 @@
 """Slopes and widths have closed forms; single profiles scatter as much as they should."""
 
+import json
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from scipy.special import erf
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.edge_gradient import (
     EdgeGradient,
+    Limits,
+    Plateaus,
     edge_gradient,
     gradient_ratio,
     profile_edge,
@@ -70,16 +74,14 @@ def test_one_pixel_in_the_transition_has_a_closed_form(middle: float) -> None:
 
 
 def test_single_profiles_cannot_measure_a_factor_of_two() -> None:
-    rng = np.random.default_rng(1)
     coarse_mm, fine_mm = np.arange(-8, 9.0), np.arange(-16, 17) * 0.5 + 0.25
 
     def slope(place_mm: Floats, pitch_mm: float, edge_mm: float) -> float:
         pixels = box_pixels(place_mm, pitch_mm, edge_mm)
         return profile_edge(place_mm, pixels, "range", 0.1, "median").normalised_per_mm
 
-    edges_mm = rng.uniform(-0.5, 0.5, 2500)
+    edges_mm = np.linspace(-0.5, 0.5, 801)
     ratio = [slope(fine_mm, 0.5, e) / slope(coarse_mm, 1.0, e) for e in edges_mm]
-    # The numbers of the prototype, drawn with another seed.
     expected = [1.3, 1.4, 1.9, 3.8, 4.0]
     assert np.percentile(ratio, [0, 5, 50, 95, 100]) == pytest.approx(expected, abs=0.06)
 
@@ -106,6 +108,27 @@ def test_average_of_the_lines_is_the_edge_of_one_pixel() -> None:
     assert gradient.averaged.width_mm == pytest.approx(0.855, abs=0.03)
     # Linear interpolation between the pixels widens every line.
     assert gradient.width_mm.mean() > 1.15
+
+
+@pytest.mark.parametrize("psf", ["g01", "g03", "g05", "g08"])
+def test_width_of_the_reference_edges(reference_dir: Path, psf: str) -> None:
+    with np.load(reference_dir / "slanted_edge" / "open" / "edges_64x16.npz") as stored:
+        kinds = [json.loads(str(text)) for text in stored["meta"]]
+        chosen = [k for k, m in enumerate(kinds) if (m["psf"], m["theta"]) == (psf, 10.0)
+                  and m["noise"] <= 0.01]  # fmt: skip
+        images = stored["images"][chosen].astype(np.float64)
+    # Truth: the Gaussian edge averaged over the pixel, along the normal.
+    slant, inside = np.radians(10), (np.arange(101) - 50) / 101
+    place_px = np.linspace(-3, 3, 1201)
+    pixel_px = np.add.outer(inside * np.cos(slant), inside * np.sin(slant)).ravel()
+    bins, edges_px = np.histogram(pixel_px, 200)
+    depth_px = place_px[:, None] - (edges_px[1:] + edges_px[:-1]) / 2
+    esf = 0.5 * (1 + erf(depth_px / (kinds[chosen[0]]["sigmas"][0] * np.sqrt(2)))) @ bins / 101**2
+    true_px = np.interp(0.9, esf, place_px) - np.interp(0.1, esf, place_px)
+    for image in images:
+        gradient = edge_gradient(image, step_mm=1.0)
+        assert gradient.averaged is not None
+        assert 0.97 < gradient.averaged.width_mm * np.cos(slant) / true_px < 1.11
 
 
 def test_interval_covers_the_mean_of_noisy_lines() -> None:
@@ -197,6 +220,30 @@ def test_ratio_of_single_lines_has_no_interval() -> None:
     one = single(box_pixels(np.arange(13.0), 1.0, 6.2))
     ratio = gradient_ratio(one, one)
     assert (ratio.ratio, ratio.interval, ratio.averaged) == (1.0, None, None)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    count=st.integers(4, 30),
+    limits=st.sampled_from(["range", "literal"]),
+    plateaus=st.sampled_from(["median", "extremes"]),
+)
+def test_any_profile_gives_an_edge_within_it_or_a_reason(
+    seed: int, count: int, limits: Limits, plateaus: Plateaus
+) -> None:
+    rng = np.random.default_rng(seed)
+    values = np.round(rng.standard_normal(count), 1) + rng.choice([0, 3]) * (np.arange(count) > 3)
+    try:
+        edge = profile_edge(np.arange(float(count)), values, limits, 0.1, plateaus)
+    except ValueError as error:
+        assert "expected" in str(error)  # noqa: PT017
+    else:
+        places = [edge.low_position_mm, edge.position_mm, edge.high_position_mm]
+        assert sorted(places, reverse=edge.falling) == places
+        assert 0 <= min(places) < max(places) <= count - 1
+        crossed = np.interp(places, np.arange(count), values)
+        middle = (edge.low_limit + edge.high_limit) / 2
+        assert crossed == pytest.approx([edge.low_limit, middle, edge.high_limit])
 
 
 @given(count=st.integers(2, 40), edge=st.integers(1, 39), seed=st.integers(0, 1000))

@@ -130,7 +130,8 @@ def edge_gradient(
     and do not exist for small steps. The plateaus are by default the medians of the outer halves
     on both sides of the edge, because noise and the overshoot of a restoration move the extremes,
     which the paper takes. Slopes and widths are along the lines: multiply the width of a slanted
-    edge by the cosine of its slant.
+    edge by the cosine of its slant. Where two surfaces reflect unequally their distance edge is
+    steeper than the resolution allows, for a pixel on both averages phasors and not metres.
 
     Parameters
     ----------
