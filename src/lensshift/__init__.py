@@ -10,7 +10,7 @@
                 |
        camera . | no entry . forward            what the world does | what we assume
           |
-        scene             io                    files and foreign formats <-> core types
+    scene  optics         io                    files and foreign formats <-> core types
          \\_________ core _________/             nouns, grid, units, errors
 
 Data, in order: ``Burst -> Reconstruction (Estimates) -> Fidelity``.
@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from lensshift.core.types import ShiftField as ShiftField
     from lensshift.core.types import Status as Status
     from lensshift.evaluation import fidelity as fidelity
+    from lensshift.evaluation.slanted_edge import EdgeResult as EdgeResult
+    from lensshift.evaluation.slanted_edge import measure_edge as measure_edge
+    from lensshift.evaluation.slanted_edge import measure_edges as measure_edges
+    from lensshift.evaluation.slanted_edge import slanted_edge_mtf as slanted_edge_mtf
     from lensshift.io import load_burst as load_burst
     from lensshift.io import load_image_stack as load_image_stack
     from lensshift.io import load_reconstruction as load_reconstruction
@@ -55,6 +59,10 @@ _HOME = {
     "ShiftField": "core.types",
     "Status": "core.types",
     "fidelity": "evaluation",
+    "EdgeResult": "evaluation.slanted_edge",
+    "measure_edge": "evaluation.slanted_edge",
+    "measure_edges": "evaluation.slanted_edge",
+    "slanted_edge_mtf": "evaluation.slanted_edge",
     "load_burst": "io",
     "load_image_stack": "io",
     "load_reconstruction": "io",

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from lensshift.cli.inputs import load_input_image
+from lensshift.cli.mtf import mtf
 from lensshift.cli.session import DebugOption, JsonOption, session
 from lensshift.core.errors import QualityWarning
 
@@ -17,6 +18,8 @@ evaluate = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
+
+evaluate.command()(mtf)
 
 ImageArgument = Annotated[Path, typer.Argument(help="Image, burst file or reconstruction.")]
 TruthArgument = Annotated[Path, typer.Argument(help="The truth, an image of the same shape.")]
@@ -38,6 +41,7 @@ def group() -> None:
     \b
     Example:
       lensshift evaluate fidelity sharp.nc truth.tif
+      lensshift evaluate mtf edge.tif --pitch-mm 0.155
     """
 
 

@@ -1,0 +1,23 @@
+"""The MTF from slanted edges: maximum likelihood by default, the published algorithms beside it."""
+
+from lensshift.evaluation.slanted_edge.average import average_curves, average_interval
+from lensshift.evaluation.slanted_edge.measure import (
+    METHODS,
+    measure_edge,
+    measure_edges,
+    slanted_edge_mtf,
+)
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Profile, Region
+
+__all__ = [
+    "METHODS",
+    "EdgeResult",
+    "Interval",
+    "Profile",
+    "Region",
+    "average_curves",
+    "average_interval",
+    "measure_edge",
+    "measure_edges",
+    "slanted_edge_mtf",
+]

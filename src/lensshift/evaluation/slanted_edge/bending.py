@@ -1,0 +1,101 @@
+"""How an edge bends: polynomial terms that a free line spread function cannot explain away."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
+from lensshift.evaluation.slanted_edge.samples import distance_px
+
+_STEPS = 6
+_SETTLED_PX = 1e-3
+_WORTH = 12.0  # fall of the information criterion that makes terms worth having
+_LEAST_BEND_PX = 0.03  # rms; what is less does no harm
+_RIDGE = 1e-3  # keeps the free ESF from explaining noise
+_MOST_PIXELS = 4_000
+
+
+def bend_edge(
+    across_px: Vector,
+    along_px: Vector,
+    values: Vector,
+    line: Vector,
+    basis: SplineBasis,
+    half_length_px: float,
+    most: int,
+) -> Vector:
+    """Return the geometry of the edge with as many bending terms as the pixels ask for.
+
+    The ESF is free (a spline), so that its shape is not mistaken for a bend. Terms are added, two
+    at a try, while the Bayesian information criterion falls.
+
+    Parameters
+    ----------
+    across_px, along_px, values : [n] the region, the edge along the second axis
+    line : angle and position of the straight edge
+    basis : splines of the LSF, wide enough for the bend
+    half_length_px : half the length of the edge
+    most : largest number of bending terms
+    """
+    straight_px = distance_px(across_px, along_px, line, half_length_px)
+    near = np.flatnonzero(np.abs(straight_px) < basis.reach_px)
+    near = near[:: max(1, -(-near.size // _MOST_PIXELS))]
+    if near.size < 2 * basis.knot_px.size:
+        return line
+    x, y, z = across_px[near], along_px[near], values[near]
+    geometry, best = _descended(x, y, z, line, basis, half_length_px)
+    terms = 0
+    while terms < most:
+        tries = []
+        for count in range(terms + 1, min(terms + 2, most) + 1):
+            start = np.concatenate([geometry, np.zeros(2 + count - geometry.size)])
+            tries.append((*_descended(x, y, z, start, basis, half_length_px), count))
+        found, criterion, count = min(tries, key=lambda one: one[1])
+        if criterion > best - _WORTH:
+            break
+        geometry, best, terms = found, criterion, count
+    return geometry if rms_bend_px(geometry) > _LEAST_BEND_PX else line
+
+
+def rms_bend_px(geometry: Vector) -> float:
+    """Return the root mean square distance of an edge from its straight line."""
+    orders = np.arange(2, geometry.size)
+    return float(np.sqrt(np.sum(geometry[2:] ** 2 / (2 * orders + 1))))
+
+
+def _descended(
+    x: Vector, y: Vector, z: Vector, start: Vector, basis: SplineBasis, half_length_px: float
+) -> tuple[Vector, float]:
+    """Return geometry and information criterion after Gauss-Newton steps, the ESF free."""
+    geometry = start.copy()
+    rest = np.inf
+    for _ in range(_STEPS):
+        normal_px = distance_px(x, y, geometry, half_length_px)
+        splines = np.column_stack([np.ones_like(z), basis.integrals(normal_px)])
+        factors, rest = _ridge_fit(splines, z)
+        slope = basis.values(normal_px) @ factors[1:]
+        moves = _moves(x, y, geometry, half_length_px) * slope[:, None]
+        step = _ridge_fit(np.column_stack([splines, moves]), z)[0][splines.shape[1] :]
+        geometry[0] += step[0]
+        geometry[2:] += step[1:]
+        if np.max(np.abs(step * np.append(half_length_px, np.ones(step.size - 1)))) < _SETTLED_PX:
+            break
+    rest = max(rest / z.size, np.finfo(float).tiny)
+    return geometry, z.size * float(np.log(rest)) + (geometry.size - 2) * np.log(z.size)
+
+
+def _moves(x: Vector, y: Vector, geometry: Vector, half_length_px: float) -> Matrix:
+    """Return [n k]: how the distance changes with angle and bends; the place is the ESF's."""
+    turn = y * np.cos(geometry[0]) - x * np.sin(geometry[0])
+    bends = legendre.legvander(y / half_length_px, max(geometry.size - 1, 1))[:, 2:]
+    return np.column_stack([turn, -bends[:, : geometry.size - 2]])
+
+
+def _ridge_fit(columns: Matrix, values: Vector) -> tuple[Vector, float]:
+    products = columns.T @ columns
+    scale = np.sqrt(np.maximum(products.diagonal(), np.finfo(float).tiny))
+    scaled = products / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)
+    factors = np.linalg.solve(scaled, columns.T @ values / scale) / scale
+    rest = values - columns @ factors
+    return factors, float(rest @ rest)

@@ -1,0 +1,119 @@
+"""One edge by the published binning algorithms, as the same kind of result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.slanted_edge.checks import doubts, largest_phase_gap_px
+from lensshift.evaluation.slanted_edge.edge_model import Vector
+from lensshift.evaluation.slanted_edge.frames import EdgeFrames
+from lensshift.evaluation.slanted_edge.result import (
+    PIXEL_MTF50_CPP,
+    EdgeResult,
+    Interval,
+    Profile,
+    Region,
+    crossings,
+    rises,
+)
+from lensshift.evaluation.slanted_edge.sfrmat import SfrmatResult, sfrmat3, sfrmat5
+
+_PLATEAU_SHARE = 0.2  # of the columns, on either side, for levels and noise
+
+
+def measure_binned(
+    frames: EdgeFrames,
+    region: Region,
+    wanted_lpmm: Vector | None,
+    method: str,
+    order: int,
+    window: Literal["tukey", "hamming"],
+) -> EdgeResult:
+    """Measure one region of one frame with sfrmat3 or sfrmat5.
+
+    Without `wanted_lpmm` the curve is at the algorithm's own frequencies; else it is interpolated.
+
+    Raises
+    ------
+    ValueError
+        If there are several frames, invalid pixels, or the algorithm gives no curve.
+    """
+    if len(frames.values) > 1:
+        raise ValueError(f"expected one image for {method}, got {len(frames.values)} frames")
+    if frames.pitch_mm[0] != frames.pitch_mm[1]:
+        raise ValueError(f"expected square pixels for {method}, got pitch {frames.pitch_mm} mm")
+    image = frames.first[region.slices]
+    missing = int(np.count_nonzero(np.isnan(image)))
+    if missing:
+        raise ValueError(f"expected valid pixels for {method}, got {missing} invalid in {region}")
+    found = sfrmat3(image) if method == "sfrmat3" else sfrmat5(image, order=order, window=window)
+    pitch_mm = frames.pitch_mm[0]
+    own_lpmm = found.frequency_cpp / pitch_mm
+    if wanted_lpmm is None:
+        curve = MtfCurve(own_lpmm, found.modulation, None, method)
+    else:
+        frequency_lpmm = frames.frequency_lpmm(wanted_lpmm)
+        inside = np.interp(frequency_lpmm, own_lpmm, found.modulation, right=np.nan)
+        curve = MtfCurve(frequency_lpmm, inside, None, method)
+    result = _result(found, region, frames, curve, method)
+    lines = np.arange(min(image.shape) if found.rotated else image.shape[0], dtype=np.float64)
+    gap_px = largest_phase_gap_px(lines, found.angle_rad)
+    return replace(result, notes=tuple(doubts(result, lines.size, gap_px, image.ravel())))
+
+
+def _result(
+    found: SfrmatResult, region: Region, frames: EdgeFrames, curve: MtfCurve, method: str
+) -> EdgeResult:
+    image = frames.first[region.slices]
+    upright = np.rot90(image) if found.rotated else image
+    pitch_mm = frames.pitch_mm[0]
+    aside = max(2, round(_PLATEAU_SHARE * upright.shape[1]))
+    sides = [upright[:, :aside], upright[:, -aside:]]
+    dark, bright = sorted(float(np.mean(side)) for side in sides)
+    noise = float(np.sqrt(np.mean([np.var(side) for side in sides]))) / max(bright - dark, 1e-300)
+    nyquist_cpp = 0.5 / frames.scale
+    below = np.linspace(0.0, nyquist_cpp, 51)
+    modulation = np.interp(below, found.frequency_cpp, found.modulation)
+    half, third, tenth = (
+        Interval(float(crossings(found.frequency_cpp, found.modulation[:, None], level)[0]))
+        for level in (0.5, 0.3, 0.1)
+    )
+    esf = (found.esf - np.min(sides)) / max(float(np.ptp(sides)), 1e-300)
+    esf = esf if upright[:, -1].mean() > upright[:, 0].mean() else 1.0 - esf
+    middle = int(np.nanargmin(np.abs(esf - 0.5)))
+    normal_px: Vector = np.asarray((np.arange(esf.size) - middle) * found.bin_px, dtype=np.float64)
+    unknown = Interval(float("nan"))
+    return EdgeResult(
+        method=method,
+        region=region,
+        orientation="horizontal" if found.rotated else "vertical",
+        angle_rad=Interval(found.angle_rad),
+        position_px=unknown,
+        bend_px=0.0,
+        dark=dark,
+        bright=bright,
+        noise=noise,
+        snr=1.0 / max(noise, float(np.finfo(float).tiny)),
+        mtf=curve,
+        low=None,
+        high=None,
+        mtf50_lpmm=half.scaled(1.0 / pitch_mm),
+        mtf30_lpmm=third.scaled(1.0 / pitch_mm),
+        mtf10_lpmm=tenth.scaled(1.0 / pitch_mm),
+        nyquist_lpmm=nyquist_cpp / pitch_mm,
+        mtf_at_nyquist=Interval(float(modulation[-1])),
+        area_to_nyquist=Interval(float(np.trapezoid(modulation, dx=1.0 / 50))),
+        peak=Interval(float(np.max(found.modulation))),
+        effective_pixel_mm=Interval(PIXEL_MTF50_CPP * pitch_mm / half.value),
+        rise_mm=Interval(float(rises(normal_px, esf[:, None])[0])).scaled(pitch_mm),
+        esf=Profile(normal_px, esf),
+        lsf=Profile(normal_px, np.gradient(esf, found.bin_px)),
+        residual=None,
+        aliasing_px=float("nan"),
+        asymmetry=unknown,
+        pitch_mm=pitch_mm,
+    )

@@ -1,0 +1,133 @@
+"""Reasons to doubt an edge, each with its number."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.slanted_edge.edge_model import Vector
+from lensshift.evaluation.slanted_edge.result import EdgeResult
+
+_LEAST_CONTRAST = 0.2
+_SMALLEST_ANGLE_DEG, _LARGEST_ANGLE_DEG = 2.0, 43.0
+_LARGEST_GAP_PX = 0.25  # between the phases at which the lines cross the pixels
+_CLIPPED_SHARE = 0.05
+_LARGEST_ASYMMETRY = 0.005
+_LARGEST_ALIASING_PX = 0.03
+_LEAST_BEND_PX = 0.05
+_LEAST_LINES = 8
+
+
+def doubts(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> list[str]:
+    """Return what speaks against the result.
+
+    Parameters
+    ----------
+    result : the measured edge
+    lines : number of lines that cross it
+    gap_px : largest gap between their phases, see `largest_phase_gap_px`
+    values : [n] the pixels of the region
+    """
+    found = []
+    if not result.contrast >= _LEAST_CONTRAST:
+        found.append(
+            f"the contrast of the edge is {100 * result.contrast:.1f} %, "
+            f"expected {100 * _LEAST_CONTRAST:.0f} % or more"
+        )
+    found += _clipping(values, result)
+    angle_deg = abs(np.rad2deg(result.angle_rad.value))
+    if lines < _LEAST_LINES:
+        found.append(f"only {lines} lines cross the edge, expected {_LEAST_LINES} or more")
+    if angle_deg < _SMALLEST_ANGLE_DEG * (1 - 1e-3):
+        found.append(f"the edge is tilted by {angle_deg:.2f} degrees, expected 2 or more")
+    elif angle_deg > _LARGEST_ANGLE_DEG:
+        found.append(f"the edge is tilted by {angle_deg:.1f} degrees, expected 43 or less")
+    if gap_px > _LARGEST_GAP_PX:
+        found.append(
+            f"the lines leave {gap_px:.2f} px of the pixel unsampled at {angle_deg:.2f} degrees; "
+            "take more lines or another angle"
+        )
+    if result.bend_px > _LEAST_BEND_PX:
+        found.append(f"the edge is not straight: it bends by {result.bend_px:.2f} px rms")
+    asymmetry = result.asymmetry
+    if min(asymmetry.low, asymmetry.value) > _LARGEST_ASYMMETRY:
+        found.append(
+            f"the edge profile is asymmetric by {100 * asymmetry.value:.1f} % of the contrast: "
+            "is the response linear (no gamma)?"
+        )
+    if result.aliasing_px > _LARGEST_ALIASING_PX:
+        found.append(
+            f"the edge moves by {result.aliasing_px:.2f} px rms with the phase of the pixels: "
+            "aliasing is left, the MTF depends on where the edge lies"
+        )
+    return found
+
+
+def warn_of(found: list[str], region: object) -> None:
+    """Warn once for each doubt."""
+    for doubt in found:
+        warnings.warn(f"edge in {region}: {doubt}", QualityWarning, stacklevel=3)
+
+
+def _clipping(values: Vector, result: EdgeResult) -> list[str]:
+    """A clipped plateau holds its extreme value far more often than the value opposite to it."""
+    found = []
+    middle = 0.5 * (result.dark + result.bright)
+    for side, name, outer, inner in (
+        (values[values > middle], "bright", np.max, np.min),
+        (values[values <= middle], "dark", np.min, np.max),
+    ):
+        levels = np.unique(side)
+        if levels.size < 4:  # no noise to be cut off
+            continue
+        share = float(np.mean(side == outer(side)))
+        other = float(np.mean(side == inner(side)))
+        if share > _CLIPPED_SHARE + 3.0 * other:
+            found.append(f"{100 * share:.0f} % of the {name} pixels are clipped at {outer(side):g}")
+    return found
+
+
+def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:
+    """Return the largest gap between the places within a pixel where lines cross the edge.
+
+    Parameters
+    ----------
+    lines : [n] positions of the lines along the edge in pixels, minus the offset of their frame
+        across it; see `crossing_phases`
+    angle_rad : of the edge
+    """
+    phases = np.sort(np.unique(np.round(np.mod(lines * np.tan(angle_rad), 1.0), 9)))
+    if phases.size == 0:
+        return 1.0
+    return float(np.max(np.diff(np.append(phases, phases[0] + 1.0))))
+
+
+def phase_displacement_px(
+    residual: Vector, slope: Vector, places: NDArray[np.intp], noise: float, period_px: int
+) -> float:
+    """Return by how much the edge moves between pixels of different phase, rms over the phases.
+
+        r_i = -m_g E'(d_i) + noise,   g the phase (row mod s, col mod s) of pixel i
+
+    What noise alone makes is taken off the mean square.
+
+    Parameters
+    ----------
+    residual : [n] pixels minus model, in units of the contrast
+    slope : [n] slope of the ESF at each pixel, per px
+    places : [n 3] frame, row and column
+    noise : standard deviation of a pixel over the contrast
+    period_px : s, the scale by which the image was refined
+    """
+    group = (places[:, 1] % period_px) * period_px + places[:, 2] % period_px
+    weight = np.bincount(group, weights=slope**2, minlength=period_px**2)
+    product = np.bincount(group, weights=slope * residual, minlength=period_px**2)
+    used = weight > 1e-3 * weight.max()
+    moved = product[used] / weight[used]
+    moved = moved - np.average(moved, weights=weight[used])
+    by_noise = noise**2 / weight[used]
+    excess = float(np.mean(moved**2 - 3.0 * by_noise))
+    return float(np.sqrt(max(excess, 0.0)))

@@ -1,0 +1,151 @@
+"""Where the edge lies in a region: a first guess from all pixels, refined by least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector, edge_response
+
+_ANGLE_STEP_RAD = np.deg2rad(1.0)
+_BIN_PX = 0.5
+_SMALLEST_SIDE_SHARE = 0.03  # of the pixels, on the smaller side of the edge
+_MOST_PIXELS = 10_000
+_MOST_NEAR = 4_000
+_NEAR_PX = 12.0
+_SIGMA_BOUNDS_PX = (0.08, 30.0)
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeLine:
+    """A straight edge x cos t + y sin t = rho; x along the columns, y along the rows.
+
+    Parameters
+    ----------
+    angle_rad : direction t of the normal, which points to the bright side
+    position_px : rho, from the origin of the coordinates
+    sigma_px : width of the Gaussian that fits best, beside the pixel aperture
+    low, high : levels of the plateaus
+    """
+
+    angle_rad: float
+    position_px: float
+    sigma_px: float
+    low: float
+    high: float
+
+
+def find_edge(
+    x_px: Vector, y_px: Vector, values: Vector, aperture_px: float, seed: int = 0
+) -> EdgeLine:
+    """Find the straight edge that splits the pixels best, then fit its place and width.
+
+    Parameters
+    ----------
+    x_px, y_px : [n] coordinates of the pixels
+    values : [n] the pixels
+    aperture_px : side of the pixel that the edge response assumes
+    seed : for the choice of pixels in large regions
+
+    Raises
+    ------
+    ValueError
+        If the pixels do not split into a bright and a dark side.
+    """
+    if values.size > _MOST_PIXELS:
+        keep = np.random.default_rng(seed).choice(values.size, _MOST_PIXELS, replace=False)
+        angle_rad, position_px = _best_split(x_px[keep], y_px[keep], values[keep])
+    else:
+        angle_rad, position_px = _best_split(x_px, y_px, values)
+    near = np.abs(x_px * np.cos(angle_rad) + y_px * np.sin(angle_rad) - position_px) < _NEAR_PX
+    for _ in range(2):  # a blurred edge needs a wider strip
+        some = np.flatnonzero(near)
+        some = some[:: max(1, -(-some.size // _MOST_NEAR))]
+        line = _refined(x_px[some], y_px[some], values[some], angle_rad, position_px, aperture_px)
+        angle_rad, position_px = line.angle_rad, line.position_px
+        if line.sigma_px < _NEAR_PX / 4:
+            break
+        distance_px = x_px * np.cos(angle_rad) + y_px * np.sin(angle_rad) - position_px
+        near = np.abs(distance_px) < 5 * line.sigma_px
+    return line
+
+
+def explained_share(x_px: Vector, y_px: Vector, values: Vector) -> float:
+    """Return the share of the variance that one straight step explains, 0 to 1."""
+    variance = float(np.var(values)) * values.size
+    if variance <= 0.0:
+        return 0.0
+    return _best_step(x_px, y_px, values)[0] / variance
+
+
+def _best_split(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, float]:
+    """Return the line (angle, position) that explains most of the variance as two levels."""
+    explained, angle_rad, position_px = _best_step(x_px, y_px, values)
+    if explained <= 0.0:
+        raise ValueError("expected an edge between two levels, got a flat region")
+    return angle_rad, position_px
+
+
+def _best_step(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, float, float]:
+    centred = values - values.mean()
+    best = (0.0, 0.0, 0.0)
+    smallest = max(2.0, _SMALLEST_SIDE_SHARE * values.size)
+    for angle_rad in np.arange(-np.pi / 4, 3 * np.pi / 4, _ANGLE_STEP_RAD):
+        place = x_px * np.cos(angle_rad) + y_px * np.sin(angle_rad)
+        lowest = place.min()
+        bins = ((place - lowest) / _BIN_PX).astype(np.intp)
+        count = np.bincount(bins).cumsum()
+        total = np.bincount(bins, weights=centred).cumsum()
+        inside = (count >= smallest) & (count <= values.size - smallest)
+        rest = np.where(inside, values.size - count, 1)
+        explained = np.where(inside, total**2 * values.size / np.maximum(count, 1) / rest, 0.0)
+        k = int(np.argmax(explained))
+        if explained[k] > best[0]:
+            sign = -1.0 if total[k] > 0 else 1.0  # bright first: turn the normal round
+            turned = float(angle_rad) + (np.pi if sign < 0 else 0.0)
+            best = (float(explained[k]), turned, sign * (lowest + (k + 1) * _BIN_PX))
+    return best[0], float((best[1] + np.pi) % (2 * np.pi) - np.pi), best[2]
+
+
+def _refined(
+    x_px: Vector,
+    y_px: Vector,
+    values: Vector,
+    angle_rad: float,
+    position_px: float,
+    aperture_px: float,
+) -> EdgeLine:
+    """Fit angle, position and log width, the levels eliminated."""
+
+    def levels(parameters: Vector) -> tuple[Matrix, Vector]:
+        angle, position, log_sigma = parameters
+        normal_px = x_px * np.cos(angle) + y_px * np.sin(angle) - position
+        response = edge_response(normal_px, angle, float(np.exp(log_sigma)), aperture_px)
+        columns = np.column_stack([np.ones_like(response), response])
+        ridge = 1e-9 * np.eye(2)  # an edge that left the region has no contrast to find
+        factors = np.linalg.solve(columns.T @ columns + ridge, columns.T @ values)
+        return columns, np.asarray(factors, dtype=np.float64)
+
+    def residual(parameters: Vector) -> Vector:
+        columns, factors = levels(parameters)
+        return np.asarray((columns @ factors - values) / scale)
+
+    scale = max(float(np.std(values)), np.finfo(float).tiny)
+    narrow, wide = np.log(_SIGMA_BOUNDS_PX)
+    reach_px = 0.3 * float(max(np.ptp(x_px), np.ptp(y_px), 1.0))
+    fit = least_squares(
+        residual,
+        [angle_rad, position_px, np.log(0.6)],
+        x_scale=[0.01, 0.05, 0.2],
+        bounds=(
+            [angle_rad - 0.3, position_px - reach_px, narrow],
+            [angle_rad + 0.3, position_px + reach_px, wide],
+        ),
+        max_nfev=40,
+    )
+    dark, contrast = levels(fit.x)[1]
+    return EdgeLine(
+        float(fit.x[0]), float(fit.x[1]), float(np.exp(fit.x[2])), dark, dark + contrast
+    )

@@ -1,0 +1,229 @@
+"""One edge by maximum likelihood: fit, numbers, intervals, doubts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.slanted_edge.bending import rms_bend_px
+from lensshift.evaluation.slanted_edge.checks import (
+    doubts,
+    largest_phase_gap_px,
+    phase_displacement_px,
+)
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
+from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
+from lensshift.evaluation.slanted_edge.frames import EdgeFrames
+from lensshift.evaluation.slanted_edge.prepare import UprightEdge, turn_upright
+from lensshift.evaluation.slanted_edge.result import (
+    PIXEL_MTF50_CPP,
+    EdgeResult,
+    Interval,
+    Profile,
+    Region,
+    crossings,
+    interval_of,
+    rises,
+)
+
+_GRID = np.arange(151) * 0.01  # cycles per unit width, for the crossings
+_NYQUIST_STEPS = 50
+_FEWEST_ASIDE = 20  # pixels on either side of the edge
+
+
+@dataclass(frozen=True, slots=True)
+class LikelySettings:
+    """Options of the default method; see `measure_edges`."""
+
+    aperture_px: float
+    most_bends: int
+    tilt: bool | None
+    seed: int
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.aperture_px) and 0.0 <= self.aperture_px <= 64.0):
+            raise ValueError(f"expected an aperture_px from 0 to 64, got {self.aperture_px}")
+        if not 0 <= self.most_bends <= 8:
+            raise ValueError(f"expected most_bends from 0 to 8, got {self.most_bends}")
+
+
+def measure_likely(
+    frames: EdgeFrames, region: Region, wanted_lpmm: Vector | None, settings: LikelySettings
+) -> EdgeResult:
+    """Measure one region by maximum likelihood.
+
+    Parameters
+    ----------
+    frames : the images
+    region : around one edge
+    wanted_lpmm : [f] frequencies of the curve, None for the default
+    settings : options
+
+    Raises
+    ------
+    ValueError
+        If there is no edge in the region.
+    """
+    pixels = frames.pixels(region)
+    edge = turn_upright(pixels, settings.aperture_px, settings.most_bends)
+    if min(int(np.sum(edge.normal_px < 0)), int(np.sum(edge.normal_px > 0))) < _FEWEST_ASIDE:
+        raise ValueError(f"expected {_FEWEST_ASIDE} pixels on both sides of the edge in {region}")
+    pitch_mm = frames.normal_pitch_mm(float(edge.geometry[0]), edge.vertical)
+    frequency_lpmm = frames.frequency_lpmm(wanted_lpmm)
+    nyquist_cpp = 0.5 * pitch_mm / (frames.scale * max(frames.pitch_mm))
+    blocks = (
+        np.asarray(_GRID / edge.unit_px, dtype=np.float64),
+        np.linspace(0.0, nyquist_cpp, _NYQUIST_STEPS + 1),
+        frequency_lpmm * pitch_mm,
+    )
+    fit = fit_edge(
+        edge,
+        np.concatenate(blocks),
+        aperture_px=settings.aperture_px,
+        tilt=settings.tilt,
+        seed=settings.seed,
+    )
+    result = _result(fit, region, frames, blocks, frequency_lpmm, pitch_mm)
+    lines = _lines(edge)
+    gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
+    count = np.unique(np.round(lines, 6)).size
+    return replace(result, notes=tuple(doubts(result, count, gap_px, pixels.values)))
+
+
+def _result(
+    fit: EdgeFit,
+    region: Region,
+    frames: EdgeFrames,
+    blocks: tuple[Vector, ...],
+    frequency_lpmm: Vector,
+    pitch_mm: float,
+) -> EdgeResult:
+    edge, ends = fit.edge, np.cumsum([block.size for block in blocks])
+    best = np.split(fit.modulation, ends[:-1])
+    draws = np.split(fit.modulation_draws, ends[:-1])
+    at = {
+        level: _crossing(blocks[0], best[0], draws[0], level).scaled(1.0 / pitch_mm)
+        for level in (0.5, 0.3, 0.1)
+    }
+    half = at[0.5]
+    band = np.quantile(draws[2], (0.025, 0.975), axis=1)
+    level_noise = 0.5 * (fit.noise.dark_sigma + fit.noise.bright_sigma)
+    noise = max(level_noise / fit.contrast, float(np.finfo(float).tiny))
+    span = edge.line.high - edge.line.low
+    dark, bright = edge.line.low + span * np.array([fit.level[0], fit.level[0] + fit.contrast])
+    return EdgeResult(
+        method="ml",
+        region=region,
+        orientation="vertical" if edge.vertical else "horizontal",
+        angle_rad=_angle(fit),
+        position_px=_position(fit, region),
+        bend_px=rms_bend_px(fit.parameters[: edge.geometry.size]),
+        dark=float(dark),
+        bright=float(bright),
+        noise=noise,
+        snr=1.0 / noise,
+        mtf=MtfCurve(frequency_lpmm, best[2], draws[2].std(axis=1), "slanted edge"),
+        low=band[0],
+        high=band[1],
+        mtf50_lpmm=half,
+        mtf30_lpmm=at[0.3],
+        mtf10_lpmm=at[0.1],
+        nyquist_lpmm=0.5 / (frames.scale * max(frames.pitch_mm)),
+        mtf_at_nyquist=interval_of(float(best[1][-1]), draws[1][-1]),
+        area_to_nyquist=interval_of(
+            float(np.trapezoid(best[1], dx=1.0 / _NYQUIST_STEPS)),
+            np.asarray(np.trapezoid(draws[1], dx=1.0 / _NYQUIST_STEPS, axis=0)),
+        ),
+        peak=interval_of(float(best[0].max()), draws[0].max(axis=0)),
+        effective_pixel_mm=Interval(
+            PIXEL_MTF50_CPP / half.value, PIXEL_MTF50_CPP / half.high, PIXEL_MTF50_CPP / half.low
+        ),
+        rise_mm=interval_of(
+            float(rises(fit.normal_px, fit.esf[:, None])[0]), rises(fit.normal_px, fit.esf_draws)
+        ).scaled(pitch_mm),
+        esf=Profile(fit.normal_px, fit.esf, fit.esf_draws.std(axis=1)),
+        lsf=Profile(fit.normal_px, fit.lsf, fit.lsf_draws.std(axis=1)),
+        residual=_residual_image(fit, region),
+        aliasing_px=_aliasing_px(fit, frames.scale),
+        asymmetry=_asymmetry(fit),
+        pitch_mm=pitch_mm,
+    )
+
+
+def _crossing(frequency: Vector, best: Vector, draws: Matrix, level: float) -> Interval:
+    value = float(crossings(frequency, best[:, None], level)[0])
+    return interval_of(value, crossings(frequency, draws, level))
+
+
+def _angle(fit: EdgeFit) -> Interval:
+    sign = fit.edge.sign
+    draws = sign * fit.parameter_draws[0]
+    return interval_of(sign * float(fit.parameters[0]), draws)
+
+
+def _position(fit: EdgeFit, region: Region) -> Interval:
+    """Return where the edge crosses the middle of the region, along the axis across it."""
+    edge = fit.edge
+    if edge.vertical:
+        middle_px = 0.5 * (region.col_start + region.col_stop - 1)
+    else:
+        middle_px = 0.5 * (region.row_start + region.row_stop - 1)
+    origin_px = edge.line.position_px / np.cos(edge.start_angle_rad)
+    bends = np.polynomial.legendre.legval(
+        0.0, np.concatenate([[0.0, 0.0], fit.parameters[2 : edge.geometry.size]])
+    )
+
+    def place(angle_rad: Vector, rho_px: Vector) -> Vector:
+        across_px: Vector = (rho_px + bends) / np.cos(angle_rad) + origin_px
+        return middle_px + edge.sign * across_px
+
+    value = place(fit.parameters[0], fit.parameters[1])
+    return interval_of(float(value), place(fit.parameter_draws[0], fit.parameter_draws[1]))
+
+
+def _residual_image(fit: EdgeFit, region: Region) -> NDArray[np.float64]:
+    """Return the residuals of the first frame [row col]."""
+    shape = (region.row_stop - region.row_start, region.col_stop - region.col_start)
+    image = np.full(shape, np.nan)
+    frame, row, col = fit.edge.pixels.places.T
+    first = frame == 0
+    image[row[first], col[first]] = fit.residual[first]
+    return image
+
+
+def _aliasing_px(fit: EdgeFit, scale: int) -> float:
+    if scale < 2:
+        return float("nan")
+    slope = np.interp(fit.edge.normal_px, fit.normal_px, fit.lsf, left=0.0, right=0.0)
+    noise = fit.noise.dark_sigma
+    return phase_displacement_px(fit.residual, slope, fit.edge.pixels.places, noise, scale)
+
+
+def _asymmetry(fit: EdgeFit) -> Interval:
+    """Return the largest departure of the ESF from symmetry about its point of half height."""
+    values = np.column_stack([fit.esf, fit.esf_draws])
+    odd = np.array([_even_part(fit.normal_px, one) for one in values.T])
+    return interval_of(float(odd[0]), odd[1:])
+
+
+def _even_part(normal_px: Vector, esf: Vector) -> float:
+    middle = normal_px[int(np.argmin(np.abs(esf - 0.5)))]
+    mirrored = np.interp(2.0 * middle - normal_px, normal_px, esf)
+    return float(0.5 * np.max(np.abs(esf + mirrored - 1.0)))
+
+
+def _lines(edge: UprightEdge) -> Vector:
+    """Return the places of the lines along the edge, those of shifted frames beside each other."""
+    frame, row, col = edge.pixels.places.T
+    steps = (row, col) if edge.vertical else (col, row)
+    first = np.zeros(frame.max() + 1)
+    across = edge.sign * edge.across_px - steps[1]
+    first[frame] = across
+    slope = np.tan(edge.geometry[0])
+    shifted: Vector = edge.along_px
+    if abs(slope) > 1e-6:
+        shifted = edge.along_px + edge.sign * (first[frame] - first[0]) / slope
+    return np.unique(np.round(shifted, 9))

@@ -1,0 +1,207 @@
+"""Noise of a region, read off the plateaus: its level on both sides, correlation, uneven light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.stats import f as f_distribution
+
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
+
+_LARGEST_ORDER = 3
+_SIGNIFICANT = 1e-3
+_NOISELESS = 1e-4  # of the contrast
+_BLOCK = 4
+_FEWEST_BLOCKS = 8
+_MOST_SITES = 10_000
+_FEWEST_SITES = 40  # plateau pixels below which noise counts as white and even
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """What whitens the noise of a region.
+
+    Parameters
+    ----------
+    dark_sigma, bright_sigma : standard deviation on the plateaus
+    order : reach in pixels of the prediction from earlier neighbours; 0 for white noise
+    neighbours : [k 2] row and column steps to those neighbours
+    prediction : [k] their factors
+    """
+
+    dark_sigma: float
+    bright_sigma: float
+    order: int
+    neighbours: NDArray[np.intp]
+    prediction: Vector
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether there is nothing to whiten."""
+        return self.order == 0 and self.dark_sigma == self.bright_sigma
+
+    def relative_sigma(self, response: Vector) -> Vector:
+        """Return the deviation of pixels over that of the dark plateau; shot noise is linear."""
+        ratio = (self.bright_sigma / self.dark_sigma) ** 2
+        share = np.clip(response, 0.0, 1.0)
+        return np.asarray(np.sqrt(1.0 - share + ratio * share))
+
+    def whitener(self, places: NDArray[np.intp], relative_sigma: Vector) -> sparse.csr_array:
+        """Return [m n]: pixels minus what their neighbours foretell, over their deviation.
+
+        Parameters
+        ----------
+        places : [n 3] frame, row and column of each pixel
+        relative_sigma : [n] see `relative_sigma`
+        """
+        scaled = sparse.diags_array(1.0 / relative_sigma)
+        if self.order == 0:
+            return scaled.tocsr()
+        index = _index_of(places)
+        sites = np.arange(len(places))
+        found = np.stack([_look_up(index, places, step) for step in self.neighbours], axis=1)
+        whole = np.all(found >= 0, axis=1)
+        rows = np.arange(int(whole.sum()))
+        taps = np.hstack([sites[whole, None], found[whole]])
+        factors = np.concatenate([[1.0], -self.prediction])
+        matrix = sparse.csr_array(
+            (np.tile(factors, len(rows)), (np.repeat(rows, taps.shape[1]), taps.ravel())),
+            shape=(len(rows), len(places)),
+        )
+        return (matrix @ scaled).tocsr()
+
+
+def plateau_tilt_matters(
+    values: Vector, places: NDArray[np.intp], sides: list[Mask], columns: Matrix
+) -> bool:
+    """Tell whether planes describe the plateaus better than constants do (F test).
+
+    The test takes the means of blocks of pixels, which correlated noise does not deceive.
+
+    Parameters
+    ----------
+    values : [n]
+    places : [n 3] frame, row, column
+    sides : masks of the plateaus
+    columns : [n 2] the slopes
+    """
+    plain = tilted = 0.0
+    blocks = 0
+    for side in sides:
+        if not side.any():
+            return False
+        means = _block_means(places[side], np.column_stack([values, columns])[side])
+        if len(means) < _FEWEST_BLOCKS:
+            return False
+        means = means - means.mean(axis=0)
+        y, slopes = means[:, 0], means[:, 1:]
+        rest = y - slopes @ np.linalg.lstsq(slopes, y)[0]
+        plain, tilted, blocks = plain + y @ y, tilted + rest @ rest, blocks + y.size
+    freedom = blocks - 6
+    if tilted <= (_NOISELESS**2) * blocks:
+        return bool(plain > _NOISELESS**2 * blocks)
+    ratio = (plain - tilted) / 4.0 / (tilted / freedom)
+    return bool(f_distribution.sf(ratio, 4, freedom) < _SIGNIFICANT)
+
+
+def _block_means(places: NDArray[np.intp], columns: Matrix) -> Matrix:
+    """Return [b k]: means over blocks that are at least half full."""
+    frame, row, col = (places // np.array([1, _BLOCK, _BLOCK])).T
+    block = np.ravel_multi_index((frame, row, col), (frame.max() + 1, row.max() + 1, col.max() + 1))
+    count = np.bincount(block)
+    sums = np.stack([np.bincount(block, weights=column) for column in columns.T], axis=1)
+    full = count >= _BLOCK**2 // 2
+    return np.asarray(sums[full] / count[full, None])
+
+
+def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]) -> NoiseModel:
+    """Estimate the noise from the residuals of the plateaus.
+
+    The two sides get different levels only if an F test tells them apart; the order of the
+    prediction is the one with the smallest Bayesian information criterion.
+
+    Parameters
+    ----------
+    residual : [n] pixels minus the edge model
+    places : [n 3] frame, row, column
+    sides : masks of the dark and the bright plateau
+    """
+    counts = [int(side.sum()) for side in sides]
+    none = np.zeros((0, 2), dtype=np.intp)
+    if min(counts) < _FEWEST_SITES:
+        both = residual[sides[0] | sides[1]] if sum(counts) > 1 else residual
+        sigma = float(np.std(both))
+        return NoiseModel(sigma, sigma, 0, none, np.zeros(0))
+    dark, bright = (float(np.std(residual[side])) for side in sides)
+    together = float(np.sqrt(np.mean(residual[sides[0] | sides[1]] ** 2)))
+    if min(dark, bright) < _NOISELESS:  # rounding alone; it is neither white nor of one size
+        return NoiseModel(together, together, 0, none, np.zeros(0))
+    order, neighbours, prediction = _best_prediction(residual, places, sides, (dark, bright))
+    # Correlated residuals count for less than their number.
+    freedom = [count / (1 + 2 * order) ** 2 for count in counts]
+    if dark > 0.0 and bright > 0.0:
+        upper = f_distribution.sf((bright / dark) ** 2, freedom[1], freedom[0])
+        lower = f_distribution.cdf((bright / dark) ** 2, freedom[1], freedom[0])
+        if min(upper, lower) < 0.5 * _SIGNIFICANT:
+            return NoiseModel(dark, bright, order, neighbours, prediction)
+    return NoiseModel(together, together, order, neighbours, prediction)
+
+
+def _best_prediction(
+    residual: Vector, places: NDArray[np.intp], sides: list[Mask], sigmas: tuple[float, float]
+) -> tuple[int, NDArray[np.intp], Vector]:
+    scaled = np.full(residual.size, np.nan)
+    for side, sigma in zip(sides, sigmas, strict=True):
+        scaled[side] = (residual[side] - residual[side].mean()) / max(sigma, 1e-300)
+    index = _index_of(places)
+    widest = _half_plane(_LARGEST_ORDER)
+    sites = np.flatnonzero(np.isfinite(scaled))
+    sites = sites[:: max(1, sites.size // _MOST_SITES)]
+    found = np.stack([_look_up(index, places[sites], step) for step in widest], axis=1)
+    around = np.where(found >= 0, scaled[found], np.nan)
+    whole = np.all(np.isfinite(around), axis=1)
+    around, foretold = around[whole], scaled[sites[whole]]
+    best = (np.inf, 0, widest[:0], np.zeros(0))
+    count = int(whole.sum())
+    for order in range(_LARGEST_ORDER + 1):
+        used = np.max(np.abs(widest), axis=1) <= order
+        terms = int(used.sum())
+        if count < 4 * terms + _FEWEST_SITES // 2:
+            break
+        inputs = around[:, used]
+        factors = np.linalg.lstsq(inputs, foretold)[0] if terms else np.zeros(0)
+        rest = float(np.mean((foretold - inputs @ factors) ** 2))
+        criterion = count * np.log(max(rest, 1e-300)) + terms * np.log(count)
+        if criterion < best[0]:
+            best = (criterion, order, widest[used], factors)
+    return best[1:]
+
+
+def _half_plane(order: int) -> NDArray[np.intp]:
+    """Return [k 2]: steps to all neighbours within `order` that come earlier, row by row."""
+    steps = range(-order, order + 1)
+    return np.array([(dr, dc) for dr in steps for dc in steps if (dr, dc) < (0, 0)], dtype=np.intp)
+
+
+def _index_of(places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return [frame row col]: the number of the pixel there, -1 for none; a margin all round."""
+    margin = _LARGEST_ORDER
+    frames, rows, cols = places.max(axis=0) + 1
+    index = np.full((frames, rows + 2 * margin, cols + 2 * margin), -1, dtype=np.intp)
+    index[places[:, 0], places[:, 1] + margin, places[:, 2] + margin] = np.arange(len(places))
+    return index
+
+
+def _look_up(
+    index: NDArray[np.intp], places: NDArray[np.intp], step: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    margin = _LARGEST_ORDER
+    found: NDArray[np.intp] = index[
+        places[:, 0], places[:, 1] + margin + step[0], places[:, 2] + margin + step[1]
+    ]
+    return found

@@ -1,0 +1,236 @@
+"""From frames to samples: find the edge, turn it upright, scale it, learn the noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.evaluation.slanted_edge.bending import bend_edge
+from lensshift.evaluation.slanted_edge.edge_model import (
+    Matrix,
+    SplineBasis,
+    Vector,
+    edge_response,
+)
+from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
+from lensshift.evaluation.slanted_edge.noise_model import (
+    Mask,
+    NoiseModel,
+    estimate_noise,
+    plateau_tilt_matters,
+)
+from lensshift.evaluation.slanted_edge.samples import (
+    EdgeSamples,
+    FarSums,
+    distance_px,
+    level_columns,
+)
+
+_HALF_WIDTH = 6.0  # of the spline, in units of the edge's own width
+_KNOT_STEP = 0.25
+_SLACK_PX = 1.0  # what the geometry may still move by
+
+
+@dataclass(frozen=True, slots=True)
+class Pixels:
+    """The valid pixels of a region in all frames.
+
+    Parameters
+    ----------
+    places : [n 3] frame, row, column within the region
+    row_px, col_px : [n] where each looks at the reference frame, from the region's centre
+    values : [n]
+    """
+
+    places: NDArray[np.intp]
+    row_px: Vector
+    col_px: Vector
+    values: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class UprightEdge:
+    """A region turned so that its edge runs along the second axis, bright at positive x.
+
+    Parameters
+    ----------
+    pixels : the region
+    line : the first guess, in the region's own axes
+    vertical : whether the edge is nearer to the columns than to the rows
+    start_angle_rad : of the first guess, which is the origin of `across_px`
+    sign : +1 if columns (rows) count towards the bright side, else -1
+    geometry : angle of the edge against the columns (rows) in the turned axes, position, bends
+    across_px, along_px : [n] turned coordinates, from the middle of the edge
+    scaled : [n] pixels, dark plateau 0 and bright plateau 1
+    unit_px : width by which spline and prior are scaled, at least 1
+    """
+
+    pixels: Pixels
+    line: EdgeLine
+    vertical: bool
+    start_angle_rad: float
+    sign: float
+    geometry: Vector
+    across_px: Vector
+    along_px: Vector
+    scaled: Vector
+    unit_px: float
+
+    @property
+    def half_length_px(self) -> float:
+        """Half the extent of the region along the edge."""
+        return max(float(np.max(np.abs(self.along_px))), 1.0)
+
+    @property
+    def normal_px(self) -> Vector:
+        """Signed distance of every pixel from the first guess."""
+        return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
+
+    @property
+    def tilt_columns(self) -> Matrix:
+        """Return [n 2]: distance from the edge and place along it, about -1 to 1."""
+        normal_px = self.normal_px
+        reach_px = max(float(np.max(np.abs(normal_px))), 1.0)
+        return np.column_stack([normal_px / reach_px, self.along_px / self.half_length_px])
+
+    @property
+    def basis(self) -> SplineBasis:
+        """Splines that suit the width of the edge."""
+        return SplineBasis.covering(_HALF_WIDTH * self.unit_px, _KNOT_STEP * self.unit_px)
+
+    def plateaus(self) -> list[Mask]:
+        """Return the masks of the dark and the bright plateau."""
+        reach_px = self.basis.reach_px + _SLACK_PX
+        normal_px = self.normal_px
+        half = 0.5 * reach_px
+        sides = [normal_px < -reach_px, normal_px > reach_px]
+        if min(int(side.sum()) for side in sides) >= 40:
+            return sides
+        return [normal_px < -half, normal_px > half]  # a narrow region: nearer to the edge
+
+
+def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> UprightEdge:
+    """Find the edge of a region and turn it upright.
+
+    Parameters
+    ----------
+    pixels : the region
+    aperture_px : side of the pixel
+    most_bends : largest number of bending terms of the edge, 0 for a straight one
+
+    Raises
+    ------
+    ValueError
+        If there is no edge.
+    """
+    line = find_edge(pixels.col_px, pixels.row_px, pixels.values, aperture_px)
+    cosine, sine = np.cos(line.angle_rad), np.sin(line.angle_rad)
+    vertical = bool(abs(cosine) >= abs(sine))
+    x_px, y_px = (pixels.col_px, pixels.row_px) if vertical else (pixels.row_px, pixels.col_px)
+    if not vertical:
+        cosine, sine = sine, cosine
+    sign = float(np.sign(cosine))
+    angle_rad = float(np.arctan2(sine, abs(cosine)))
+    across_px = np.asarray(sign * x_px - line.position_px / np.cos(angle_rad))
+    scaled = (pixels.values - line.low) / (line.high - line.low)
+    geometry = np.array([angle_rad, 0.0])
+    if most_bends:
+        half_length_px = max(float(np.max(np.abs(y_px))), 1.0)
+        unit_px = max(1.0, line.sigma_px)
+        basis = SplineBasis.covering(_HALF_WIDTH * unit_px, _KNOT_STEP * unit_px)
+        geometry = bend_edge(across_px, y_px, scaled, geometry, basis, half_length_px, most_bends)
+    return UprightEdge(
+        pixels=pixels,
+        line=line,
+        vertical=vertical,
+        start_angle_rad=angle_rad,
+        sign=sign,
+        geometry=geometry,
+        across_px=across_px,
+        along_px=y_px,
+        scaled=scaled,
+        unit_px=max(1.0, line.sigma_px),
+    )
+
+
+def learn_noise(
+    edge: UprightEdge, aperture_px: float, tilt: bool | None
+) -> tuple[NoiseModel, bool]:
+    """Return the noise of the plateaus, and whether the illumination is uneven.
+
+    Parameters
+    ----------
+    edge : the region
+    aperture_px : side of the pixel
+    tilt : whether to model uneven illumination; None asks the plateaus
+    """
+    sides = edge.plateaus()
+    tilts = edge.tilt_columns
+    response = edge_response(
+        edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
+    )
+    tilted = tilt
+    if tilted is None:
+        tilted = plateau_tilt_matters(edge.scaled, edge.pixels.places, sides, tilts)
+    columns = level_columns(response, tilts if tilted else None)
+    far = sides[0] | sides[1]
+    used = far if far.sum() > 2 * columns.shape[1] else np.ones(far.shape, dtype=bool)
+    levels = np.linalg.lstsq(columns[used], edge.scaled[used])[0]
+    return estimate_noise(edge.scaled - columns @ levels, edge.pixels.places, sides), tilted
+
+
+def take_samples(
+    edge: UprightEdge, noise: NoiseModel, aperture_px: float, tilted: bool
+) -> EdgeSamples:
+    """Return the samples of a region, whitened.
+
+    Parameters
+    ----------
+    edge, noise : the region and its noise
+    aperture_px : side of the pixel
+    tilted : whether to model uneven illumination
+    """
+    normal_px = edge.normal_px
+    reach_px = edge.basis.reach_px + _SLACK_PX
+    near = np.abs(normal_px) < reach_px
+    columns = level_columns(
+        (normal_px > 0).astype(np.float64), edge.tilt_columns if tilted else None
+    )
+    bright = normal_px > 0
+    values, ones = edge.scaled, bright.astype(np.float64)
+    whitener, inputs = None, near
+    if not noise.is_plain:
+        response = edge_response(
+            normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
+        )
+        whole = noise.whitener(edge.pixels.places, noise.relative_sigma(response))
+        touches = (abs(whole) @ near.astype(np.float64)) > 0
+        mixes = (abs(whole) @ ones > 0) & (abs(whole) @ (1.0 - ones) > 0)
+        near_rows = touches | mixes
+        inputs = (abs(whole[near_rows]).sum(axis=0) > 0) if near_rows.any() else near
+        whitener = whole[near_rows][:, np.flatnonzero(inputs)].tocsr()
+        values, columns, ones = whole @ values, whole @ columns, whole @ ones
+        near, bright = near_rows, ones != 0.0
+    far, right = ~near, ~near & bright
+    sums = FarSums(
+        level_products=columns[far].T @ columns[far],
+        level_values=columns[far].T @ values[far],
+        right_levels=columns[right].T @ ones[right],
+        right_square=float(ones[right] @ ones[right]),
+        right_values=float(ones[right] @ values[right]),
+    )
+    tilts = edge.tilt_columns[inputs] if tilted else None
+    return EdgeSamples(
+        across_px=edge.across_px[inputs],
+        along_px=edge.along_px[inputs],
+        half_length_px=edge.half_length_px,
+        bends=edge.geometry.size - 2,
+        tilt_columns=tilts,
+        values=values[near],
+        whitener=whitener,
+        far=sums,
+        squares=float(values @ values),
+        count=values.size,
+    )

@@ -1,0 +1,208 @@
+"""What a slanted edge tells: numbers with intervals, and the curves they were read off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.optical import MtfCurve
+
+Vector = NDArray[np.float64]
+
+# MTF50 of a square pixel alone, in cycles per pixel: sinc(f) = 1/2.
+PIXEL_MTF50_CPP = 0.6033545644016142
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A measured number with its 95 % interval.
+
+    Parameters
+    ----------
+    value : the estimate; NaN where the curve never gets there
+    low, high : ends of the interval; NaN where the method gives none
+    """
+
+    value: float
+    low: float = float("nan")
+    high: float = float("nan")
+
+    def scaled(self, factor: float) -> Interval:
+        """Return the number in another unit."""
+        ends = sorted((self.low * factor, self.high * factor))
+        return Interval(self.value * factor, ends[0], ends[1])
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.value):
+            return "not reached"
+        if not (np.isfinite(self.low) and np.isfinite(self.high)):
+            return f"{self.value:.4g}"
+        return f"{self.value:.4g} ({self.low:.4g} to {self.high:.4g})"
+
+
+def interval_of(value: float, draws: Vector) -> Interval:
+    """Return the estimate with the central 95 % of the draws; NaN draws count as unreached.
+
+    Parameters
+    ----------
+    value : the estimate
+    draws : [k] posterior draws
+    """
+    finite = draws[np.isfinite(draws)]
+    if finite.size < 0.5 * draws.size:
+        return Interval(value)
+    low, high = np.quantile(finite, (0.025, 0.975))
+    if finite.size < 0.975 * draws.size:
+        high = float("inf")  # in some draws the curve never falls so low
+    return Interval(value, float(low), float(high))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """A function of the distance from the edge.
+
+    Parameters
+    ----------
+    normal_px : [d] signed distance, positive on the bright side
+    value : [d]
+    std : [d] or None
+    """
+
+    normal_px: Vector
+    value: Vector
+    std: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Rows and columns of an image, the ends excluded."""
+
+    row_start: int
+    row_stop: int
+    col_start: int
+    col_stop: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Return the slices that cut the region out of an image."""
+        return slice(self.row_start, self.row_stop), slice(self.col_start, self.col_stop)
+
+    def __str__(self) -> str:
+        rows, cols = f"{self.row_start}:{self.row_stop}", f"{self.col_start}:{self.col_stop}"
+        return f"rows {rows}, columns {cols}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeResult:
+    """One measured edge.
+
+    Parameters
+    ----------
+    method : how it was measured
+    region : where
+    orientation : "vertical" or "horizontal", the nearer axis
+    angle_rad : of the edge against that axis
+    position_px : where the edge crosses the region's middle, along the other axis, from the
+        middle of the image's first pixel
+    bend_px : rms distance of the edge from its straight line
+    dark, bright : levels of the plateaus
+    noise : standard deviation of a pixel over the contrast
+    snr : contrast over the standard deviation of a pixel
+    mtf : curve along the edge normal with standard deviation
+    low, high : [f] 95 % band of the curve, None where the method gives none
+    mtf50_lpmm, mtf30_lpmm, mtf10_lpmm : where the curve first falls below 0.5, 0.3, 0.1
+    nyquist_lpmm : the LR Nyquist frequency
+    mtf_at_nyquist : modulation there
+    area_to_nyquist : mean modulation from 0 to there
+    peak : largest modulation; above 1 means sharpened
+    effective_pixel_mm : side of the square pixel with the same MTF50
+    rise_mm : 10-90 width of the ESF
+    esf, lsf : edge and line spread function
+    residual : [row col] pixels minus model over the contrast, NaN where unused; None without model
+    aliasing_px : rms displacement of the edge between pixel phases; NaN where not asked
+    asymmetry : largest departure of the ESF from point symmetry
+    pitch_mm : along the edge normal
+    """
+
+    method: str
+    region: Region
+    orientation: str
+    angle_rad: Interval
+    position_px: Interval
+    bend_px: float
+    dark: float
+    bright: float
+    noise: float
+    snr: float
+    mtf: MtfCurve
+    low: Vector | None
+    high: Vector | None
+    mtf50_lpmm: Interval
+    mtf30_lpmm: Interval
+    mtf10_lpmm: Interval
+    nyquist_lpmm: float
+    mtf_at_nyquist: Interval
+    area_to_nyquist: Interval
+    peak: Interval
+    effective_pixel_mm: Interval
+    rise_mm: Interval
+    esf: Profile
+    lsf: Profile
+    residual: NDArray[np.float64] | None
+    aliasing_px: float
+    asymmetry: Interval
+    pitch_mm: float
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def contrast(self) -> float:
+        """Michelson contrast of the edge."""
+        total = self.bright + self.dark
+        return (self.bright - self.dark) / total if total > 0 else float("nan")
+
+
+def crossings(frequency: Vector, modulation: NDArray[np.float64], level: float) -> Vector:
+    """Return for each column where it first falls below `level`, NaN where it never does.
+
+    Parameters
+    ----------
+    frequency : [f] rising
+    modulation : [f k]
+    level : of the modulation
+    """
+    falls = (modulation[:-1] >= level) & (modulation[1:] < level)
+    first = np.argmax(falls, axis=0)
+    columns = np.arange(modulation.shape[1])
+    above, below = modulation[first, columns], modulation[first + 1, columns]
+    drop = np.where(above > below, above - below, 1.0)
+    share = (above - level) / drop
+    place = frequency[first] + share * (frequency[first + 1] - frequency[first])
+    return np.where(falls.any(axis=0), place, np.nan)
+
+
+def rises(normal_px: Vector, esf: NDArray[np.float64], share: float = 0.1) -> Vector:
+    """Return the width from `share` to 1 - `share` of each column, outwards from the middle.
+
+    Parameters
+    ----------
+    normal_px : [d] rising
+    esf : [d k] from 0 to 1
+    share : where the width begins
+    """
+    middle = int(np.argmin(np.abs(normal_px)))
+    up = _outward(normal_px[middle:], esf[middle:], 1.0 - share, 1.0)
+    down = _outward(-normal_px[middle::-1], esf[middle::-1], share, -1.0)
+    return up + down
+
+
+def _outward(distance_px: Vector, values: NDArray[np.float64], level: float, sign: float) -> Vector:
+    passed = sign * (values - level) >= 0
+    first = np.maximum(np.argmax(passed, axis=0), 1)
+    columns = np.arange(values.shape[1])
+    before, after = values[first - 1, columns], values[first, columns]
+    rise = np.where(after != before, after - before, 1.0)
+    share = np.where(passed[0], 0.0, (level - before) / rise)
+    place = distance_px[first - 1] + share * (distance_px[first] - distance_px[first - 1])
+    return np.where(passed.any(axis=0), place, np.nan)

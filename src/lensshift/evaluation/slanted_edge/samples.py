@@ -1,0 +1,111 @@
+"""The pixels of a region as samples of an edge: near ones one by one, far ones as sums."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
+
+# Prior standard deviation of the bending terms, as a share of the half length of the edge.
+_BENDING_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class FarSums:
+    """What the pixels of the plateaus contribute to the cross products.
+
+    Parameters
+    ----------
+    level_products : [p p] sum of x x^T over both plateaus, x the row of the level columns
+    level_values : [p] sum of x y
+    right_levels : [p] sum of x over the bright plateau
+    right_square, right_values : sums of 1 and of y there, weighted
+    """
+
+    level_products: Matrix
+    level_values: Vector
+    right_levels: Vector
+    right_square: float
+    right_values: float
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSamples:
+    """Pixels of one or several frames, in units of the contrast, the bright side at positive x.
+
+    Parameters
+    ----------
+    across_px, along_px : [n] coordinates of the pixels near the edge, from the edge's middle
+    half_length_px : half the length of the edge along `along_px`
+    bends : number of bending terms (0 for a straight edge)
+    tilt_columns : [n 2] places by which the illumination may rise, None for an even one
+    values : [m] the pixels, whitened
+    whitener : [m n] what was done to them, None for nothing
+    far : sums over the other pixels
+    squares : sum of the squares of all whitened pixels
+    count : number of pixels
+    """
+
+    across_px: Vector
+    along_px: Vector
+    half_length_px: float
+    bends: int
+    tilt_columns: Matrix | None
+    values: Vector
+    whitener: sparse.csr_array | None
+    far: FarSums
+    squares: float
+    count: int
+
+    @property
+    def geometry_size(self) -> int:
+        """Number of geometry parameters: angle, position, bending terms."""
+        return 2 + self.bends
+
+    def normal_px(self, geometry: Vector) -> Vector:
+        """Return the signed distance of each near pixel from the edge."""
+        return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
+
+    def whitened(self, columns: Matrix) -> Matrix:
+        """Return the columns as the whitened pixels see them."""
+        return columns if self.whitener is None else self.whitener @ columns
+
+    def geometry_penalty(self, geometry: Vector) -> float:
+        """Return minus the log prior of the bending terms."""
+        spread_px = _BENDING_SHARE * self.half_length_px
+        z = geometry[2:] / spread_px
+        return float(0.5 * np.sum(z**2) + self.bends * np.log(spread_px))
+
+
+def distance_px(
+    across_px: Vector, along_px: Vector, geometry: Vector, half_length_px: float
+) -> Vector:
+    """Return the signed distance from an edge.
+
+        d = x cos t + y sin t - rho - sum_k g_k P_k(y / half length)
+
+    with Legendre polynomials P_2, P_3, ...
+
+    Parameters
+    ----------
+    across_px, along_px : [n] x and y
+    geometry : angle t in radian, rho in px, then the bending terms g_k in px
+    half_length_px : where the polynomials end
+    """
+    normal_px: Vector = across_px * np.cos(geometry[0]) + along_px * np.sin(geometry[0])
+    normal_px -= geometry[1]
+    if geometry.size > 2:
+        bending = np.concatenate([[0.0, 0.0], geometry[2:]])
+        normal_px -= np.polynomial.legendre.legval(along_px / half_length_px, bending)
+    return normal_px
+
+
+def level_columns(response: Vector, tilt_columns: Matrix | None) -> Matrix:
+    """Return [n p]: 1 and the response; with a tilt its columns, alone and times the response."""
+    columns = [np.ones((response.size, 1)), response[:, None]]
+    if tilt_columns is not None:
+        columns += [tilt_columns, tilt_columns * response[:, None]]
+    return np.hstack(columns)

@@ -1,0 +1,282 @@
+"""The published binning algorithms sfrmat3 and sfrmat5, number for number.
+
+They are here to compare with; their silent failures are errors and warnings.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+from numpy.typing import ArrayLike
+
+from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.slanted_edge.sfrmat_steps import (
+    BINS_PER_PX,
+    LEAST_LINES,
+    Matrix,
+    Vector,
+    Window,
+    bin_centroid_of_sfrmat3,
+    edge_of_sfrmat3,
+    edge_of_sfrmat5,
+    hamming,
+    hann,
+    modulation_of,
+    polarity,
+    project,
+    rounded,
+    shifted,
+    upright_edge,
+    whole_phases,
+)
+
+_CLIP_CPP = 0.495  # above it the original of sfrmat5 reports the clip
+_LARGEST_ORDER = 5
+_REMEDY = "take more lines, a larger angle or a lower order, or use method='ml'"
+
+
+@dataclass(frozen=True, slots=True)
+class SfrmatResult:
+    """What sfrmat3 or sfrmat5 finds.
+
+    Parameters
+    ----------
+    frequency_cpp : [n] cycles per pixel along the normal of the edge, from 0, as far as returned
+    modulation : [n] 1 at 0
+    esf : [m] mean pixel per bin, dark to bright or bright to dark as in the image; in sfrmat5 NaN
+        where bins at its start were empty and play no part
+    lsf : [m] half the difference of the ESF two bins apart, positive at the edge, before it is
+        centred and windowed
+    bin_px : distance of two bins along the normal
+    edge_px : [order+1] column = p(line), highest power first, both from 0, of the turned image
+    slope : of the straight line through the edge, columns per line
+    angle_rad : between the edge and the lines' normal, arctan of the slope
+    lines_used : lines that hold a whole number of pixel phases
+    empty_bins : bins of the ESF that no pixel fell into
+    rotated : whether the image was turned by 90 degrees counterclockwise
+    mtf50_cpp, mtf10_cpp : first crossing of 0.5 and 0.1 anywhere on the curve; NaN without one
+    sampling_efficiency : `mtf10_cpp` over half the sampling frequency, 1 at most. sfrmat3 takes its
+        last frequency below 0.5 / cos(angle) for that, sfrmat5 takes 0.495.
+    """
+
+    frequency_cpp: Vector
+    modulation: Vector
+    esf: Vector
+    lsf: Vector
+    bin_px: float
+    edge_px: Vector
+    slope: float
+    angle_rad: float
+    lines_used: int
+    empty_bins: int
+    rotated: bool
+    mtf50_cpp: float
+    mtf10_cpp: float
+    sampling_efficiency: float
+
+
+def sfrmat3(image: ArrayLike) -> SfrmatResult:
+    """Measure the MTF of one slanted edge as sfrmat3 does, in the manner of ISO 12233:2000.
+
+        MTF(f) = | F[w LSF](f) | / | F[w LSF](0) | * D(f)
+
+    A straight edge through the centroids of the lines, bins of 1/4 px, the LSF as a finite
+    difference of the ESF centred on its centroid, a Hamming window w over all of it.
+
+    Parameters
+    ----------
+    image : [row col] one edge between two flat sides, within 45 degrees of a row or column
+
+    Raises
+    ------
+    ValueError
+        If the image does not fit, or the original gives no curve: less than one whole pixel phase,
+        bins without neighbours, or a brighter left side that it takes for the darker one.
+
+    Warns
+    -----
+    QualityWarning
+        If bins are empty, where sfrmat3 sets the ESF to 0; if lines show no edge.
+
+    Source: Burns, Proc. IS&T PICS (2000) 135.
+    """
+    upright, turned = upright_edge(image, LEAST_LINES)
+    sign = polarity(upright)
+    edge, missing = edge_of_sfrmat3(sign * upright)
+    if missing:
+        _warn(f"sfrmat3 finds no edge in {missing} of {len(upright)} lines and sets it to the left")
+    slope = float(edge[1])
+    used = _lines_used(upright, edge, slope)
+    displacement_px = slope * np.arange(used, dtype=np.float64)
+    run_px = slope * (used - 1)
+    esf, empty = project(upright[:used], displacement_px, run_px, interpolate_sums=False)
+    lsf = np.zeros(esf.size)
+    lsf[2:] = sign * (esf[2:] - esf[:-2]) / 2
+    lsf[1] = lsf[2]
+    _refuse_undefined(lsf, empty)
+    centred = _centred(lsf, rounded(bin_centroid_of_sfrmat3(lsf)), empty)
+    if empty:
+        _warn(
+            f"{_empty(empty, esf, used, slope)}; sfrmat3 sets the ESF to 0 there, which bends the "
+            "whole curve"
+        )
+    modulation = modulation_of(centred * hamming(lsf.size, (lsf.size - 1) / 2)[0])
+    frequency_cpp = _frequency_cpp(modulation.size, lsf.size, slope)
+    half_cpp = float(frequency_cpp[(upright.shape[1] - 1) // 2])
+    found = _Curve(frequency_cpp, modulation, esf, lsf, half_cpp)
+    return _result(found, edge, slope, used, empty, turned)
+
+
+def sfrmat5(image: ArrayLike, *, order: int = 5, window: Window = "tukey") -> SfrmatResult:
+    """Measure the MTF of one slanted edge as sfrmat5 does, in the manner of ISO 12233:2023.
+
+        MTF(f) = | F[w LSF](f) | / | F[w LSF](0) | * D(f)
+
+    As `sfrmat3`, with a polynomial edge, the LSF centred on its maximum, and Tukey windows.
+
+    Parameters
+    ----------
+    image : [row col] one edge between two flat sides, within 45 degrees of a row or column
+    order : of the polynomial through the edge, 1 to 5
+    window : of the centroids and of the LSF
+
+    Raises
+    ------
+    ValueError
+        If `order` or `window` is not one of these, or as in `sfrmat3`.
+
+    Warns
+    -----
+    QualityWarning
+        If bins are empty, which sfrmat5 interpolates; if MTF50 is above 0.495 cycles per pixel,
+        where the original reports 0.495.
+
+    Source: Burns and Williams, Electronic Imaging (2018), IQSP-171.
+    """
+    if isinstance(order, bool) or order not in range(1, _LARGEST_ORDER + 1):
+        raise ValueError(f"expected an order from 1 to {_LARGEST_ORDER}, got {order!r}")
+    if window not in ("tukey", "hamming"):
+        raise ValueError(f"expected the window 'tukey' or 'hamming', got {window!r}")
+    upright, turned = upright_edge(image, max(LEAST_LINES, order + 1))
+    sign = polarity(upright)
+    edge, straight = edge_of_sfrmat5(sign * upright, order, window)
+    slope = float(straight[1])
+    used = _lines_used(upright, edge, slope)
+    displacement_px = polyval(np.arange(used, dtype=np.float64), edge) - edge[0]
+    # The original takes the slope at line 0 for the slope of the edge.
+    run_px = float(edge[1]) * (used - 1)
+    esf, empty = project(upright[:used], displacement_px, run_px, interpolate_sums=True)
+    lsf = np.empty(esf.size)
+    lsf[1:-1] = sign * (esf[2:] - esf[:-2]) / 2
+    lsf[[0, -1]] = lsf[[1, -2]]
+    peak = int(np.argmax(np.where(np.isnan(lsf), -np.inf, lsf)))
+    centred = _centred(lsf, peak + 1, empty)
+    _refuse_undefined(centred, empty)
+    if empty:
+        _warn(f"{_empty(empty, esf, used, slope)}; sfrmat5 interpolates the ESF there")
+    middle_px = (lsf.size - 1) / 2
+    taper = hamming(lsf.size, middle_px) if window == "hamming" else hann(lsf.size, middle_px - 0.5)
+    modulation = modulation_of(centred * taper[0])
+    found = _Curve(
+        _frequency_cpp(modulation.size, lsf.size, slope), modulation, esf, lsf, _CLIP_CPP
+    )
+    result = _result(found, edge, slope, used, empty, turned)
+    if result.mtf50_cpp > _CLIP_CPP:
+        _warn(
+            f"MTF50 is {result.mtf50_cpp:.3f} cycles per pixel; the original of sfrmat5 reports "
+            f"its clip of {_CLIP_CPP}"
+        )
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    frequency_cpp: Vector
+    modulation: Vector
+    esf: Vector
+    lsf: Vector
+    half_cpp: float  # what the efficiency of sampling is measured against
+
+
+def _lines_used(upright: Matrix, edge: Vector, slope: float) -> int:
+    lines, columns = upright.shape
+    run_px = max(
+        float(np.ptp(polyval(np.arange(lines, dtype=np.float64), edge))), abs(slope) * (lines - 1)
+    )
+    if run_px > columns:
+        raise ValueError(
+            f"expected an edge that stays within {columns} pixels, got one that runs over "
+            f"{run_px:.0f}; cut out one edge between two flat sides, or use method='ml'"
+        )
+    return whole_phases(lines, slope)
+
+
+def _empty(empty: int, esf: Vector, lines: int, slope: float) -> str:
+    angle_deg = np.rad2deg(np.arctan(abs(slope)))
+    return f"{empty} of {esf.size} bins are empty at {angle_deg:.2f} degrees and {lines} lines"
+
+
+def _refuse_undefined(lsf: Vector, empty: int) -> None:
+    bad = int(np.count_nonzero(~np.isfinite(lsf)))
+    if bad:
+        raise ValueError(
+            f"expected pixels in all bins or beside them, got {empty} of {lsf.size} empty, which "
+            f"leave {bad} samples of the LSF undefined; {_REMEDY}"
+        )
+
+
+def _centred(lsf: Vector, number: int, empty: int) -> Vector:
+    """Move the bin of this number, counted from 1, to the middle."""
+    moved = shifted(lsf, number - rounded((lsf.size + 1) / 2))
+    if not moved.any():
+        raise ValueError(
+            f"expected the centre of the LSF within its {lsf.size} bins, got bin {number} "
+            f"with {empty} bins empty; {_REMEDY}"
+        )
+    return moved
+
+
+def _frequency_cpp(count: int, bins: int, slope: float) -> Vector:
+    step_cpp = BINS_PER_PX / (bins * float(np.cos(np.arctan(slope))))
+    return step_cpp * np.arange(count, dtype=np.float64)
+
+
+def _result(
+    found: _Curve, edge: Vector, slope: float, used: int, empty: int, turned: bool
+) -> SfrmatResult:
+    mtf50_cpp, mtf10_cpp = (
+        _crossing_cpp(found.frequency_cpp, found.modulation, level) for level in (0.5, 0.1)
+    )
+    angle_rad = float(np.arctan(slope))
+    return SfrmatResult(
+        frequency_cpp=found.frequency_cpp,
+        modulation=found.modulation,
+        esf=found.esf,
+        lsf=found.lsf,
+        bin_px=float(np.cos(angle_rad)) / BINS_PER_PX,
+        edge_px=edge[::-1].copy(),
+        slope=slope,
+        angle_rad=angle_rad,
+        lines_used=used,
+        empty_bins=empty,
+        rotated=turned,
+        mtf50_cpp=mtf50_cpp,
+        mtf10_cpp=mtf10_cpp,
+        sampling_efficiency=float(np.fmin(mtf10_cpp / found.half_cpp, 1.0)),
+    )
+
+
+def _crossing_cpp(frequency_cpp: Vector, modulation: Vector, level: float) -> float:
+    below = np.flatnonzero(modulation < level)
+    if below.size == 0:
+        return float("nan")
+    i = int(below[0])  # not 0: the curve starts at 1
+    share = (modulation[i - 1] - level) / (modulation[i - 1] - modulation[i])
+    return float(frequency_cpp[i - 1] + share * (frequency_cpp[i] - frequency_cpp[i - 1]))
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, QualityWarning, stacklevel=3)

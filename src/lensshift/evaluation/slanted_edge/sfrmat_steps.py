@@ -1,0 +1,316 @@
+"""The steps that sfrmat3 and sfrmat5 share, with the details in which the originals differ.
+
+Columns and bins count from 0 here and from 1 in the originals.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial.polynomial import Polynomial, polyval
+from numpy.typing import ArrayLike, NDArray
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Window = Literal["tukey", "hamming"]
+
+BINS_PER_PX = 4
+LEAST_LINES, LEAST_COLUMNS = 5, 8
+_LEAST_STEP = 1e-4  # sfrmat3 takes a line with less as one without an edge
+_NO_EDGE_PX = -1.5  # and places its edge here
+_LARGEST_CORRECTION = 10.0
+
+
+def upright_edge(image: ArrayLike, least_lines: int) -> tuple[Matrix, bool]:
+    """Return the image with its edge along the columns, and whether it was turned for that.
+
+    It is turned counterclockwise where rows 2 and -4 differ more than columns 2 and -4.
+
+    Raises
+    ------
+    ValueError
+        If the image is not two-dimensional, real and finite, is constant or too small.
+    """
+    values = np.asarray(image)
+    if values.dtype.kind not in "buif":
+        raise ValueError(f"expected a real image, got dtype {values.dtype}")
+    if values.ndim != 2:
+        raise ValueError(f"expected the image as [row col], got shape {values.shape}")
+    if min(values.shape) < LEAST_LINES:
+        raise ValueError(f"expected at least {LEAST_LINES} rows and columns, got {values.shape}")
+    values = values.astype(np.float64)
+    bad = int(np.count_nonzero(~np.isfinite(values)))
+    if bad:
+        raise ValueError(f"expected finite pixels, got {bad} NaN or infinite")
+    if np.ptp(values) == 0:
+        raise ValueError(f"expected an edge, got a constant image of {values[0, 0]:g}")
+    down = abs(np.mean(values[-4]) - np.mean(values[2]))
+    across = abs(np.mean(values[:, -4]) - np.mean(values[:, 2]))
+    turned = bool(down > across)
+    upright = np.rot90(values) if turned else values
+    lines, columns = upright.shape
+    if lines < least_lines or columns < LEAST_COLUMNS:
+        raise ValueError(
+            f"expected at least {least_lines} lines of {LEAST_COLUMNS} pixels across the edge, "
+            f"got {lines} of {columns}"
+        )
+    return upright, turned
+
+
+def polarity(upright: Matrix) -> int:
+    """Return 1 if the edge brightens to the right, -1 if to the left.
+
+    The originals compare the sum of five columns on the left with that of six on the right, and
+    find nothing of use where this gives the wrong answer.
+
+    Raises
+    ------
+    ValueError
+        If it does.
+    """
+    left, right = upright[:, :5], upright[:, -6:]
+    found = -1 if left.sum() > right.sum() else 1
+    if found * (right.mean() - left.mean()) < 0:
+        raise ValueError(
+            "expected the sums of 5 columns on the left and 6 on the right to tell the brighter "
+            f"side, got {left.sum():g} and {right.sum():g} for means of {left.mean():g} and "
+            f"{right.mean():g}; mirror the image, take off its offset, or use method='ml'"
+        )
+    return found
+
+
+def hamming(count: int, centre_px: ArrayLike) -> Matrix:
+    """Return Hamming windows about the given places.
+
+        w(k) = 0.54 + 0.46 cos( pi (k - m) / max(m, n-1-m) )
+
+    Parameters
+    ----------
+    count : n, pixels of a line
+    centre_px : [line] m, the centres
+
+    Returns
+    -------
+    Matrix
+        [line n]; one line for a single centre.
+    """
+    centre = np.atleast_1d(np.asarray(centre_px, dtype=np.float64))[:, None]
+    reach = np.maximum(centre, count - 1 - centre)
+    return 0.54 + 0.46 * np.cos(np.pi * (np.arange(count) - centre) / reach)
+
+
+def hann(count: int, centre_px: ArrayLike) -> Matrix:
+    """Return Hann windows (Tukey's with alpha = 1), cut so that they peak at the given places.
+
+        w(k) = (1 - cos(2 pi k / (N-1))) / 2,   N = round(2 max(m+1, n-m-1))
+
+    of which the first n samples are taken if the centre m lies in the right half, else the last.
+
+    Parameters, returns
+    -------------------
+    As in `hamming`.
+    """
+    centre = np.atleast_1d(np.asarray(centre_px, dtype=np.float64))[:, None]
+    length = np.floor(2.0 * np.maximum(centre + 1.0, count - centre - 1.0) + 0.5)
+    skipped = np.where(centre + 1.0 >= count / 2, 0.0, length - count)
+    return 0.5 * (1.0 - np.cos(2.0 * np.pi * (skipped + np.arange(count)) / (length - 1.0)))
+
+
+def edge_of_sfrmat3(rising: Matrix) -> tuple[Vector, int]:
+    """Return the edge as a straight line, column = p(line), and the number of lines without one.
+
+    Centroids of the backward difference under a Hamming window, first about the middle, then
+    about the line of the first pass. That line is read one line late, as in the original.
+
+    Parameters
+    ----------
+    rising : [line column] the pixels, brighter to the right
+
+    Returns
+    -------
+    tuple[Vector, int]
+        Coefficients of p, constant first; lines whose weighted difference sums to less than 1e-4.
+    """
+    difference = np.diff(rising, axis=1) / 2
+    difference = np.hstack([difference[:, :1], difference])  # sample k lies at k - 1/2
+    lines, columns = difference.shape
+    first, _ = _centroids_of_sfrmat3(difference * hamming(columns, (columns - 1) / 2))
+    centre = polyval(np.arange(lines) + 1.0, _fitted(first, 1))
+    second, missing = _centroids_of_sfrmat3(difference * hamming(columns, centre))
+    return _fitted(second, 1), missing
+
+
+def _centroids_of_sfrmat3(weighted: Matrix) -> tuple[Vector, int]:
+    step = weighted.sum(axis=1)
+    present = step >= _LEAST_STEP
+    moment = weighted @ np.arange(weighted.shape[1])
+    place = moment / np.where(present, step, 1.0) - 0.5
+    return np.where(present, place, _NO_EDGE_PX), int(np.count_nonzero(~present))
+
+
+def bin_centroid_of_sfrmat3(lsf: Vector) -> float:
+    """Return the centroid of the LSF, its first bin being number 1; 0 where it sums to nothing."""
+    total = float(lsf.sum())
+    return float(lsf @ np.arange(1, lsf.size + 1)) / total if total >= _LEAST_STEP else 0.0
+
+
+def edge_of_sfrmat5(rising: Matrix, order: int, window: Window) -> tuple[Vector, Vector]:
+    """Return the edge as a polynomial, column = p(line), and as a straight line.
+
+    Centroids of the forward difference under a window, first about the middle, then about the
+    polynomial of the first pass.
+
+    Parameters
+    ----------
+    rising : [line column] the pixels, brighter to the right
+    order : of the polynomial
+    window : "hamming", or "tukey": 95 % Hann and 5 % everywhere
+
+    Returns
+    -------
+    tuple[Vector, Vector]
+        Coefficients of p and of the line, constant first.
+
+    Raises
+    ------
+    ValueError
+        If a line has no contrast.
+    """
+    difference = np.diff(rising, axis=1) / 2
+    difference[:, 0] = difference[:, 1]
+    difference = np.hstack([difference, difference[:, -1:]])  # sample k lies at k + 1/2
+    lines, columns = difference.shape
+
+    def weights(centre_px: ArrayLike) -> Matrix:
+        centre = np.asarray(centre_px, dtype=np.float64)
+        if window == "hamming":
+            return hamming(columns, centre - 0.5)
+        return 0.95 * hann(columns, centre - 1.0) + 0.05  # half a pixel left, as in the original
+
+    first = _centroids_of_sfrmat5(difference * weights((columns + 1) / 2))
+    centre = polyval(np.arange(lines, dtype=np.float64), _fitted(first, order))
+    second = _centroids_of_sfrmat5(difference * weights(centre))
+    return _fitted(second, order), _fitted(second, 1)
+
+
+def _centroids_of_sfrmat5(weighted: Matrix) -> Vector:
+    step = weighted.sum(axis=1)
+    flat = int(np.count_nonzero(step == 0))
+    if flat:
+        raise ValueError(f"expected an edge in each of {step.size} lines, got {flat} without one")
+    return np.asarray(weighted @ np.arange(weighted.shape[1]) / step + 0.5)
+
+
+def _fitted(columns_px: Vector, order: int) -> Vector:
+    """Return the least-squares polynomial of the line number, constant first."""
+    polynomial = Polynomial.fit(np.arange(columns_px.size), columns_px, order).convert()
+    coefficients = np.zeros(order + 1)  # numpy drops powers with a coefficient of exactly 0
+    coefficients[: polynomial.coef.size] = polynomial.coef
+    return coefficients
+
+
+def whole_phases(lines: int, slope: float) -> int:
+    """Return how many lines hold a whole number of pixel phases, 1/|slope| lines each.
+
+    Raises
+    ------
+    ValueError
+        If there is not one whole phase: the originals then return nothing.
+    """
+    phases = np.floor(lines * abs(slope))
+    if phases == 0:
+        need = 1 / abs(slope) if slope else np.inf
+        raise ValueError(
+            f"expected at least 1/|slope| = {need:.1f} lines for one whole pixel phase at "
+            f"{np.rad2deg(np.arctan(abs(slope))):.2f} degrees, got {lines}; use method='ml'"
+        )
+    return rounded(phases / abs(slope))
+
+
+def project(
+    upright: Matrix, displacement_px: Vector, run_px: float, *, interpolate_sums: bool
+) -> tuple[Vector, int]:
+    """Return the ESF, the mean of the pixels in quarter-pixel bins, and the number of empty bins.
+
+    The count of an empty bin becomes the mean of its neighbours', filled ones included. Its sum
+    does so only in sfrmat5; in sfrmat3 the ESF is 0 there. It is NaN where no count is found.
+
+    Parameters
+    ----------
+    upright : [line column] the lines used
+    displacement_px : [line] edge minus edge at line 0
+    run_px : how far the edge runs over these lines; says where the ESF starts
+    interpolate_sums : whether the sums are filled as well
+
+    Returns
+    -------
+    tuple[Vector, int]
+        ESF [4 columns], and how many of its bins no pixel fell into.
+    """
+    columns = upright.shape[1]
+    place_px = np.arange(columns) - displacement_px[:, None]
+    run = rounded(-BINS_PER_PX * run_px)
+    bins = np.maximum(np.ceil(BINS_PER_PX * place_px).astype(np.intp) - min(0, run), 0).ravel()
+    start, length = rounded(0.5 * abs(run)), BINS_PER_PX * columns
+    used = slice(start, start + length)
+    count = np.bincount(bins, minlength=start + length + 1).astype(np.float64)
+    total = np.bincount(bins, weights=upright.ravel(), minlength=start + length + 1)
+    empty = start + np.flatnonzero(count[used] == 0)
+    for i in empty:
+        # Nothing lies left of bin 0: the originals take its right neighbour alone.
+        neighbours = [i - 1, i + 1] if i > 0 else [i + 1]
+        count[i] = np.mean(count[neighbours])
+        if interpolate_sums:
+            total[i] = np.mean(total[neighbours])
+    esf = np.full(length, np.nan)
+    np.divide(total[used], count[used], out=esf, where=count[used] > 0)
+    return esf, int(empty.size)
+
+
+def shifted(values: Vector, steps: int) -> Vector:
+    """Return the samples moved to the left by some steps, zeros following."""
+    moved = np.zeros_like(values)
+    kept = max(values.size - abs(steps), 0)
+    if steps >= 0:
+        moved[:kept] = values[steps:]
+    else:
+        moved[values.size - kept :] = values[:kept]
+    return moved
+
+
+def modulation_of(windowed: Vector) -> Vector:
+    """Return the modulation up to half the sampling of the ESF's quarter, 1 at 0.
+
+        SFR(i) = |FFT(i)| / |FFT(0)| * D(i),   D = min(10, x / sin x),   x = pi (i+1) / (n/2 + 2)
+
+    D makes up for the finite difference; the originals count i from 1 there, an index too far.
+
+    Parameters
+    ----------
+    windowed : [n] LSF times window
+
+    Returns
+    -------
+    Vector
+        [round(n/4 + 1/2)], from 0 to one cycle per pixel across the edge.
+
+    Raises
+    ------
+    ValueError
+        If the LSF sums to 0.
+    """
+    count = windowed.size // 2 + 1
+    spectrum = np.abs(np.fft.rfft(windowed))
+    if spectrum[0] == 0:
+        raise ValueError("expected an edge, got an LSF that sums to 0 under its window")
+    phase = np.pi * np.arange(1, count + 1) / (count + 1)
+    correction = np.minimum(_LARGEST_CORRECTION, phase / np.sin(phase))
+    correction[0] = 1.0
+    modulation: Vector = spectrum / spectrum[0] * correction
+    return modulation[: rounded(count / 2)]
+
+
+def rounded(value: float) -> int:
+    """Round half away from zero."""
+    return int(np.copysign(np.floor(abs(value) + 0.5), value))
