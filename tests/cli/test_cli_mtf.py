@@ -1,0 +1,66 @@
+"""`lensshift evaluate mtf`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+from stand_in import Call
+
+from lensshift.core.types import Burst
+from lensshift.io import save_burst
+
+SIGMA_PX = 0.6
+MTF50_CPP = np.sqrt(np.log(2) / 2) / np.pi / SIGMA_PX
+
+
+def edge(offset_px: float = 0.0) -> np.ndarray:
+    row, col = np.mgrid[:16, :40].astype(float)
+    normal = (col - 19.5 - offset_px) * np.cos(0.15) + (row - 7.5) * np.sin(0.15)
+    return 0.2 + 0.6 * ndtr(normal / SIGMA_PX)
+
+
+def test_numbers_units_and_csv(call: Call, tmp_path: Path) -> None:
+    np.save(tmp_path / "edge.npy", edge())
+    plain = json.loads(call("evaluate", "mtf", tmp_path / "edge.npy", "--json").stdout)
+    assert plain["unit"] == "cycles/px"
+    found = plain["edges"][0]["mtf50_lpmm"]
+    assert found["value"] == pytest.approx(MTF50_CPP, rel=0.005)
+    assert found["low"] <= found["value"] <= found["high"]
+    csv = tmp_path / "curve.csv"
+    done = call("evaluate", "mtf", tmp_path / "edge.npy", "--pitch-mm", "0.1", "--csv", csv)
+    assert "LP/mm" in done.stdout
+    table = np.genfromtxt(csv, delimiter=",", names=True)
+    assert table.dtype.names == ("frequency_lpmm", "modulation", "std")
+    assert np.interp(10 * MTF50_CPP, table["frequency_lpmm"], table["modulation"]) == pytest.approx(
+        0.5, abs=0.005
+    )
+
+
+def test_all_frames_of_a_burst_together(call: Call, tmp_path: Path) -> None:
+    frames = np.stack([edge(0.0), edge(0.5)])
+    burst = Burst.from_arrays(frames, offset_px=[[0.0, 0.0], [0.0, 0.5]], pitch_mm=0.1)
+    save_burst(burst, tmp_path / "burst.nc")
+    done = call("evaluate", "mtf", tmp_path / "burst.nc", "--joint", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)["edges"][0]["mtf50_lpmm"]["value"]
+    assert found == pytest.approx(10 * MTF50_CPP, rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["--region", "1,2"], 2, "expected a region like"),
+        (["--region", "0,99,0,9"], 1, "rows of the region within 0 to 16"),
+        (["--joint"], 2, "needs a burst file"),
+        (["--pitch-mm", "x"], 2, "expected a pitch like"),
+    ],
+)
+def test_wrong_arguments(
+    call: Call, tmp_path: Path, options: list[str], code: int, message: str
+) -> None:
+    np.save(tmp_path / "edge.npy", edge())
+    done = call("evaluate", "mtf", tmp_path / "edge.npy", *options)
+    assert done.exit_code == code
+    assert message in " ".join(done.stderr.split())
