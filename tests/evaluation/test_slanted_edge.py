@@ -137,6 +137,7 @@ def test_rows_twice_as_high_as_columns() -> None:
     assert np.max(np.abs(tall.mtf.modulation - truth)[inside]) < 3e-3
 
 
+@pytest.mark.slow
 def test_four_shifted_frames_are_one_measurement() -> None:
     offset_px = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
     single, joint = [], []

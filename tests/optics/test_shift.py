@@ -130,6 +130,7 @@ def test_files_of_shift_fields(tmp_path: Path) -> None:
         save_shift_field(field, tmp_path / "missing" / "field.npz")
 
 
+@pytest.mark.slow
 def test_which_element_of_the_studied_lens() -> None:
     lens = load_lens("petzval_a")
     movers = which_element(lens, SENSOR)

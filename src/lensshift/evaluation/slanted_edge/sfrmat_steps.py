@@ -222,7 +222,7 @@ def whole_phases(lines: int, slope: float) -> int:
     if phases == 0:
         need = 1 / abs(slope) if slope else np.inf
         raise ValueError(
-            f"expected at least 1/|slope| = {need:.1f} lines for one whole pixel phase at "
+            f"expected at least 1/|slope| = {need:.4g} lines for one whole pixel phase at "
             f"{np.rad2deg(np.arctan(abs(slope))):.2f} degrees, got {lines}; use method='ml'"
         )
     return rounded(phases / abs(slope))
