@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -24,6 +25,7 @@ def test_quickstart_prints_methods_in_order_of_quality() -> None:
     assert psnr_db["auto"] > psnr_db["nearest"] + 3
 
 
+@pytest.mark.slow
 def test_eia_chart_predicts_the_other_frames(reference_dir: Path, tmp_path: Path) -> None:
     frames, picture = reference_dir / "real_sequences" / "mdsp_eia.npz", tmp_path / "chart.png"
     lines = run_example(EXAMPLES / "eia_chart.py", frames, "--out", picture).splitlines()

@@ -155,7 +155,7 @@ def test_noise_gain_is_what_monte_carlo_finds(name: str) -> None:
     trials = np.stack(
         [
             METHODS[name](rng.standard_normal((5, *SHAPE)), weight, OFFSET_PX, SCALE).image
-            for _ in range(400)
+            for _ in range(200)
         ]
     )
     measured = np.sqrt(np.mean(trials**2, axis=0))

@@ -38,8 +38,7 @@ RUNS = [
         ("edge_x2_4f", METHODS, False),
         ("tofamp_x2_4f", METHODS, False),
         ("tofdepth_x2_4f", METHODS, False),
-        ("cam_x2_4f", ["irwsr_fix"], False),
-        ("cam_x2_4f", ["irwsr_cv", "irwsr_P2"], True),
+        ("cam_x2_4f", METHODS, True),
         ("camout_x3_12f", METHODS, True),
     )
     for method in methods

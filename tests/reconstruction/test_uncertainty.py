@@ -53,6 +53,7 @@ def test_std_of_shift_and_add_agrees_with_monte_carlo() -> None:
     assert np.sqrt(np.mean((claimed / spread - 1.0) ** 2)) < 0.15
 
 
+@pytest.mark.slow
 def test_std_of_auto_is_right_in_the_mean() -> None:
     spread = _spread("auto", 40)[INSIDE]
     claimed = _claimed("auto", 3)[INSIDE]

@@ -1,0 +1,1 @@
+"""Pictures of results: each function draws one and returns the figure."""
