@@ -316,7 +316,7 @@ def reference_errors(folder: Path, size: str, every: int) -> dict[float, list[tu
     return found
 
 
-@pytest.mark.parametrize("every", [60, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [30, pytest.param(2, marks=pytest.mark.slow)])
 def test_small_reference_edges(reference_dir: Path, every: int) -> None:
     found = reference_errors(reference_dir, "64x16", every)
     for noise, most, curve in ((0.0, 0.001, 0.001), (0.01, 0.0115, 0.0062), (0.05, 0.053, 0.027)):
