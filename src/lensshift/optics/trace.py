@@ -52,6 +52,8 @@ class RayBundle:
     failed_at : [... ray] number of the surface where that happened, -1 if it did not
     heights : [... ray surface] distance from the axis of the element over the semi-diameter, or
         None
+    crossing_mm : [... ray surface 3] where (row, col, axial from the first vertex of the lens)
+        each surface is met, NaN behind the one where the ray ends, or None
     """
 
     position_mm: Array
@@ -60,6 +62,7 @@ class RayBundle:
     status: NDArray[np.uint8]
     failed_at: NDArray[np.int16]
     heights: Array | None = None
+    crossing_mm: Array | None = None
 
     @property
     def passed(self) -> NDArray[np.bool_]:
@@ -81,6 +84,7 @@ def trace(
     build: Build | None = None,
     wavelength_nm: float | None = None,
     heights: bool = False,
+    crossings: bool = False,
 ) -> RayBundle:
     """Trace rays from points of the object through points of the stop to the sensor.
 
@@ -95,6 +99,7 @@ def trace(
     build : deviations of the elements; its leading axes broadcast with those of `field_tan`
     wavelength_nm : instead of the design wavelength
     heights : also return how far from the axis each surface is met
+    crossings : also return where each surface is met
 
     Returns
     -------
@@ -111,7 +116,7 @@ def trace(
         raise ValueError(f"expected pupil [ray 2], got shape {points.shape}")
     system = _System(lens, build or Build(), fields, wavelength_nm)
     rays = _launch(lens, system, points)
-    return system.bundle(rays, heights)
+    return system.bundle(rays, heights, crossings)
 
 
 @dataclass(slots=True)
@@ -187,22 +192,32 @@ class _System:
         for row, surface in zip(self.asphere, surfaces, strict=True):
             row[: len(surface.asphere)] = surface.asphere
 
-    def follow(self, rays: _Rays, surfaces: int, plane_mm: Array, heights: Array) -> None:
+    def follow(
+        self,
+        rays: _Rays,
+        surfaces: int,
+        plane_mm: Array,
+        heights: Array | None = None,
+        crossings: Array | None = None,
+    ) -> None:
         """Trace rays in place through the first surfaces to a plane."""
         from lensshift.optics.trace_kernel import trace_kernel
 
         trace_kernel(
             rays.origin, rays.direction, rays.path, rays.status, rays.failed_at,
-            heights, self.vertices, self.rotations, self.index, plane_mm,
+            _NO_HEIGHTS if heights is None else heights,
+            _NO_CROSSINGS if crossings is None else crossings,
+            self.vertices, self.rotations, self.index, plane_mm,
             self.element, self.depth, self.curvature, self.conic, self.asphere,
             self.terms, self.semi_diameter, surfaces,
         )  # fmt: skip
 
-    def bundle(self, rays: _Rays, with_heights: bool) -> RayBundle:
+    def bundle(self, rays: _Rays, with_heights: bool, with_crossings: bool) -> RayBundle:
         """Trace rays to the sensor and give them the axes of the caller."""
         surfaces = len(self.element)
-        heights = np.full((*rays.path.shape, surfaces), np.nan) if with_heights else _NO_HEIGHTS
-        self.follow(rays, surfaces, self.sensor, heights)
+        heights = np.full((*rays.path.shape, surfaces), np.nan) if with_heights else None
+        met = np.full((*rays.path.shape, surfaces, 3), np.nan) if with_crossings else None
+        self.follow(rays, surfaces, self.sensor, heights, met)
         shape = (*self.shape, rays.path.shape[1])
         return RayBundle(
             position_mm=rays.origin[..., :2].reshape(*shape, 2),
@@ -210,11 +225,13 @@ class _System:
             path_mm=rays.path.reshape(shape),
             status=rays.status.reshape(shape),
             failed_at=rays.failed_at.reshape(shape),
-            heights=heights.reshape(*shape, surfaces) if with_heights else None,
+            heights=None if heights is None else heights.reshape(*shape, surfaces),
+            crossing_mm=None if met is None else met.reshape(*shape, surfaces, 3),
         )
 
 
 _NO_HEIGHTS = np.zeros((1, 1, 0))
+_NO_CROSSINGS = np.zeros((1, 1, 0, 3))
 
 
 def _launch(lens: Lens, system: _System, pupil: Array) -> _Rays:
@@ -236,7 +253,7 @@ def _launch(lens: Lens, system: _System, pupil: Array) -> _Rays:
     entering = target * scale
     for _ in range(_AIM_STEPS):
         rays = _towards(lens, system.fields, entering, pupil_mm, position_mm)
-        system.follow(rays, surfaces, stop_mm, _NO_HEIGHTS)
+        system.follow(rays, surfaces, stop_mm)
         error = np.nan_to_num(target - rays.origin[..., :2])
         entering = entering + error * scale
         if np.abs(error).max() < _AIM_MM:

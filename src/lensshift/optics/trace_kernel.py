@@ -97,9 +97,9 @@ def _out_of(m: Array, b: int, e: int, v: _Vector) -> _Vector:
 @njit(cache=True, nogil=True, error_model="numpy")
 def trace_kernel(
     origin: Array, direction: Array, path: Array, status: Array, failed_at: Array,
-    heights: Array, vertices: Array, rotations: Array, index: Array, plane: Array,
-    element: Array, depth: Array, curvature: Array, conic: Array, asphere: Array,
-    terms: Array, semi_diameter: Array, surfaces: int,
+    heights: Array, crossings: Array, vertices: Array, rotations: Array, index: Array,
+    plane: Array, element: Array, depth: Array, curvature: Array, conic: Array,
+    asphere: Array, terms: Array, semi_diameter: Array, surfaces: int,
 ) -> None:  # fmt: skip
     """Trace rays in place through the first `surfaces` surfaces to a plane across the axis.
 
@@ -111,6 +111,7 @@ def trace_kernel(
     path : [batch ray] optical path so far
     status, failed_at : [batch ray] what happened, and at which surface
     heights : [batch ray surface] distance from the axis over semi-diameter, or [1 1 0]
+    crossings : [batch ray surface 3] where each surface is met, or [1 1 0 3]
     vertices : [batch element 3] where the first vertex of each element is
     rotations : [batch element 3 3] from the element to the lens
     index : [batch surface] refractive index behind each surface
@@ -146,6 +147,10 @@ def trace_kernel(
                 height = np.sqrt(square) / semi_diameter[s]
                 if heights.shape[2]:
                     heights[b, r, s] = height
+                if crossings.shape[2]:
+                    v = _out_of(rotations, b, e, p)
+                    for i in range(3):
+                        crossings[b, r, s, i] = v[i] + vertices[b, e, i]
                 if height > 1.0 and status[b, r] == PASSED:
                     status[b, r], failed_at[b, r] = VIGNETTED, s
                 d = _refract(d, p[0], p[1], slope, before / index[b, s])

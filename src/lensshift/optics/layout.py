@@ -1,0 +1,279 @@
+"""What a drawing of the lens shows: sections of surfaces, rays, the grid of image points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.grid import Grid
+from lensshift.optics.lens import Element, Lens
+from lensshift.optics.paraxial import entrance_pupil
+from lensshift.optics.shift import moving
+from lensshift.optics.spots import image_per_field_mm, spots
+from lensshift.optics.trace import Build, RayBundle, trace
+
+Array = NDArray[np.float64]
+
+_AXES = {"row": 0, "col": 1}
+_SURFACE_POINTS = 33
+_ROOM = 1.1  # of a surface without an edge, over the highest ray
+_EDGE_DEG = 6.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Polyline:
+    """A line in the section through the axis of the lens.
+
+    Parameters
+    ----------
+    z_mm : [point] along the axis, 0 at the first vertex, light travels towards larger z
+    height_mm : [point] from the axis, along rows or columns
+    """
+
+    z_mm: Array
+    height_mm: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnRay:
+    """A ray from in front of the lens to the sensor, or to the surface where it ends.
+
+    Parameters
+    ----------
+    field : number of its field, in the order given
+    line : its corners, one at each surface
+    arrived : whether it reached the sensor
+    """
+
+    field: int
+    line: Polyline
+    arrived: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """A section through a lens, to scale.
+
+    Parameters
+    ----------
+    surfaces : [element][surface]
+    outlines : closed line around each element
+    rays : fans over the stop, field by field
+    stop : the two edges of the stop, from the hole outwards
+    sensor : across the images of the fields
+    names : of the elements
+    """
+
+    surfaces: tuple[tuple[Polyline, ...], ...]
+    outlines: tuple[Polyline, ...]
+    rays: tuple[DrawnRay, ...]
+    stop: tuple[Polyline, Polyline]
+    sensor: Polyline
+    names: tuple[str, ...]
+
+
+def layout(
+    lens: Lens,
+    element: int | None = None,
+    decenter_mm: tuple[float, float] = (0.0, 0.0),
+    *,
+    field_tan: ArrayLike | None = None,
+    axis: str = "col",
+    rays: int = 5,
+    lead_mm: float = 10.0,
+) -> Layout:
+    """Return the section through a lens as lines, from in front of it to the sensor.
+
+    Parameters
+    ----------
+    element, decenter_mm : which element to draw moved, and by how much (row, col)
+    field_tan : [field] along `axis`; by default the axis and 6.5 degrees
+    axis : "col" (the long side of the sensor) or "row": the section to draw; what lies outside
+        it is projected
+    rays : in each fan
+    lead_mm : how far in front of lens and stop the rays begin
+
+    Raises
+    ------
+    ValueError
+        If the axis or the element is unknown, a number is not finite, or there is no ray.
+    """
+    if axis not in _AXES:
+        raise ValueError(f"expected axis 'row' or 'col', got {axis!r}")
+    if rays < 1 or not lead_mm > 0:
+        raise ValueError(f"expected at least 1 ray and lead_mm > 0, got {rays} and {lead_mm}")
+    along = _AXES[axis]
+    if element is not None:
+        lens.check_element(element)
+        row_mm, col_mm = np.add(lens.elements[element].decenter_mm, decenter_mm)
+        lens = lens.with_decenter(element, (float(row_mm), float(col_mm)))
+    default = [0.0, math.tan(math.radians(_EDGE_DEG))]
+    tangents = np.atleast_1d(default if field_tan is None else np.asarray(field_tan, dtype=float))
+    fields = np.zeros((len(tangents), 2))
+    fields[:, along] = tangents
+    pupil = np.zeros((rays, 2))
+    pupil[:, along] = np.linspace(-1.0, 1.0, rays) if rays > 1 else 0.0
+    bundle = trace(lens, fields, pupil, crossings=True)
+    crossing_mm = np.empty(0) if bundle.crossing_mm is None else bundle.crossing_mm
+    surfaces = _surfaces(lens, crossing_mm, along)
+    return Layout(
+        surfaces=surfaces,
+        outlines=tuple(_outline(lines) for lines in surfaces),
+        rays=tuple(_rays(lens, bundle, crossing_mm, fields, along, lead_mm)),
+        stop=_stop(lens, along, surfaces),
+        sensor=_sensor(lens, bundle, along),
+        names=tuple(one.name for one in lens.elements),
+    )
+
+
+def _surfaces(lens: Lens, crossing_mm: Array, along: int) -> tuple[tuple[Polyline, ...], ...]:
+    drawn, number = [], 0
+    for one, start_mm in zip(lens.elements, lens.positions_mm(), strict=False):
+        depths_mm = np.cumsum([0.0, *one.thickness_mm])
+        lines = []
+        for surface, depth_mm in zip(one.surfaces, depths_mm, strict=True):
+            edge_mm = surface.semi_diameter_mm
+            if math.isinf(edge_mm):
+                met_mm = crossing_mm[..., number, along] - one.decenter_mm[along]
+                edge_mm = _ROOM * float(np.nanmax(np.abs(met_mm), initial=1e-3))
+            height_mm = np.linspace(-edge_mm, edge_mm, _SURFACE_POINTS)
+            sag_mm = surface.sag_mm(height_mm)
+            lines.append(_placed(one, along, start_mm, depth_mm + sag_mm, height_mm))
+            number += 1
+        drawn.append(tuple(lines))
+    return tuple(drawn)
+
+
+def _placed(
+    element: Element, along: int, start_mm: float, z_mm: Array, height_mm: Array
+) -> Polyline:
+    """Return a line in the axes of an element in those of the lens."""
+    lean_rad = element.tilt_rad[along]
+    cos, sin = math.cos(lean_rad), math.sin(lean_rad)
+    return Polyline(
+        z_mm=start_mm + cos * z_mm - sin * height_mm,
+        height_mm=element.decenter_mm[along] + cos * height_mm + sin * z_mm,
+    )
+
+
+def _outline(lines: tuple[Polyline, ...]) -> Polyline:
+    """Return front, edge, back and edge of an element as a closed line."""
+    front, back = lines[0], lines[-1]
+    upper = [(line.z_mm[-1], line.height_mm[-1]) for line in lines[1:-1]]
+    lower = [(line.z_mm[0], line.height_mm[0]) for line in lines[-2:0:-1]]
+    z_mm = [front.z_mm, *([z] for z, _ in upper), back.z_mm[::-1], *([z] for z, _ in lower)]
+    height_mm = [front.height_mm, *([h] for _, h in upper)]
+    height_mm += [back.height_mm[::-1], *([h] for _, h in lower)]
+    return Polyline(
+        z_mm=np.concatenate([*z_mm, front.z_mm[:1]]),
+        height_mm=np.concatenate([*height_mm, front.height_mm[:1]]),
+    )
+
+
+def _rays(
+    lens: Lens, bundle: RayBundle, crossing_mm: Array, fields: Array, along: int, lead_mm: float
+) -> Iterator[DrawnRay]:
+    start_mm = min(0.0, lens.stop.position_mm) - lead_mm
+    sensor_mm = float(lens.positions_mm()[-1])
+    for number, ray in np.ndindex(bundle.status.shape):
+        failed_at = int(bundle.failed_at[number, ray])
+        met_mm = crossing_mm[number, ray, : failed_at + 1 if failed_at >= 0 else None]
+        met_mm = met_mm[np.isfinite(met_mm[:, 2])]  # a surface that is missed is not met
+        if not len(met_mm):
+            continue
+        first_mm, first_z_mm = met_mm[0, along], met_mm[0, 2]
+        slope = _slope_before(lens, fields[number, along], first_mm, first_z_mm)
+        z_mm = [start_mm, *met_mm[:, 2]]
+        height_mm = [first_mm + slope * (start_mm - first_z_mm), *met_mm[:, along]]
+        if failed_at < 0:
+            z_mm.append(sensor_mm)
+            height_mm.append(bundle.position_mm[number, ray, along])
+        yield DrawnRay(number, Polyline(np.array(z_mm), np.array(height_mm)), failed_at < 0)
+
+
+def _slope_before(lens: Lens, tangent: float, height_mm: float, z_mm: float) -> float:
+    """Return the slope of a ray of a field that first meets glass at a point."""
+    if math.isinf(lens.object_mm):
+        return tangent
+    source_mm = -tangent * (lens.object_mm + entrance_pupil(lens)[0])
+    return (height_mm - source_mm) / (z_mm + lens.object_mm)
+
+
+def _stop(
+    lens: Lens, along: int, surfaces: tuple[tuple[Polyline, ...], ...]
+) -> tuple[Polyline, Polyline]:
+    stop = lens.stop
+    middle_mm = 0.0 if stop.rides_on is None else lens.elements[stop.rides_on].decenter_mm[along]
+    hole_mm = 0.5 * stop.diameter_mm
+    highest_mm = max(np.abs(line.height_mm).max() for lines in surfaces for line in lines)
+    outer_mm = max(_ROOM * hole_mm, _ROOM * float(highest_mm))
+    z_mm = np.full(2, stop.position_mm)
+    return (
+        Polyline(z_mm, np.array([middle_mm - hole_mm, -outer_mm])),
+        Polyline(z_mm, np.array([middle_mm + hole_mm, outer_mm])),
+    )
+
+
+def _sensor(lens: Lens, bundle: RayBundle, along: int) -> Polyline:
+    image_mm = bundle.position_mm[..., along][bundle.passed]
+    edge_mm = _ROOM * float(np.abs(image_mm).max(initial=1.0))
+    z_mm = np.full(2, lens.positions_mm()[-1])
+    return Polyline(z_mm, np.array([-edge_mm, edge_mm]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DistortionGrid:
+    """Where a square grid of object points is imaged.
+
+    Parameters
+    ----------
+    paraxial_mm : [row col 2] (row, col) by the paraxial lens: evenly spread over the sensor
+    real_mm : [row col 2] (row, col) centroids of the traced spots
+    error_px : [row col 2] (row, col) real minus paraxial, in pixels
+    """
+
+    paraxial_mm: Array
+    real_mm: Array
+    error_px: Array
+
+
+def distortion_grid(
+    lens: Lens,
+    grid: Grid,
+    points: tuple[int, int] = (5, 17),
+    *,
+    element: int | None = None,
+    decenter_mm: tuple[float, float] = (0.0, 0.0),
+    rings: int = 4,
+) -> DistortionGrid:
+    """Return real against paraxial image points over a sensor.
+
+    Parameters
+    ----------
+    grid : of the sensor, centred on the axis; the points reach from edge to edge
+    points : rows and columns of points
+    element, decenter_mm : which element to move, and by how much (row, col)
+    rings : of the pupil quadrature
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 2 x 2 points, or as in `spots`.
+    """
+    if len(points) != 2 or min(points) < 2:
+        raise ValueError(f"expected at least 2 x 2 points, got {points}")
+    half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
+    along = [np.linspace(-half, half, n) for half, n in zip(half_mm, points, strict=True)]
+    paraxial_mm = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
+    fields = (paraxial_mm / image_per_field_mm(lens)).reshape(-1, 2)
+    build = Build() if element is None else moving(lens, element, np.asarray(decenter_mm))
+    real_mm = spots(lens, fields, build=build, rings=rings).centroid_mm.reshape(paraxial_mm.shape)
+    return DistortionGrid(
+        paraxial_mm=paraxial_mm,
+        real_mm=real_mm,
+        error_px=(real_mm - paraxial_mm) / np.asarray(grid.pitch_mm),
+    )
