@@ -46,9 +46,9 @@ def test_exact_and_fast_mtf_of_a_perfect_lens_are_those_of_its_pupil() -> None:
     theory = diffraction_mtf(frequency, cutoff_lpmm)
     for azimuth_rad in (0.0, 0.7, math.pi / 2):
         exact = exact_mtf(lens, [0.0, 0.0], frequency, azimuth_rad)
-        assert exact.modulation == pytest.approx(theory, abs=2e-3)
+        assert exact.modulation == pytest.approx(theory, abs=3e-3)  # the pupil is not quite even
         fast = fast_mtf(lens, [0.0, 0.0], frequency, azimuth_rad)[0]
-        assert fast == pytest.approx(theory, abs=3e-3)  # the pupil is not quite uniform
+        assert fast == pytest.approx(theory, abs=3e-3)
 
 
 def test_diffraction_mtf_is_the_overlap_of_two_discs() -> None:
@@ -63,20 +63,22 @@ def test_diffraction_mtf_is_the_overlap_of_two_discs() -> None:
     assert limit.modulation == pytest.approx([0.992, 0.985, 0.970], abs=1e-3)
 
 
-def test_defocus_follows_the_shape_of_a_uniform_blur_disc() -> None:
-    # Geometric limit: MTF = 2 J1(x) / x with x = 2 pi f radius of the blur.
-    from scipy.special import j1
+def test_defocus_follows_the_integral_over_two_sheared_discs() -> None:
+    # Hopkins, Proc. Roy. Soc. A 231 (1955) 91: OTF = 4/pi times the integral of
+    # sqrt(1 - (x + v)^2) cos(2 pi f slope defocus x) over x from 0 to 1 - v.
+    from scipy.integrate import quad
 
     lens = perfect_lens(stop_mm=5.0)
     marginal = trace(lens, [0.0, 0.0], [[1.0, 0.0]]).direction[0]
     slope = abs(marginal[0] / marginal[2])
     defocus_mm = 1.0
-    x = 2.0 * math.pi * 6.0 * slope * defocus_mm
     got = through_focus(lens, [0.0, 0.0], 6.0, [-defocus_mm, 0.0, defocus_mm])
     cutoff_lpmm = 2.0 * slope / (WAVELENGTH_NM * 1e-6)
-    expected = float(2.0 * j1(x) / x * diffraction_mtf(6.0, cutoff_lpmm))
-    assert got[0] == pytest.approx([expected] * 2, abs=5e-3)
-    assert got[2] == pytest.approx([expected] * 2, abs=5e-3)
+    v, turn = 6.0 / cutoff_lpmm, 2.0 * math.pi * 6.0 * slope * defocus_mm
+    area = quad(lambda x: math.sqrt(1.0 - (x + v) ** 2) * math.cos(turn * x), 0.0, 1.0 - v)[0]
+    expected = 4.0 / math.pi * area
+    assert got[0] == pytest.approx([expected] * 2, abs=2e-3)
+    assert got[2] == pytest.approx([expected] * 2, abs=2e-3)
     assert got[1] == pytest.approx([float(diffraction_mtf(6.0, cutoff_lpmm))] * 2, abs=1e-3)
     moved = fast_mtf(lens.with_sensor(50.0 + defocus_mm), [0.0, 0.0], [6.0])[:, 0]
     assert got[2] == pytest.approx(moved, abs=1e-9)
@@ -104,6 +106,36 @@ def test_exact_otf_equals_the_transform_of_the_point_spread_function() -> None:
     assert exact == pytest.approx(direct, abs=5e-3)
 
 
+def test_uneven_brightness_of_the_pupil_counts_in_the_exact_otf() -> None:
+    # Rays that are even over the stop are not even in direction: each carries the amplitude
+    # sqrt(area of the stop x area in direction cosines), here by differences between neighbours.
+    lens = load_lens("petzval_b")
+    field = [VERTICAL, HORIZONTAL]
+    along = np.linspace(-1.0, 1.0, 141)
+    points = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
+    rays = trace(lens, field, points.reshape(-1, 2))
+    cosine = rays.direction[:, :2].reshape(points.shape)
+    per_row, per_col = np.gradient(cosine, axis=(0, 1))
+    area = np.abs(per_row[..., 0] * per_col[..., 1] - per_row[..., 1] * per_col[..., 0])
+    inside = (np.linalg.norm(points, axis=-1) < 1.0).ravel()
+    cosine, weight = cosine.reshape(-1, 2)[inside], np.sqrt(area.ravel()[inside])
+    centre = rays.position_mm[inside].mean(axis=0)
+    path = rays.path_mm[inside] + ((centre - rays.position_mm[inside]) * cosine).sum(axis=1)
+    wave = 2.0 * np.pi / (WAVELENGTH_NM * 1e-6)
+    x_mm = np.arange(-70, 71) * 1.75e-3
+    columns = np.exp(1j * wave * np.outer(cosine[:, 1], x_mm))
+    rows = np.exp(1j * wave * np.outer(cosine[:, 0], x_mm))
+    amplitude = (rows * (weight * np.exp(1j * wave * (path - path.mean())))[:, None]).T @ columns
+    spread = np.abs(amplitude) ** 2
+    row, col = (spread.sum(axis=axis) / spread.sum() for axis in (1, 0))
+    turn = np.exp(-2j * np.pi * np.outer(x_mm, STUDIED_LPMM))
+    exact = np.abs(exact_otf(lens, field, STUDIED_LPMM))
+    assert exact[0] == pytest.approx(np.abs(col @ turn), abs=3e-3)
+    assert exact[1] == pytest.approx(np.abs(row @ turn), abs=3e-3)
+
+
+# The study took the pupil as evenly bright in direction cosines, which only matters at the edge of
+# lens B.
 @pytest.mark.parametrize(
     ("name", "field", "expected"),
     [
@@ -112,9 +144,7 @@ def test_exact_otf_equals_the_transform_of_the_point_spread_function() -> None:
         ("petzval_a", (VERTICAL, 0.0), (0.987, 0.963, 0.886)),
         ("petzval_a", (VERTICAL, HORIZONTAL), (0.983, 0.951, 0.860)),
         ("petzval_b", (0.0, 0.0), (0.977, 0.928, 0.780)),
-        ("petzval_b", (0.0, HORIZONTAL), (0.873, 0.597, 0.324)),
         ("petzval_b", (VERTICAL, 0.0), (0.979, 0.934, 0.799)),
-        ("petzval_b", (VERTICAL, HORIZONTAL), (0.857, 0.557, 0.323)),
     ],
 )
 def test_the_studied_lenses_centred(
@@ -125,30 +155,34 @@ def test_the_studied_lenses_centred(
 
 
 @pytest.mark.parametrize(
-    ("name", "move_mm", "expected"),
+    ("move_mm", "expected"),
     [
-        ("petzval_a", -0.0444, (0.979, 0.936, 0.812)),
-        ("petzval_a", 0.0444, (0.987, 0.966, 0.907)),
-        ("petzval_b", -0.0441, (0.897, 0.663, 0.333)),
-        ("petzval_b", 0.0441, (0.847, 0.532, 0.320)),
+        (-0.0444, (0.979, 0.936, 0.812)),
+        (0.0444, (0.987, 0.966, 0.907)),
     ],
 )
-def test_the_studied_lenses_with_the_first_element_moved(
-    name: str, move_mm: float, expected: tuple[float, ...]
+def test_a_studied_lens_with_the_first_element_moved(
+    move_mm: float, expected: tuple[float, ...]
 ) -> None:
-    lens = load_lens(name)
+    lens = load_lens("petzval_a")
     build = moving(lens, 0, np.array([0.0, move_mm]))
     curve = exact_mtf(lens, (0.0, HORIZONTAL), STUDIED_LPMM, build=build)
     assert curve.modulation == pytest.approx(expected, abs=3e-3)
 
 
-def test_fast_mtf_is_near_the_exact_one_and_the_wavefront_that_of_other_programs() -> None:
-    lens = load_lens("petzval_a")
+@pytest.mark.parametrize("name", ["petzval_a", "petzval_b"])
+def test_fast_mtf_is_near_the_exact_one(name: str) -> None:
+    lens = load_lens(name)
     fields = np.array([[0.0, 0.0], [0.0, HORIZONTAL], [VERTICAL, HORIZONTAL]])
-    fast = fast_mtf(lens, fields, STUDIED_LPMM[:2])
-    exact = np.stack([np.abs(exact_otf(lens, field, STUDIED_LPMM[:2])) for field in fields])
-    assert fast == pytest.approx(exact, abs=4e-3)
-    assert wavefront(lens, [0.0, 0.0]).rms_waves == pytest.approx(0.542, abs=2e-3)
+    fast = fast_mtf(lens, fields, STUDIED_LPMM)
+    exact = np.stack([np.abs(exact_otf(lens, field, STUDIED_LPMM)) for field in fields])
+    assert fast == pytest.approx(exact, abs=1.5e-3)
+    far = fast_mtf(lens, fields[1], [50.0], rings=12)
+    assert far == pytest.approx(np.abs(exact_otf(lens, fields[1], [50.0])), abs=0.02)
+
+
+def test_wavefront_of_other_programs() -> None:
+    assert wavefront(load_lens("petzval_a"), [0.0, 0.0]).rms_waves == pytest.approx(0.542, abs=2e-3)
 
 
 def test_sensor_mtf_is_symmetric_and_contains_single_fields() -> None:
@@ -172,7 +206,7 @@ def test_an_led_blurs_by_axial_and_lateral_colour() -> None:
     )
     exact = np.abs(exact_otf(lens, field, STUDIED_LPMM[:2], band=broad))
     fast = fast_mtf(lens, field, STUDIED_LPMM[:2], band=broad)
-    assert fast == pytest.approx(exact, abs=4e-3)
+    assert fast == pytest.approx(exact, abs=1e-3)
     assert np.abs(exact[0] - alone[:2]).max() > 1e-5  # the band does something
     with pytest.raises(ValueError, match="weights >= 0"):
         Band(np.array([850.0]), np.array([-1.0]))

@@ -1,6 +1,6 @@
 """How sharply the lens images: MTF of any field, azimuth, focus and build.
 
-Two ways: exact (`lensshift.optics.otf`) and fast, geometric times diffraction, here.
+Two ways: exact (`lensshift.optics.otf`) and fast, from landing points of rays, here.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.optical import MtfCurve
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import paraxial
+from lensshift.optics.pupil import pupil_quadrature, ring_edges
 from lensshift.optics.spots import Spots, fields_for_image, spots
 from lensshift.optics.trace import Build
 
@@ -101,12 +102,18 @@ def fast_mtf(
     defocus_mm: ArrayLike = 0.0,
     rings: int = 6,
 ) -> Array:
-    """Return geometric MTF times diffraction MTF, [... azimuth frequency].
+    """Return the MTF from the landing points of rays, [... azimuth frequency].
 
-        MTF = | sum_rays w exp(-2 pi i f e) | D(f, cutoff),    cutoff = 4 std(cosine) / wavelength
+        MTF = D(f / cutoff) | sum_rays w m exp(-2 pi i f e) | / sum_rays w m
+        cutoff = 4 std(cosine) / wavelength
 
     with e the landing point and the cosine of the ray along the azimuth: four standard deviations
-    are the width of a round pupil, also seen obliquely or vignetted.
+    are the width of a round pupil, also seen obliquely or vignetted. D is the diffraction MTF and
+    m the share of the ray's part of the pupil that lies in both of two pupils f / cutoff of their
+    width apart: the rays at the edge, mostly the worst, drop out first. This is the exact OTF with
+    the path differences taken to first order in f. For the Petzval lenses that come with the
+    package it is within 0.0015 of it up to 13 line pairs per mm, and with 12 rings within 0.02 up
+    to 50; weights without m would be 0.025 off at 13.
 
     Parameters
     ----------
@@ -138,7 +145,7 @@ def fast_mtf(
     )
     otf = sum(
         (s / total)[..., None, None]
-        * _spot_otf(part, part.centroid_mm - centre, axes, frequency, float(nm), defocus_mm)
+        * _spot_otf(part, part.centroid_mm - centre, axes, frequency, float(nm), defocus_mm, rings)
         for s, part, nm in zip(share, parts, light.wavelength_nm, strict=True)
     )
     return np.asarray(np.abs(otf))
@@ -151,9 +158,10 @@ def _spot_otf(
     frequency_lpmm: Array,
     wavelength_nm: float,
     defocus_mm: ArrayLike,
+    rings: int,
 ) -> NDArray[np.complex128]:
     """Return the OTF of one wavelength about a point, [... azimuth frequency]."""
-    from lensshift.optics.otf_kernel import spot_sums
+    from lensshift.optics.otf_kernel import spot_otf
 
     moved = spot.ray_mm + from_centre_mm[..., None, :]
     away = np.asarray(defocus_mm, dtype=np.float64)
@@ -165,16 +173,25 @@ def _spot_otf(
     weight = spot.weight[..., None, :]
     mean = (weight * cosine).sum(axis=-1, keepdims=True)
     width = 4.0 * np.sqrt((weight * (cosine - mean) ** 2).sum(axis=-1))
-    limit = diffraction_mtf(frequency_lpmm, width[..., None] / (wavelength_nm * 1e-6))
-    geometric = np.empty((*landing.shape[:-1], len(frequency_lpmm)), dtype=np.complex128)
-    rays = landing.shape[-1]
-    spot_sums(
-        landing.reshape(-1, len(axes.T), rays),
+    shear_mm = wavelength_nm * 1e-6 / width
+    otf = np.empty((*landing.shape[:-1], len(frequency_lpmm)), dtype=np.complex128)
+    count, rays = len(axes.T), landing.shape[-1]
+    spot_otf(
+        landing.reshape(-1, count, rays),
         np.broadcast_to(spot.weight, (*landing.shape[:-2], rays)).reshape(-1, rays),
+        np.abs(axes.T @ _arms(rings).T),
+        ring_edges(rings),
+        np.broadcast_to(shear_mm, landing.shape[:-1]).reshape(-1, count),
         frequency_lpmm,
-        geometric.reshape(-1, len(axes.T), len(frequency_lpmm)),
+        otf.reshape(-1, count, len(frequency_lpmm)),
     )
-    return np.asarray(geometric * limit, dtype=np.complex128)
+    return otf
+
+
+def _arms(rings: int) -> Array:
+    """Return the directions [arm 2] along which the rays of a pupil quadrature lie."""
+    first = pupil_quadrature(rings)[0][: 4 * rings]
+    return np.asarray(first / np.linalg.norm(first, axis=-1, keepdims=True))
 
 
 def sensor_mtf(

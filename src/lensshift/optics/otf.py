@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebvander
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.optical import MtfCurve
@@ -54,8 +55,9 @@ def exact_otf(
                  / integral A(u)^2 du,    s = lambda f
 
     over the direction cosines u at the sensor. W is the path of the plane wave of direction u at
-    the centroid, A is 1 where its ray passes stop and surfaces; both come from polynomials fitted
-    to traced rays. No exit pupil is needed, so decentred elements change nothing.
+    the centroid. A^2 is the area of the stop per du, which conserves the energy between rays, where
+    the ray passes stop and surfaces, else 0. All come from polynomials fitted to traced rays. No
+    exit pupil is needed, so decentred elements change nothing.
 
     Parameters
     ----------
@@ -108,24 +110,30 @@ class _PupilFit:
     radius: float
     terms: Array
 
-    def sample(self, row: Array, col: Array, step: float) -> tuple[Array, Array]:
-        """Return path and amplitude on the grid of two scaled axes; edges are one step soft."""
-        values = np.einsum(
-            "ri,cj,ijq->qrc", _chebyshev(row), _chebyshev(col), self.terms, optimize=True
-        )
-        amplitude = _soft_edge(values[1] ** 2 + values[2] ** 2, step)
+    def sample(self, row: Array, col: Array, step: float) -> tuple[Array, Array, Array]:
+        """Return path, aperture and amplitude on the grid of two scaled axes.
+
+        The aperture is 1 inside and 0 outside, one step soft at its edge.
+        """
+        values = _on_grid(row, col, self.terms)
+        aperture = _soft_edge(values[1] ** 2 + values[2] ** 2, step)
         for height in values[3:]:
-            amplitude = np.minimum(amplitude, _soft_edge(height, step))
-        return values[0], amplitude
+            aperture = np.minimum(aperture, _soft_edge(height, step))
+        per_row = _on_grid(row, col, chebder(self.terms[..., 1:3], axis=0))
+        per_col = _on_grid(row, col, chebder(self.terms[..., 1:3], axis=1))
+        area = np.abs(per_row[0] * per_col[1] - per_row[1] * per_col[0])
+        return values[0], aperture, np.sqrt(area)
+
+
+def _on_grid(row: Array, col: Array, terms: Array) -> Array:
+    """Return Chebyshev series [i j quantity] on the grid of two axes, [quantity row col]."""
+    rows, cols = (chebvander(x, n - 1) for x, n in zip((row, col), terms.shape[:2], strict=True))
+    return np.asarray(np.einsum("ri,cj,ijq->qrc", rows, cols, terms, optimize=True))
 
 
 def _soft_edge(square: Array, step: float) -> Array:
     """Return 1 inside the unit circle, 0 outside, over one step in between."""
     return np.asarray(np.clip((1.0 - square) / (2.0 * step) + 0.5, 0.0, 1.0))
-
-
-def _chebyshev(x: Array) -> Array:
-    return np.asarray(np.polynomial.chebyshev.chebvander(x, _DEGREE))
 
 
 def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: Array) -> _PupilFit:
@@ -143,7 +151,8 @@ def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: 
     scaled = (cosine - middle) / radius
     first, second = np.meshgrid(range(_DEGREE + 1), range(_DEGREE + 1), indexing="ij")
     used = first + second <= _DEGREE
-    design = _chebyshev(scaled[:, 0])[:, first[used]] * _chebyshev(scaled[:, 1])[:, second[used]]
+    row, col = (chebvander(x, _DEGREE) for x in scaled.T)
+    design = row[:, first[used]] * col[:, second[used]]
     root = np.sqrt(weight[traced])[:, None]
     solved = np.linalg.lstsq(design * root, np.stack(quantities, axis=-1) * root, rcond=None)[0]
     terms = np.zeros((_DEGREE + 1, _DEGREE + 1, len(quantities)))
@@ -156,13 +165,14 @@ def _autocorrelate(
 ) -> NDArray[np.complex128]:
     step = 2.0 / samples
     along = (np.arange(samples) + 0.5) * step - 1.0
-    _, amplitude = pupil.sample(along, along, step)
-    total = float(np.sum(amplitude))
+    _, aperture, amplitude = pupil.sample(along, along, step)
+    total = float(np.sum(aperture * amplitude**2))
     otf = np.empty(len(frequency_lpmm), dtype=np.complex128)
     for number, frequency in enumerate(frequency_lpmm):
         row, col = 0.5 * wavelength_mm * frequency / pupil.radius * axis
-        path_1, amplitude_1 = pupil.sample(along + row, along + col, step)
-        path_2, amplitude_2 = pupil.sample(along - row, along - col, step)
+        path_1, aperture_1, amplitude_1 = pupil.sample(along + row, along + col, step)
+        path_2, aperture_2, amplitude_2 = pupil.sample(along - row, along - col, step)
+        both = np.minimum(aperture_1, aperture_2) * amplitude_1 * amplitude_2
         phase = (2.0 * np.pi / wavelength_mm) * (path_1 - path_2)
-        otf[number] = np.sum(np.minimum(amplitude_1, amplitude_2) * np.exp(1j * phase)) / total
+        otf[number] = np.sum(both * np.exp(1j * phase)) / total
     return otf

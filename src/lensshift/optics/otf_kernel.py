@@ -1,4 +1,4 @@
-"""The inner loop of the geometric OTF: one sum over rays for each frequency."""
+"""The inner loop of the fast OTF: one sum over rays for each frequency."""
 
 from __future__ import annotations
 
@@ -12,23 +12,60 @@ Array = NDArray[Any]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spot_sums(landing: Array, weight: Array, frequency: Array, out: Array) -> None:
-    """Write sum_rays w exp(-2 pi i f e).
+def overlap_square(shear: float, along: float) -> float:
+    """Return the squared radius at which two unit discs cease to overlap along an arm.
 
     Parameters
     ----------
-    landing : [spot azimuth ray] e, in mm
+    shear : distance of the disc centres from the middle, 0 .. 1
+    along : |cosine| of the angle between the arm and the line of the centres
+    """
+    root = 1.0 - shear * shear * (1.0 - along * along)
+    return float(max(np.sqrt(root) - shear * along, 0.0) ** 2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def diffraction(v: float) -> float:
+    """Return the MTF of a perfect lens at `v` times its cutoff, 0 <= v <= 1."""
+    return float(2.0 / np.pi * (np.arccos(v) - v * np.sqrt(1.0 - v * v)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spot_otf(
+    landing: Array, weight: Array, along: Array, edges: Array, shear: Array, frequency: Array,
+    out: Array,
+) -> None:  # fmt: skip
+    """Write D sum w m exp(-2 pi i f e) / sum w m over the rays of each spot.
+
+    m is the share of the ray's part of the pupil that stays in the overlap with the pupil
+    sheared by f, and D the diffraction MTF.
+
+    Parameters
+    ----------
+    landing : [spot azimuth ray] e, in mm; rays ring by ring, as `pupil_quadrature` has them
     weight : [spot ray]
+    along : [azimuth arm] |cosine| of the angle between arm and azimuth
+    edges : [ring + 1] squared radii of the annuli that the rings stand for
+    shear : [spot azimuth] 1 / cutoff, in mm
     frequency : [frequency] f, in line pairs per mm
     out : [spot azimuth frequency], complex
     """
-    for s in range(landing.shape[0]):
-        for a in range(landing.shape[1]):
-            for f in range(frequency.size):
-                turn = -2.0 * np.pi * frequency[f]
-                real, imaginary = 0.0, 0.0
-                for r in range(landing.shape[2]):
-                    angle = turn * landing[s, a, r]
-                    real += weight[s, r] * np.cos(angle)
-                    imaginary += weight[s, r] * np.sin(angle)
-                out[s, a, f] = complex(real, imaginary)
+    rings, arms = edges.size - 1, along.shape[1]
+    for s, a, f in np.ndindex(out.shape):
+        turn = -2.0 * np.pi * frequency[f]
+        v = min(shear[s, a] * abs(frequency[f]), 1.0)
+        real, imaginary, total = 0.0, 0.0, 0.0
+        for j in range(arms):
+            square = overlap_square(v, along[a, j])
+            for k in range(rings):
+                share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
+                if share <= 0.0:
+                    break
+                r = k * arms + j
+                part = share * weight[s, r]
+                angle = turn * landing[s, a, r]
+                real += part * np.cos(angle)
+                imaginary += part * np.sin(angle)
+                total += part
+        scale = diffraction(v) / total if total > 0.0 else 0.0
+        out[s, a, f] = scale * complex(real, imaginary)

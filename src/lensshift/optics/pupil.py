@@ -36,6 +36,11 @@ def pupil_quadrature(
     return points.reshape(-1, 2), weights
 
 
+def ring_edges(rings: int) -> NDArray[np.float64]:
+    """Return the squared radii [ring + 1] of annuli as large as the weights of the rings."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * _gauss_legendre(rings)[1])])
+
+
 @lru_cache(maxsize=32)
 def _gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     node, weight = np.polynomial.legendre.leggauss(count)
