@@ -6,6 +6,8 @@
                       |
                    pipeline                     the whole chain in one file
                       |
+                    report                      figures of results
+                      |
           reconstruction   evaluation           stages, strangers to each other
                 |
        camera . | no entry . forward            what the world does | what we assume
@@ -13,7 +15,7 @@
     scene  optics         io                    files and foreign formats <-> core types
          \\_________ core _________/             nouns, grid, units, errors
 
-Data, in order: ``Burst -> Reconstruction (Estimates) -> Fidelity``.
+Data, in order: ``Burst -> Reconstruction (Estimates) -> EdgeResult, Fidelity -> figures``.
 
 Names are loaded when they are first used, so that ``import lensshift`` stays quick.
 """
@@ -33,7 +35,11 @@ if TYPE_CHECKING:
     from lensshift.core.types import Reconstruction as Reconstruction
     from lensshift.core.types import ShiftField as ShiftField
     from lensshift.core.types import Status as Status
+    from lensshift.evaluation import depth_error as depth_error
+    from lensshift.evaluation import edge_gradient as edge_gradient
     from lensshift.evaluation import fidelity as fidelity
+    from lensshift.evaluation import siemens_star_mtf as siemens_star_mtf
+    from lensshift.evaluation.gain import resolution_gain as resolution_gain
     from lensshift.evaluation.slanted_edge import EdgeResult as EdgeResult
     from lensshift.evaluation.slanted_edge import measure_edge as measure_edge
     from lensshift.evaluation.slanted_edge import measure_edges as measure_edges
@@ -58,7 +64,11 @@ _HOME = {
     "Reconstruction": "core.types",
     "ShiftField": "core.types",
     "Status": "core.types",
+    "depth_error": "evaluation",
+    "edge_gradient": "evaluation",
     "fidelity": "evaluation",
+    "siemens_star_mtf": "evaluation",
+    "resolution_gain": "evaluation.gain",
     "EdgeResult": "evaluation.slanted_edge",
     "measure_edge": "evaluation.slanted_edge",
     "measure_edges": "evaluation.slanted_edge",

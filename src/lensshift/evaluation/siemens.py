@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.zone_plate import (
+from lensshift.evaluation.known_phase import (
     HarmonicFit,
     Pixels,
     Waves,

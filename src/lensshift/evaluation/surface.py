@@ -315,16 +315,23 @@ def _off_fitted_m(
 
     NaN where no two surfaces are found.
     """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     off_m = np.full(measured_m.shape, np.nan)
     step_m = np.full(measured_m.shape, np.nan)
-    for row, col in np.argwhere(np.isfinite(measured_m)):
+    known = np.isfinite(measured_m)
+    size = 2 * reach + 1
+    nearest_m = minimum_filter(np.where(known, measured_m, np.inf), size, mode="nearest")
+    farthest_m = maximum_filter(np.where(known, measured_m, -np.inf), size, mode="nearest")
+    smallest_m = np.broadcast_to(
+        np.asarray(smallest_step_m(nearest_m, noise_m, min_step_m)), known.shape
+    )
+    for row, col in np.argwhere(known & (farthest_m - nearest_m > smallest_m)):
         top, left = max(0, row - reach), max(0, col - reach)
         window_m = measured_m[top : row + reach + 1, left : col + reach + 1]
         valid = np.isfinite(window_m)
         values_m = window_m[valid]
-        smallest = float(smallest_step_m(values_m.min(), noise_m, min_step_m))
-        if np.ptp(values_m) <= smallest:
-            continue
+        smallest = float(smallest_m[row, col])
         place_px = np.argwhere(valid) - (row - top, col - left)
         planes_m = _two_planes_m(place_px, values_m)
         if planes_m is not None and planes_m[1] - planes_m[0] > smallest:

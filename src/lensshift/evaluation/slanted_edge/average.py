@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
@@ -18,12 +19,12 @@ def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:
 
     Parameters
     ----------
-    results : edges measured at the same frequencies
+    results : edges; curves at other frequencies than the first one's are interpolated
     """
     if len(results) == 1:
         return results[0].mtf
     frequency_lpmm = results[0].mtf.frequency_lpmm
-    values = np.stack([result.mtf.modulation for result in results])
+    values = np.stack([_at(frequency_lpmm, result.mtf) for result in results])
     label = f"mean of {len(results)} slanted edges"
     stds = [result.mtf.std for result in results]
     known = [std for std in stds if std is not None]
@@ -33,6 +34,12 @@ def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:
     weights /= weights.sum()
     std = np.sqrt(np.sum((weights[:, None] * np.stack(known)) ** 2, axis=0))
     return MtfCurve(frequency_lpmm, weights @ values, std, label)
+
+
+def _at(frequency_lpmm: NDArray[np.float64], curve: MtfCurve) -> NDArray[np.float64]:
+    if np.array_equal(frequency_lpmm, curve.frequency_lpmm):
+        return curve.modulation
+    return np.interp(frequency_lpmm, curve.frequency_lpmm, curve.modulation)
 
 
 def average_interval(numbers: Sequence[Interval]) -> Interval:

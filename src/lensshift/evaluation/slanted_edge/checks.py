@@ -19,6 +19,7 @@ _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
 _LEAST_BEND_PX = 0.05
 _LEAST_LINES = 8
+_NO_NOISE = 1e-9  # of the contrast
 
 
 def doubts(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> list[str]:
@@ -74,14 +75,15 @@ def warn_of(found: list[str], region: object) -> None:
 
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:
     """A clipped plateau holds its extreme value far more often than the value opposite to it."""
+    if result.noise < _NO_NOISE:
+        return []  # computed, not taken: plateaus are level without being clipped
     found = []
     middle = 0.5 * (result.dark + result.bright)
     for side, name, outer, inner in (
         (values[values > middle], "bright", np.max, np.min),
         (values[values <= middle], "dark", np.min, np.max),
     ):
-        levels = np.unique(side)
-        if levels.size < 4:  # no noise to be cut off
+        if np.unique(side).size < 4:  # no noise to be cut off
             continue
         share = float(np.mean(side == outer(side)))
         other = float(np.mean(side == inner(side)))

@@ -1,0 +1,169 @@
+"""How much finer one measurement of a target is than another, and what noise that costs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
+
+_MAX_TURN_RAD = np.deg2rad(1.0)  # two measurements of one edge agree better than that
+_MAX_APART = 0.25  # of the length of an edge, between the middles of its two regions
+_INTERVAL_SIGMAS = 1.96
+
+
+@dataclass(frozen=True, slots=True)
+class ResolutionGain:
+    """Ratios of two measurements of one edge; above 1 the first is finer.
+
+    Parameters
+    ----------
+    mtf50, mtf10 : frequency of the fine one over that of the coarse one
+    width : 10-90 width of the coarse one over that of the fine one
+    noise : noise of the fine one over that of the coarse one, each over its contrast
+    edges : number of edges behind the ratios
+    """
+
+    mtf50: Interval
+    mtf10: Interval
+    width: Interval
+    noise: float
+    edges: int = 1
+
+
+def resolution_gain(fine: EdgeResult, coarse: EdgeResult) -> ResolutionGain:
+    """Compare two measurements of one edge.
+
+        R = a / b
+        log R_low  = log R - sqrt( log^2(a / a_low)  + log^2(b_high / b) )
+        log R_high = log R + sqrt( log^2(a_high / a) + log^2(b / b_low) )
+
+    The two are taken as independent. A super-resolved image shares noise with the frame it is
+    compared with; where that pushes both numbers the same way, the interval is too wide.
+
+    Parameters
+    ----------
+    fine, coarse : of one edge, with the pitch of each in the same unit
+
+    Warns
+    -----
+    QualityWarning
+        If the edges differ in angle by more than a degree, so are hardly one target.
+
+    Source: Donner and Zou, Statistical Methods in Medical Research 21 (2012) 347, for the interval.
+    """
+    turn_rad = abs(fine.angle_rad.value - coarse.angle_rad.value)
+    if fine.orientation != coarse.orientation or turn_rad > _MAX_TURN_RAD:
+        warnings.warn(
+            f"expected two measurements of one edge, got {_direction(fine)} and "
+            f"{_direction(coarse)}",
+            QualityWarning,
+            stacklevel=2,
+        )
+    return ResolutionGain(
+        mtf50=ratio_of(fine.mtf50_lpmm, coarse.mtf50_lpmm),
+        mtf10=ratio_of(fine.mtf10_lpmm, coarse.mtf10_lpmm),
+        width=ratio_of(coarse.rise_mm, fine.rise_mm),
+        noise=fine.noise / coarse.noise,
+    )
+
+
+def ratio_of(above: Interval, below: Interval) -> Interval:
+    """Return the ratio of two independent positive numbers with its 95 % interval."""
+    if not (above.value > 0 and below.value > 0):
+        return Interval(float("nan"))
+    value = above.value / below.value
+    with np.errstate(divide="ignore", invalid="ignore"):
+        down = np.hypot(_log(above.value / above.low), _log(below.high / below.value))
+        up = np.hypot(_log(above.high / above.value), _log(below.value / below.low))
+        return Interval(value, float(value * np.exp(-down)), float(value * np.exp(up)))
+
+
+def average_gain(gains: Sequence[ResolutionGain]) -> ResolutionGain:
+    """Return the geometric mean over edges, each ratio weighted by its variance.
+
+    Parameters
+    ----------
+    gains : at least one; ratios that were not reached are left out
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    if not gains:
+        raise ValueError("expected at least one gain, got none")
+    return ResolutionGain(
+        mtf50=_geometric_mean([gain.mtf50 for gain in gains]),
+        mtf10=_geometric_mean([gain.mtf10 for gain in gains]),
+        width=_geometric_mean([gain.width for gain in gains]),
+        noise=float(np.exp(np.mean([np.log(gain.noise) for gain in gains]))),
+        edges=len(gains),
+    )
+
+
+def pair_edges(
+    fine: Sequence[EdgeResult], coarse: Sequence[EdgeResult], scale: float
+) -> list[tuple[EdgeResult, EdgeResult]]:
+    """Return the edges that both images show, as (fine, coarse).
+
+    Parameters
+    ----------
+    fine, coarse : edges of two images of one scene
+    scale : pixels of the fine image per pixel of the coarse one
+    """
+    pairs = []
+    left = list(fine)
+    for there in coarse:
+        middle_px, length_px = _middle_px(there, 1.0), _length_px(there)
+        apart = [
+            float(np.hypot(*(_middle_px(here, scale) - middle_px)))
+            if here.orientation == there.orientation
+            else np.inf
+            for here in left
+        ]
+        if apart and min(apart) <= _MAX_APART * length_px:
+            pairs.append((left.pop(int(np.argmin(apart))), there))
+    return pairs
+
+
+def _geometric_mean(ratios: Sequence[Interval]) -> Interval:
+    reached = [ratio for ratio in ratios if np.isfinite(ratio.value)]
+    if len(reached) < 2:
+        return reached[0] if reached else Interval(float("nan"))
+    logs = np.log([ratio.value for ratio in reached])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stds = np.array([_log(ratio.high / ratio.low) for ratio in reached])
+    stds = stds / (2 * _INTERVAL_SIGMAS)
+    known = np.isfinite(stds) & (stds > 0)
+    if not known.any():
+        return Interval(float(np.exp(logs.mean())))
+    weights = 1.0 / stds[known] ** 2
+    mean = float(np.sum(weights * logs[known]) / weights.sum())
+    half = _INTERVAL_SIGMAS / float(np.sqrt(weights.sum()))
+    return Interval(float(np.exp(mean)), float(np.exp(mean - half)), float(np.exp(mean + half)))
+
+
+def _log(ratio: float) -> float:
+    return float(np.log(ratio))
+
+
+def _direction(edge: EdgeResult) -> str:
+    return f"{edge.orientation} at {np.rad2deg(edge.angle_rad.value):.1f} degrees"
+
+
+def _middle_px(edge: EdgeResult, scale: float) -> np.ndarray:
+    """Return the middle of the region in pixels of the coarse image, from its corner."""
+    place = edge.region
+    ends = np.array([place.row_start + place.row_stop, place.col_start + place.col_stop])
+    return np.asarray(0.5 * ends / scale)
+
+
+def _length_px(edge: EdgeResult) -> int:
+    rows = edge.region.row_stop - edge.region.row_start
+    cols = edge.region.col_stop - edge.region.col_start
+    return rows if edge.orientation == "vertical" else cols

@@ -1,0 +1,240 @@
+"""Targets of known phase: fit a wave in each ring of pixels, find the centre, scale to 1.
+
+Siemens stars and zone plates are measured with it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.limits import pitch_pair_mm
+
+Floats = NDArray[np.float64]
+
+_MAX_CONDITION = 10.0  # of the columns of one fit, each of norm 1; full rings have about 1.5
+_MAX_CENTER_STEPS = 30
+_CENTER_TOLERANCE_PX = 1e-4
+_MIN_MODULATION = 1e-3  # of the lowest frequencies; below, the image does not hold the target
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pixels:
+    """The valid pixels of an image as lists: values [n], places row_px and col_px [n]."""
+
+    values: Floats
+    row_px: NDArray[np.intp]
+    col_px: NDArray[np.intp]
+    shape: tuple[int, int]
+    pitch_mm: tuple[float, float]
+
+    def place_mm(self, center_px: tuple[float, float]) -> tuple[Floats, Floats]:
+        """Return row and col [n] of the pixels, counted from a centre."""
+        row_mm = (self.row_px - center_px[0]) * self.pitch_mm[0]
+        col_mm = (self.col_px - center_px[1]) * self.pitch_mm[1]
+        return np.asarray(row_mm), np.asarray(col_mm)
+
+    def reach_mm(self, center_px: tuple[float, float]) -> tuple[float, float]:
+        """Return how far the image reaches on both sides of a centre, along (row, col)."""
+        row_px, col_px = (min(c, n - 1 - c) for c, n in zip(center_px, self.shape, strict=True))
+        if not min(row_px, col_px) >= 0:
+            raise ValueError(f"expected a centre inside the image {self.shape}, got {center_px}")
+        return row_px * self.pitch_mm[0], col_px * self.pitch_mm[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Waves:
+    """What a target should look like at n pixels, up to amplitude and phase of each ring.
+
+    Parameters
+    ----------
+    ring : [n] from 0, -1 for pixels not used
+    phase_rad : [n] of the wave
+    slope : [n 2] change of the phase towards (row, col), in rad per mm
+    background : [n m] columns of the uneven light; the first is 1
+    """
+
+    ring: NDArray[np.int64]
+    phase_rad: Floats
+    slope: Floats
+    background: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicFit:
+    """Modulation (amplitude / mean) and phase of a wave in some pixels; see `fit_harmonic`."""
+
+    modulation: float
+    std: float
+    phase_rad: float
+    count: int
+    residual: float
+
+
+# The waves at places row_mm [n], col_mm [n] from the centre.
+Pattern = Callable[[Floats, Floats], Waves]
+
+
+def list_pixels(
+    image: ArrayLike, pitch_mm: float | tuple[float, float], valid: ArrayLike | None
+) -> Pixels:
+    """Return the valid pixels of a real image [row col]; `ValueError` if it is not one."""
+    values = np.asarray(image)
+    if values.dtype.kind not in "buif" or values.ndim != 2:
+        raise ValueError(f"expected a real image [row col], got {values.dtype} {values.shape}")
+    used = np.ones(values.shape, dtype=bool) if valid is None else np.asarray(valid, dtype=bool)
+    if used.shape != values.shape:
+        raise ValueError(f"expected valid of shape {values.shape}, got {used.shape}")
+    row_px, col_px = np.nonzero(used)
+    chosen = values[row_px, col_px].astype(np.float64)
+    good = int(np.count_nonzero(np.isfinite(chosen)))
+    if good == 0 or good < chosen.size:
+        raise ValueError(f"expected finite valid pixels, got {good} of {chosen.size}")
+    return Pixels(chosen, row_px, col_px, values.shape, pitch_pair_mm(pitch_mm))
+
+
+def ring_indices(ring: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
+    """Yield the places of the pixels of each ring, by rising number; -1 is left out."""
+    order = np.argsort(ring, kind="stable")
+    order = order[np.searchsorted(ring[order], 0) :]
+    if order.size:
+        yield from np.split(order, np.flatnonzero(np.diff(ring[order])) + 1)
+
+
+def fit_harmonic(
+    values: Floats, background: Floats, phases_rad: Sequence[Floats]
+) -> HarmonicFit | None:
+    """Fit background and waves by least squares; return the first wave, None if ill-conditioned.
+
+        value = sum_j c_j background_j + sum_k a_k cos(phase_k) + b_k sin(phase_k)
+        modulation = sqrt(a_0^2 + b_0^2) / mean background
+
+    The standard deviation is propagated from the scatter about the fit. None also where there are
+    fewer than two pixels for each unknown.
+    """
+    waves = [wave(phase) for phase in phases_rad for wave in (np.cos, np.sin)]
+    design = np.column_stack([*waves, background])
+    count, unknowns = design.shape
+    norm = np.linalg.norm(design, axis=0)
+    if count < 2 * unknowns or not np.all(norm > 0):
+        return None
+    u, singular, vt = np.linalg.svd(design / norm, full_matrices=False)
+    if singular[0] > _MAX_CONDITION * singular[-1]:
+        return None
+    root = vt.T / singular / norm[:, None]  # root root^T = (design^T design)^-1
+    coefficients = root @ (u.T @ values)
+    left = values - design @ coefficients
+    mean_columns = background.mean(axis=0)
+    level = float(mean_columns @ coefficients[len(waves) :])
+    if level <= 0:
+        raise ValueError(f"expected an image with a positive mean, got {level:.3g} in one ring")
+    amplitude = float(np.hypot(coefficients[0], coefficients[1]))
+    phase_rad = float(np.arctan2(coefficients[1], coefficients[0]))
+    modulation = amplitude / level
+    change = np.zeros(unknowns)  # of the modulation with the coefficients
+    change[:2] = np.cos(phase_rad) / level, np.sin(phase_rad) / level
+    change[len(waves) :] = -modulation / level * mean_columns
+    variance = np.sum((change @ root) ** 2) * (left @ left)
+    return HarmonicFit(
+        modulation=modulation,
+        std=float(np.sqrt(variance / (count - unknowns))),
+        phase_rad=phase_rad,
+        count=count,
+        residual=float(np.sqrt(np.mean(left**2))),
+    )
+
+
+def contrast_at_zero(
+    frequency_lpmm: Floats,
+    fits: Sequence[HarmonicFit],
+    levels: tuple[float, float] | None,
+    factor: float = 1.0,
+) -> tuple[float, float]:
+    """Return the modulation at frequency 0 and its standard deviation.
+
+    From the levels (low, high): factor (high - low) / (high + low), taken as exact. Else by the
+    straight line through log modulation over frequency^2.
+    """
+    if levels is not None:
+        low, high = levels
+        if not 0 <= low < high < np.inf:
+            raise ValueError(f"expected levels (low, high) with 0 <= low < high, got {levels}")
+        return factor * (high - low) / (high + low), 0.0
+    modulation = np.array([fit.modulation for fit in fits])
+    if np.min(modulation) < _MIN_MODULATION:
+        raise ValueError(f"expected contrast at low frequencies, got {np.min(modulation):.2g}")
+    design = np.column_stack([np.ones_like(frequency_lpmm), frequency_lpmm**2])
+    weights = np.linalg.pinv(design)[0]
+    contrast = float(np.exp(weights @ np.log(modulation)))
+    relative = weights * np.array([fit.std for fit in fits]) / modulation
+    return contrast, contrast * float(np.linalg.norm(relative))
+
+
+def mtf_curve(
+    frequency_lpmm: Floats,
+    fits: Sequence[HarmonicFit],
+    contrast: tuple[float, float],
+    label: str,
+) -> MtfCurve:
+    """Divide modulations by the contrast (value, std); both scatter into the standard deviation."""
+    modulation = np.array([fit.modulation for fit in fits]) / contrast[0]
+    std = np.hypot([fit.std for fit in fits], modulation * contrast[1]) / contrast[0]
+    return MtfCurve(frequency_lpmm, modulation, std, label)
+
+
+def symmetry_center_px(pixels: Pixels, parity: int) -> tuple[float, float]:
+    """Return the point, to half a pixel, that half a turn about maps an image best on itself.
+
+    The convolution of the image with itself peaks at twice the centre; parity -1 looks for the
+    point where the image turns into its negative.
+    """
+    rows, cols = pixels.shape
+    image = np.zeros((rows, cols))
+    image[pixels.row_px, pixels.col_px] = pixels.values - pixels.values.mean()
+    size = (2 * rows, 2 * cols)
+    folded = parity * np.fft.irfft2(np.fft.rfft2(image, size) ** 2, size)
+    row, col = np.unravel_index(int(np.argmax(folded)), size)
+    return float(row) / 2, float(col) / 2
+
+
+def refine_center_px(
+    pixels: Pixels, start_px: tuple[float, float], pattern: Pattern
+) -> tuple[float, float]:
+    """Return the centre for which the pattern leaves least, by Gauss-Newton steps.
+
+    The amplitude, phase and background of every ring are free. Warns if it does not settle.
+    """
+    center_px = start_px
+    for _ in range(_MAX_CENTER_STEPS):
+        waves = pattern(*pixels.place_mm(center_px))
+        step_px = np.clip(_center_step_mm(pixels.values, waves) / pixels.pitch_mm, -1, 1)
+        center_px = (center_px[0] + float(step_px[0]), center_px[1] + float(step_px[1]))
+        if np.max(np.abs(step_px)) < _CENTER_TOLERANCE_PX:
+            return center_px
+    problem = f"the centre still moves by {np.max(np.abs(step_px)):.2g} px a step; give center_px"
+    warnings.warn(problem, QualityWarning, stacklevel=4)
+    return center_px
+
+
+def _center_step_mm(values: Floats, waves: Waves) -> Floats:
+    normal, gain = np.zeros((2, 2)), np.zeros(2)
+    for index in ring_indices(waves.ring):
+        cos, sin = np.cos(waves.phase_rad[index]), np.sin(waves.phase_rad[index])
+        design = np.column_stack([cos, sin, waves.background[index]])
+        if len(index) < 2 * design.shape[1]:
+            continue
+        a, b, *_ = coefficients = np.linalg.lstsq(design, values[index], rcond=None)[0]
+        left = values[index] - design @ coefficients
+        # The pattern moves with the centre: phase(x - centre). What the free coefficients of the
+        # ring can take up is projected out.
+        change = (a * sin - b * cos)[:, None] * waves.slope[index]
+        change -= design @ np.linalg.lstsq(design, change, rcond=None)[0]
+        normal += change.T @ change
+        gain += change.T @ left
+    return np.asarray(np.linalg.lstsq(normal, gain, rcond=None)[0])

@@ -1,0 +1,105 @@
+"""Ratios of two measurements of one edge."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import ndtr
+
+from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.gain import (
+    average_gain,
+    pair_edges,
+    ratio_of,
+    resolution_gain,
+)
+from lensshift.evaluation.slanted_edge import EdgeResult, Interval, Region, measure_edge
+
+ANGLE_RAD = 0.17
+
+
+def edge(
+    shape: tuple[int, int], sigma_px: float, noise: float = 0.0, angle_rad: float = ANGLE_RAD
+) -> EdgeResult:
+    row, col = np.mgrid[: shape[0], : shape[1]].astype(float)
+    middle = (col - 0.5 * (shape[1] - 1)) * np.cos(angle_rad)
+    normal = middle + (row - 0.5 * (shape[0] - 1)) * np.sin(angle_rad)
+    image = 0.2 + 0.6 * ndtr(normal / sigma_px)
+    image += 0.6 * noise * np.random.default_rng(3).standard_normal(shape)
+    return measure_edge(image, aperture_px=0.0, region=(0, shape[0], 0, shape[1]))
+
+
+def test_gain_of_gaussian_edges_is_the_ratio_of_their_widths() -> None:
+    gain = resolution_gain(edge((17, 33), 0.7), edge((17, 33), 1.1))
+    for ratio in (gain.mtf50, gain.mtf10, gain.width):
+        assert ratio.value == pytest.approx(1.1 / 0.7, rel=2e-3)
+
+
+def test_noise_is_compared_over_the_contrast() -> None:
+    gain = resolution_gain(edge((21, 45), 0.8, 0.04), edge((21, 45), 0.8, 0.02))
+    assert gain.noise == pytest.approx(2.0, rel=0.02)
+    assert gain.mtf50.low < 1.0 < gain.mtf50.high
+    assert gain.width.low < 1.0 < gain.width.high
+
+
+def test_interval_of_a_ratio_covers_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    truth, std = (2.0, 1.5), (0.15, 0.08)
+    covered = []
+    for _ in range(2000):
+        above, below = (
+            Interval(value, value - 1.96 * sigma, value + 1.96 * sigma)
+            for value, sigma in zip(rng.normal(truth, std), std, strict=True)
+        )
+        ratio = ratio_of(above, below)
+        covered.append(ratio.low <= truth[0] / truth[1] <= ratio.high)
+    assert np.mean(covered) == pytest.approx(0.95, abs=0.015)
+
+
+positive = st.floats(0.1, 10.0)
+
+
+@given(above=positive, below=positive, spread=st.floats(1.01, 1.5))
+def test_turned_around_the_ratio_is_the_inverse(above: float, below: float, spread: float) -> None:
+    one, other = (Interval(v, v / spread, v * spread) for v in (above, below))
+    there, back = ratio_of(one, other), ratio_of(other, one)
+    assert there.value == pytest.approx(1 / back.value)
+    assert there.low == pytest.approx(1 / back.high)
+    assert there.high == pytest.approx(1 / back.low)
+
+
+def test_a_number_that_was_not_reached_gives_no_ratio() -> None:
+    assert np.isnan(ratio_of(Interval(float("nan")), Interval(1.0, 0.9, 1.1)).value)
+    open_ended = ratio_of(Interval(2.0, 1.9, float("inf")), Interval(1.0, 0.9, 1.1))
+    assert np.isinf(open_ended.high)
+    assert 1.5 < open_ended.low < 2.0
+
+
+def test_equal_edges_average_to_themselves_with_a_narrower_interval() -> None:
+    gain = resolution_gain(edge((17, 33), 0.7, 0.02), edge((17, 33), 1.1, 0.02))
+    mean = average_gain([gain] * 4)
+    assert mean.edges == 4
+    assert mean.mtf50.value == pytest.approx(gain.mtf50.value)
+    wide, narrow = (np.log(one.high / one.low) for one in (gain.mtf50, mean.mtf50))
+    assert narrow == pytest.approx(wide / 2, rel=1e-6)
+    with pytest.raises(ValueError, match="at least one gain"):
+        average_gain([])
+
+
+def test_different_edges_are_doubted_with_their_angles() -> None:
+    upright, slanted = edge((17, 33), 0.8, angle_rad=0.12), edge((17, 33), 0.8, angle_rad=0.2)
+    with pytest.warns(QualityWarning, match=r"vertical at -?6\.9 degrees and vertical at -?11\.5"):
+        resolution_gain(upright, slanted)
+
+
+def test_edges_are_paired_by_their_place() -> None:
+    one = edge((17, 33), 0.8)
+    here, there = (
+        replace(one, region=region) for region in (Region(0, 10, 0, 20), Region(0, 10, 40, 60))
+    )
+    fine = [replace(one, region=Region(0, 20, 82, 118)), replace(one, region=Region(0, 20, 2, 40))]
+    pairs = pair_edges(fine, [here, there], 2)
+    assert [(a.region.col_start, b.region.col_start) for a, b in pairs] == [(2, 0), (82, 40)]
+    assert pair_edges([replace(one, region=Region(0, 20, 200, 240))], [here], 2) == []
