@@ -1,11 +1,8 @@
 """Shift maps, their inverse, and the choice of the element."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
 from lensshift.optics.lens import Lens, Stop, cover_glass
@@ -14,9 +11,7 @@ from lensshift.optics.mtf import pixel_centres_mm
 from lensshift.optics.paraxial import decenter_gains
 from lensshift.optics.shift import (
     decenter_for_shift,
-    load_shift_field,
     moving,
-    save_shift_field,
     shift_map,
     shift_uniformity,
     stage_map,
@@ -109,25 +104,6 @@ def test_uniformity_of_a_made_up_field() -> None:
     assert even.mean_px == pytest.approx((0.252, 0.25 + 0.04 / 15))
     with pytest.raises(ValueError, match=r"wanted_px of \(1, 2\)"):
         shift_uniformity(ShiftField(offset), [0.25, 0.25])
-
-
-def test_files_of_shift_fields(tmp_path: Path) -> None:
-    field = shift_map(load_lens("petzval_a"), 0, QUARTER * 0.177, SMALL)
-    save_shift_field(field, tmp_path / "field.npz")
-    assert np.array_equal(load_shift_field(tmp_path / "field.npz").offset_px, field.offset_px)
-    with pytest.raises(DataError, match=r"missing\.npz: expected a NumPy archive"):
-        load_shift_field(tmp_path / "missing.npz")
-    (tmp_path / "text.npz").write_text("no archive")
-    with pytest.raises(DataError, match=r"text\.npz"):
-        load_shift_field(tmp_path / "text.npz")
-    np.savez(tmp_path / "other.npz", shift=np.zeros(3))
-    with pytest.raises(DataError, match="offset_px: expected an array of this name"):
-        load_shift_field(tmp_path / "other.npz")
-    np.savez(tmp_path / "flat.npz", offset_px=np.zeros(3))
-    with pytest.raises(DataError, match=r"expected offset_px \[frame row col 2\]"):
-        load_shift_field(tmp_path / "flat.npz")
-    with pytest.raises(DataError, match="cannot write"):
-        save_shift_field(field, tmp_path / "missing" / "field.npz")
 
 
 @pytest.mark.slow

@@ -68,6 +68,10 @@ PhotometricOption = Annotated[
     bool, typer.Option("--photometric", help="Estimate gain and offset of each frame.")
 ]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of whatever is random.")]
+ShiftMapOption = Annotated[
+    Path | None,
+    typer.Option("--shift-map", help="Shift of every pixel, from `lensshift lens shiftmap`."),
+]
 ExportOption = Annotated[
     list[Path] | None, typer.Option("--export", help="Also write .tif, .png or .npz; repeatable.")
 ]
@@ -87,6 +91,7 @@ def reconstruct(
     non_negative: NonNegativeOption = False,
     photometric: PhotometricOption = False,
     seed: SeedOption = 0,
+    shift_map: ShiftMapOption = None,
     export: ExportOption = None,
     offsets: OffsetsOption = None,
     pitch_mm: PitchOption = None,
@@ -115,6 +120,10 @@ def reconstruct(
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
         files = _plan(burst, offsets, out, export or [], scale)
+        if shift_map is not None:
+            from lensshift.io import load_shift_field
+
+            settings["shift_field"] = load_shift_field(shift_map)
         _reconstruct(current, burst, load_input_burst(burst, stack), settings, files)
 
 

@@ -5,6 +5,7 @@ from lensshift.io.export import export_burst, export_image, export_reconstructio
 from lensshift.io.image_stack import load_image_stack
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
+from lensshift.io.shift_map_file import load_shift_field, load_stage_map, save_shift_map
 
 __all__ = [
     "OffsetTable",
@@ -15,6 +16,9 @@ __all__ = [
     "load_image_stack",
     "load_offsets",
     "load_reconstruction",
+    "load_shift_field",
+    "load_stage_map",
     "save_burst",
     "save_reconstruction",
+    "save_shift_map",
 ]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField, StageMap
 from lensshift.optics.lens import Lens
@@ -168,40 +165,6 @@ def shift_uniformity(field: ShiftField, wanted_px: ArrayLike) -> tuple[ShiftUnif
         )
         for one, (row, col) in zip(error, mean, strict=True)
     )
-
-
-def save_shift_field(field: ShiftField, path: str | Path) -> None:
-    """Write a shift field as a NumPy archive with the array `offset_px` [frame row col 2].
-
-    Raises
-    ------
-    DataError
-        If the file cannot be written.
-    """
-    try:
-        with Path(path).open("wb") as file:
-            np.savez_compressed(file, offset_px=field.offset_px)
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
-
-
-def load_shift_field(path: str | Path) -> ShiftField:
-    """Read what `save_shift_field` wrote.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, no such archive, or holds no field of offsets.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return ShiftField(archive["offset_px"])
-    except KeyError as error:
-        raise DataError("expected an array of this name", field="offset_px", source=path) from error
-    except (OSError, zipfile.BadZipFile, EOFError) as error:
-        raise DataError("expected a NumPy archive (.npz)", source=path) from error
-    except (ValueError, TypeError) as error:
-        raise DataError(str(error), source=path) from error
 
 
 def moving(lens: Lens, element: int, decenter_mm: Array) -> Build:
