@@ -19,7 +19,7 @@ and places on the image plane keep (row, col).
 the place on the image plane) know nothing of the world: they lie where the lens images them.
 """
 
-from lensshift.scene.cast import Hits, cast
+from lensshift.scene.cast import Hits, cast, visible
 from lensshift.scene.flat import (
     BACKGROUND,
     Box,
@@ -32,28 +32,62 @@ from lensshift.scene.flat import (
     siemens_star,
     slanted_edge,
 )
+from lensshift.scene.mesh import Mesh, load_mesh
+from lensshift.scene.scene_file import load_scene, save_scene
 from lensshift.scene.shapes import Cuboid, Plane, Rectangle, Scene, Shape, Sphere
-from lensshift.scene.textures import Constant, Texture
+from lensshift.scene.targets import (
+    four_boxes,
+    siemens_star_card,
+    slanted_depth_step,
+    slanted_edge_card,
+    zone_plate_card,
+)
+from lensshift.scene.textures import (
+    Checker,
+    Constant,
+    Edge,
+    ImageTexture,
+    LinePairs,
+    SiemensStar,
+    Texture,
+    ZonePlate,
+)
 
 __all__ = [
     "BACKGROUND",
     "Box",
+    "Checker",
     "Constant",
     "Cuboid",
+    "Edge",
     "Hits",
+    "ImageTexture",
+    "LinePairs",
+    "Mesh",
     "Place",
     "Plane",
     "Rectangle",
     "Scene",
     "Shape",
+    "SiemensStar",
     "Sphere",
     "Target",
     "Texture",
+    "ZonePlate",
     "boxes",
     "cast",
     "demo_target",
+    "four_boxes",
     "in_a_row",
     "line_pairs",
+    "load_mesh",
+    "load_scene",
+    "save_scene",
     "siemens_star",
+    "siemens_star_card",
+    "slanted_depth_step",
     "slanted_edge",
+    "slanted_edge_card",
+    "visible",
+    "zone_plate_card",
 ]

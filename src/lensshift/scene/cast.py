@@ -12,7 +12,8 @@ from lensshift.scene.shapes import Rays, Scene, Shape
 
 Array = NDArray[Any]
 
-_RAYS_AT_ONCE = 65_536  # some 15 MB of work besides the result
+_RAYS_AT_ONCE = 16_384  # some 5 MB of work besides the result
+_END_M = 1e-6  # far above the rounding of points, far below the size of things
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,28 +56,58 @@ def cast(scene: Scene, direction: ArrayLike, *, origin_m: ArrayLike = (0.0, 0.0,
         If a shape is not as above, a number is not finite, a direction has no length, or a
         texture returns anything but shares from 0 to 1.
     """
-    vectors, origins = _vectors(direction, "direction"), _vectors(origin_m, "origin_m")
-    try:
-        shape = np.broadcast_shapes(vectors.shape, origins.shape)
-    except ValueError as error:
-        raise ValueError(
-            f"expected origin_m that broadcasts against direction {vectors.shape}, "
-            f"got {origins.shape}"
-        ) from error
-    vectors = np.broadcast_to(vectors, shape).reshape(-1, 3)
-    origins = np.broadcast_to(origins, shape).reshape(-1, 3)
+    vectors, origins, axes = _broadcast(direction, origin_m, "direction", "origin_m")
+    if not np.all(np.isfinite(vectors)) or not np.all(np.isfinite(origins)):
+        raise ValueError("expected finite direction and origin_m, got infinity or NaN")
     hits = _nothing(len(vectors))
     for first in range(0, len(vectors), _RAYS_AT_ONCE):
         some = slice(first, first + _RAYS_AT_ONCE)
         _cast_some(scene, origins[some], _unit(vectors[some]), hits, first)
     return Hits(
-        distance_m=hits.distance_m.reshape(shape[:-1]),
-        reflectance=hits.reflectance.reshape(shape[:-1]),
-        cos_incidence=hits.cos_incidence.reshape(shape[:-1]),
-        hit=hits.hit.reshape(shape[:-1]),
-        point_m=hits.point_m.reshape(shape),
-        normal=hits.normal.reshape(shape),
+        distance_m=hits.distance_m.reshape(axes),
+        reflectance=hits.reflectance.reshape(axes),
+        cos_incidence=hits.cos_incidence.reshape(axes),
+        hit=hits.hit.reshape(axes),
+        point_m=hits.point_m.reshape(*axes, 3),
+        normal=hits.normal.reshape(*axes, 3),
     )
+
+
+def visible(scene: Scene, from_m: ArrayLike, to_m: ArrayLike) -> NDArray[np.bool_]:
+    """Tell which points see each other: nothing stands between the ends of a segment.
+
+    For shadows of a light beside the camera and for light that bounces twice. Surfaces within
+    1 um of an end do not block, so that both ends may lie on surfaces.
+
+    Parameters
+    ----------
+    from_m, to_m : [... 3] (x, y, z) in the world, broadcast against each other; a point that is
+        not finite (`Hits.point_m` where nothing was met) sees nothing
+
+    Raises
+    ------
+    ValueError
+        If a shape is not as above.
+    """
+    starts, ends, axes = _broadcast(from_m, to_m, "from_m", "to_m")
+    clear = np.empty(len(starts), dtype=np.bool_)
+    for first in range(0, len(starts), _RAYS_AT_ONCE):
+        some = slice(first, first + _RAYS_AT_ONCE)
+        clear[some] = _clear(scene, starts[some], ends[some])
+    return clear.reshape(axes)
+
+
+def _clear(scene: Scene, start_m: Array, end_m: Array) -> Array:
+    known = np.all(np.isfinite(start_m), axis=1) & np.all(np.isfinite(end_m), axis=1)
+    start_m, away_m = start_m[known], end_m[known] - start_m[known]
+    length_m = np.linalg.norm(away_m, axis=1)
+    direction = away_m / np.maximum(length_m, _END_M)[:, None]
+    rays = Rays.launch(start_m + _END_M * direction, direction, length_m - 2 * _END_M)
+    for index, shape in enumerate(scene.shapes):
+        shape.meet(rays, index)
+    clear = np.zeros(len(known), dtype=np.bool_)
+    clear[known] = rays.shape < 0
+    return clear
 
 
 def _cast_some(scene: Scene, origin_m: Array, direction: Array, hits: Hits, first: int) -> None:
@@ -125,13 +156,22 @@ def _nothing(count: int) -> Hits:
     )
 
 
-def _vectors(value: ArrayLike, name: str) -> Array:
-    vectors = np.asarray(value, dtype=np.float64)
-    if vectors.ndim < 1 or vectors.shape[-1] != 3:
-        raise ValueError(f"expected {name} [... 3], got shape {vectors.shape}")
-    if not np.all(np.isfinite(vectors)):
-        raise ValueError(f"expected finite {name}, got infinity or NaN")
-    return vectors
+def _broadcast(
+    first: ArrayLike, second: ArrayLike, first_name: str, second_name: str
+) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return two lists of vectors [ray 3] of equal length, and their common leading axes."""
+    vectors = [np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)]
+    for vector, name in zip(vectors, (first_name, second_name), strict=True):
+        if vector.ndim < 1 or vector.shape[-1] != 3:
+            raise ValueError(f"expected {name} [... 3], got shape {vector.shape}")
+    try:
+        one, other = np.broadcast_arrays(*vectors)
+    except ValueError as error:
+        raise ValueError(
+            f"expected {first_name} and {second_name} that broadcast, got shapes "
+            f"{vectors[0].shape} and {vectors[1].shape}"
+        ) from error
+    return one.reshape(-1, 3), other.reshape(-1, 3), one.shape[:-1]
 
 
 def _unit(vectors: Array) -> Array:

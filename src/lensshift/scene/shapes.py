@@ -6,7 +6,6 @@ its walls.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.scene.checks import numbers, positive, positives, share
 from lensshift.scene.kernels import meet_cuboid, meet_rectangle, meet_sphere
 from lensshift.scene.textures import Constant, Texture
 
@@ -57,7 +57,7 @@ class Rays:
         return self.origin_m, self.direction, self.distance_m, self.shape, self.part
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Shape(ABC):
     """What all shapes have.
 
@@ -75,14 +75,12 @@ class Shape(ABC):
     name: str = ""
 
     def __post_init__(self) -> None:
-        for field in ("centre_m", "turn_rad"):
-            value = np.asarray(getattr(self, field), dtype=np.float64)
-            if value.shape != (3,) or not np.all(np.isfinite(value)):
-                raise ValueError(
-                    f"expected three finite numbers for {field}, got {getattr(self, field)}"
-                )
+        object.__setattr__(self, "centre_m", numbers("centre_m", self.centre_m, 3))
+        object.__setattr__(self, "turn_rad", numbers("turn_rad", self.turn_rad, 3))
         if not callable(self.reflectance):
-            Constant(self.reflectance)  # raises unless from 0 to 1
+            share("reflectance", self.reflectance)
+        if not isinstance(self.name, str):
+            raise TypeError(f"expected a text for name, got {self.name!r}")
 
     @cached_property
     def rotation(self) -> Array:
@@ -150,7 +148,7 @@ class Rectangle(Plane):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_size(self.size_m, 2)
+        object.__setattr__(self, "size_m", positives("size_m", self.size_m, 2))
 
     def meet(self, rays: Rays, index: int) -> None:
         """Note where the card is the nearest that rays have met."""
@@ -173,7 +171,7 @@ class Cuboid(Shape):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_size(self.size_m, 3)
+        object.__setattr__(self, "size_m", positives("size_m", self.size_m, 3))
 
     def meet(self, rays: Rays, index: int) -> None:
         """Note where the box is the nearest that rays have met."""
@@ -198,8 +196,7 @@ class Sphere(Shape):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.radius_m < math.inf:
-            raise ValueError(f"expected a positive radius_m, got {self.radius_m}")
+        positive("radius_m", self.radius_m)
 
     def meet(self, rays: Rays, index: int) -> None:
         """Note where the ball is the nearest that rays have met."""
@@ -237,9 +234,3 @@ class Scene:
     def shapes(self) -> tuple[Shape, ...]:
         """The objects and, last, the background."""
         return self.objects if self.background is None else (*self.objects, self.background)
-
-
-def _check_size(size_m: tuple[float, ...], count: int) -> None:
-    value = np.asarray(size_m, dtype=np.float64)
-    if value.shape != (count,) or not np.all(np.isfinite(value)) or not np.all(value > 0):
-        raise ValueError(f"expected {count} positive numbers for size_m, got {size_m}")

@@ -1,0 +1,261 @@
+"""Scene files in TOML: shapes and textures by the names of their fields.
+
+    [[object]]
+    shape = "cuboid"                  # plane, rectangle, cuboid, sphere, mesh
+    centre_m = [0.0, 0.1, 3.5]
+    turn_deg = [0.0, 30.0, 0.0]
+    size_m = [0.2, 0.1, 0.1]
+    reflectance = { texture = "checker", size_m = 0.02 }     # or a number
+
+    [background]                      # at most one
+    shape = "plane"
+    centre_m = [0.0, 0.0, 4.0]
+
+Angles are in degrees in the file. A mesh has `vertices_m` and `triangles`, or a `file` and its
+`unit_m`; the texture "image" has an `image` or a grey `file`. Files lie relative to the scene file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, fields
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.scene.checks import number, numbers
+from lensshift.scene.mesh import Mesh, load_mesh
+from lensshift.scene.shapes import Cuboid, Plane, Rectangle, Scene, Shape, Sphere
+from lensshift.scene.textures import (
+    Checker,
+    Constant,
+    Edge,
+    ImageTexture,
+    LinePairs,
+    SiemensStar,
+    Texture,
+    ZonePlate,
+)
+
+_SHAPES: dict[str, type[Shape]] = {
+    "plane": Plane,
+    "rectangle": Rectangle,
+    "cuboid": Cuboid,
+    "sphere": Sphere,
+    "mesh": Mesh,
+}
+_TEXTURES: dict[str, Callable[..., Any]] = {
+    "constant": Constant,
+    "checker": Checker,
+    "edge": Edge,
+    "siemens_star": SiemensStar,
+    "zone_plate": ZonePlate,
+    "line_pairs": LinePairs,
+    "image": ImageTexture,
+}
+# What a file gives instead of numbers that are written out, and the keys that name the file.
+_IN_FILE = {"mesh": {"vertices_m", "triangles"}, "image": {"image"}}
+_FILE_KEYS = {"mesh": {"file", "unit_m"}, "image": {"file"}}
+_Table = dict[str, Any]
+_Built = TypeVar("_Built")
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene from a TOML file; the module's docstring shows one.
+
+    Raises
+    ------
+    DataError
+        If a file is missing, is not TOML, or describes no scene: with file and field.
+    ImportError
+        If it names a mesh file and trimesh is not installed.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot read: {error.strerror or error}", source=path) from error
+    except UnicodeDecodeError as error:
+        raise DataError("expected a text file in UTF-8", source=path) from error
+    return parse_scene(text, source=path)
+
+
+def parse_scene(text: str, source: str | Path = "") -> Scene:
+    """Return the scene that a text in TOML describes; files lie relative to `source`."""
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:  # its message names line and column
+        raise DataError(f"expected TOML, got {error}", source=source) from error
+    try:
+        return _scene(content, Path(source).parent)
+    except DataError as error:
+        raise error.in_file(source) from error
+
+
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene as TOML, so that `load_scene` returns the same scene.
+
+    Meshes and images are written out in full.
+
+    Raises
+    ------
+    TypeError
+        If a shape or texture is not one of this package.
+    DataError
+        If the file cannot be written.
+    """
+    try:
+        Path(path).write_text(format_scene(scene), encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+
+
+def format_scene(scene: Scene) -> str:
+    """Return the TOML text of a scene."""
+    tables = [["[[object]]", *_shape_lines(shape)] for shape in scene.objects]
+    if scene.background is not None:
+        tables.append(["[background]", *_shape_lines(scene.background)])
+    return "\n\n".join("\n".join(lines) for lines in tables) + "\n"
+
+
+def _scene(content: dict[str, Any], folder: Path) -> Scene:
+    unknown = sorted(set(content) - {"object", "background"})
+    if unknown:
+        raise DataError("expected [[object]] and [background]", field=unknown[0])
+    tables = content.get("object", [])
+    if not isinstance(tables, list):
+        raise DataError("expected tables headed [[object]]", field="object")
+    objects = [_shape(table, f"object {n}", folder) for n, table in enumerate(tables, start=1)]
+    background = content.get("background")
+    return Scene(
+        tuple(objects),
+        background=None if background is None else _shape(background, "background", folder),
+    )
+
+
+def _shape(table: Any, where: str, folder: Path) -> Shape:
+    if isinstance(table, dict) and table.get("name"):
+        where = f"{where} ({table['name']})"
+    kind, values = _values(table, "shape", _SHAPES, where)
+    if isinstance(values.get("reflectance"), dict):
+        values["reflectance"] = _texture(values["reflectance"], f"{where}, reflectance", folder)
+    build: Callable[..., Shape] = _SHAPES[kind]
+    if "file" in values:
+        build = partial(load_mesh, _path(values.pop("file"), where, folder))
+    return _built(build, values, where)
+
+
+def _texture(table: _Table, where: str, folder: Path) -> Texture:
+    kind, values = _values(table, "texture", _TEXTURES, where)
+    if "file" in values:
+        path = _path(values.pop("file"), where, folder)
+        values["image"] = _built(_grey_image, {"path": path}, where)
+    build: Callable[..., Texture] = _TEXTURES[kind]
+    return _built(build, values, where)
+
+
+def _values(table: Any, word: str, kinds: Mapping[str, Any], where: str) -> tuple[str, _Table]:
+    """Return the kind of a table and its values by field, angles in radians."""
+    if not isinstance(table, dict):
+        raise DataError(f"expected a table, got {table!r}", field=where)
+    kind = table.get(word)
+    if not isinstance(kind, str) or kind not in kinds:
+        raise DataError(f"expected {word} of {', '.join(kinds)}, got {kind!r}", field=where)
+    keys = {_in_degrees(field.name): field.default is MISSING for field in fields(kinds[kind])}
+    if "file" in table and kind in _FILE_KEYS:
+        keys = {key: needed for key, needed in keys.items() if key not in _IN_FILE[kind]}
+        keys |= dict.fromkeys(_FILE_KEYS[kind], False)
+    for key in table:
+        if key not in keys and key != word:
+            raise DataError(f"expected {', '.join(keys)}, got {key!r}", field=where)
+    for key, needed in keys.items():
+        if needed and key not in table:
+            raise DataError(f"expected {key!r}, which is missing", field=where)
+    values = {}
+    for key, value in table.items():
+        if key != word:
+            values[key.replace("_deg", "_rad")] = _in_radians(key, value, where)
+    return kind, values
+
+
+def _in_degrees(field: str) -> str:
+    return field.replace("_rad", "_deg")
+
+
+def _in_radians(key: str, value: Any, where: str) -> Any:
+    try:
+        if key == "turn_deg":
+            return tuple(map(math.radians, numbers(key, value, 3)))
+        return math.radians(number(key, value)) if key == "slant_deg" else value
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), field=where) from error
+
+
+def _built(build: Callable[..., _Built], values: _Table, where: str) -> _Built:
+    """Return what `build` makes of the values; what it does not like is the file's mistake."""
+    try:
+        return build(**values)
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), field=where) from error
+
+
+def _path(file: Any, where: str, folder: Path) -> Path:
+    if not isinstance(file, str):
+        raise DataError(f"expected the name of a file for file, got {file!r}", field=where)
+    return folder / file
+
+
+def _grey_image(path: Path) -> NDArray[np.float64]:
+    """Read a grey picture, 0 to 1 in proportion to its numbers."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            mode = picture.mode
+            pixels = np.asarray(picture)
+    except OSError as error:
+        raise DataError(f"cannot read as a picture: {error}", source=path) from error
+    if mode not in ("1", "L") and not mode.startswith("I;16"):
+        raise DataError(f"expected a grey picture of 8 or 16 bits, got {mode}", source=path)
+    top = 1 if pixels.dtype == np.bool_ else np.iinfo(pixels.dtype).max
+    return pixels / float(top)
+
+
+def _shape_lines(shape: Shape) -> list[str]:
+    kind = next((kind for kind, known in _SHAPES.items() if type(shape) is known), None)
+    if kind is None:
+        raise TypeError(f"expected a shape of {', '.join(_SHAPES)}, got {type(shape).__name__}")
+    return [f'shape = "{kind}"', *_lines(shape)]
+
+
+def _lines(value: Any) -> Iterator[str]:
+    """Yield one line for each field of a shape or texture that is not at its default."""
+    for field in fields(value):
+        content = getattr(value, field.name)
+        if isinstance(content, np.ndarray) or content != field.default:
+            yield f"{_in_degrees(field.name)} = {_toml(field.name, content)}"
+
+
+def _toml(name: str, value: Any) -> str:
+    if name == "reflectance" and callable(value):
+        return _inline_texture(value)
+    if name.endswith("_rad"):
+        value = np.degrees(value)
+    # Texts, numbers, truths and lists are written in JSON as in TOML.
+    return json.dumps(value.tolist() if hasattr(value, "tolist") else value, ensure_ascii=False)
+
+
+def _inline_texture(texture: Texture) -> str:
+    kind = next((kind for kind, known in _TEXTURES.items() if type(texture) is known), None)
+    if kind is None:
+        raise TypeError(
+            f"expected a texture of {', '.join(_TEXTURES)}, got {type(texture).__name__}"
+        )
+    return "{ " + ", ".join([f'texture = "{kind}"', *_lines(texture)]) + " }"
