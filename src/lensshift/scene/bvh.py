@@ -1,7 +1,7 @@
 """Where rays meet many triangles: a tree of boxes, each around the triangles below it.
 
-Nodes are stored depth first: the left child of a node is the next node, `right` holds the other.
-Triangles are stored in the order of the leaves.
+The tree is full: the children of node n are 2 n + 1 and 2 n + 2, and its leaves come last and hold
+equally many triangles; some triangles are in two leaves to make it so.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from lensshift.scene.kernels import NEAREST_M, Vector, local_ray
 Array = NDArray[Any]
 
 _IN_A_LEAF = 4
-_DEEPEST = 64  # halves 2^64 triangles
+_DEEPEST = 64  # levels of the tree: for 2^64 triangles
+_FLAT = 1e-12  # sine of the angle between the edges of a triangle without area
 _EDGE = 1e-12  # of an edge: rays through the edge of two triangles meet at least one of them
 
 
@@ -28,8 +29,6 @@ class Tree(NamedTuple):
     ----------
     corner, edge_1, edge_2 : [triangle 3] a corner, and the edges from it to the others
     low, high : [node 3] corners of the boxes
-    first, held : [node] the triangles of a leaf; it holds 0 where a node has children
-    right, axis : [node] the right child, and the axis along which the children lie
     """
 
     corner: Array
@@ -37,62 +36,57 @@ class Tree(NamedTuple):
     edge_2: Array
     low: Array
     high: Array
-    first: Array
-    held: Array
-    right: Array
-    axis: Array
 
 
 def build_tree(corners: Array) -> Tree:
-    """Return the tree of triangles given by their [triangle corner 3]."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    order, *nodes = _split(low, high)
-    corner, second, third = (np.ascontiguousarray(corners[order, i]) for i in range(3))
-    return Tree(corner, second - corner, third - corner, *nodes)
+    """Return the tree of triangles given by their [triangle corner 3].
+
+    Triangles whose corners lie on a line are left out: rounding alone would say where a ray
+    meets them.
+
+    Raises
+    ------
+    ValueError
+        If no triangle has an area.
+    """
+    edge_1, edge_2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    lengths = np.linalg.norm(edge_1, axis=1) * np.linalg.norm(edge_2, axis=1)
+    corners = corners[np.linalg.norm(np.cross(edge_1, edge_2), axis=1) > _FLAT * lengths]
+    if not len(corners):
+        raise ValueError("expected triangles with an area, got none")
+    leaves = 1
+    while leaves * _IN_A_LEAF < len(corners):
+        leaves *= 2
+    corners = corners[_in_leaves(corners.mean(axis=1), leaves)]
+    by_leaf = corners.reshape(leaves, -1, 3)
+    low, high = [by_leaf.min(axis=1)], [by_leaf.max(axis=1)]
+    while len(low[0]) > 1:
+        low.insert(0, np.minimum(low[0][::2], low[0][1::2]))
+        high.insert(0, np.maximum(high[0][::2], high[0][1::2]))
+    corner, second, third = (np.ascontiguousarray(corners[:, i]) for i in range(3))
+    return Tree(corner, second - corner, third - corner, np.concatenate(low), np.concatenate(high))
+
+
+def _in_leaves(points: Array, leaves: int) -> NDArray[np.intp]:
+    """Return which points the leaves hold, one leaf after the other, equally many each.
+
+    All nodes of a level are halved at once, each along the axis on which its points spread most.
+    """
+    order = np.resize(np.arange(len(points)), leaves * -(-len(points) // leaves))
+    nodes = 1
+    while nodes < leaves:
+        groups = order.reshape(nodes, -1)
+        places = points[groups]
+        widest = np.ptp(places, axis=1).argmax(axis=1)
+        along = np.take_along_axis(places, widest[:, None, None], axis=2)[..., 0]
+        order = np.take_along_axis(groups, along.argsort(axis=1, kind="stable"), axis=1)
+        nodes *= 2
+    return order.ravel()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _split(low: Array, high: Array) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
-    """Halve the triangles again and again along the axis on which their middles spread most."""
-    triangles = low.shape[0]
-    middle = 0.5 * (low + high)
-    order = np.arange(triangles)
-    node_low, node_high = np.empty((2 * triangles, 3)), np.empty((2 * triangles, 3))
-    first, held = np.zeros(2 * triangles, np.int64), np.zeros(2 * triangles, np.int64)
-    right, across = np.zeros(2 * triangles, np.int64), np.zeros(2 * triangles, np.int64)
-    waiting = np.empty((_DEEPEST, 3), np.int64)  # begin, end, node whose right child it is or -1
-    waiting[0] = 0, triangles, -1
-    height, nodes = 1, 0
-    while height:
-        height -= 1
-        begin, end, parent = waiting[height]
-        node, nodes = nodes, nodes + 1
-        if parent >= 0:
-            right[parent] = node
-        here = order[begin:end]
-        spread = -1.0
-        for i in range(3):
-            node_low[node, i], node_high[node, i] = low[here, i].min(), high[here, i].max()
-            width = middle[here, i].max() - middle[here, i].min()
-            if width > spread:
-                spread, across[node] = width, i
-        if end - begin <= _IN_A_LEAF:
-            first[node], held[node] = begin, end - begin
-            continue
-        order[begin:end] = here[np.argsort(middle[here, across[node]])]
-        half = (begin + end) // 2
-        waiting[height] = half, end, node
-        waiting[height + 1] = begin, half, -1
-        height += 2
-    return (
-        order, node_low[:nodes], node_high[:nodes], first[:nodes], held[:nodes], right[:nodes],
-        across[:nodes],
-    )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _misses_box(o: Vector, inverse: Vector, low: Array, high: Array, n: int, limit: float) -> bool:
-    """Tell whether a ray passes by the box of node n, or meets it beyond `limit`.
+def _enters_box(o: Vector, inverse: Vector, low: Array, high: Array, n: int, limit: float) -> float:
+    """Return where a ray enters the box of node n, infinite if it does not before `limit`.
 
     0 / 0, a ray within a face, is NaN; it fails both comparisons and so excludes nothing.
     """
@@ -105,12 +99,12 @@ def _misses_box(o: Vector, inverse: Vector, low: Array, high: Array, n: int, lim
             enter = near
         if far < leave:
             leave = far
-    return enter > leave
+    return enter if enter <= leave else np.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meet_triangle(o: Vector, d: Vector, corner: Array, edge_1: Array, edge_2: Array) -> float:
-    """Return the distance to a triangle, NaN if the line misses it or it has no area.
+    """Return the distance to a triangle, NaN if the line misses it or lies in its plane.
 
         o + t d = corner + u edge_1 + v edge_2,   u >= 0, v >= 0, u + v <= 1
 
@@ -135,10 +129,11 @@ def _meet_triangle(o: Vector, d: Vector, corner: Array, edge_1: Array, edge_2: A
 def meet_mesh(
     origin: Array, direction: Array, distance_m: Array, shape: Array, part: Array,
     index: int, centre: Array, rotation: Array,
-    corner: Array, edge_1: Array, edge_2: Array,
-    low: Array, high: Array, first: Array, held: Array, right: Array, axis: Array,
+    corner: Array, edge_1: Array, edge_2: Array, low: Array, high: Array,
 ) -> None:  # fmt: skip
     """Meet the triangles of a tree, the nearer child of each node first; see `Tree`."""
+    leaves = (low.shape[0] + 1) // 2
+    in_a_leaf = corner.shape[0] // leaves
     waiting = np.empty(_DEEPEST, np.int64)
     for r in range(direction.shape[0]):
         o, d = local_ray(origin, direction, r, centre, rotation)
@@ -147,14 +142,19 @@ def meet_mesh(
         while height:
             height -= 1
             n = waiting[height]
-            if _misses_box(o, inverse, low, high, n, distance_m[r]):
+            leaf = n - (leaves - 1)
+            if leaf >= 0:
+                for k in range(leaf * in_a_leaf, (leaf + 1) * in_a_leaf):
+                    t = _meet_triangle(o, d, corner[k], edge_1[k], edge_2[k])
+                    if NEAREST_M < t < distance_m[r]:
+                        distance_m[r], shape[r], part[r] = t, index, k
                 continue
-            for k in range(first[n], first[n] + held[n]):
-                t = _meet_triangle(o, d, corner[k], edge_1[k], edge_2[k])
-                if NEAREST_M < t < distance_m[r]:
-                    distance_m[r], shape[r], part[r] = t, index, k
-            if held[n] == 0:
-                left_is_nearer = d[axis[n]] >= 0.0
-                waiting[height] = right[n] if left_is_nearer else n + 1
-                waiting[height + 1] = n + 1 if left_is_nearer else right[n]
-                height += 2
+            near, far = 2 * n + 1, 2 * n + 2
+            enters_near = _enters_box(o, inverse, low, high, near, distance_m[r])
+            enters_far = _enters_box(o, inverse, low, high, far, distance_m[r])
+            if enters_near > enters_far:
+                near, far, enters_near, enters_far = far, near, enters_far, enters_near
+            for child, enters in ((far, enters_far), (near, enters_near)):
+                if enters < np.inf:
+                    waiting[height] = child
+                    height += 1

@@ -37,7 +37,7 @@ _UNREADABLE = (
 class Mesh(Shape):
     """Triangles, flat shaded: the normal is that of the triangle.
 
-    Triangles without area are never met. Texture: x and y from the centre, as if projected along
+    Triangles without area are left out. Texture: x and y from the centre, as if projected along
     the mesh's own z.
 
     Parameters
@@ -67,6 +67,7 @@ class Mesh(Shape):
         triangles.flags.writeable = False
         object.__setattr__(self, "vertices_m", vertices)
         object.__setattr__(self, "triangles", triangles)
+        _ = self._tree  # raises if no triangle has an area
 
     @cached_property
     def _tree(self) -> Tree:
@@ -96,7 +97,7 @@ def load_mesh(path: str | Path, *, unit_m: float = 1.0, **shape: Any) -> Mesh:
     ImportError
         If trimesh is not installed.
     DataError
-        If the file is missing or holds no triangles.
+        If the file is missing, unreadable or holds no triangles.
     """
     try:
         trimesh = import_module("trimesh")
@@ -111,8 +112,8 @@ def load_mesh(path: str | Path, *, unit_m: float = 1.0, **shape: Any) -> Mesh:
         loaded = trimesh.load(path, force="mesh")
     except _UNREADABLE as error:
         raise DataError(f"cannot read as a mesh: {error}", source=path) from error
-    if not len(loaded.faces):
-        raise DataError("expected triangles, found none", source=path)
+    if not (len(loaded.faces) and loaded.area > 0):
+        raise DataError("expected triangles with an area, found none", source=path)
     vertices_m = unit_m * np.asarray(loaded.vertices, dtype=np.float64)
     if not np.all(np.isfinite(vertices_m)):
         raise DataError("expected finite vertices, got infinity or NaN", source=path)

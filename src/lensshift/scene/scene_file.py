@@ -129,6 +129,8 @@ def _scene(content: dict[str, Any], folder: Path) -> Scene:
     unknown = sorted(set(content) - {"object", "background"})
     if unknown:
         raise DataError("expected [[object]] and [background]", field=unknown[0])
+    if not content:
+        raise DataError("expected at least one [[object]] or a [background], got neither")
     tables = content.get("object", [])
     if not isinstance(tables, list):
         raise DataError("expected tables headed [[object]]", field="object")
