@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from importlib import resources
 
+from lensshift.scene.checks import positive
 from lensshift.scene.scene_file import parse_scene
 from lensshift.scene.shapes import Plane, Rectangle, Scene
 from lensshift.scene.textures import BRIGHT, DARK, Edge, SiemensStar, Texture, ZonePlate
@@ -97,12 +98,12 @@ def slanted_depth_step(
     Raises
     ------
     ValueError
-        If the slant is larger or the step is not positive.
+        If the slant is larger, or a distance is not positive.
     """
     if not abs(slant_rad) <= math.pi / 4:
         raise ValueError(f"expected slant_rad from -pi/4 to pi/4, got {slant_rad}")
-    if not step_m > 0:
-        raise ValueError(f"expected a positive step_m, got {step_m}")
+    positive("near_m", near_m)
+    positive("step_m", step_m)
     # Twice as high as the far card, so that none of its ends shows however it is turned.
     width_m, height_m = CARD_M, 2 * CARD_M
     to_centre_m = 0.5 * width_m
@@ -133,6 +134,7 @@ def four_boxes() -> Scene:
 
 
 def _card(texture: Texture, distance_m: float) -> Scene:
+    positive("distance_m", distance_m)
     card = Rectangle(
         centre_m=(0.0, 0.0, distance_m),
         size_m=(CARD_M, CARD_M),

@@ -245,5 +245,5 @@ def _neighbours(share: Array, count: int) -> tuple[NDArray[np.intp], Array]:
 
 def _between(dark: float, bright: float, wave: Array) -> Array:
     """Return reflectance that swings from dark to bright as a wave does from -1 to 1."""
-    seen: Array = 0.5 * (bright + dark) + 0.5 * (bright - dark) * wave
+    seen: Array = 0.5 * (1.0 - wave) * dark + 0.5 * (1.0 + wave) * bright
     return np.clip(seen, min(dark, bright), max(dark, bright))  # rounding
