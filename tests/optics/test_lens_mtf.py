@@ -9,7 +9,7 @@ from lenses import WAVELENGTH_NM, perfect_lens
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
-from lensshift.optics.lens import Lens
+from lensshift.optics.lens import Lens, Stop
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import (
     Band,
@@ -249,6 +249,19 @@ def test_distortion_and_field_inversion() -> None:
         distortion(lens, [0.0, 0.0])
     with pytest.raises(ValueError, match=r"one is .* mm away|no ray of"):
         fields_for_image(lens, [[40.0, 0.0]])
+
+
+@pytest.mark.parametrize("stop", [Stop(10.0), Stop(8.0, -20.0), Stop(8.0, 20.0), Stop(3.0, 50.5)])
+@pytest.mark.parametrize("relayed", [False, True])
+def test_image_per_field_is_the_derivative_of_traced_chief_rays(stop: Stop, relayed: bool) -> None:
+    lens = replace(load_lens("petzval_a"), stop=stop)
+    if relayed:  # the last element images image and stop once more
+        last = load_lens("al2550").elements[0]
+        elements = (*lens.elements[:2], last)
+        lens = replace(lens, elements=elements, gaps_mm=(29.071, 60.0, 20.0))
+    tiny = 1e-6
+    chief = trace(lens, [0.0, tiny], [[0.0, 0.0]]).position_mm[0, 1]
+    assert image_per_field_mm(lens) == pytest.approx(chief / tiny, rel=1e-6)
 
 
 def test_exact_functions_take_one_field() -> None:

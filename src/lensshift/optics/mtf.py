@@ -14,7 +14,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.optical import MtfCurve
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_quadrature, ring_edges
+from lensshift.optics.pupil import pupil_arms, ring_edges
 from lensshift.optics.spots import Spots, fields_for_image, spots
 from lensshift.optics.trace import Build
 
@@ -179,19 +179,13 @@ def _spot_otf(
     spot_otf(
         landing.reshape(-1, count, rays),
         np.broadcast_to(spot.weight, (*landing.shape[:-2], rays)).reshape(-1, rays),
-        np.abs(axes.T @ _arms(rings).T),
+        np.abs(axes.T @ pupil_arms(rings).T),
         ring_edges(rings),
         np.broadcast_to(shear_mm, landing.shape[:-1]).reshape(-1, count),
         frequency_lpmm,
         otf.reshape(-1, count, len(frequency_lpmm)),
     )
     return otf
-
-
-def _arms(rings: int) -> Array:
-    """Return the directions [arm 2] along which the rays of a pupil quadrature lie."""
-    first = pupil_quadrature(rings)[0][: 4 * rings]
-    return np.asarray(first / np.linalg.norm(first, axis=-1, keepdims=True))
 
 
 def sensor_mtf(

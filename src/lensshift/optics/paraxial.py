@@ -55,7 +55,7 @@ def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
     """
     system = system_matrix(lens, wavelength_nm)
     power = _power(system)
-    front, behind = _around_stop(lens, wavelength_nm)
+    front, behind = matrices_around_stop(lens, wavelength_nm)
     entrance_mm, entrance_scale = _pupil(np.linalg.inv(front))
     exit_mm, exit_scale = _pupil(behind)
     image_mm, magnification = _image(system, lens.object_mm)
@@ -146,16 +146,11 @@ def element_matrix(element: Element, indices: tuple[float, ...]) -> Matrix:
 
 def entrance_pupil(lens: Lens) -> tuple[float, float]:
     """Return position from the first vertex in mm, and size over that of the stop."""
-    front, _ = _around_stop(lens, None)
+    front, _ = matrices_around_stop(lens)
     return _pupil(np.linalg.inv(front))
 
 
-def _elements(lens: Lens, wavelength_nm: float | None) -> list[Matrix]:
-    indices = lens.indices(wavelength_nm)
-    return [element_matrix(e, n) for e, n in zip(lens.elements, indices, strict=True)]
-
-
-def _around_stop(lens: Lens, wavelength_nm: float | None) -> tuple[Matrix, Matrix]:
+def matrices_around_stop(lens: Lens, wavelength_nm: float | None = None) -> tuple[Matrix, Matrix]:
     """Return the matrices from the first vertex to the stop and from there to the last vertex."""
     before = lens.elements_before_stop()
     starts_mm = lens.positions_mm()
@@ -175,6 +170,11 @@ def _around_stop(lens: Lens, wavelength_nm: float | None) -> tuple[Matrix, Matri
         last_mm = starts_mm[-2] + lens.elements[-1].length_mm
         behind = _gap(last_mm - lens.stop.position_mm)
     return front, behind
+
+
+def _elements(lens: Lens, wavelength_nm: float | None) -> list[Matrix]:
+    indices = lens.indices(wavelength_nm)
+    return [element_matrix(e, n) for e, n in zip(lens.elements, indices, strict=True)]
 
 
 def _gap(distance_mm: float) -> Matrix:

@@ -36,6 +36,12 @@ def pupil_quadrature(
     return points.reshape(-1, 2), weights
 
 
+def pupil_arms(rings: int) -> NDArray[np.float64]:
+    """Return the directions [arm 2] (row, col) along which `pupil_quadrature` puts its rays."""
+    first = pupil_quadrature(rings)[0][: 4 * rings]
+    return np.asarray(first / np.linalg.norm(first, axis=-1, keepdims=True))
+
+
 def ring_edges(rings: int) -> NDArray[np.float64]:
     """Return the squared radii [ring + 1] of annuli as large as the weights of the rings."""
     return np.concatenate([[0.0], np.cumsum(0.5 * _gauss_legendre(rings)[1])])

@@ -71,11 +71,11 @@ def stage_map(lens: Lens, element: int, grid: Grid) -> StageMap:
     ValueError
         As in `shift_map`.
     """
-    probes = _PROBE_MM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    field = _per_mm(shift_map(lens, element, probes, grid).offset_px)
     centre = Grid((1, 1), grid.pitch_mm)
-    at_centre = _per_mm(shift_map(lens, element, probes, centre).offset_px)
-    return StageMap(px_per_mm=at_centre[0, 0], field_px_per_mm=field)
+    return StageMap(
+        px_per_mm=_px_per_mm(lens, element, centre)[0, 0],
+        field_px_per_mm=_px_per_mm(lens, element, grid),
+    )
 
 
 def decenter_for_shift(
@@ -108,12 +108,12 @@ def decenter_for_shift(
             f"({lens.elements[element].name}) moves it by {gain:.2g} mm per mm"
         )
     targets = wanted.reshape(-1, 2)
-    px_per_mm = gain / np.asarray(grid.pitch_mm)
-    moves_mm = targets / px_per_mm
     centre = Grid((1, 1), grid.pitch_mm)
+    mm_per_px = np.linalg.inv(_px_per_mm(lens, element, centre)[0, 0])
+    moves_mm = targets @ mm_per_px.T
     for _ in range(_INVERSE_STEPS):
         error_px = targets - shift_map(lens, element, moves_mm, centre).offset_px[:, 0, 0]
-        moves_mm = moves_mm + error_px / px_per_mm
+        moves_mm = moves_mm + error_px @ mm_per_px.T
         if np.abs(error_px).max() < _INVERSE_PX:
             return np.asarray(moves_mm.reshape(wanted.shape))
     raise ValueError(
@@ -175,8 +175,9 @@ def moving(lens: Lens, element: int, decenter_mm: Array) -> Build:
     return Build(decenter_mm=moves)
 
 
-def _per_mm(offset_px: Array) -> Array:
-    """Return [row col 2 2] image over stage from offsets at the four probes."""
-    row = offset_px[0] - offset_px[1]
-    col = offset_px[2] - offset_px[3]
+def _px_per_mm(lens: Lens, element: int, grid: Grid) -> Array:
+    """Return [row col 2 2] image over stage, by central differences."""
+    probes = _PROBE_MM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    offset_px = shift_map(lens, element, probes, grid).offset_px
+    row, col = offset_px[0] - offset_px[1], offset_px[2] - offset_px[3]
     return np.stack([row, col], axis=-1) / (2.0 * _PROBE_MM)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.optics.lens import Lens
-from lensshift.optics.paraxial import paraxial
+from lensshift.optics.paraxial import matrices_around_stop
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.trace import Build, RayBundle, trace
 
@@ -134,11 +134,14 @@ def fields_for_image(
 
 
 def image_per_field_mm(lens: Lens) -> float:
-    """Return how far the paraxial chief ray moves on the sensor per unit of `field_tan`."""
-    data = paraxial(lens)
-    slope = data.entrance_pupil_diameter_mm / data.exit_pupil_diameter_mm
-    sign = np.sign(data.focal_length_mm) or 1.0
-    return float(sign * slope * (lens.gaps_mm[-1] - data.exit_pupil_mm))
+    """Return how far the paraxial chief ray moves on the sensor per unit of `field_tan`.
+
+    With the matrices F to the stop and B behind it, and the gap g to the sensor:
+
+        image / field = (B_01 + g B_11) / F_00
+    """
+    front, behind = matrices_around_stop(lens)
+    return float((behind[0, 1] + lens.gaps_mm[-1] * behind[1, 1]) / front[0, 0])
 
 
 def distortion(lens: Lens, field_tan: ArrayLike, *, rings: int = 4) -> Array:

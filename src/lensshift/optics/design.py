@@ -1,0 +1,153 @@
+"""Design with stock lenses: the gaps and orientations that make a train of them sharpest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.optics.focus import scan_focus, spot_means
+from lensshift.optics.gaps import Effort, best_gaps, train_lens
+from lensshift.optics.goal import Goal
+from lensshift.optics.lens import Element, Lens
+from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.shift import decenter_for_shift, moving, shift_map, shift_uniformity
+from lensshift.optics.spots import image_per_field_mm
+from lensshift.optics.trace import Build, trace
+
+Array = NDArray[np.float64]
+
+DIAGONALS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+
+_MOST_ELEMENTS = 5
+_RINGS, _AZIMUTHS = 10, 24  # of the final judgement
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A train of stock lenses with its gaps, and what it does.
+
+    Parameters
+    ----------
+    lens : the train
+    element : number of the element that moves, from 0, or None
+    turned : which elements stand the other way round than they were given
+    mtf_centred : least MTF at the corner of the sensor over all azimuths
+    mtf_moved : the same over the four diagonal moves; that at rest if no element moves
+    shift_error_px : largest error of the shift over the sensor, 0 if no element moves
+    stroke_mm : decentre of the element along one axis, negative if the image goes the other way
+    transmission : least share of the light through the stop at the corner
+    """
+
+    lens: Lens
+    element: int | None
+    turned: tuple[bool, ...]
+    mtf_centred: float
+    mtf_moved: float
+    shift_error_px: float
+    stroke_mm: float
+    transmission: float
+
+    def meets(self, goal: Goal) -> bool:
+        """Tell whether MTF, shift error and back focal distance are as wanted."""
+        return (
+            min(self.mtf_centred, self.mtf_moved) >= goal.mtf
+            and self.shift_error_px <= goal.shift_error_px
+            and self.lens.gaps_mm[-1] >= goal.back_focal_mm
+        )
+
+
+def optimise_gaps(
+    elements: Sequence[Element],
+    goal: Goal,
+    *,
+    element: int | None = None,
+    turn: bool = True,
+    name: str = "",
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Design:
+    """Return the train of these elements, in this order, that is sharpest over the field.
+
+    Maximises the least fast MTF over fields, azimuths and positions of the moved element, over
+    all gaps and the sensor position; a shift error above the limit costs 10 per px. A grid search
+    over the free gaps, refined around its best point.
+
+    Parameters
+    ----------
+    elements : in the order in which light meets them, at least two
+    element : number of the element that moves, from 0, or None
+    turn : also try each element the other way round
+    name : of the lens
+    on_progress : is told how many of all orientations are done
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two or more than five elements, or no gaps give the focal length
+        with room for all elements, the back focal distance and the light.
+    """
+    if not 2 <= len(elements) <= _MOST_ELEMENTS:
+        raise ValueError(f"expected 2 to {_MOST_ELEMENTS} elements, got {len(elements)}")
+    if element is not None and not 0 <= element < len(elements):
+        raise ValueError(f"expected an element from 0 to {len(elements) - 1}, got {element}")
+    choices = list(orientations(len(elements))) if turn else [(False,) * len(elements)]
+    best, best_score, best_turned = None, -math.inf, choices[0]
+    for done, turned in enumerate(choices, start=1):
+        found = best_gaps(turned_train(elements, turned), goal, element, Effort())
+        if found is not None and found[0] > best_score:
+            best_score, best = found
+            best_turned = turned
+        if on_progress is not None:
+            on_progress(done, len(choices))
+    if best is None:
+        raise ValueError(
+            f"expected elements that reach a focal length of {goal.focal_length_mm} mm with "
+            f"{goal.back_focal_mm} mm in front of the sensor, got none in {len(choices)} "
+            "orientations"
+        )
+    train = turned_train(elements, best_turned)
+    return assess(train_lens(train, best, goal, name), goal, element, best_turned)
+
+
+def orientations(count: int) -> Iterator[tuple[bool, ...]]:
+    """Return every choice of which of `count` elements are turned round."""
+    return product((False, True), repeat=count)
+
+
+def turned_train(elements: Sequence[Element], turned: Sequence[bool]) -> tuple[Element, ...]:
+    """Return the elements, some of them turned round."""
+    return tuple(e.reversed() if t else e for e, t in zip(elements, turned, strict=True))
+
+
+def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]) -> Design:
+    """Return the design of a finished lens: MTF at the corner, shift error over the sensor."""
+    points, weight = pupil_quadrature(_RINGS)
+    moves_mm = np.zeros((1, 2))
+    error_px = stroke_mm = 0.0
+    build = Build()
+    if element is not None:
+        wanted_px = goal.shift_px * DIAGONALS
+        moves_mm = decenter_for_shift(lens, element, wanted_px, goal.grid)
+        even = shift_uniformity(shift_map(lens, element, moves_mm, goal.grid), wanted_px)
+        error_px = max(one.max_error_px for one in even)
+        stroke_mm = float(moves_mm[0, 1])
+        build = moving(lens, element, np.concatenate([np.zeros((1, 2)), moves_mm]))
+    half_mm = 0.5 * np.asarray(goal.grid.shape) * np.asarray(goal.grid.pitch_mm)
+    rays = trace(lens, half_mm / abs(image_per_field_mm(lens)), points, build=build)
+    azimuths = np.linspace(0.0, np.pi, _AZIMUTHS, endpoint=False)
+    mtf = scan_focus(rays, weight, _RINGS, goal.judged_lpmm, azimuths, goal.wavelength_nm)
+    worst = np.atleast_1d(mtf[..., 0].min(axis=-1))
+    return Design(
+        lens=lens,
+        element=element,
+        turned=tuple(turned),
+        mtf_centred=float(worst[0]),
+        mtf_moved=float(worst.min() if element is None else worst[1:].min()),
+        shift_error_px=error_px,
+        stroke_mm=stroke_mm,
+        transmission=float(spot_means(rays, weight).transmission.min()),
+    )

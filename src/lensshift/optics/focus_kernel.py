@@ -1,0 +1,121 @@
+"""The inner loop of a focus scan: the rays turn by the same phase from plane to plane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lensshift.optics.otf_kernel import diffraction, overlap_square
+
+Array = NDArray[Any]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spot_means(
+    position: Array, direction: Array, status: Array, weight: Array, transmission: Array,
+    centroid: Array, slope: Array,
+) -> None:  # fmt: skip
+    """Write the share of light, its centroid and its mean slope; NaN for a dark spot.
+
+    Parameters
+    ----------
+    position : [spot ray 2] in mm
+    direction : [spot ray 3]
+    status : [spot ray] 0 for rays that arrive
+    weight : [ray] sums to 1
+    transmission : [spot]
+    centroid : [spot 2] in mm
+    slope : [spot 2] by which the centroid moves per mm of focus
+    """
+    for s in range(status.shape[0]):
+        total = 0.0
+        for r in range(status.shape[1]):
+            if status[s, r] == 0:
+                total += weight[r]
+        transmission[s] = total
+        for i in range(2):
+            at, lean = 0.0, 0.0
+            for r in range(status.shape[1]):
+                if status[s, r] == 0:
+                    at += weight[r] * position[s, r, i]
+                    lean += weight[r] * direction[s, r, i] / direction[s, r, 2]
+            centroid[s, i] = at / total
+            slope[s, i] = lean / total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pupil_width(
+    direction: Array, status: Array, weight: Array, s: int, row: float, col: float
+) -> float:
+    """Return four standard deviations of the direction cosines along an azimuth."""
+    total, mean, square = 0.0, 0.0, 0.0
+    for r in range(status.shape[1]):
+        if status[s, r] == 0:
+            cosine = row * direction[s, r, 0] + col * direction[s, r, 1]
+            total += weight[r]
+            mean += weight[r] * cosine
+            square += weight[r] * cosine * cosine
+    mean /= total
+    return float(4.0 * np.sqrt(max(square / total - mean * mean, 0.0)))
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _sum_planes(x: Array, y: Array, c: Array, d: Array, scale: float, out: Array) -> None:
+    """Write |sum (x + i y)| for each plane, turning by (c + i d) from one to the next."""
+    for p in range(out.size):
+        real, imaginary = 0.0, 0.0
+        for r in range(x.size):
+            real += x[r]
+            imaginary += y[r]
+            x[r], y[r] = c[r] * x[r] - d[r] * y[r], d[r] * x[r] + c[r] * y[r]
+        out[p] = scale * np.sqrt(real * real + imaginary * imaginary)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def focus_mtf(
+    position: Array, direction: Array, status: Array, weight: Array, axes: Array, along: Array,
+    edges: Array, turns: float, wavelength_mm: float, first: Array, step: float, out: Array,
+) -> None:  # fmt: skip
+    """Write the fast MTF of spots in evenly spaced planes, 0 for dark spots.
+
+    Parameters
+    ----------
+    position, direction, status, weight : as in `spot_means`, ring by ring
+    axes : [azimuth 2] (row, col) directions in which the pattern repeats
+    along : [azimuth arm] |cosine| of the angle between arm and azimuth
+    edges : [ring + 1] squared radii of the annuli that the rings stand for
+    turns : line pairs per mm
+    wavelength_mm : of the light
+    first : [spot] the first plane, step : from plane to plane, in mm behind the sensor
+    out : [spot azimuth plane]
+    """
+    rings, arms = edges.size - 1, along.shape[1]
+    x, y = np.empty(weight.size), np.empty(weight.size)
+    c, d = np.empty(weight.size), np.empty(weight.size)
+    for s, a in np.ndindex(out.shape[:2]):
+        row, col = axes[a, 0], axes[a, 1]
+        v = min(turns * wavelength_mm / _pupil_width(direction, status, weight, s, row, col), 1.0)
+        total, used = 0.0, 0
+        for j in range(arms):
+            square = overlap_square(v, along[a, j])
+            for k in range(rings):
+                share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
+                if share <= 0.0:
+                    break
+                r = k * arms + j
+                if status[s, r] != 0:
+                    continue
+                part = share * weight[r]
+                slope = row * direction[s, r, 0] + col * direction[s, r, 1]
+                slope /= direction[s, r, 2]
+                at = row * position[s, r, 0] + col * position[s, r, 1] + first[s] * slope
+                angle, turn = 2.0 * np.pi * turns * at, 2.0 * np.pi * turns * step * slope
+                x[used], y[used] = part * np.cos(angle), part * np.sin(angle)
+                c[used], d[used] = np.cos(turn), np.sin(turn)
+                total += part
+                used += 1
+        scale = diffraction(v) / total if total > 0.0 else 0.0
+        _sum_planes(x[:used], y[:used], c[:used], d[:used], scale, out[s, a])

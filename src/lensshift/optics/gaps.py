@@ -1,0 +1,249 @@
+"""The search for the gaps of a train of elements, many candidates in one trace."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.optics.focus import scan_focus, spot_means
+from lensshift.optics.goal import Goal
+from lensshift.optics.lens import Element, Lens
+from lensshift.optics.paraxial import element_matrix
+from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.trace import Build, trace
+
+Array = NDArray[np.float64]
+
+_LONGEST_GAP = 1.2  # of the focal length
+_COARSE = {0: 1, 1: 64, 2: 24, 3: 12}  # grid points along each free gap, by their number
+_FINE, _ZOOM = 9, 4.0  # points of a refinement, and how much closer the next one is
+_ASIDE_MM, _PLANE_MM, _PLANES = -0.6, 0.02, 51  # of the sensor from the paraxial image
+_NEAR_ASIDE_MM, _NEAR_PLANE_MM = -0.125, 0.005  # of the sensor from the best one so far
+_LEAST_GAIN = 0.1  # image movement over element movement
+_SHIFT_WEIGHT = 10.0  # MTF given up per px of shift error above the limit
+_DIGITS = 4  # of a gap in mm
+_IMPOSSIBLE = -1.0
+_STEPS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How closely a train is looked at.
+
+    Parameters
+    ----------
+    rings : of the pupil quadrature
+    azimuths : of the MTF, over half a turn
+    fields : [field] (row, col) shares of the half height and width of the sensor; the first is
+        the centre
+    rounds : of refinement of the gaps
+    """
+
+    rings: int = 4
+    azimuths: int = 6
+    fields: tuple[tuple[float, float], ...] = ((0, 0), (0, 0.6), (0, 1), (1, 0), (1, 1))
+    rounds: int = 5
+
+
+def best_gaps(
+    train: tuple[Element, ...], goal: Goal, element: int | None, effort: Effort
+) -> tuple[float, Array] | None:
+    """Return the best score and its gaps [element], or None if there are none that fit.
+
+    Parameters
+    ----------
+    train : elements in their final orientations
+    element : number of the one that moves, or None
+    """
+    if goal.stop.diameter_mm > 2.0 * train[0].surfaces[0].semi_diameter_mm:
+        return None
+    search = _Search(train, goal, element, effort)
+    free = len(train) - 2
+    high_mm = np.full(free, _LONGEST_GAP * goal.focal_length_mm)
+    low_mm = search.least_mm[:free]
+    axes = [np.linspace(a, b, _COARSE[free]) for a, b in zip(low_mm, high_mm, strict=True)]
+    best = search.best(np.array(list(product(*axes))), _ASIDE_MM, _PLANE_MM)
+    step_mm = (high_mm - low_mm) / max(_COARSE[free] - 1, 1)
+    pattern = np.array(list(product(np.linspace(-1.0, 1.0, _FINE), repeat=free)))
+    for _ in range(effort.rounds):
+        if best.score <= _IMPOSSIBLE:
+            return None
+        near = np.clip(best.gaps_mm[:free] + step_mm * pattern, low_mm, high_mm)
+        found = search.best(near, best.aside_mm + _NEAR_ASIDE_MM, _NEAR_PLANE_MM)
+        best = max(best, found, key=lambda one: one.score)
+        step_mm = step_mm / _ZOOM
+    return None if best.score <= _IMPOSSIBLE else (best.score, best.gaps_mm)
+
+
+def train_lens(train: tuple[Element, ...], gaps_mm: Array, goal: Goal, name: str = "") -> Lens:
+    """Return the lens of a train with these gaps, the last of them to the sensor."""
+    return Lens(
+        elements=train,
+        gaps_mm=tuple(float(gap) for gap in np.round(gaps_mm, _DIGITS)),
+        stop=goal.stop,
+        object_mm=goal.object_mm,
+        wavelength_nm=goal.wavelength_nm,
+        name=name,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """The best of some candidates: its score, gaps, and sensor relative to the paraxial image."""
+
+    score: float
+    gaps_mm: Array
+    aside_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trains:
+    """Candidates by the laws of paraxial optics.
+
+    Parameters
+    ----------
+    gaps_mm : [candidate element] the last one to the paraxial image
+    magnification : [candidate] size of the image over that of the object, or image height over
+        tangent of the angle in mm for an infinitely far object
+    gain : [candidate] image movement over element movement; 1 if none moves
+    """
+
+    gaps_mm: Array
+    magnification: Array
+    gain: Array
+
+
+class _Search:
+    """Scores candidates for the gaps of one train."""
+
+    def __init__(
+        self, train: tuple[Element, ...], goal: Goal, element: int | None, effort: Effort
+    ) -> None:
+        self.goal, self.element, self.effort = goal, element, effort
+        self.least_mm = np.array(
+            [_least_gap_mm(a, b, goal.clearance_mm) for a, b in pairwise(train)]
+        )
+        self.base = train_lens(train, np.append(self.least_mm, goal.back_focal_mm), goal)
+        self.matrices = [
+            element_matrix(one, n) for one, n in zip(train, self.base.indices(), strict=True)
+        ]
+        self.points, self.weight = pupil_quadrature(effort.rings)
+
+    def best(self, free_mm: Array, aside_mm: float, plane_mm: float) -> _Found:
+        """Return the best of candidates [candidate free gap], sensors in evenly spaced planes."""
+        goal = self.goal
+        trains = self._trains(free_mm)
+        if not len(trains.gain):
+            return _Found(_IMPOSSIBLE, np.empty(0), 0.0)
+        image_mm = trains.gaps_mm[:, -1]
+        first_mm = np.maximum(aside_mm, goal.back_focal_mm - image_mm)
+        positions = _STEPS if self.element is not None else _STEPS[:1]
+        wanted_mm = goal.shift_px * np.asarray(goal.grid.pitch_mm) * positions
+        moves = np.zeros((len(image_mm), len(positions), 1, len(self.matrices), 2))
+        if self.element is not None:
+            moves[:, :, 0, self.element] = wanted_mm / trains.gain[:, None, None]
+        gap_mm = trains.gaps_mm - np.asarray(self.base.gaps_mm)
+        fields = field_tan(goal, trains.magnification, self.effort.fields)
+        build = Build(decenter_mm=moves, gap_mm=gap_mm[:, None, None])
+        rays = trace(self.base, fields[:, None], self.points, build=build)
+        mtf = scan_focus(
+            rays, self.weight, self.effort.rings, goal.judged_lpmm, self._azimuths(),
+            goal.wavelength_nm, first_mm=first_mm[:, None, None], step_mm=plane_mm, planes=_PLANES,
+        )  # fmt: skip
+        means = spot_means(rays, self.weight)
+        score = mtf.min(axis=(1, 2, 3))
+        score[means.transmission.min(axis=(1, 2)) < goal.transmission] = _IMPOSSIBLE
+        plane = score.argmax(axis=-1)
+        behind_mm = first_mm + plane_mm * plane
+        centroid_mm = means.centroid_mm + behind_mm[:, None, None, None] * means.slope
+        score = score.max(axis=-1) - self._penalty(centroid_mm, wanted_mm)
+        one = int(np.nanargmax(np.where(np.isnan(score), _IMPOSSIBLE, score)))
+        gaps_mm = trains.gaps_mm[one].copy()
+        gaps_mm[-1] += behind_mm[one]
+        return _Found(float(score[one]), gaps_mm, float(behind_mm[one]))
+
+    def _azimuths(self) -> Array:
+        return np.linspace(0.0, np.pi, self.effort.azimuths, endpoint=False)
+
+    def _penalty(self, centroid_mm: Array, wanted_mm: Array) -> Array:
+        """Return what the shift errors of [candidate position field] cost each candidate."""
+        if self.element is None:
+            return np.zeros(len(centroid_mm))
+        shift_mm = centroid_mm[:, 1:] - centroid_mm[:, :1]
+        evened = shift_mm * wanted_mm[1:, None] / shift_mm[:, :, :1]  # exact at the centre
+        error_px = (evened - wanted_mm[1:, None]) / np.asarray(self.goal.grid.pitch_mm)
+        largest = np.linalg.norm(error_px, axis=-1).max(axis=(1, 2))
+        return np.asarray(_SHIFT_WEIGHT * np.maximum(largest - self.goal.shift_error_px, 0.0))
+
+    def _trains(self, free_mm: Array) -> _Trains:
+        """Return the candidates that have the focal length and fit, by matrices [candidate 2 2]."""
+        goal, last = self.goal, self.matrices[-1]
+        front = np.broadcast_to(self.matrices[0], (len(free_mm), 2, 2))
+        for number, gap_mm in enumerate(free_mm.T, start=1):
+            front = self.matrices[number] @ _gap(gap_mm) @ front
+        # The power of the train is linear in its last gap.
+        per_mm = last[1, 0] * front[:, 1, 0]
+        with np.errstate(divide="ignore"):
+            solved_mm = (-1.0 / goal.focal_length_mm - (last @ front)[:, 1, 0]) / per_mm
+        longest_mm = _LONGEST_GAP * goal.focal_length_mm
+        fits = (solved_mm >= self.least_mm[-1]) & (solved_mm <= longest_mm)
+        free_mm, solved_mm, front = free_mm[fits], solved_mm[fits], front[fits]
+        whole = last @ _gap(solved_mm) @ front
+        if math.isinf(goal.object_mm):
+            image_mm = -whole[:, 0, 0] / whole[:, 1, 0]
+            magnification = np.full(len(image_mm), goal.focal_length_mm)
+        else:
+            whole = whole @ np.array([[1.0, goal.object_mm], [0.0, 1.0]])
+            image_mm = -whole[:, 0, 1] / whole[:, 1, 1]
+            magnification = np.abs(whole[:, 0, 0] + image_mm * whole[:, 1, 0])
+        gaps_mm = np.column_stack([free_mm, solved_mm, image_mm])
+        gain = self._gain(gaps_mm)
+        reach_mm = goal.back_focal_mm - _ASIDE_MM - _PLANE_MM * _PLANES
+        kept = (image_mm > max(reach_mm, 0.0)) & (np.abs(gain) > _LEAST_GAIN)
+        return _Trains(gaps_mm[kept], magnification[kept], gain[kept])
+
+    def _gain(self, gaps_mm: Array) -> Array:
+        if self.element is None:
+            return np.ones(len(gaps_mm))
+        behind = _gap(gaps_mm[:, -1])
+        for number in range(len(self.matrices) - 1, self.element, -1):
+            behind = behind @ self.matrices[number] @ _gap(gaps_mm[:, number - 1])
+        added = (np.eye(2) - self.matrices[self.element]) @ np.array([1.0, 0.0])
+        return np.asarray(behind[:, 0] @ added)
+
+
+def field_tan(goal: Goal, magnification: Array, shares: Sequence[tuple[float, float]]) -> Array:
+    """Return the fields [train field 2] whose paraxial images lie at shares of the half sensor.
+
+    Parameters
+    ----------
+    magnification : [train] size of the image over that of the object, or image height over
+        tangent of the angle in mm for an infinitely far object
+    shares : [field] (row, col), 1 at the edge
+    """
+    half_mm = 0.5 * np.asarray(goal.grid.shape) * np.asarray(goal.grid.pitch_mm)
+    far = math.isinf(goal.object_mm)
+    image_mm = magnification * (1.0 if far else goal.object_mm + goal.stop.position_mm)
+    return np.asarray(np.asarray(shares) * half_mm / image_mm[:, None, None])
+
+
+def _gap(distance_mm: Array) -> Array:
+    """Return the matrices [candidate 2 2] of air."""
+    matrices = np.zeros((len(distance_mm), 2, 2))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = 1.0
+    matrices[:, 0, 1] = distance_mm
+    return matrices
+
+
+def _least_gap_mm(front: Element, back: Element, clearance_mm: float) -> float:
+    """Return the shortest gap that leaves the clearance between two elements everywhere."""
+    before, behind = front.surfaces[-1], back.surfaces[0]
+    edge_mm = min(before.semi_diameter_mm, behind.semi_diameter_mm)
+    heights_mm = np.linspace(0.0, edge_mm if math.isfinite(edge_mm) else 0.0, 65)
+    room_mm = behind.sag_mm(heights_mm) - before.sag_mm(heights_mm)
+    return float(np.ceil((clearance_mm - room_mm.min()) * 10**_DIGITS) / 10**_DIGITS)
