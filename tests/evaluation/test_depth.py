@@ -16,12 +16,8 @@ from lensshift.evaluation.depth import (
     fill_rate,
     near_edges,
 )
-from lensshift.evaluation.surface import (
-    fit_plane,
-    flying_pixel_fraction,
-    noise_gain,
-    temporal_noise,
-)
+from lensshift.evaluation.noise import noise_gain, temporal_noise
+from lensshift.evaluation.surface import fit_plane, flying_pixel_fraction
 
 Floats = NDArray[np.float64]
 SHAPE = (17, 33)

@@ -9,6 +9,7 @@ import typer
 from lensshift.cli.convert import convert
 from lensshift.cli.evaluate import evaluate
 from lensshift.cli.info import info
+from lensshift.cli.lens import lens_verbs
 from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.run import run
 
@@ -49,3 +50,4 @@ app.command()(reconstruct)
 app.command()(convert)
 app.command()(info)
 app.add_typer(evaluate, name="evaluate")
+app.add_typer(lens_verbs, name="lens")

@@ -9,9 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
+from lensshift.cli.depth import depth
+from lensshift.cli.gain import gain
+from lensshift.cli.gradient import gradient
 from lensshift.cli.inputs import load_input_image
 from lensshift.cli.mtf import mtf
 from lensshift.cli.session import DebugOption, JsonOption, session
+from lensshift.cli.star import frc, star, zone
 from lensshift.core.errors import QualityWarning
 
 evaluate = typer.Typer(
@@ -19,7 +23,8 @@ evaluate = typer.Typer(
     rich_markup_mode=None,
 )
 
-evaluate.command()(mtf)
+for verb in (mtf, gain, gradient, star, zone, frc, depth):
+    evaluate.command()(verb)
 
 ImageArgument = Annotated[Path, typer.Argument(help="Image, burst file or reconstruction.")]
 TruthArgument = Annotated[Path, typer.Argument(help="The truth, an image of the same shape.")]

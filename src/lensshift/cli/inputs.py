@@ -114,11 +114,11 @@ def load_input_image(path: Path, *, key: str | None = None, frame: int = 0) -> N
     if kind is Kind.RECONSTRUCTION:
         return _channel_image(load_reconstruction(path), path, key)
     if kind is Kind.BURST:
-        return _one_frame(load_burst(path).amplitude, path, frame)
+        return one_frame(burst_channel(load_burst(path), path, key), path, frame)
     if path.suffix.lower() == ".npz":
         arrays = load_named_arrays(path)
-        return _one_frame(arrays[_image_name(arrays, path, key)], path, frame)
-    return _one_frame(load_frames(path), path, frame)
+        return one_frame(arrays[_image_name(arrays, path, key)], path, frame)
+    return one_frame(load_frames(path), path, frame)
 
 
 def parse_pitch_mm(text: str) -> tuple[float, float]:
@@ -147,7 +147,18 @@ def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -
         taken[place] = "is written twice"
 
 
-def _one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
+def burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[Any]:
+    """Return the frames [frame row col] of a channel, by default the amplitude."""
+    channels = {"amplitude": burst.amplitude, "distance": burst.distance_m}
+    frames = channels.get(key or "amplitude")
+    if frames is None:
+        known = " or ".join(name for name, values in channels.items() if values is not None)
+        raise DataError(f"expected {known}, got {key!r}", source=path)
+    return frames
+
+
+def one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
+    """Return one image [row col] of frames, or the image itself."""
     if values.ndim == 2 and frame == 0:
         return values
     if values.ndim != 3:

@@ -2,46 +2,65 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.inputs import Kind, kind_of, load_input_image, parse_pitch_mm
+from lensshift.cli.measured import (
+    CsvOption,
+    FocalOption,
+    FrameOption,
+    ImageArgument,
+    KeyOption,
+    Measured,
+    PitchOption,
+    PlotOption,
+    RegionOption,
+    Unit,
+    check_outputs,
+    frequency_unit,
+    interval_row,
+    measured_frames,
+    measured_image,
+    parse_region,
+    write_plot,
+    write_table,
+)
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
 
 if TYPE_CHECKING:
-    from lensshift.evaluation.slanted_edge import EdgeResult
+    from collections.abc import Sequence
 
-ImageArgument = Annotated[Path, typer.Argument(help="Image, burst file or reconstruction.")]
-PitchOption = Annotated[
-    str | None,
-    typer.Option(
-        "--pitch-mm",
-        help="Pixel pitch of an image: one number, or row,col. Without it: cycles per pixel.",
-    ),
-]
-RegionOption = Annotated[
-    str | None,
-    typer.Option("--region", help="Region of the edge: row start,row stop,col start,col stop."),
-]
+    from lensshift.evaluation.slanted_edge import EdgeResult, Interval
+
+
+class EdgeMethod(StrEnum):
+    """How an edge is measured."""
+
+    ML = "ml"
+    SFRMAT3 = "sfrmat3"
+    SFRMAT5 = "sfrmat5"
+
+
 JointOption = Annotated[
     bool, typer.Option("--joint", help="Fit all frames of a burst file together.")
 ]
-FrameOption = Annotated[int, typer.Option(min=0, help="Frame of IMAGE, if it holds several.")]
-KeyOption = Annotated[
-    str | None, typer.Option("--key", help="Array of an NPZ file, or channel of a reconstruction.")
+MethodOption = Annotated[
+    EdgeMethod,
+    typer.Option("--method", help="Maximum likelihood, or a published algorithm to compare with."),
 ]
-CsvOption = Annotated[Path | None, typer.Option("--csv", help="Write the mean curve there.")]
 
-# Name in the result, name for people, unit.
-_NUMBERS = (
-    ("mtf50_lpmm", "MTF50", True),
-    ("mtf30_lpmm", "MTF30", True),
-    ("mtf10_lpmm", "MTF10", True),
-    ("mtf_at_nyquist", "MTF at LR Nyquist", False),
-    ("area_to_nyquist", "mean MTF to LR Nyquist", False),
-    ("peak", "peak", False),
+# Name in the result, name for people, what it is.
+NUMBERS = (
+    ("mtf50_lpmm", "MTF50", "frequency"),
+    ("mtf30_lpmm", "MTF30", "frequency"),
+    ("mtf10_lpmm", "MTF10", "frequency"),
+    ("mtf_at_nyquist", "MTF at LR Nyquist", "share"),
+    ("area_to_nyquist", "mean MTF to LR Nyquist", "share"),
+    ("peak", "peak", "share"),
+    ("effective_pixel_mm", "effective pixel", "length"),
+    ("rise_mm", "10-90 width", "length"),
 )
 
 
@@ -50,84 +69,75 @@ def mtf(
     pitch_mm: PitchOption = None,
     region: RegionOption = None,
     joint: JointOption = False,
+    method: MethodOption = EdgeMethod.ML,
+    focal_length_mm: FocalOption = None,
     frame: FrameOption = 0,
     key: KeyOption = None,
     csv: CsvOption = None,
+    plot: PlotOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Measure the MTF of slanted edges, with 95 % intervals.
 
+    Every edge of the image is found and measured, unless a region is given; numbers of several
+    edges are averaged with their variances.
+
     \b
     Example:
-      lensshift evaluate mtf edge.tif --pitch-mm 0.155 --csv mtf.csv
+      lensshift evaluate mtf edge.tif --pitch-mm 0.155 --csv mtf.csv --plot mtf.png
       lensshift evaluate mtf burst.nc --joint --region 0,16,20,50
+      lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
     with session(as_json=as_json, debug=debug) as current:
         from lensshift.evaluation.slanted_edge import average_curves, measure_edges
 
-        place = None if region is None else _region(region)
-        values, options = _input(image, pitch_mm, joint, frame, key)
-        results = measure_edges(values, options.pop("pitch_mm"), region=place, **options)
-        unit = "LP/mm" if _has_pitch(image, pitch_mm) else "cycles/px"
+        place = parse_region(region)
+        check_outputs([image], csv, plot)
+        measured = (
+            measured_frames(image, key=key)
+            if joint
+            else measured_image(image, pitch_mm, key=key, frame=frame)
+        )
+        unit = frequency_unit(measured, focal_length_mm)
+        results = measure_edges(
+            measured.values,
+            measured.pitch_mm,
+            region=place,
+            method=method.value,
+            offset_px=measured.offset_px,
+            valid=measured.valid,
+            scale=measured.scale,
+        )
         for result in results:
-            _say(current, result, unit)
+            say_edge(current, result, unit, measured.length)
+        mean = _mean(results)
+        if len(results) > 1:
+            current.say(f"mean of {len(results)} edges")
+            _say_numbers(current, mean, unit, measured.length)
         curve = average_curves(results)
-        current.result |= {"image": image, "unit": unit, "edges": [_row(r) for r in results]}
-        current.result["mtf"] = {
-            "frequency_lpmm": curve.frequency_lpmm.tolist(),
-            "modulation": curve.modulation.tolist(),
-            "std": None if curve.std is None else curve.std.tolist(),
-        }
-        if csv is not None:
-            from lensshift.io.atomic import written_whole
-
-            columns = [curve.frequency_lpmm, curve.modulation]
-            columns += [] if curve.std is None else [curve.std]
-            names = ("frequency_lpmm", "modulation", "std")[: len(columns)]
-            rows = zip(*columns, strict=True)
-            with written_whole(csv) as part:
-                lines = [",".join(f"{number:.8g}" for number in row) for row in rows]
-                part.write_text("\n".join([",".join(names), *lines]) + "\n")
-            current.say(f"wrote {csv}")
+        frequency = curve.frequency_lpmm * unit.factor
+        current.result |= {"image": image, "unit": unit.name, "length_unit": measured.length}
+        current.result["edges"] = [edge_row(result, unit) for result in results]
+        current.result["mean"] = _mean_row(mean, unit)
+        current.result["mtf"] = {"frequency": frequency, "frequency_lpmm": curve.frequency_lpmm}
+        current.result["mtf"] |= {"modulation": curve.modulation, "std": curve.std}
+        first = "frequency_lpmm" if focal_length_mm is None else "frequency_cycles_per_mrad"
+        columns = {first: frequency, "modulation": curve.modulation}
+        columns |= {} if curve.std is None else {"std": curve.std}
+        write_table(current, csv, columns)
+        write_plot(current, plot, lambda: _figure(results, measured, unit))
 
 
-def _input(
-    path: Path, pitch_mm: str | None, joint: bool, frame: int, key: str | None
-) -> tuple[Any, dict[str, Any]]:
-    from lensshift.io import load_burst, load_reconstruction
+def _figure(results: Sequence[EdgeResult], measured: Measured, unit: Unit) -> Any:
+    from lensshift.report.edges import edge_figure
 
-    kind = kind_of(path)
-    if joint:
-        if kind is not Kind.BURST:
-            raise typer.BadParameter(f"--joint needs a burst file, got {path}")
-        burst = load_burst(path)
-        options = {"pitch_mm": burst.grid.pitch_mm, "offset_px": burst.offset_px}
-        return burst.amplitude, options | {"valid": burst.valid}
-    values = load_input_image(path, key=key, frame=frame)
-    if kind is Kind.BURST:
-        return values, {"pitch_mm": load_burst(path).grid.pitch_mm}
-    if kind is Kind.RECONSTRUCTION:
-        result = load_reconstruction(path)
-        return values, {"pitch_mm": result.grid.pitch_mm, "scale": result.scale}
-    return values, {"pitch_mm": (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)}
+    shown = measured.values if measured.values.ndim == 2 else measured.values[0]
+    return edge_figure(results, shown, unit=unit.name, factor=unit.factor)
 
 
-def _has_pitch(path: Path, pitch_mm: str | None) -> bool:
-    return pitch_mm is not None or kind_of(path) is not Kind.STACK
-
-
-def _region(text: str) -> tuple[int, int, int, int]:
-    try:
-        ends = [int(part) for part in text.split(",")]
-    except ValueError as error:
-        raise typer.BadParameter(f"expected a region like 0,16,20,50, got {text!r}") from error
-    if len(ends) != 4:
-        raise typer.BadParameter(f"expected a region like 0,16,20,50, got {text!r}")
-    return ends[0], ends[1], ends[2], ends[3]
-
-
-def _say(current: Session, result: EdgeResult, unit: str) -> None:
+def say_edge(current: Session, result: EdgeResult, unit: Unit, length: str) -> None:
+    """Print an edge and its numbers."""
     import numpy as np
 
     current.say(
@@ -135,20 +145,44 @@ def _say(current: Session, result: EdgeResult, unit: str) -> None:
         f"{np.rad2deg(result.angle_rad.value):.2f} degrees, contrast "
         f"{100 * result.contrast:.0f} %, SNR {result.snr:.3g}"
     )
-    for name, label, is_frequency in _NUMBERS:
-        current.say(f"  {label:<23}{getattr(result, name)}{' ' + unit if is_frequency else ''}")
-    length = "mm" if unit == "LP/mm" else "px"
-    current.say(f"  {'effective pixel':<23}{result.effective_pixel_mm} {length}")
-    current.say(f"  {'10-90 width':<23}{result.rise_mm} {length}")
+    _say_numbers(current, {name: getattr(result, name) for name, _, _ in NUMBERS}, unit, length)
 
 
-def _row(result: EdgeResult) -> dict[str, Any]:
-    names = ["angle_rad", "position_px", *(n for n, _, _ in _NUMBERS)]
-    names += ["effective_pixel_mm", "rise_mm", "asymmetry"]
+def _say_numbers(current: Session, numbers: dict[str, Interval], unit: Unit, length: str) -> None:
+    for name, label, kind in NUMBERS:
+        number, ending = numbers[name], ""
+        if kind == "frequency":
+            number, ending = number.scaled(unit.factor), f" {unit.name}"
+        elif kind == "length":
+            ending = f" {length}"
+        known = number.value == number.value
+        current.say(f"  {label:<23}{number}{ending if known else ''}")
+
+
+def _mean(results: Sequence[EdgeResult]) -> dict[str, Interval]:
+    from lensshift.evaluation.slanted_edge import average_interval
+
+    return {
+        name: average_interval([getattr(result, name) for result in results])
+        for name, _, _ in NUMBERS
+    }
+
+
+def _mean_row(mean: dict[str, Interval], unit: Unit) -> dict[str, Any]:
+    row: dict[str, Any] = {name: interval_row(number) for name, number in mean.items()}
+    for name in ("mtf50", "mtf30", "mtf10"):
+        row[name] = interval_row(mean[f"{name}_lpmm"], unit.factor)
+    return row
+
+
+def edge_row(result: EdgeResult, unit: Unit) -> dict[str, Any]:
+    """Return an edge for JSON."""
     row: dict[str, Any] = {"region": str(result.region), "orientation": result.orientation}
-    for name in names:
-        number = getattr(result, name)
-        row[name] = {"value": number.value, "low": number.low, "high": number.high}
-    for name in ("dark", "bright", "noise", "snr", "bend_px", "nyquist_lpmm"):
+    for name in ("angle_rad", "position_px", *(name for name, _, _ in NUMBERS), "asymmetry"):
+        row[name] = interval_row(getattr(result, name))
+    for name in ("mtf50", "mtf30", "mtf10"):
+        row[name] = interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
+    for name in ("method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm"):
         row[name] = getattr(result, name)
+    row["notes"] = list(result.notes)
     return row

@@ -13,14 +13,10 @@ from lensshift.evaluation.depth import (
 )
 from lensshift.evaluation.edge_gradient import EdgeGradient, edge_gradient, gradient_ratio
 from lensshift.evaluation.fidelity import Fidelity, fidelity, psnr_db, rmse, ssim
+from lensshift.evaluation.noise import noise_autocovariance, noise_gain, temporal_noise
 from lensshift.evaluation.ring_correlation import RingCorrelation, fourier_ring_correlation
 from lensshift.evaluation.siemens import SiemensResult, siemens_star_mtf
-from lensshift.evaluation.surface import (
-    fit_plane,
-    flying_pixel_fraction,
-    noise_gain,
-    temporal_noise,
-)
+from lensshift.evaluation.surface import fit_plane, flying_pixel_fraction
 from lensshift.evaluation.zone_plate import ZonePlateResult, zone_plate_response
 
 __all__ = [
@@ -40,6 +36,7 @@ __all__ = [
     "fourier_ring_correlation",
     "gradient_ratio",
     "near_edges",
+    "noise_autocovariance",
     "noise_gain",
     "psnr_db",
     "rmse",

@@ -68,6 +68,7 @@ def fit_edge(
     aperture_px: float,
     tilt: bool | None,
     seed: int,
+    noise_covariance: Matrix | None = None,
 ) -> EdgeFit:
     """Fit an upright edge.
 
@@ -78,8 +79,9 @@ def fit_edge(
     aperture_px : side of the pixel of the base model
     tilt : whether the illumination may be uneven, None to let the plateaus tell
     seed : of the draws
+    noise_covariance : of the noise, None to let the plateaus tell
     """
-    noise, tilted = learn_noise(edge, aperture_px, tilt)
+    noise, tilted = learn_noise(edge, aperture_px, tilt, noise_covariance)
     samples = take_samples(edge, noise, aperture_px, tilted)
     likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / edge.unit_px), -2.0, 1.5))

@@ -42,6 +42,7 @@ class LikelySettings:
     most_bends: int
     tilt: bool | None
     seed: int
+    noise_covariance: Matrix | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.aperture_px) and 0.0 <= self.aperture_px <= 64.0):
@@ -85,6 +86,7 @@ def measure_likely(
         aperture_px=settings.aperture_px,
         tilt=settings.tilt,
         seed=settings.seed,
+        noise_covariance=settings.noise_covariance,
     )
     result = _result(fit, region, frames, blocks, frequency_lpmm, pitch_mm)
     lines = _lines(edge)

@@ -32,6 +32,7 @@ class EdgeOptions(TypedDict, total=False):
     frequency_lpmm: ArrayLike | None
     most_bends: int
     tilt: bool | None
+    noise_covariance: ArrayLike | None
     order: int
     window: Literal["tukey", "hamming"]
     seed: int
@@ -85,6 +86,7 @@ def measure_edges(
     frequency_lpmm: ArrayLike | None = None,
     most_bends: int = 4,
     tilt: bool | None = None,
+    noise_covariance: ArrayLike | None = None,
     order: int = 5,
     window: Literal["tukey", "hamming"] = "tukey",
     seed: int = 0,
@@ -112,6 +114,8 @@ def measure_edges(
         if None
     most_bends : most bending terms of the edge; 0 keeps it straight
     tilt : whether the illumination is uneven; None lets the plateaus tell
+    noise_covariance : [2 m + 1, 2 n + 1] of the noise at the lags (row, col), its variance in the
+        middle, as `noise_autocovariance` returns; None lets the plateaus tell
     order, window : of sfrmat5, which defaults to order 5 and the Tukey window
     seed : of the draws
 
@@ -127,6 +131,7 @@ def measure_edges(
     frames = take_frames(image, pitch_mm, offset_px=offset_px, valid=valid, scale=scale)
     places = [_given(region, frames)] if region is not None else find_regions(frames.first)
     wanted = None if frequency_lpmm is None else np.asarray(frequency_lpmm, dtype=np.float64)
+    covariance = None if noise_covariance is None else np.asarray(noise_covariance, dtype=float)
     results = []
     for place in places:
         if method == "ml":
@@ -135,6 +140,7 @@ def measure_edges(
                 most_bends=most_bends,
                 tilt=tilt,
                 seed=seed,
+                noise_covariance=covariance,
             )
             result = measure_likely(frames, place, wanted, settings)
         else:

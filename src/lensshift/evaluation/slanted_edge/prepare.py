@@ -19,6 +19,8 @@ from lensshift.evaluation.slanted_edge.noise_model import (
     Mask,
     NoiseModel,
     estimate_noise,
+    few_factors,
+    noise_of_covariance,
     plateau_tilt_matters,
 )
 from lensshift.evaluation.slanted_edge.samples import (
@@ -156,7 +158,7 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
 
 
 def learn_noise(
-    edge: UprightEdge, aperture_px: float, tilt: bool | None
+    edge: UprightEdge, aperture_px: float, tilt: bool | None, covariance: Matrix | None = None
 ) -> tuple[NoiseModel, bool]:
     """Return the noise of the plateaus, and whether the illumination is uneven.
 
@@ -165,6 +167,7 @@ def learn_noise(
     edge : the region
     aperture_px : side of the pixel
     tilt : whether to model uneven illumination; None asks the plateaus
+    covariance : of the noise, if it is known; see `noise_of_covariance`
     """
     sides = edge.plateaus()
     tilts = edge.tilt_columns
@@ -174,10 +177,12 @@ def learn_noise(
     tilted = tilt
     if tilted is None:
         tilted = plateau_tilt_matters(edge.scaled, edge.pixels.places, sides, tilts)
+    if covariance is not None:
+        return noise_of_covariance(covariance, edge.line.high - edge.line.low), tilted
     columns = level_columns(response, tilts if tilted else None)
     far = sides[0] | sides[1]
     used = far if far.sum() > 2 * columns.shape[1] else np.ones(far.shape, dtype=bool)
-    levels = np.linalg.lstsq(columns[used], edge.scaled[used])[0]
+    levels = few_factors(columns[used], edge.scaled[used])
     return estimate_noise(edge.scaled - columns @ levels, edge.pixels.places, sides), tilted
 
 

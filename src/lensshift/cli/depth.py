@@ -1,0 +1,251 @@
+"""`lensshift evaluate depth`: how good a distance image is, with the truth or without."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.measured import (
+    CsvOption,
+    FrameOption,
+    ImageArgument,
+    Measured,
+    PitchOption,
+    PlotOption,
+    check_outputs,
+    measured_image,
+    parse_region,
+    slices_of,
+    write_plot,
+    write_table,
+)
+from lensshift.cli.session import DebugOption, JsonOption, Session, session
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class Along(StrEnum):
+    """The axis that crosses an edge."""
+
+    COL = "col"
+    ROW = "row"
+
+
+TruthArgument = Annotated[
+    Path | None, typer.Argument(help="True distances in m, an image of the same shape.")
+]
+KeyOption = Annotated[
+    str | None,
+    typer.Option("--key", help="Array of an NPZ file; distance for burst and reconstruction."),
+]
+TruthKeyOption = Annotated[str | None, typer.Option("--truth-key", help="The same for TRUTH.")]
+ScaleOption = Annotated[
+    int | None,
+    typer.Option(min=1, help="Pixels of IMAGE per LR pixel; a reconstruction knows it."),
+]
+WidthOption = Annotated[
+    float, typer.Option("--edge-width-px", min=0.0, help="Half width of edges, in LR pixels.")
+]
+NoiseOption = Annotated[
+    float, typer.Option("--noise-m", min=0.0, help="Standard deviation of the distances.")
+]
+StepOption = Annotated[
+    float | None,
+    typer.Option("--min-step-m", min=0.0, help="Smallest step that is an edge; 5 % if not given."),
+]
+PlaneOption = Annotated[
+    str | None,
+    typer.Option("--plane", help="Fit a plane in row start,stop,col start,stop."),
+]
+FocalOption = Annotated[
+    float | None,
+    typer.Option(
+        "--focal-length-mm", min=0.0, help="Of the lens, to turn radial distances into points."
+    ),
+]
+EdgeOption = Annotated[
+    Along | None,
+    typer.Option("--edge", help="Compare the place of one edge that this axis crosses."),
+]
+RepeatedOption = Annotated[
+    bool, typer.Option("--repeated", help="The frames repeat one view: give their noise.")
+]
+
+_SOURCE = "distance"
+
+
+def depth(
+    image: ImageArgument,
+    truth: TruthArgument = None,
+    pitch_mm: PitchOption = None,
+    scale: ScaleOption = None,
+    edge_width_px: WidthOption = 2.0,
+    noise_m: NoiseOption = 0.0,
+    min_step_m: StepOption = None,
+    edge: EdgeOption = None,
+    plane: PlaneOption = None,
+    focal_length_mm: FocalOption = None,
+    repeated: RepeatedOption = False,
+    frame: FrameOption = 0,
+    key: KeyOption = None,
+    truth_key: TruthKeyOption = None,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Judge a distance image: errors against the truth, flying pixels, fill rate, planes, noise.
+
+    \b
+    Example:
+      lensshift evaluate depth sharp.nc truth.npz --truth-key distance_m --plot depth.png
+      lensshift evaluate depth frames.nc --plane 2,14,20,44 --focal-length-mm 42.7
+      lensshift evaluate depth frames.nc --repeated
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        place = parse_region(plane)
+        check_outputs([image, truth], csv, plot)
+        measured = _distance_image(image, pitch_mm, key, frame)
+        options: dict[str, Any] = {"scale": scale or measured.scale, "noise_m": noise_m}
+        options |= {"edge_width_px": edge_width_px, "min_step_m": min_step_m or None}
+        current.result |= {"image": image, "truth": truth, **options}
+        true_m = None if truth is None else _distance_image(truth, None, truth_key, 0).values
+        if true_m is not None:
+            _errors(current, measured, true_m, options)
+            if edge is not None:
+                _edge_place(current, measured, true_m, edge, options)
+        elif edge is not None:
+            raise typer.BadParameter("--edge needs the truth")
+        _surfaces(current, measured, true_m, options)
+        if place is not None:
+            _plane(current, measured, place, focal_length_mm)
+        if repeated:
+            _noise(current, image)
+        numbers = {name: value for name, value in current.result.items() if _is_number(value)}
+        write_table(current, csv, {"name": list(numbers), "value": list(numbers.values())})
+        write_plot(current, plot, lambda: _figure(measured, true_m, options))
+
+
+def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: int) -> Measured:
+    from lensshift.cli.inputs import Kind, kind_of
+
+    of_file = kind_of(path) is not Kind.STACK
+    return measured_image(path, pitch_mm, key=key or (_SOURCE if of_file else None), frame=frame)
+
+
+def _errors(
+    current: Session, measured: Measured, true_m: NDArray[Any], options: dict[str, Any]
+) -> None:
+    from lensshift.evaluation.depth import depth_error
+
+    found = asdict(depth_error(measured.values, true_m, valid=measured.valid, **options))
+    current.result |= found
+    for name, label in (
+        ("rmse_m", "RMSE"),
+        ("mae_m", "mean absolute error"),
+        ("bias_m", "bias"),
+        ("edge_rmse_m", "RMSE near edges"),
+        ("flat_rmse_m", "RMSE elsewhere"),
+    ):
+        known = found[name] == found[name]
+        current.say(f"{label:<22}{f'{1e3 * found[name]:.2f} mm' if known else 'no such pixel'}")
+    current.say(f"{'fill rate':<22}{100 * found['fill_rate']:.1f} % of the true pixels")
+
+
+def _edge_place(
+    current: Session,
+    measured: Measured,
+    true_m: NDArray[Any],
+    along: Along,
+    options: dict[str, Any],
+) -> None:
+    from lensshift.evaluation.depth import edge_location_error
+
+    kept = {name: options[name] for name in ("scale", "noise_m", "min_step_m")}
+    found = edge_location_error(
+        measured.values, true_m, valid=measured.valid, along=along.value, **kept
+    )
+    current.result["edge_location"] = asdict(found)
+    current.say(
+        f"{'place of the edge':<22}off by {found.mean_px:+.3f} LR px in the mean, "
+        f"{found.rms_px:.3f} rms, in {found.lines} lines"
+    )
+
+
+def _surfaces(
+    current: Session, measured: Measured, true_m: NDArray[Any] | None, options: dict[str, Any]
+) -> None:
+    from lensshift.evaluation.depth import fill_rate
+    from lensshift.evaluation.surface import flying_pixel_fraction
+
+    found = flying_pixel_fraction(measured.values, true_m, valid=measured.valid, **options)
+    checked = int(found.checked.sum())
+    current.result |= {"flying_fraction": found.fraction, "flying_checked": checked}
+    share = f"{100 * found.fraction:.1f} %" if checked else "no edge to check"
+    ending = f" of {checked} pixels near edges" if checked else ""
+    current.say(f"{'flying pixels':<22}{share}{ending}")
+    if true_m is None:
+        rate = fill_rate(measured.values, valid=measured.valid)
+        current.result["fill_rate"] = rate
+        current.say(f"{'fill rate':<22}{100 * rate:.1f} %")
+
+
+def _plane(
+    current: Session,
+    measured: Measured,
+    region: tuple[int, int, int, int],
+    focal_length_mm: float | None,
+) -> None:
+    import numpy as np
+
+    from lensshift.evaluation.surface import fit_plane
+
+    rows, cols = measured.values.shape
+    cut = slices_of(region, (rows, cols))
+    if focal_length_mm is None or not measured.has_pitch:
+        raise typer.BadParameter(
+            "--plane needs --focal-length-mm and the pitch, to turn distances into points"
+        )
+    row_mm = (np.arange(rows) - 0.5 * (rows - 1)) * measured.pitch_mm[0]
+    col_mm = (np.arange(cols) - 0.5 * (cols - 1)) * measured.pitch_mm[1]
+    rays = np.stack(
+        [*np.meshgrid(row_mm, col_mm, indexing="ij"), np.full((rows, cols), focal_length_mm)], -1
+    )
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    valid = None if measured.valid is None else measured.valid[cut]
+    found = fit_plane(measured.values[cut], valid=valid, directions=rays[cut])
+    current.result["plane"] = {"normal": found.normal, "offset_m": found.offset_m}
+    current.result["plane"] |= {"rms_m": found.rms_m, "max_m": found.max_m, "count": found.count}
+    current.result["plane"] |= {"bias_rms_m": found.bias_rms_m, "noise_rms_m": found.noise_rms_m}
+    current.say(
+        f"{'plane':<22}rms {1e3 * found.rms_m:.2f} mm: bias {1e3 * found.bias_rms_m:.2f}, "
+        f"noise {1e3 * found.noise_rms_m:.2f} mm, {found.count} pixels"
+    )
+
+
+def _noise(current: Session, path: Path) -> None:
+    from lensshift.cli.measured import measured_frames
+    from lensshift.evaluation.noise import temporal_noise
+
+    frames = measured_frames(path, key=_SOURCE)
+    found = temporal_noise(frames.values, valid=frames.valid)
+    current.result["temporal_noise_m"] = found.median
+    current.say(
+        f"{'noise over time':<22}{1e3 * found.median:.2f} mm, median over the pixels, "
+        f"{len(frames.values)} frames"
+    )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _figure(measured: Measured, true_m: NDArray[Any] | None, options: dict[str, Any]) -> Any:
+    from lensshift.report.depth import depth_figure
+
+    return depth_figure(measured.values, true_m, valid=measured.valid, **options)

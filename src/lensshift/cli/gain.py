@@ -1,0 +1,144 @@
+"""`lensshift evaluate gain`: how much finer one image of a target is than another."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.measured import (
+    CsvOption,
+    KeyOption,
+    Measured,
+    PlotOption,
+    Unit,
+    check_outputs,
+    finer,
+    measured_frames,
+    measured_image,
+    parse_region,
+    write_plot,
+    write_table,
+)
+from lensshift.cli.mtf import edge_row
+from lensshift.cli.session import DebugOption, JsonOption, Session, session
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lensshift.evaluation.gain import ResolutionGain
+    from lensshift.evaluation.slanted_edge import EdgeResult
+
+FineArgument = Annotated[Path, typer.Argument(help="The finer image, such as a reconstruction.")]
+CoarseArgument = Annotated[Path, typer.Argument(help="The coarser image, such as a burst file.")]
+PitchOption = Annotated[
+    str | None, typer.Option("--pitch-mm", help="Pixel pitch of COARSE, if it is a plain image.")
+]
+RegionOfCoarse = Annotated[
+    str | None,
+    typer.Option("--region", help="Region in pixels of COARSE: row start,stop,col start,stop."),
+]
+FrameOption = Annotated[int, typer.Option(min=0, help="Frame of COARSE, if it holds several.")]
+JointOption = Annotated[bool, typer.Option("--joint", help="Measure all frames of COARSE jointly.")]
+
+_RATIOS = (("mtf50", "MTF50"), ("mtf10", "MTF10"), ("width", "10-90 width"))
+
+
+def gain(
+    fine: FineArgument,
+    coarse: CoarseArgument,
+    pitch_mm: PitchOption = None,
+    region: RegionOfCoarse = None,
+    joint: JointOption = False,
+    frame: FrameOption = 0,
+    key: KeyOption = None,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Compare the resolution of two images of one target, and their noise.
+
+    Ratios above 1 mean that FINE resolves more; the noise is that of a pixel over the contrast of
+    the edge. Both images show the whole scene, so their shapes tell the scale.
+
+    \b
+    Example:
+      lensshift evaluate gain sharp.nc burst.nc --region 0,16,4,30
+      lensshift evaluate gain sharp.tif frame.tif --pitch-mm 0.155 --plot gain.png
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        from lensshift.evaluation.gain import average_gain, pair_edges, resolution_gain
+
+        place = parse_region(region)
+        check_outputs([fine, coarse], csv, plot)
+        below = (
+            measured_frames(coarse, key=key)
+            if joint
+            else measured_image(coarse, pitch_mm, key=key, frame=frame)
+        )
+        above, scale = finer(measured_image(fine, None, key=key), below)
+        pairs = pair_edges(_edges(above, place, scale), _edges(below, place, 1), scale)
+        if not pairs:
+            raise ValueError("expected an edge that both images show, got none; give --region")
+        gains = [resolution_gain(first, second) for first, second in pairs]
+        for (_, second), one in zip(pairs, gains, strict=True):
+            current.say(f"edge in {second.region} of {coarse}")
+            _say(current, one)
+        mean = average_gain(gains)
+        if len(gains) > 1:
+            current.say(f"mean of {len(gains)} edges")
+            _say(current, mean)
+        unit = Unit("LP/mm" if below.has_pitch else "cycles/px")
+        current.result |= {"fine": fine, "coarse": coarse, "scale": scale, "unit": unit.name}
+        current.result |= {"gain": asdict(mean), "edges": [_row(*pair, unit) for pair in pairs]}
+        write_table(current, csv, _table(gains))
+        write_plot(current, plot, lambda: _figure(pairs[0], gains[0], unit))
+
+
+def _edges(
+    measured: Measured, region: tuple[int, int, int, int] | None, scale: int
+) -> list[EdgeResult]:
+    from lensshift.evaluation.slanted_edge import Region, measure_edges
+
+    return measure_edges(
+        measured.values,
+        measured.pitch_mm,
+        region=None if region is None else Region(*(scale * end for end in region)),
+        offset_px=measured.offset_px,
+        valid=measured.valid,
+        scale=measured.scale,
+    )
+
+
+def _say(current: Session, found: ResolutionGain) -> None:
+    for name, label in _RATIOS:
+        current.say(f"  gain in {label:<15}{getattr(found, name)}")
+    current.say(f"  {'gain in noise':<23}{found.noise:.4g}")
+
+
+def _row(fine: EdgeResult, coarse: EdgeResult, unit: Unit) -> dict[str, Any]:
+    from lensshift.evaluation.gain import resolution_gain
+
+    return {
+        "gain": asdict(resolution_gain(fine, coarse)),
+        "fine": edge_row(fine, unit),
+        "coarse": edge_row(coarse, unit),
+    }
+
+
+def _table(gains: Sequence[ResolutionGain]) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {"edge": list(range(len(gains)))}
+    for name, _ in _RATIOS:
+        for end in ("value", "low", "high"):
+            column = name if end == "value" else f"{name}_{end}"
+            columns[column] = [getattr(getattr(one, name), end) for one in gains]
+    return columns | {"noise": [one.noise for one in gains]}
+
+
+def _figure(pair: tuple[EdgeResult, EdgeResult], found: ResolutionGain, unit: Unit) -> Any:
+    from lensshift.report.edges import gain_figure
+
+    return gain_figure(*pair, found, unit=unit.name)

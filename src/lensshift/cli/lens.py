@@ -1,0 +1,359 @@
+"""`lensshift lens`: look at a lens, move an element, write what the image does."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
+from lensshift.cli.optics import (
+    PITCH_MM,
+    SENSOR,
+    SHIFT_PX,
+    ElementOption,
+    LensArgument,
+    PitchOption,
+    SensorOption,
+    ShiftOption,
+    TemperatureOption,
+    WavelengthOption,
+    diagonal_mm,
+    element_of,
+    figure_of,
+    parse_fields_tan,
+    read_lens,
+    sensor_grid,
+)
+from lensshift.cli.session import DebugOption, JsonOption, session
+
+if TYPE_CHECKING:
+    from lensshift.optics.lens import Lens
+
+lens_verbs = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+FieldOption = Annotated[
+    list[str] | None,
+    typer.Option("--field-deg", help="Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."),
+]
+BandOption = Annotated[
+    float, typer.Option("--band-nm", min=0.0, help="Full width at half maximum of the light.")
+]
+HighestOption = Annotated[
+    float, typer.Option("--highest-lpmm", min=0.1, help="Highest frequency of the curves.")
+]
+FastOption = Annotated[
+    bool, typer.Option("--fast", help="Geometric times diffraction MTF instead of the exact one.")
+]
+OutOption = Annotated[Path | None, typer.Option("-o", "--out", help="Write the shift map (.npz).")]
+
+_CURVE_STEPS = 80
+# The quarter-pixel square of four frames, as signs of (row, col).
+_SQUARE = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+
+
+@lens_verbs.callback()
+def group() -> None:
+    """Design a lens with a moving element, and see what moving it does.
+
+    Built-in lenses: petzval_a and petzval_b (two reconstructions of a published Petzval lens from
+    stock parts), petzval_search, and single stock lenses such as al2550.
+
+    \b
+    Example:
+      lensshift lens show petzval_a --plot lens.png
+      lensshift lens shiftmap petzval_a --element 1 -o shiftmap.npz
+    """
+
+
+@lens_verbs.command()
+def show(
+    lens: LensArgument,
+    element: ElementOption = 1,
+    shift_px: ShiftOption = SHIFT_PX,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    wavelength_nm: WavelengthOption = None,
+    temperature_c: TemperatureOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Show a lens: its elements, its paraxial data, the travel of one element for a shift.
+
+    \b
+    Example:
+      lensshift lens show petzval_b --element 1 --plot lens.svg
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
+
+        check_outputs([], None, plot)
+        model = read_lens(lens, wavelength_nm, temperature_c)
+        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
+        data = paraxial(model)
+        gains = decenter_gains(model)
+        current.say(f"{model.name or lens}, {model.wavelength_nm:g} nm, {model.temperature_c:g} C")
+        rows = []
+        for number, (part, indices) in enumerate(
+            zip(model.elements, model.indices(), strict=True), start=1
+        ):
+            focal_mm, gain = focal_length_mm(part, indices), float(gains[number - 1])
+            gap_mm = model.gaps_mm[number - 1]
+            current.say(
+                f"  {number} {part.name or 'element':<18.18} f {focal_mm:9.3f} mm, "
+                f"{part.length_mm:6.3f} mm {' + '.join(part.glass):<12}"
+                f"then {gap_mm:8.3f} mm air, image moves {gain:+.4f} mm per mm"
+            )
+            rows.append({"name": part.name, "focal_length_mm": focal_mm, "gap_mm": gap_mm})
+            rows[-1] |= {"length_mm": part.length_mm, "glass": part.glass, "gain": gain}
+        for name, value in asdict(data).items():
+            unit = " mm" if name.endswith("_mm") else ""
+            label = name.removesuffix("_mm").replace("_", " ")
+            current.say(f"{label:<28}{value:.6g}{unit}")
+        travel_mm = diagonal_mm(model, moved, shift_px, grid)
+        current.say(
+            f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
+            f"along columns, {1e3 * travel_mm[0]:.2f} um along rows"
+        )
+        current.result |= {"lens": model.name or lens, "elements": rows, **asdict(data)}
+        current.result |= {"element": element, "shift_px": shift_px, "travel_mm": travel_mm}
+        write_plot(
+            current,
+            plot,
+            lambda: figure_of("lenses", "layout_figure", model, moved, travel_mm),
+        )
+
+
+@lens_verbs.command()
+def mtf(
+    lens: LensArgument,
+    element: ElementOption = 1,
+    shift_px: ShiftOption = SHIFT_PX,
+    field_deg: FieldOption = None,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    highest_lpmm: HighestOption = 8.0,
+    band_nm: BandOption = 0.0,
+    fast: FastOption = False,
+    wavelength_nm: WavelengthOption = None,
+    temperature_c: TemperatureOption = None,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Compute the MTF of a lens, at rest and with one element moved.
+
+    Along columns and along rows at every field; the moved element shifts the image by --shift-px
+    along both axes. The table gives LR Nyquist and twice that; the CSV file the whole curves.
+
+    \b
+    Example:
+      lensshift lens mtf petzval_a --element 1 --plot mtf.png
+      lensshift lens mtf petzval_b --field-deg 0,0 --field-deg 0,6.5 --band-nm 40
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        import numpy as np
+
+        from lensshift.optics.mtf import diffraction_limit, led_band
+
+        check_outputs([], csv, plot)
+        model = read_lens(lens, wavelength_nm, temperature_c)
+        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
+        fields_tan = parse_fields_tan(field_deg)
+        travel_mm = diagonal_mm(model, moved, shift_px, grid)
+        band = led_band(model.wavelength_nm, band_nm) if band_nm > 0 else None
+        nyquist_lpmm = 0.5 / max(grid.pitch_mm)
+        frequency = np.linspace(0.0, highest_lpmm, _CURVE_STEPS + 1)
+        frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
+        curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, fast)
+        at = {
+            label: np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
+            for label, values in curves.items()
+        }
+        current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
+        for label, (low, high) in at.items():
+            current.say(f"{label:<42}{low:8.4f}  {high:8.4f}")
+        limit = diffraction_limit(model, frequency)
+        low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, limit.modulation)
+        current.say(f"{'diffraction limit':<42}{low:8.4f}  {high:8.4f}")
+        current.result |= {"lens": model.name or lens, "nyquist_lpmm": nyquist_lpmm}
+        current.result |= {"travel_mm": travel_mm, "frequency_lpmm": frequency}
+        current.result |= {"mtf": curves, "diffraction_limit": limit.modulation}
+        columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit.modulation}
+        write_table(current, csv, {name.replace(",", ";"): row for name, row in columns.items()})
+        write_plot(
+            current,
+            plot,
+            lambda: figure_of("lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan),
+        )
+
+
+def _curves(
+    model: Lens,
+    element: int,
+    travel_mm: tuple[float, float],
+    fields_tan: list[tuple[float, float]],
+    frequency_lpmm: Any,
+    band: Any,
+    fast: bool,
+) -> dict[str, Any]:
+    """Return the MTF curves by field, direction and position of the element."""
+    import numpy as np
+
+    from lensshift.optics.mtf import AZIMUTHS_RAD, fast_mtf
+    from lensshift.optics.otf import exact_otf
+    from lensshift.optics.shift import moving
+
+    curves = {}
+    for row_tan, col_tan in fields_tan:
+        row_deg, col_deg = np.rad2deg(np.arctan([row_tan, col_tan]))
+        for name, build in (
+            ("at rest", None),
+            ("moved", moving(model, element, np.asarray(travel_mm))),
+        ):
+            if fast:
+                found = fast_mtf(model, (row_tan, col_tan), frequency_lpmm, build=build, band=band)
+            else:
+                field = (row_tan, col_tan)
+                found = np.abs(exact_otf(model, field, frequency_lpmm, build=build, band=band))
+            for direction, values in zip(("columns", "rows"), found, strict=True):
+                label = f"{row_deg:.1f}/{col_deg:.1f} deg, along {direction}, {name}"
+                curves[label] = values
+    if len(AZIMUTHS_RAD) != 2:  # the names above are those of two directions
+        raise ValueError(f"expected two directions, got {len(AZIMUTHS_RAD)}")
+    return curves
+
+
+@lens_verbs.command()
+def shiftmap(
+    lens: LensArgument,
+    element: ElementOption = 1,
+    shift_px: ShiftOption = SHIFT_PX,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    out: OutOption = None,
+    wavelength_nm: WavelengthOption = None,
+    temperature_c: TemperatureOption = None,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Trace how far the image moves at every pixel for the four frames of a shift square.
+
+    Writes the offsets of every pixel, the travel of the element for each frame and the stage map;
+    `reconstruct --shift-map` takes the file.
+
+    \b
+    Example:
+      lensshift lens shiftmap petzval_a --element 1 --shift-px 0.25 -o shiftmap.npz
+      lensshift reconstruct burst.nc --shift-map shiftmap.npz
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        import numpy as np
+
+        from lensshift.io import save_shift_map
+        from lensshift.optics.shift import (
+            decenter_for_shift,
+            shift_map,
+            shift_uniformity,
+            stage_map,
+        )
+
+        check_outputs([], csv, plot)
+        model = read_lens(lens, wavelength_nm, temperature_c)
+        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
+        wanted_px = shift_px * np.array(_SQUARE, dtype=float)
+        travel_mm = decenter_for_shift(model, moved, wanted_px, grid)
+        field = shift_map(model, moved, travel_mm, grid)
+        stage = stage_map(model, moved, grid)
+        even = shift_uniformity(field, wanted_px)
+        current.say(f"element {element} of {model.name or lens}, {sensor} pixels of {pitch_mm} mm")
+        current.say(f"image over element: {np.round(stage.px_per_mm, 5).tolist()} px per mm")
+        for wish, travel, one in zip(wanted_px, travel_mm, even, strict=True):
+            current.say(
+                f"shift ({wish[0]:+.3f}, {wish[1]:+.3f}) px: travel ({1e3 * travel[0]:+.2f}, "
+                f"{1e3 * travel[1]:+.2f}) um, error over the sensor at most "
+                f"{one.max_error_px:.4f} px, {one.rms_error_px:.4f} px rms"
+            )
+        current.result |= {"lens": model.name or lens, "element": element, "wanted_px": wanted_px}
+        current.result |= {"travel_mm": travel_mm, "px_per_mm": stage.px_per_mm}
+        current.result["uniformity"] = [asdict(one) for one in even]
+        if out is not None:
+            save_shift_map(out, field, stage_map=stage, stage_mm=travel_mm)
+            current.say(f"wrote {out}")
+        frame, row, col = np.indices(field.offset_px.shape[:3]).reshape(3, -1)
+        columns: dict[str, Any] = {"frame": frame, "row": row, "col": col}
+        columns |= {"offset_row_px": field.offset_px[..., 0].ravel()}
+        columns |= {"offset_col_px": field.offset_px[..., 1].ravel()}
+        write_table(current, csv, columns)
+        write_plot(
+            current,
+            plot,
+            lambda: figure_of("lens_maps", "shift_map_figure", field, grid, wanted_px),
+        )
+
+
+@lens_verbs.command()
+def which(
+    lens: LensArgument,
+    shift_px: ShiftOption = SHIFT_PX,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    wavelength_nm: WavelengthOption = None,
+    temperature_c: TemperatureOption = None,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Compare the elements as movers: stroke, evenness of the shift, MTF, actuator sensitivity.
+
+    \b
+    Example:
+      lensshift lens which petzval_a
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        from lensshift.optics.which import format_movers, which_element
+
+        check_outputs([], csv, plot)
+        model = read_lens(lens, wavelength_nm, temperature_c)
+        movers = which_element(model, sensor_grid(sensor, pitch_mm), shift_px=shift_px)
+        current.say(format_movers(movers))
+        rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
+        current.result |= {"lens": model.name or lens, "movers": rows}
+        write_table(current, csv, {name: [row[name] for row in rows] for name in rows[0]})
+        write_plot(current, plot, lambda: figure_of("lenses", "which_figure", movers))
+
+
+@lens_verbs.command()
+def convert(
+    source: Annotated[str, typer.Argument(help="Lens file (.toml, .zmx) or built-in lens.")],
+    target: Annotated[Path, typer.Argument(help="File to write, .toml or .zmx.")],
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Convert a lens between lens files (TOML) and sequential Zemax files.
+
+    \b
+    Example:
+      lensshift lens convert petzval_a petzval_a.zmx
+      lensshift lens convert bought.zmx bought.toml
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        from lensshift.optics.lens_file import save_lens
+        from lensshift.optics.zmx_writer import save_zmx
+
+        writers = {".toml": save_lens, ".zmx": save_zmx}
+        writer = writers.get(target.suffix.lower())
+        if writer is None:
+            raise typer.BadParameter(f"expected {target} to end in {' or '.join(writers)}")
+        check_outputs([Path(source)], target, None)
+        model = read_lens(source)
+        writer(model, target)
+        current.result |= {"source": source, "target": target, "elements": len(model.elements)}
+        current.say(f"wrote {target}: {len(model.elements)} elements")

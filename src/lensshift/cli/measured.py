@@ -1,0 +1,225 @@
+"""What the verbs of `evaluate` share: images with their pitch, regions, tables, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.inputs import (
+    Kind,
+    burst_channel,
+    kind_of,
+    load_input_image,
+    one_frame,
+    parse_pitch_mm,
+    refuse_overwriting,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from lensshift.cli.session import Session
+
+ImageArgument = Annotated[Path, typer.Argument(help="Image, burst file or reconstruction.")]
+PitchOption = Annotated[
+    str | None,
+    typer.Option(
+        "--pitch-mm",
+        help="Pixel pitch of an image: one number, or row,col. Without it lengths are in pixels.",
+    ),
+]
+RegionOption = Annotated[
+    str | None,
+    typer.Option("--region", help="Region in pixels: row start,row stop,col start,col stop."),
+]
+FrameOption = Annotated[int, typer.Option(min=0, help="Frame of IMAGE, if it holds several.")]
+KeyOption = Annotated[
+    str | None,
+    typer.Option("--key", help="Array of an NPZ file; amplitude or distance of other files."),
+]
+CsvOption = Annotated[Path | None, typer.Option("--csv", help="Write the table there.")]
+PlotOption = Annotated[
+    Path | None, typer.Option("--plot", help="Draw the result: a .png, .svg or .pdf file.")
+]
+FocalOption = Annotated[
+    float | None,
+    typer.Option(
+        "--focal-length-mm", min=0.0, help="Give frequencies in cycles per mrad of the scene."
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """An image to be measured.
+
+    Parameters
+    ----------
+    values : [row col], or [frame row col] with `offset_px`
+    pitch_mm : (row, col); 1 where the pitch is not known
+    has_pitch : whether it is
+    valid : mask like `values`, or None
+    scale : LR pixels are that many pixels wide
+    offset_px : [frame 2] or None
+    """
+
+    values: NDArray[Any]
+    pitch_mm: tuple[float, float]
+    has_pitch: bool
+    valid: NDArray[Any] | None = None
+    scale: int = 1
+    offset_px: NDArray[Any] | None = None
+
+    @property
+    def length(self) -> str:
+        """Unit of lengths."""
+        return "mm" if self.has_pitch else "px"
+
+
+def measured_image(
+    path: Path, pitch_mm: str | None, *, key: str | None = None, frame: int = 0
+) -> Measured:
+    """Read one image and what its file says about it."""
+    from lensshift.io import load_burst, load_reconstruction
+
+    kind = kind_of(path)
+    if kind is not Kind.STACK and pitch_mm is not None:
+        raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
+    if kind is Kind.BURST:
+        burst = load_burst(path)
+        values = burst_channel(burst, path, key)
+        valid = None if burst.valid is None else one_frame(burst.valid, path, frame)
+        return Measured(one_frame(values, path, frame), burst.grid.pitch_mm, True, valid)
+    values = load_input_image(path, key=key, frame=frame)
+    if kind is Kind.RECONSTRUCTION:
+        result = load_reconstruction(path)
+        return Measured(values, result.grid.pitch_mm, True, scale=result.scale)
+    pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
+    return Measured(values, pitch, pitch_mm is not None)
+
+
+def measured_frames(path: Path, *, key: str | None = None) -> Measured:
+    """Read all frames of a burst file."""
+    from lensshift.io import load_burst
+
+    if kind_of(path) is not Kind.BURST:
+        raise typer.BadParameter(f"--joint needs a burst file, got {path}")
+    burst = load_burst(path)
+    return Measured(
+        burst_channel(burst, path, key),
+        burst.grid.pitch_mm,
+        True,
+        burst.valid,
+        offset_px=burst.offset_px,
+    )
+
+
+def finer(fine: Measured, coarse: Measured) -> tuple[Measured, int]:
+    """Return a finer image of the same scene with the pitch that its shape tells, and the scale."""
+    rows, cols = coarse.values.shape[-2:]
+    scale = round(fine.values.shape[0] / rows)
+    if scale < 1 or fine.values.shape != (scale * rows, scale * cols):
+        raise ValueError(
+            f"expected the finer image to have a whole multiple of {(rows, cols)} pixels, "
+            f"got {fine.values.shape}"
+        )
+    pitch_mm = (coarse.pitch_mm[0] / scale, coarse.pitch_mm[1] / scale)
+    return Measured(fine.values, pitch_mm, coarse.has_pitch, fine.valid, scale), scale
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of frequency: its name, and what a frequency of the result is multiplied by."""
+
+    name: str
+    factor: float = 1.0
+
+
+def frequency_unit(measured: Measured, focal_length_mm: float | None) -> Unit:
+    """Return the unit in which frequencies are shown."""
+    if focal_length_mm is None:
+        return Unit("LP/mm" if measured.has_pitch else "cycles/px")
+    if not measured.has_pitch:
+        raise typer.BadParameter("--focal-length-mm needs the pitch: give --pitch-mm as well")
+    from lensshift.evaluation.limits import lpmm_to_cycles_per_mrad
+
+    return Unit("cycles/mrad", float(lpmm_to_cycles_per_mrad(1.0, focal_length_mm)))
+
+
+def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
+    """Return row start, row stop, col start, col stop from "0,16,20,50"."""
+    if text is None:
+        return None
+    numbers = parse_numbers(text, 4, "a region like 0,16,20,50")
+    if any(number != int(number) for number in numbers):
+        raise typer.BadParameter(f"expected a region like 0,16,20,50, got {text!r}")
+    row_start, row_stop, col_start, col_stop = (int(number) for number in numbers)
+    return row_start, row_stop, col_start, col_stop
+
+
+def slices_of(region: tuple[int, int, int, int] | None, shape: tuple[int, ...]) -> Any:
+    """Return the slices of a region, of the whole image for None."""
+    rows, cols = shape
+    if region is None:
+        return slice(0, rows), slice(0, cols)
+    if not (0 <= region[0] < region[1] <= rows and 0 <= region[2] < region[3] <= cols):
+        raise ValueError(f"expected a region within {rows} rows and {cols} columns, got {region}")
+    return slice(*region[:2]), slice(*region[2:])
+
+
+def parse_numbers(text: str, count: int, expected: str) -> tuple[float, ...]:
+    """Return numbers separated by commas."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(f"expected {expected}, got {text!r}") from error
+    if len(numbers) != count:
+        raise typer.BadParameter(f"expected {expected}, got {text!r}")
+    return numbers
+
+
+def check_outputs(inputs: Sequence[Path | None], csv: Path | None, plot: Path | None) -> None:
+    """Complain before the work about files that cannot be written."""
+    refuse_overwriting(inputs, [path for path in (csv, plot) if path is not None])
+    if plot is not None:
+        from lensshift.report.save import check_ending
+
+        check_ending(plot)
+
+
+def write_table(current: Session, csv: Path | None, columns: Mapping[str, Any]) -> None:
+    """Write columns of one length under their names."""
+    if csv is None:
+        return
+    from lensshift.io.atomic import written_whole
+
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(_cell(cell) for cell in row) for row in rows)]
+    with written_whole(csv) as part:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    current.say(f"wrote {csv}")
+
+
+def write_plot(current: Session, plot: Path | None, draw: Callable[[], Figure]) -> None:
+    """Draw a figure and write it."""
+    if plot is None:
+        return
+    from lensshift.report.save import save_figure
+
+    save_figure(draw(), plot)
+    current.say(f"wrote {plot}")
+
+
+def interval_row(number: Any, factor: float = 1.0) -> dict[str, float]:
+    """Return an interval for JSON."""
+    scaled = number.scaled(factor)
+    return {"value": scaled.value, "low": scaled.low, "high": scaled.high}
+
+
+def _cell(value: Any) -> str:
+    return value if isinstance(value, str) else f"{value:.8g}"

@@ -1,0 +1,99 @@
+"""What the verbs of `lens` share: the lens, the sensor, the element that moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.inputs import parse_pitch_mm
+from lensshift.cli.measured import parse_numbers
+
+if TYPE_CHECKING:
+    from lensshift.core.grid import Grid
+    from lensshift.optics.lens import Lens
+
+LensArgument = Annotated[
+    str,
+    typer.Argument(help="Lens file (.toml or .zmx), or the name of a built-in lens: petzval_a."),
+]
+ElementOption = Annotated[
+    int, typer.Option("--element", min=1, help="The element that moves, counted from 1.")
+]
+SensorOption = Annotated[str, typer.Option("--sensor", help="Pixels as columns x rows.")]
+PitchOption = Annotated[
+    str, typer.Option("--pitch-mm", help="Pixel pitch: one number, or row,col.")
+]
+ShiftOption = Annotated[
+    float, typer.Option("--shift-px", help="Shift of the image along both axes, in pixels.")
+]
+WavelengthOption = Annotated[
+    float | None, typer.Option("--wavelength-nm", help="Of the light; that of the lens if not.")
+]
+TemperatureOption = Annotated[
+    float | None, typer.Option("--temperature-c", help="Of glass and air.")
+]
+
+SENSOR, PITCH_MM, SHIFT_PX = "64x16", "0.155", 0.25
+
+
+def read_lens(
+    name: str, wavelength_nm: float | None = None, temperature_c: float | None = None
+) -> Lens:
+    """Read a lens file or a built-in lens."""
+    from lensshift.optics.lens_file import load_lens
+    from lensshift.optics.zmx import load_zmx
+
+    lens = load_zmx(name) if Path(name).suffix.lower() == ".zmx" else load_lens(name)
+    if wavelength_nm is not None:
+        lens = replace(lens, wavelength_nm=wavelength_nm)
+    return lens if temperature_c is None else replace(lens, temperature_c=temperature_c)
+
+
+def sensor_grid(sensor: str, pitch_mm: str) -> Grid:
+    """Return the grid of "64x16" pixels (columns x rows)."""
+    from lensshift.core.grid import Grid
+
+    cols, times, rows = sensor.lower().partition("x")
+    if not (times and rows.strip().isdigit() and cols.strip().isdigit()):
+        raise typer.BadParameter(f"expected a sensor like 64x16, got {sensor!r}")
+    return Grid((int(rows), int(cols)), parse_pitch_mm(pitch_mm))
+
+
+def element_of(lens: Lens, number: int) -> int:
+    """Return the index of an element that is counted from 1."""
+    if number > len(lens.elements):
+        raise typer.BadParameter(
+            f"expected an element from 1 to {len(lens.elements)}, got {number}"
+        )
+    return number - 1
+
+
+def parse_fields_tan(texts: list[str] | None) -> list[tuple[float, float]]:
+    """Return tangents (row, col) of fields given as "row,col" in degrees."""
+    fields_deg = [
+        parse_numbers(text, 2, "a field like 1.6,6.5 (row,col in degrees)")
+        for text in texts or ("0,0", "1.6,6.5")
+    ]
+    return [
+        (math.tan(math.radians(row_deg)), math.tan(math.radians(col_deg)))
+        for row_deg, col_deg in fields_deg
+    ]
+
+
+def diagonal_mm(lens: Lens, element: int, shift_px: float, grid: Grid) -> tuple[float, float]:
+    """Return the decentre (row, col) that shifts the image by `shift_px` along both axes."""
+    from lensshift.optics.shift import decenter_for_shift
+
+    row_mm, col_mm = decenter_for_shift(lens, element, [shift_px, shift_px], grid)
+    return float(row_mm), float(col_mm)
+
+
+def figure_of(module: str, name: str, *arguments: Any, **options: Any) -> Any:
+    """Draw one of the figures of `lensshift.report`."""
+    from importlib import import_module
+
+    return getattr(import_module(f"lensshift.report.{module}"), name)(*arguments, **options)

@@ -1,0 +1,111 @@
+"""`lensshift lens`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stand_in import Call
+
+from lensshift.io import load_shift_field, load_stage_map
+
+
+def numbers(call: Call, *arguments: object) -> dict[str, object]:
+    done = call("lens", *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    found: dict[str, object] = json.loads(done.stdout)
+    return found
+
+
+def test_show_tells_the_published_data(call: Call) -> None:
+    found = numbers(call, "show", "petzval_a")
+    assert found["focal_length_mm"] == pytest.approx(42.7, abs=0.005)
+    assert found["entrance_pupil_diameter_mm"] == pytest.approx(20.0)
+    assert found["magnification"] == pytest.approx(-0.01246, abs=1e-5)
+    assert found["travel_mm"] == pytest.approx([0.0444, 0.0444], abs=1e-4)
+    assert len(found["elements"]) == 3  # type: ignore[arg-type]
+    text = call("lens", "show", "petzval_a").stdout
+    assert "travel for 0.25 px" in text
+    assert "44.38 um of element 1" in text
+
+
+def test_wavelength_and_temperature_change_the_lens(call: Call) -> None:
+    red, infrared = (
+        numbers(call, "show", "petzval_a", "--wavelength-nm", nm)["focal_length_mm"]
+        for nm in ("650", "940")
+    )
+    assert red < infrared  # type: ignore[operator]
+    cold, warm = (
+        numbers(call, "show", "petzval_a", "--temperature-c", c)["focal_length_mm"]
+        for c in ("0", "40")
+    )
+    assert cold != warm
+
+
+def test_mtf_is_below_the_diffraction_limit(call: Call, tmp_path: Path) -> None:
+    found = numbers(call, "mtf", "petzval_a", "--csv", tmp_path / "mtf.csv", "--fast")
+    limit = np.array(found["diffraction_limit"])
+    assert len(found["mtf"]) == 8  # type: ignore[arg-type]
+    for values in found["mtf"].values():  # type: ignore[attr-defined]
+        assert values[0] == pytest.approx(1.0)
+        assert np.all(np.array(values) <= limit + 1e-3)
+    table = np.genfromtxt(tmp_path / "mtf.csv", delimiter=",", names=True)
+    assert table["frequency_lpmm"][-1] == 8.0
+    exact = numbers(call, "mtf", "petzval_a", "--field-deg", "0,0", "--highest-lpmm", "6.5")
+    rest = np.interp(6.452, exact["frequency_lpmm"], next(iter(exact["mtf"].values())))  # type: ignore[attr-defined]
+    assert rest == pytest.approx(0.960, abs=0.003)
+
+
+def test_shift_map_moves_the_centre_by_what_was_asked(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "map.npz"
+    wanted = "--element", "2", "--shift-px", "0.2", "--sensor", "9x5", "--pitch-mm", "0.3"
+    found = numbers(call, "shiftmap", "petzval_b", *wanted, "-o", out)
+    field = load_shift_field(out).offset_px
+    assert field.shape == (4, 5, 9, 2)
+    assert field[:, 2, 4] == pytest.approx(np.array(found["wanted_px"]), abs=1e-4)
+    predicted = np.array(found["travel_mm"]) @ load_stage_map(out).px_per_mm.T
+    assert predicted == pytest.approx(field[:, 2, 4], abs=1e-3)
+
+
+def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:
+    sensor = "--sensor", "8x3", "--pitch-mm", "1.2,0.8"
+    found = numbers(call, "which", "petzval_a", "--csv", tmp_path / "which.csv", *sensor)
+    assert [row["element"] for row in found["movers"]] == [1, 2, 3]  # type: ignore[attr-defined]
+    table = np.genfromtxt(tmp_path / "which.csv", delimiter=",", names=True, dtype=None)
+    assert table["stroke_mm"].shape == (3,)
+
+
+def test_there_and_back_again(call: Call, tmp_path: Path) -> None:
+    there, back = tmp_path / "lens.zmx", tmp_path / "lens.toml"
+    assert call("lens", "convert", "petzval_b", there).exit_code == 0
+    assert call("lens", "convert", there, back).exit_code == 0
+    first, second = (numbers(call, "show", name) for name in ("petzval_b", back))
+    assert second["focal_length_mm"] == pytest.approx(first["focal_length_mm"], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["show", "nope"], 1, "expected a lens file or a name of al2550"),
+        (["show", "petzval_a", "--element", "4"], 2, "an element from 1 to 3, got 4"),
+        (["show", "petzval_a", "--wavelength-nm", "10"], 1, "expected a wavelength from"),
+        (["mtf", "petzval_a", "--field-deg", "6.5"], 2, "a field like 1.6,6.5"),
+        (["mtf", "petzval_a", "--field-deg", "0,60"], 1, "ray"),
+        (["shiftmap", "petzval_a", "--sensor", "64"], 2, "a sensor like 64x16"),
+        (["shiftmap", "petzval_a", "--shift-px", "400"], 1, ""),
+        (["convert", "petzval_a", "lens.txt"], 2, "to end in .toml or .zmx"),
+    ],
+)
+def test_wrong_arguments(
+    call: Call,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call("lens", *arguments)
+    assert done.exit_code == code, done.output
+    assert message in " ".join(done.stderr.split())
+    assert list(tmp_path.iterdir()) == []

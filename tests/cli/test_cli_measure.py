@@ -1,0 +1,197 @@
+"""`lensshift evaluate gain`, `gradient`, `star`, `zone`, `frc` and `depth`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import ndtr
+from stand_in import Call
+
+from lensshift.core.types import Burst
+from lensshift.io import save_burst
+
+Image = NDArray[np.float64]
+SHAPE = (16, 40)
+
+
+def edge(scale: int = 1, sigma_px: float = 0.8, noise: float = 0.005) -> Image:
+    """Return an edge seen by LR pixels (or by pixels `scale` times finer), with a little noise."""
+    rows, cols = SHAPE[0] * scale, SHAPE[1] * scale
+    row = (np.arange(rows) + 0.5) / scale - SHAPE[0] / 2
+    col = (np.arange(cols) + 0.5) / scale - SHAPE[1] / 2
+    normal = col * np.cos(0.15) + row[:, None] * np.sin(0.15)
+    image = 0.2 + 0.6 * ndtr(normal / sigma_px)
+    return image + noise * np.random.default_rng(scale).standard_normal(image.shape)
+
+
+def numbers(call: Call, *arguments: object) -> dict[str, object]:
+    done = call("evaluate", *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    found: dict[str, object] = json.loads(done.stdout)
+    return found
+
+
+def table(path: Path) -> NDArray[np.void]:
+    return np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True))
+
+
+def test_gain_of_half_the_blur_is_two(call: Call, tmp_path: Path) -> None:
+    np.save(tmp_path / "coarse.npy", edge())
+    np.save(tmp_path / "fine.npy", edge(2, sigma_px=0.4))
+    files = tmp_path / "fine.npy", tmp_path / "coarse.npy"
+    found = numbers(call, "gain", *files, "--csv", tmp_path / "gain.csv", "--pitch-mm", "0.1")
+    assert found["scale"] == 2
+    assert found["unit"] == "LP/mm"
+    for name in ("mtf50", "mtf10", "width"):
+        ratio = found["gain"][name]  # type: ignore[index]
+        assert ratio["value"] == pytest.approx(2.0, rel=0.05)
+        assert ratio["low"] < ratio["value"] < ratio["high"]
+    assert table(tmp_path / "gain.csv")["mtf50"][0] == pytest.approx(2.0, rel=0.05)
+    fine = found["edges"][0]["fine"]  # type: ignore[index]
+    assert fine["mtf50_lpmm"]["value"] == pytest.approx(1.874 / 0.4, rel=0.05)
+
+
+def test_frequencies_in_the_scene(call: Call, tmp_path: Path) -> None:
+    np.save(tmp_path / "edge.npy", edge())
+    wanted = "mtf", tmp_path / "edge.npy", "--pitch-mm", "0.1"
+    plain = numbers(call, *wanted)
+    scene = numbers(call, *wanted, "--focal-length-mm", "50")
+    assert scene["unit"] == "cycles/mrad"
+    half, half_there = (found["mean"]["mtf50"]["value"] for found in (plain, scene))  # type: ignore[index]
+    assert half_there == pytest.approx(0.05 * half)
+
+
+def test_gradient_of_a_gaussian_edge(call: Call, tmp_path: Path) -> None:
+    np.save(tmp_path / "edge.npy", edge(noise=0.0))
+    np.save(tmp_path / "fine.npy", edge(2, sigma_px=0.4, noise=0.0))
+    wanted = "gradient", tmp_path / "edge.npy", "--pitch-mm", "0.1"
+    found = numbers(call, *wanted, "--csv", tmp_path / "lines.csv")
+    width_mm = 2 * 1.2816 * 0.08 / np.cos(0.15)  # 10-90, along the rows
+    slope = found["gradient"]
+    assert slope["averaged_width_mm"] == pytest.approx(width_mm, rel=0.05)  # type: ignore[index]
+    assert len(table(tmp_path / "lines.csv")) == SHAPE[0]
+    against = "--against", tmp_path / "edge.npy", "--pitch-mm", "0.1"
+    ratio = numbers(call, "gradient", tmp_path / "fine.npy", *against)["ratio"]
+    assert ratio["averaged"] == pytest.approx(2.0, rel=0.06)  # type: ignore[index]
+
+
+def test_one_line_is_doubted(call: Call, tmp_path: Path) -> None:
+    np.save(tmp_path / "edge.npy", edge())
+    done = call("evaluate", "gradient", tmp_path / "edge.npy", "--line", "3")
+    assert "one line profile cannot measure a gain of 2" in done.stderr
+    assert "1 line\n" in done.stdout
+
+
+def star(cycles: int = 12) -> Image:
+    row, col = np.indices((61, 71), dtype=float)
+    return 0.5 + 0.4 * np.cos(cycles * np.arctan2(row - 30.2, col - 34.6))
+
+
+def test_star_without_blur_has_contrast_one(call: Call, tmp_path: Path) -> None:
+    np.save(tmp_path / "star.npy", star())
+    wanted = "star", tmp_path / "star.npy", "--cycles", "12", "--levels", "0.1,0.9"
+    found = numbers(call, *wanted, "--sectors", "4", "--csv", tmp_path / "star.csv")
+    assert found["center_px"] == pytest.approx([30.2, 34.6], abs=0.02)
+    curve = found["curves"][0]  # type: ignore[index]
+    assert np.array(curve["modulation"]) == pytest.approx(1.0, abs=0.02)
+    assert len(found["curves"]) == 5  # type: ignore[arg-type]
+    assert table(tmp_path / "star.csv")["frequency"].max() <= 0.5
+
+
+def test_zone_plate_without_blur_has_contrast_one(call: Call, tmp_path: Path) -> None:
+    row, col = np.indices((71, 61), dtype=float)
+    plate = 0.5 + 0.4 * np.cos(np.pi * 0.012 * ((row - 35.1) ** 2 + (col - 30.3) ** 2))
+    np.save(tmp_path / "zone.npy", plate)
+    wanted = "zone", tmp_path / "zone.npy", "--chirp", "0.012", "--levels", "0.1,0.9"
+    found = numbers(call, *wanted)
+    assert found["center_px"] == pytest.approx([35.1, 30.3], abs=0.02)
+    assert [curve["name"] for curve in found["curves"]] == ["radial", "row", "col"]  # type: ignore[attr-defined]
+    for curve in found["curves"]:  # type: ignore[attr-defined]
+        assert np.array(curve["modulation"]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_noise_does_not_correlate(call: Call, tmp_path: Path) -> None:
+    for seed in (1, 2):
+        frame = edge() + np.random.default_rng(seed).standard_normal(SHAPE)
+        np.save(tmp_path / f"{seed}.npy", frame)
+    found = numbers(call, "frc", tmp_path / "1.npy", tmp_path / "2.npy")
+    assert np.mean(found["correlation"][4:]) == pytest.approx(0.0, abs=0.15)  # type: ignore[index]
+    same = numbers(call, "frc", tmp_path / "1.npy", tmp_path / "1.npy")
+    assert np.array(same["correlation"]) == pytest.approx(1.0)
+
+
+def wall() -> Image:
+    """Return radial distances of a plane 2 m away, seen with pixels of 0.1 mm and f = 40 mm."""
+    row, col = ((np.arange(n) - 0.5 * (n - 1)) * 0.1 / 40 for n in SHAPE)
+    return 2.0 * np.sqrt(1 + row[:, None] ** 2 + col**2)
+
+
+def test_depth_against_the_truth(call: Call, tmp_path: Path) -> None:
+    truth = wall()
+    truth[:, 20:] += 0.5
+    measured = truth + 0.01
+    measured[:, 19] = 2.25  # between the surfaces
+    np.save(tmp_path / "truth.npy", truth)
+    np.save(tmp_path / "measured.npy", measured)
+    files = tmp_path / "measured.npy", tmp_path / "truth.npy"
+    found = numbers(call, "depth", *files, "--csv", tmp_path / "depth.csv", "--edge", "col")
+    assert found["flat_rmse_m"] == pytest.approx(0.01)
+    assert found["flying_fraction"] == pytest.approx(0.25)  # one of four columns near the edge
+    error = measured - truth
+    assert found["rmse_m"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert found["bias_m"] == pytest.approx(error.mean())
+    assert "rmse_m," in (tmp_path / "depth.csv").read_text()
+    assert found["edge_location"]["lines"] == SHAPE[0]  # type: ignore[index]
+
+
+def test_depth_alone(call: Call, tmp_path: Path) -> None:
+    noise = 0.005 * np.random.default_rng(4).standard_normal((6, *SHAPE))
+    burst = Burst.from_arrays(
+        np.ones((6, *SHAPE)), wall() + noise, offset_px=np.zeros((6, 2)), pitch_mm=0.1
+    )
+    save_burst(burst, tmp_path / "burst.nc")
+    plane = "--plane", "1,15,2,38", "--focal-length-mm", "40"
+    found = numbers(call, "depth", tmp_path / "burst.nc", "--repeated", *plane)
+    assert found["fill_rate"] == 1.0
+    assert found["temporal_noise_m"] == pytest.approx(0.005, rel=0.05)
+    assert found["plane"]["rms_m"] == pytest.approx(0.005, rel=0.1)  # type: ignore[index]
+    assert abs(found["plane"]["normal"][2]) == pytest.approx(1.0, abs=1e-3)  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["gain", "edge.npy", "odd.npy"], 1, "whole multiple"),
+        (["gain", "edge.npy", "edge.npy", "--csv", "edge.npy"], 2, "would overwrite the input"),
+        (["gradient", "edge.npy", "--region", "0,99,0,9"], 1, "within 16 rows and 40 columns"),
+        (["gradient", "edge.npy", "--share", "0.7"], 1, "a share above 0 and below 0.5"),
+        (["gradient", "edge.npy", "--line", "16"], 1, "a line from 0 to 15"),
+        (["star", "edge.npy"], 2, "--cycles"),
+        (["star", "edge.npy", "--cycles", "9", "--center-px", "1"], 2, "a centre like"),
+        (["zone", "edge.npy", "--chirp", "-1"], 1, "positive chirp"),
+        (["frc", "edge.npy", "odd.npy"], 1, "shape"),
+        (["depth", "edge.npy", "odd.npy"], 1, "shape"),
+        (["depth", "edge.npy", "--edge", "col"], 2, "needs the truth"),
+        (["depth", "edge.npy", "--plane", "0,9,0,9"], 2, "needs --focal-length-mm"),
+        (["mtf", "edge.npy", "--focal-length-mm", "40"], 2, "needs the pitch"),
+        (["mtf", "missing.npy"], 1, "missing.npy"),
+        (["mtf", "edge.npy", "--plot", "edge.docx"], 1, "docx"),
+    ],
+)
+def test_wrong_arguments(
+    call: Call,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.save("edge.npy", edge())
+    np.save("odd.npy", np.zeros((15, 33)))
+    done = call("evaluate", *arguments)
+    assert done.exit_code == code, done.output
+    assert message in " ".join(done.stderr.replace("│", " ").split())
+    assert len(list(tmp_path.iterdir())) == 2
