@@ -1,6 +1,8 @@
 """Errors of the slanted-edge methods on stored edges with known MTF.
 
 python benchmarks/edges.py ../shared/reference/slanted_edge/open/edges_64x16.npz --every 5
+
+Results of MTF Mapper, stored beside the edges (edges_64x16_ref.npz), are printed too.
 """
 
 import argparse
@@ -8,10 +10,16 @@ import json
 import time
 import warnings
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 
 from lensshift.evaluation.slanted_edge import METHODS, measure_edge
+
+
+_HEADING = (
+    "method             noise  angle  edges  failed  MTF50 rms  curve rms  covered  median time"
+)
 
 
 def main() -> None:
@@ -20,14 +28,16 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take every n-th image")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=["ml"])
     arguments = parser.parse_args()
-    stored = np.load(arguments.file)
+    stored, peers = np.load(arguments.file), stored_results(arguments.file)
     warnings.simplefilter("ignore")
-    print("method   noise  angle  edges  failed  MTF50 rms  curve rms  covered  median time")
-    for method in arguments.methods:
+    print(
+        "method             noise  angle  edges  failed  MTF50 rms  curve rms  covered  median time"
+    )
+    for method in (*arguments.methods, *peers):
         cells: dict[tuple[float, float], list[tuple[float, ...]]] = defaultdict(list)
         for k in range(0, len(stored["images"]), arguments.every):
             meta = json.loads(str(stored["meta"][k]))
-            row = measured(stored, k, method)
+            row = peers[method][k] if method in peers else measured(stored, k, method)
             cells[meta["noise"], meta["theta"]].append(row)
             cells[meta["noise"], np.inf].append(row)
         for (noise, angle), rows in sorted(cells.items()):
@@ -36,12 +46,30 @@ def main() -> None:
             error, curve = values[whole, 0], values[whole, 1]
             name = "all" if np.isinf(angle) else f"{angle:.0f}"
             covered, spent_ms = 100 * np.mean(values[whole, 2]), 1e3 * np.median(values[:, 3])
+            ending = "" if method in peers else f"  {covered:5.1f} %  {spent_ms:8.0f} ms"
             print(
-                f"{method:8s} {noise:5.2f}  {name:>5s}"
+                f"{method:18s} {noise:5.2f}  {name:>5s}"
                 f"  {len(rows):5d}  {int(np.sum(~whole)):6d}"
-                f"  {100 * np.sqrt(np.mean(error**2)):7.3f} %  {np.sqrt(np.mean(curve)):9.4f}"
-                f"  {covered:5.1f} %  {spent_ms:8.0f} ms"
+                f"  {100 * np.sqrt(np.mean(error**2)):7.3f} %"
+                f"  {np.sqrt(np.mean(curve)):9.4f}{ending}"
             )
+
+
+def stored_results(file: str) -> dict[str, list[tuple[float, ...]]]:
+    """Return the rows of the programs whose results are stored."""
+    path = Path(file)
+    beside = path.with_name(f"{path.stem}_ref.npz")
+    if not beside.exists():
+        return {}
+    edges, reference = np.load(path), np.load(beside)
+    rows = {}
+    for name in ("MTFMapper_loess", "MTFMapper_kernel"):
+        half = np.where(reference[f"{name}_failed"], np.nan, reference[f"{name}_mtf50"])
+        error = half / edges["truth_mtf50"] - 1
+        apart = reference[f"{name}_mtf"][:, :51] - edges["truth_mtf"][:, :51]
+        curve = np.mean(np.square(apart, dtype=np.float64), axis=1)
+        rows[name] = [(e, c, np.nan, np.nan) for e, c in zip(error, curve, strict=True)]
+    return rows
 
 
 def measured(stored: np.lib.npyio.NpzFile, k: int, method: str) -> tuple[float, ...]:
