@@ -1,0 +1,338 @@
+"""What becomes of a lens as it is built: many builds at once, each refocused."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.grid import Grid
+from lensshift.optics.focus import scan_focus, spot_means
+from lensshift.optics.lens import Lens
+from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.shift import decenter_for_shift
+from lensshift.optics.trace import Build, RayBundle, trace
+from lensshift.optics.which import edge_fields
+
+Array = NDArray[np.float64]
+
+POSITIONS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+AZIMUTHS_RAD = np.linspace(0.0, np.pi, 4, endpoint=False)
+
+_RINGS = 3  # MTF within 0.002
+_CHUNK = 100  # builds traced at once
+_COARSE_MM, _FINE_MM = 0.04, 0.005  # steps of the refocus
+
+
+# Rows of the random numbers [build row element] that each tolerance uses.
+_GAP_ROWS = (4,)
+_KINDS = (
+    ("decentre", (0, 1)),
+    ("tilt", (2, 3)),
+    ("gap", _GAP_ROWS),
+    ("focal length", (5,)),
+    ("index", (6,)),
+)
+_ROWS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """How far each element may be off: limits of even distributions about the nominal value.
+
+    Parameters
+    ----------
+    decenter_mm : along rows and along columns
+    tilt_rad : towards rows and towards columns
+    gap_mm : of the air between elements
+    focal_share : of the focal length, as a share of it; taken as a change of index - 1
+    index : of the refractive index of the glass
+
+    Raises
+    ------
+    ValueError
+        If a limit is negative or not finite.
+    """
+
+    decenter_mm: float = 0.05
+    tilt_rad: float = math.radians(0.1)
+    gap_mm: float = 0.05
+    focal_share: float = 0.01
+    index: float = 0.0005
+
+    def __post_init__(self) -> None:
+        limits = (self.decenter_mm, self.tilt_rad, self.gap_mm, self.focal_share, self.index)
+        if not all(math.isfinite(limit) and limit >= 0 for limit in limits):
+            raise ValueError(f"expected limits of at least 0, got {limits}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToleranceResult:
+    """What many builds of a lens do.
+
+    Positions are that at rest and the four diagonal moves; fields are the centre, the ends of the
+    axes and the corners of the sensor.
+
+    Parameters
+    ----------
+    frequency_lpmm : of the MTF
+    mtf : [build position field azimuth], azimuths 0, 45, 90 and 135 degrees
+    shift_px : [build move field 2] (row, col) of the image from rest
+    refocus_mm : [build] how far the sensor was moved away from the lens
+    nominal_mtf : [position field azimuth] of the lens as drawn, refocused in the same way
+    nominal_shift_px : [move field 2]
+    """
+
+    frequency_lpmm: float
+    mtf: Array
+    shift_px: Array
+    refocus_mm: Array
+    nominal_mtf: Array
+    nominal_shift_px: Array
+
+    @property
+    def worst_mtf(self) -> Array:
+        """[build] least MTF over positions, fields and azimuths."""
+        return np.asarray(self.mtf.min(axis=(1, 2, 3)))
+
+    @property
+    def shift_error_px(self) -> Array:
+        """[build] largest distance from the shifts of the lens as drawn."""
+        error = np.linalg.norm(self.shift_px - self.nominal_shift_px, axis=-1)
+        return np.asarray(error.max(axis=(1, 2)))
+
+    def yield_at(self, mtf: float) -> float:
+        """Return the share of builds whose MTF is nowhere below a limit."""
+        return float(np.mean(self.worst_mtf >= mtf))
+
+    def percentiles(self, percent: tuple[float, ...] = (5.0, 50.0, 95.0)) -> tuple[float, ...]:
+        """Return percentiles of the least MTF of a build."""
+        return tuple(float(value) for value in np.percentile(self.worst_mtf, percent))
+
+
+def tolerance_analysis(
+    lens: Lens,
+    element: int,
+    grid: Grid,
+    tolerances: Tolerances,
+    *,
+    builds: int = 1000,
+    seed: int = 0,
+    shift_px: float = 0.25,
+    frequency_lpmm: float | None = None,
+    refocus_mm: float = 0.8,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> ToleranceResult:
+    """Return the sharpness and the shifts of randomly built lenses (Monte Carlo).
+
+    Each element of each build is off by evenly distributed random amounts within the tolerances;
+    then the sensor is moved to where the least MTF over the field, element at rest, is largest.
+    The moving element is driven as the lens as drawn needs it.
+
+    Parameters
+    ----------
+    element : number of the one that moves, from 0
+    grid : of the sensor
+    builds : how many
+    seed : of the random numbers
+    shift_px : by which the image is moved along both axes
+    frequency_lpmm : of the MTF; by default the Nyquist frequency of twice as many pixels
+    refocus_mm : how far the sensor may move either way
+    on_progress : is told how many builds of how many are done
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, or as in `decenter_for_shift`.
+
+    Warns
+    -----
+    QualityWarning
+        If builds would need more than `refocus_mm`.
+    """
+    if builds < 1:
+        raise ValueError(f"expected at least 1 build, got {builds}")
+    bench = _Bench(lens, element, grid, shift_px, frequency_lpmm, refocus_mm)
+    drawn = bench.measure(_deviations(lens, Tolerances(0, 0, 0, 0, 0), np.zeros((1, _ROWS, 1))))
+    rng = np.random.default_rng(seed)
+    draws = rng.uniform(-1.0, 1.0, (builds, _ROWS, len(lens.elements)))
+    parts = []
+    for start in range(0, builds, _CHUNK):
+        chunk = draws[start : start + _CHUNK]
+        parts.append(bench.measure(_deviations(lens, tolerances, chunk)))
+        if on_progress is not None:
+            on_progress(start + len(chunk), builds)
+    mtf, moved_px, away_mm = (np.concatenate(values) for values in zip(*parts, strict=True))
+    bench.warn_of_range(away_mm)
+    return ToleranceResult(bench.frequency_lpmm, mtf, moved_px, away_mm, drawn[0][0], drawn[1][0])
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """What one tolerance of one element does at its limit.
+
+    Parameters
+    ----------
+    kind : decentre, tilt, gap, focal length or index
+    element : its number, from 0; a gap is behind it
+    name : of the element
+    mtf_loss : fall of the least MTF, worst sign and direction, after refocus
+    shift_error_px : largest change of a shift
+    refocus_mm : largest distance the sensor was moved, against the lens as drawn
+    """
+
+    kind: str
+    element: int
+    name: str
+    mtf_loss: float
+    shift_error_px: float
+    refocus_mm: float
+
+
+def sensitivity_table(
+    lens: Lens,
+    element: int,
+    grid: Grid,
+    tolerances: Tolerances,
+    *,
+    shift_px: float = 0.25,
+    frequency_lpmm: float | None = None,
+    refocus_mm: float = 0.8,
+) -> tuple[Sensitivity, ...]:
+    """Return what each tolerance of each element does alone, the largest MTF loss first.
+
+    Each is set to its limits: both signs, and for decentre and tilt all four corners of the
+    square. Parameters as in `tolerance_analysis`.
+
+    Raises
+    ------
+    ValueError
+        As in `tolerance_analysis`.
+    """
+    bench = _Bench(lens, element, grid, shift_px, frequency_lpmm, refocus_mm)
+    count = len(lens.elements)
+    cases, draws = [(-1, 0)], [np.zeros((_ROWS, count))]
+    for kind, (_, rows) in enumerate(_KINDS):
+        for number in range(count - 1 if rows == _GAP_ROWS else count):
+            for signs in np.array(np.meshgrid(*[[-1.0, 1.0]] * len(rows))).reshape(len(rows), -1).T:
+                draw = np.zeros((_ROWS, count))
+                draw[list(rows), number] = signs
+                cases.append((kind, number))
+                draws.append(draw)
+    mtf, moved_px, away_mm = bench.measure(_deviations(lens, tolerances, np.array(draws)))
+    loss = mtf[0].min() - mtf.min(axis=(1, 2, 3))
+    error_px = np.linalg.norm(moved_px - moved_px[0], axis=-1).max(axis=(1, 2))
+    refocus = np.abs(away_mm - away_mm[0])
+    table = []
+    for case in dict.fromkeys(cases[1:]):
+        mine = [number for number, one in enumerate(cases) if one == case]
+        table.append(
+            Sensitivity(
+                kind=_KINDS[case[0]][0],
+                element=case[1],
+                name=lens.elements[case[1]].name,
+                mtf_loss=float(loss[mine].max()),
+                shift_error_px=float(error_px[mine].max()),
+                refocus_mm=float(refocus[mine].max()),
+            )
+        )
+    return tuple(sorted(table, key=lambda row: -row.mtf_loss))
+
+
+def format_sensitivity(table: tuple[Sensitivity, ...]) -> str:
+    """Return the table of `sensitivity_table` as lines of text."""
+    lines = ["tolerance     element               MTF loss  shift error   refocus"]
+    lines += [
+        f"{row.kind:<13} {row.element + 1} {row.name:<18.18} {row.mtf_loss:9.4f} "
+        f"{row.shift_error_px:9.5f} px {row.refocus_mm:6.3f} mm"
+        for row in table
+    ]
+    return "\n".join(lines)
+
+
+def _deviations(lens: Lens, tolerances: Tolerances, draws: Array) -> Build:
+    """Return builds [build 1 1] from numbers [build row element] in -1 .. 1."""
+    draws = np.broadcast_to(draws, (*draws.shape[:2], len(lens.elements)))
+    gap_mm = tolerances.gap_mm * draws[:, 4]
+    gap_mm[:, -1] = 0.0  # the sensor is refocused anyway
+    # The mean index of an element tells how n - 1 follows from a change of n.
+    power = np.array([np.mean(indices) - 1.0 for indices in lens.indices()])
+    factor = 1.0 / (1.0 + tolerances.focal_share * draws[:, 5])
+    factor = factor + tolerances.index * draws[:, 6] / power
+    spread = (slice(None), None, None)
+    return Build(
+        decenter_mm=tolerances.decenter_mm * np.moveaxis(draws[:, 0:2], 1, -1)[spread],
+        tilt_rad=tolerances.tilt_rad * np.moveaxis(draws[:, 2:4], 1, -1)[spread],
+        gap_mm=gap_mm[spread],
+        index_factor=factor[spread],
+    )
+
+
+class _Bench:
+    """Measures builds of one lens: MTF and shifts after refocusing each."""
+
+    def __init__(
+        self,
+        lens: Lens,
+        element: int,
+        grid: Grid,
+        shift_px: float,
+        frequency_lpmm: float | None,
+        refocus_mm: float,
+    ) -> None:
+        if not (shift_px > 0 and refocus_mm > 0):
+            raise ValueError(
+                f"expected positive shift_px and refocus_mm, got {shift_px} and {refocus_mm}"
+            )
+        self.lens, self.pitch_mm = lens, np.asarray(grid.pitch_mm)
+        self.frequency_lpmm = 1.0 / max(grid.pitch_mm) if frequency_lpmm is None else frequency_lpmm
+        self.refocus_mm = refocus_mm
+        self.fields = edge_fields(lens, grid)
+        self.moves = np.zeros((len(POSITIONS), 1, len(lens.elements), 2))
+        moves_mm = decenter_for_shift(lens, element, shift_px * POSITIONS[1:], grid)
+        self.moves[1:, 0, element] = moves_mm
+        self.points, self.weight = pupil_quadrature(_RINGS)
+
+    def measure(self, build: Build) -> tuple[Array, Array, Array]:
+        """Return MTF [build position field azimuth], shifts [build move field 2], refocus."""
+        decenter_mm = self.moves if build.decenter_mm is None else build.decenter_mm + self.moves
+        build = Build(decenter_mm, build.tilt_rad, build.gap_mm, build.index_factor)
+        rays = trace(self.lens, self.fields, self.points, build=build)
+        away_mm = self._refocus(rays.part((slice(None), 0)))
+        behind_mm = away_mm[:, None, None]
+        mtf = self._scan(rays, behind_mm, 0.0, 1)[..., 0]
+        means = spot_means(rays, self.weight)
+        at_mm = means.centroid_mm + behind_mm[..., None] * means.slope
+        return mtf, (at_mm[:, 1:] - at_mm[:, :1]) / self.pitch_mm, away_mm
+
+    def _refocus(self, rays: RayBundle) -> Array:
+        """Return for [build field ray] where the least MTF is largest, [build]."""
+        planes = 1 + 2 * math.ceil(self.refocus_mm / _COARSE_MM)
+        start_mm = np.full(rays.status.shape[:1], -_COARSE_MM * (planes // 2))
+        least = self._scan(rays, start_mm[:, None], _COARSE_MM, planes).min(axis=(1, 2))
+        start_mm += _COARSE_MM * (least.argmax(axis=-1) - 1)
+        planes = 1 + 2 * round(_COARSE_MM / _FINE_MM)
+        least = self._scan(rays, start_mm[:, None], _FINE_MM, planes).min(axis=(1, 2))
+        return np.asarray(start_mm + _FINE_MM * least.argmax(axis=-1))
+
+    def _scan(self, rays: RayBundle, first_mm: Array, step_mm: float, planes: int) -> Array:
+        return scan_focus(
+            rays, self.weight, _RINGS, self.frequency_lpmm, AZIMUTHS_RAD, self.lens.wavelength_nm,
+            first_mm=first_mm, step_mm=step_mm, planes=planes,
+        )  # fmt: skip
+
+    def warn_of_range(self, away_mm: Array) -> None:
+        """Warn of builds that ended at the end of the refocus."""
+        beyond = int(np.sum(np.abs(away_mm) > self.refocus_mm - _COARSE_MM))
+        if beyond:
+            warnings.warn(
+                f"{beyond} of {len(away_mm)} builds would need a refocus of more than "
+                f"{self.refocus_mm} mm",
+                QualityWarning,
+                stacklevel=3,
+            )
