@@ -1,4 +1,4 @@
-"""The camera: areas, directions and noise come out as physics says."""
+"""The camera before flat targets: areas, directions and noise come out as physics says."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_a_pixel_gets_the_share_of_its_area() -> None:
 def test_large_sensors_are_done_in_strips(monkeypatch: pytest.MonkeyPatch) -> None:
     target = demo_target((1.4, 1.1))
     whole = pixel_means(target, GRID, (0.3, -0.1), 8, 0.4)
-    monkeypatch.setattr("lensshift.camera._SAMPLES_AT_ONCE", 8 * 8 * 15 * 2)
+    monkeypatch.setattr("lensshift.camera.flat._SAMPLES_AT_ONCE", 8 * 8 * 15 * 2)
     np.testing.assert_allclose(pixel_means(target, GRID, (0.3, -0.1), 8, 0.4), whole, atol=1e-12)
 
 
