@@ -1,0 +1,166 @@
+"""MTF curves with bands, limits and marks, as all figures draw them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.limits import pixel_aperture_mtf
+from lensshift.report.style import BAND_ALPHA, FAINT, GREY, INK, LIGHT, SMALL_PT, TITLE_PT, outlined
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from lensshift.evaluation.slanted_edge.result import Interval
+
+_SIGMAS = 1.96  # half a 95 % interval of a normal distribution
+_LIMIT_POINTS = 301
+_MOST = 1.9  # sharpened curves are shown up to here
+_DASHES = ("--", ":", "-.", (0, (4, 1.2, 1, 1.2, 1, 1.2)))
+
+
+def draw_curve(
+    axes: Axes,
+    curve: MtfCurve,
+    colour: str,
+    label: str,
+    *,
+    factor: float = 1.0,
+    low: ArrayLike | None = None,
+    high: ArrayLike | None = None,
+) -> None:
+    """Draw a curve and its 95 % band: the one given, else 1.96 standard deviations, else none.
+
+    Parameters
+    ----------
+    curve : frequency and modulation
+    colour, label : of the line
+    factor : what the frequencies are multiplied by
+    low, high : [f] ends of the band
+    """
+    frequency = curve.frequency_lpmm * factor
+    if low is None and high is None and curve.std is not None:
+        low = np.maximum(curve.modulation - _SIGMAS * curve.std, 0.0)
+        high = curve.modulation + _SIGMAS * curve.std
+    if low is not None and high is not None:
+        axes.fill_between(frequency, low, high, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
+    axes.plot(frequency, curve.modulation, color=colour, label=label)
+
+
+def draw_pixel_limits(
+    axes: Axes,
+    pitch_mm: float | tuple[float, float],
+    angle_rad: float,
+    highest_lpmm: float,
+    factor: float = 1.0,
+) -> None:
+    """Draw what a full and a half pixel let through along the normal of an edge.
+
+    Parameters
+    ----------
+    pitch_mm : side of an LR pixel, or its sides as (row, col)
+    angle_rad : of the normal from the col axis
+    highest_lpmm : where the curves end
+    factor : what the frequencies are multiplied by
+    """
+    frequency_lpmm = np.linspace(0.0, highest_lpmm, _LIMIT_POINTS)
+    for share, style, name in ((1.0, "--", "pixel"), (0.5, ":", "half a pixel")):
+        sides_mm = tuple(share * np.broadcast_to(pitch_mm, (2,)))
+        limit = pixel_aperture_mtf(
+            frequency_lpmm, (float(sides_mm[0]), float(sides_mm[1])), angle_rad=angle_rad
+        )
+        axes.plot(
+            frequency_lpmm * factor,
+            limit,
+            linestyle=style,
+            color=INK,
+            linewidth=1.0,
+            label=f"|sinc| of {name}",
+        )
+
+
+def draw_limits(
+    axes: Axes, limits: Sequence[MtfCurve], highest_lpmm: float, factor: float = 1.0
+) -> None:
+    """Draw further limits in grey, each with its own dashes and its label."""
+    for number, limit in enumerate(limits):
+        shown = limit.frequency_lpmm <= highest_lpmm
+        axes.plot(
+            limit.frequency_lpmm[shown] * factor,
+            limit.modulation[shown],
+            linestyle=_DASHES[-1 - number % len(_DASHES)],
+            color=GREY,
+            linewidth=1.0,
+            label=limit.label or "limit",
+        )
+
+
+def mark_frequency(axes: Axes, frequency: float, text: str) -> None:
+    """Draw a vertical line with its name along it."""
+    axes.axvline(frequency, color=LIGHT, linewidth=1.2, zorder=1.0)
+    axes.annotate(
+        text,
+        (frequency, 0.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(-2.0, 3.0),
+        textcoords="offset points",
+        rotation=90,
+        ha="right",
+        va="bottom",
+        fontsize=SMALL_PT,
+        color=GREY,
+        path_effects=outlined(1.0),
+    )
+
+
+def mark_crossing(
+    axes: Axes, place: Interval, level: float, colour: str, *, filled: bool = True
+) -> None:
+    """Mark where a curve falls below a level, with the interval if there is one."""
+    if not np.isfinite(place.value):
+        return
+    if np.isfinite(place.low) and np.isfinite(place.high):
+        axes.plot([place.low, place.high], [level, level], color=colour, linewidth=3.2, alpha=0.55)
+    face = colour if filled else "white"
+    axes.plot(place.value, level, "o", color=colour, markerfacecolor=face, markersize=5.0)
+
+
+def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str) -> None:
+    """Set limits and labels of axes with MTF curves, and their title with the legend below it.
+
+    Parameters
+    ----------
+    highest : frequency where they end
+    unit : of the frequency
+    title : above the legend
+    """
+    axes.axhline(0.5, color=FAINT, linewidth=1.4, zorder=0.5)
+    axes.set_xlim(0.0, highest)
+    axes.set_ylim(0.0, _room_above(axes))
+    axes.set_xlabel(f"spatial frequency ({unit})")
+    axes.set_ylabel("modulation")
+    legend_above(axes, title)
+
+
+def legend_above(axes: Axes, title: str, columns: int = 2) -> None:
+    """Put the legend between title and axes, where it hides no curve."""
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=columns,
+        title=title,
+        title_fontsize=TITLE_PT,
+        alignment="left",
+        borderaxespad=0.2,
+        borderpad=0.0,
+    )
+
+
+def _room_above(axes: Axes) -> float:
+    heights = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines()]
+    peak = max((float(np.nanmax(one, initial=0.0)) for one in heights), default=1.0)
+    return min(max(1.05, 1.05 * peak), _MOST)

@@ -1,0 +1,152 @@
+"""Images and maps with pixel axes, regions drawn on them and scales beside them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.patches import Rectangle
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.report.style import INK, SMALL_PT, outlined
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
+
+Floats = NDArray[np.float64]
+
+_WITHOUT_VALUE = "#EADCC2"
+_DIVERGING = "RdBu_r"
+
+
+def draw_image(
+    axes: Axes, values: ArrayLike, title: str, *, corner_px: tuple[int, int] = (0, 0)
+) -> AxesImage:
+    """Draw an image in grey, from its 0.5th to its 99.5th percentile; pixel centres at integers.
+
+    Parameters
+    ----------
+    values : [row col]; NaN is shaded
+    title : above it
+    corner_px : row and column of the first pixel
+
+    Raises
+    ------
+    ValueError
+        If the values are no image.
+    """
+    image = plain_image(values)
+    known = image[np.isfinite(image)]
+    low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
+    return _draw(axes, image, title, corner_px, "gray", (float(low), float(high)))
+
+
+def draw_map(
+    axes: Axes,
+    values: ArrayLike,
+    title: str,
+    label: str,
+    *,
+    largest: float,
+    corner_px: tuple[int, int] = (0, 0),
+) -> AxesImage:
+    """Draw signed values, white at 0, with a scale that is the same on both sides.
+
+    Parameters
+    ----------
+    values : [row col]; NaN is shaded
+    title, label : above it, and of the scale with its unit
+    largest : where the scale ends; values beyond it are told by arrows
+    corner_px : row and column of the first pixel
+    """
+    image = plain_image(values)
+    shown = _draw(axes, image, title, corner_px, _DIVERGING, (-largest, largest))
+    add_scale(axes, shown, label)
+    return shown
+
+
+def add_scale(axes: Axes, shown: AxesImage, label: str) -> None:
+    """Put a colour scale of the image's own height beside it."""
+    low, high = shown.get_clim()
+    values: Floats = np.ma.compressed(np.ma.asarray(shown.get_array()))
+    under, over = bool(np.any(values < low)), bool(np.any(values > high))
+    extend = ("neither", "min", "max", "both")[under + 2 * over]
+    rows, cols = shown.get_size()
+    place = axes.inset_axes((1.02, 0.0, max(0.02, min(0.05, 0.05 * rows / cols)), 1.0))
+    figure = axes.get_figure(root=True)
+    if figure is not None:
+        figure.colorbar(shown, cax=place, extend=extend, label=label)
+    place.grid(visible=False)
+
+
+def draw_region(
+    axes: Axes, row_start: int, row_stop: int, col_start: int, col_stop: int, colour: str
+) -> None:
+    """Draw the outer borders of the pixels of a region."""
+    axes.add_patch(
+        Rectangle(
+            (col_start - 0.5, row_start - 0.5),
+            col_stop - col_start,
+            row_stop - row_start,
+            fill=False,
+            edgecolor=colour,
+            linewidth=1.3,
+            path_effects=outlined(1.3),
+            clip_on=False,  # a region that fills the image is not cut in half
+        )
+    )
+
+
+def number_region(axes: Axes, number: int, row_px: int, col_px: int, colour: str) -> None:
+    """Write the number of a region into its upper left corner."""
+    axes.annotate(
+        str(number),
+        (col_px - 0.5, row_px - 0.5),
+        xytext=(3.0, -3.0),
+        textcoords="offset points",
+        color=colour,
+        va="top",
+        fontsize=SMALL_PT,
+        fontweight="bold",
+        path_effects=outlined(1.0),
+    )
+
+
+def plain_image(values: ArrayLike) -> Floats:
+    """Return the values as floats [row col]; `ValueError` if they are no image."""
+    image = np.asarray(values, dtype=np.float64)
+    if image.ndim != 2 or image.size == 0:
+        raise ValueError(f"expected an image [row col], got shape {image.shape}")
+    return image
+
+
+def _draw(
+    axes: Axes,
+    image: Floats,
+    title: str,
+    corner_px: tuple[int, int],
+    colours: str,
+    limits: tuple[float, float],
+) -> AxesImage:
+    rows, cols = image.shape
+    top, left = corner_px[0] - 0.5, corner_px[1] - 0.5
+    shown = axes.imshow(
+        np.ma.masked_invalid(image),
+        cmap=mpl.colormaps[colours],
+        vmin=limits[0],
+        vmax=limits[1],
+        extent=(left, left + cols, top + rows, top),
+        interpolation="nearest",
+    )
+    axes.set_facecolor(_WITHOUT_VALUE)
+    axes.grid(visible=False)
+    axes.set_title(title)
+    axes.set_xlabel("column (px)" if np.all(np.isfinite(image)) else "column (px); tan: no value")
+    axes.set_ylabel("row (px)")
+    axes.locator_params(integer=True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(True)
+        axes.spines[side].set_color(INK)
+    return shown
