@@ -16,7 +16,6 @@ import numpy as np
 
 from lensshift.evaluation.slanted_edge import METHODS, measure_edge
 
-
 _HEADING = (
     "method             noise  angle  edges  failed  MTF50 rms  curve rms  covered  median time"
 )

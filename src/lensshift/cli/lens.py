@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensshift.cli.lens_design import optimise, tolerance
 from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
 from lensshift.cli.optics import (
     PITCH_MM,
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
     from lensshift.optics.lens import Lens
 
 lens_verbs = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+lens_verbs.command()(optimise)
+lens_verbs.command()(tolerance)
 
 FieldOption = Annotated[
     list[str] | None,

@@ -105,6 +105,13 @@ class Progress:
 
     def __call__(self, iteration: int, objective: float) -> None:
         """Take note of one iteration."""
+        self._show(f"iteration {iteration}, objective {objective:.4g}")
+
+    def count(self, done: int, total: int) -> None:
+        """Take note of one step of a known number."""
+        self._show(f"{done} of {total}")
+
+    def _show(self, state: str) -> None:
         now_s = time.monotonic()
         terminal = sys.stderr.isatty()
         every_s = _TERMINAL_EVERY_S if terminal else _FILE_EVERY_S
@@ -112,7 +119,7 @@ class Progress:
         if now_s - self._start_s < _QUIET_S or (not first and now_s - self._last_s < every_s):
             return
         self._last_s = now_s
-        text = f"{self._label}: iteration {iteration}, objective {objective:.4g}"
+        text = f"{self._label}: {state}"
         typer.echo(f"\r{text:<70}" if terminal else text, err=True, nl=not terminal)
         self._open_line = terminal
 

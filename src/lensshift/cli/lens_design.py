@@ -1,0 +1,239 @@
+"""`lensshift lens optimise` and `tolerance`: find a lens, and see what building it does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
+from lensshift.cli.optics import (
+    PITCH_MM,
+    SENSOR,
+    SHIFT_PX,
+    ElementOption,
+    LensArgument,
+    PitchOption,
+    SensorOption,
+    ShiftOption,
+    element_of,
+    figure_of,
+    read_lens,
+    sensor_grid,
+)
+from lensshift.cli.session import DebugOption, JsonOption, Progress, session
+
+if TYPE_CHECKING:
+    from lensshift.optics.design import Design
+    from lensshift.optics.goal import Goal
+
+PlacesArgument = Annotated[
+    list[str],
+    typer.Argument(help="The lens for each place, or several to choose from: al2550,eo33944."),
+]
+FocalOption = Annotated[float, typer.Option("--focal-length-mm", help="Kept exactly.")]
+ObjectOption = Annotated[
+    float, typer.Option("--object-mm", help="From the object to the first vertex.")
+]
+StopOption = Annotated[float, typer.Option("--stop-mm", help="Diameter of the stop.")]
+BackOption = Annotated[
+    float, typer.Option("--back-focal-mm", help="Least distance from the last vertex to sensor.")
+]
+MtfOption = Annotated[float, typer.Option("--mtf", help="Wanted at the corner, centred and moved.")]
+ErrorOption = Annotated[
+    float, typer.Option("--shift-error-px", help="Largest error of the shift over the sensor.")
+]
+MoverOption = Annotated[
+    int | None,
+    typer.Option("--element", min=1, help="The element that moves, from 1; each if not given."),
+]
+KeepOption = Annotated[
+    int, typer.Option("--keep", min=1, help="Trains that are optimised after a first look.")
+]
+OutOption = Annotated[
+    Path | None, typer.Option("-o", "--out", help="Write the best lens (.toml or .zmx).")
+]
+BuildsOption = Annotated[int, typer.Option("--builds", min=1, help="Random builds.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
+LimitOption = Annotated[float, typer.Option("--limit", help="MTF that a good build keeps.")]
+DecenterOption = Annotated[float, typer.Option("--decenter-mm", min=0.0, help="Of each element.")]
+TiltOption = Annotated[float, typer.Option("--tilt-deg", min=0.0, help="Of each element.")]
+GapOption = Annotated[float, typer.Option("--gap-mm", min=0.0, help="Of each gap.")]
+ShareOption = Annotated[
+    float, typer.Option("--focal-share", min=0.0, help="Of the focal length of each element.")
+]
+IndexOption = Annotated[float, typer.Option("--index", min=0.0, help="Of each refractive index.")]
+
+
+def optimise(
+    places: PlacesArgument,
+    focal_length_mm: FocalOption,
+    object_mm: ObjectOption = math.inf,
+    stop_mm: StopOption = 20.0,
+    back_focal_mm: BackOption = 2.0,
+    element: MoverOption = None,
+    shift_px: ShiftOption = SHIFT_PX,
+    shift_error_px: ErrorOption = 0.01,
+    mtf: MtfOption = 0.9,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    keep: KeepOption = 8,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Find gaps, orientations and the element to move for a train of stock lenses.
+
+    Maximises the least MTF over the sensor at twice its Nyquist frequency, centred and moved, at
+    the given focal length and least back focal distance.
+
+    \b
+    Example:
+      lensshift lens optimise al2550 al2550 eo45030 --focal-length-mm 42.7 --object-mm 3500
+      lensshift lens optimise al2550,eo33944 al2550,eo33944 lc4210,eo45030 --focal-length-mm 42.7 \\
+        --object-mm 3500 --element 1 -o best.toml
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        from lensshift.optics.goal import Goal
+        from lensshift.optics.lens import Stop
+        from lensshift.optics.stock import format_designs
+
+        _check_out(out)
+        goal = Goal(
+            sensor_grid(sensor, pitch_mm),
+            focal_length_mm=focal_length_mm,
+            object_mm=object_mm,
+            stop=Stop(stop_mm),
+            back_focal_mm=back_focal_mm,
+            shift_px=shift_px,
+            shift_error_px=shift_error_px,
+            mtf=mtf,
+        )
+        designs = _designs(places, goal, element, keep)
+        current.say(format_designs(designs))
+        met = sum(design.meets(goal) for design in designs)
+        current.say(f"{met} of {len(designs)} designs meet the goal")
+        current.result |= {"met": met, "designs": [_row(design) for design in designs]}
+        if out is not None:
+            _write(designs[0], out)
+            current.say(f"wrote {out}")
+
+
+def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> tuple[Design, ...]:
+    from lensshift.optics.design import optimise_gaps
+    from lensshift.optics.stock import search_stock
+
+    stock = [[read_lens(name.strip()) for name in place.split(",")] for place in places]
+    if element is not None and element > len(stock):
+        raise typer.BadParameter(f"expected an element from 1 to {len(stock)}, got {element}")
+    progress = Progress("optimising")
+    try:
+        if element is not None and all(len(place) == 1 for place in stock):
+            parts = [part for place in stock for part in place[0].elements]
+            name = " + ".join(part.name for part in parts)
+            best = optimise_gaps(
+                parts, goal, element=element - 1, name=name, on_progress=progress.count
+            )
+            return (best,)
+        movers = None if element is None else [element - 1]
+        return search_stock(stock, goal, movers=movers, keep=keep, on_progress=progress.count)
+    finally:
+        progress.close()
+
+
+def _check_out(out: Path | None) -> None:
+    check_outputs([], out, None)
+    if out is not None and out.suffix.lower() not in (".toml", ".zmx"):
+        raise typer.BadParameter(f"expected {out} to end in .toml or .zmx")
+
+
+def _write(design: Design, out: Path) -> None:
+    from lensshift.optics.lens_file import save_lens
+    from lensshift.optics.zmx_writer import save_zmx
+
+    (save_zmx if out.suffix.lower() == ".zmx" else save_lens)(design.lens, out)
+
+
+def _row(design: Design) -> dict[str, Any]:
+    numbers = ("mtf_centred", "mtf_moved", "shift_error_px", "stroke_mm", "transmission")
+    row: dict[str, Any] = {name: getattr(design, name) for name in numbers}
+    row["element"] = None if design.element is None else design.element + 1
+    row["train"] = [element.name for element in design.lens.elements]
+    return row | {"turned": design.turned, "gaps_mm": design.lens.gaps_mm}
+
+
+def tolerance(
+    lens: LensArgument,
+    element: ElementOption = 1,
+    builds: BuildsOption = 1000,
+    limit: LimitOption = 0.9,
+    decenter_mm: DecenterOption = 0.05,
+    tilt_deg: TiltOption = 0.1,
+    gap_mm: GapOption = 0.05,
+    focal_share: ShareOption = 0.01,
+    index: IndexOption = 0.0005,
+    shift_px: ShiftOption = SHIFT_PX,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    seed: SeedOption = 0,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Build a lens many times at random, and set each tolerance to its limit alone.
+
+    The sensor is refocused in every build; MTF at twice LR Nyquist, at rest and for the four
+    diagonal moves of the element.
+
+    \b
+    Example:
+      lensshift lens tolerance petzval_search --element 2 --builds 1000 --plot tolerance.png
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        from lensshift.optics.tolerance import (
+            Tolerances,
+            format_sensitivity,
+            sensitivity_table,
+            tolerance_analysis,
+        )
+
+        check_outputs([], csv, plot)
+        model, grid = read_lens(lens), sensor_grid(sensor, pitch_mm)
+        moved = element_of(model, element)
+        limits = Tolerances(decenter_mm, math.radians(tilt_deg), gap_mm, focal_share, index)
+        table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
+        progress = Progress("building")
+        try:
+            found = tolerance_analysis(
+                model, moved, grid, limits, builds=builds, seed=seed, shift_px=shift_px,
+                on_progress=progress.count,
+            )  # fmt: skip
+        finally:
+            progress.close()
+        current.say(format_sensitivity(table))
+        low, median, high = found.percentiles()
+        share = found.yield_at(limit)
+        current.say(
+            f"{builds} builds, MTF at {found.frequency_lpmm:.3g} LP/mm, worst of field, direction "
+            f"and position: {low:.3f} / {median:.3f} / {high:.3f} (5, 50, 95 %), as drawn "
+            f"{found.nominal_mtf.min():.3f}"
+        )
+        current.say(f"{100 * share:.1f} % of the builds keep {limit:g}")
+        current.say(
+            f"largest error of a shift: {float(found.shift_error_px.max()):.4f} px, "
+            f"refocus up to {float(abs(found.refocus_mm).max()):.3f} mm"
+        )
+        current.result |= {"lens": model.name or lens, "element": element, "builds": builds}
+        current.result |= {"percentiles_5_50_95": (low, median, high), "yield": share}
+        current.result |= {"limit": limit, "frequency_lpmm": found.frequency_lpmm}
+        current.result["sensitivity"] = [
+            asdict(row) | {"element": row.element + 1} for row in table
+        ]
+        columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
+        columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
+        write_table(current, csv, columns)
+        write_plot(current, plot, lambda: figure_of("lens_build", "tolerance_figure", found, limit))
