@@ -149,6 +149,36 @@ def test_columns_go_right_and_rows_go_down() -> None:
     assert cast(Scene((quarter,)), down).reflectance == 0.9
 
 
+@pytest.mark.parametrize(
+    ("axis", "x_axis", "y_axis"), [(0, 2, 1), (1, 0, 2), (2, 0, 1)], ids=["side", "top", "front"]
+)
+def test_faces_of_a_cuboid_have_their_own_coordinates(axis: int, x_axis: int, y_axis: int) -> None:
+    at_m = np.array([0.11, -0.23, 0.17])
+    at_m[axis] = -0.5
+    start_m = at_m.copy()
+    start_m[axis] = -4.0
+    for along, expected in (("x", at_m[x_axis]), ("y", at_m[y_axis])):
+
+        def texture(x_m: Array, y_m: Array, along: str = along) -> Array:
+            return 0.5 + (x_m if along == "x" else y_m)
+
+        box = Cuboid(centre_m=(0, 0, 0), size_m=(1, 1, 1), reflectance=texture)
+        seen = cast(Scene((box,)), at_m - start_m, origin_m=start_m)
+        assert seen.reflectance == pytest.approx(0.5 + expected)
+
+
+def test_a_ball_has_arcs_as_coordinates() -> None:
+    longitude, latitude, radius_m = 0.4, -0.3, 0.8
+    from_centre = np.array(
+        [np.sin(longitude) * np.cos(latitude), np.sin(latitude),
+         -np.cos(longitude) * np.cos(latitude)]
+    )  # fmt: skip
+    for texture, arc in ((lambda x, y: 0.5 + x, longitude), (lambda x, y: 0.5 + y, latitude)):
+        ball = Sphere(centre_m=(0.2, 0, 3), radius_m=radius_m, reflectance=texture)
+        seen = cast(Scene((ball,)), -from_centre, origin_m=ball.centre_m + 2 * from_centre)
+        assert seen.reflectance == pytest.approx(0.5 + radius_m * arc)
+
+
 def zoo(rotation: Rotation, moved_m: Array) -> Scene:
     """Return some shapes, turned about the origin and then moved."""
 
@@ -318,6 +348,14 @@ def test_what_a_camera_sees_lies_in_the_light_unless_something_shades_it() -> No
     assert lit[wall & (seen.point_m[..., 0] > 0)].all()
     faces_away = np.einsum("rci,rci->rc", seen.normal, light_m - seen.point_m) < 0
     np.testing.assert_array_equal(lit[~wall], ~faces_away[~wall])
+
+
+def test_surfaces_within_a_micrometre_of_the_ends_do_not_block() -> None:
+    scene = Scene((Plane(centre_m=(0, 0, 1)),))
+    depth_m = np.array([1 - 5e-6, 1 - 5e-7, 1 + 5e-7])
+    from_m = np.stack([0 * depth_m, 0 * depth_m, depth_m], axis=-1)
+    np.testing.assert_array_equal(visible(scene, from_m, (0, 0, 2)), [False, True, True])
+    np.testing.assert_array_equal(visible(scene, (0, 0, 2), from_m), [False, True, True])
 
 
 def test_a_point_sees_itself_and_nothing_unknown() -> None:

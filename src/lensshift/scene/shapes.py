@@ -46,7 +46,7 @@ class Rays:
         count = len(direction)
         return cls(
             origin_m=np.array(np.broadcast_to(origin_m, (count, 3)), dtype=np.float64, order="C"),
-            direction=direction,
+            direction=np.ascontiguousarray(direction),  # kernels are compiled for one layout
             distance_m=np.array(np.broadcast_to(limit_m, (count,)), dtype=np.float64),
             shape=np.full(count, -1, dtype=np.int64),
             part=np.zeros(count, dtype=np.int64),
