@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.limits import pixel_aperture_mtf
+from lensshift.evaluation.limits import pitch_pair_mm, pixel_aperture_mtf
 from lensshift.report.style import BAND_ALPHA, FAINT, GREY, INK, LIGHT, SMALL_PT, TITLE_PT, outlined
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _SIGMAS = 1.96  # half a 95 % interval of a normal distribution
 _LIMIT_POINTS = 301
+_DIRECTIONS_RAD = np.linspace(0.0, 0.5 * np.pi, 46)
 _MOST = 1.9  # sharpened curves are shown up to here
 _DASHES = ("--", ":", "-.", (0, (4, 1.2, 1, 1.2, 1, 1.2)))
 
@@ -54,7 +55,7 @@ def draw_curve(
 def draw_pixel_limits(
     axes: Axes,
     pitch_mm: float | tuple[float, float],
-    angle_rad: float,
+    angle_rad: float | None,
     highest_lpmm: float,
     factor: float = 1.0,
 ) -> None:
@@ -63,15 +64,18 @@ def draw_pixel_limits(
     Parameters
     ----------
     pitch_mm : side of an LR pixel, or its sides as (row, col)
-    angle_rad : of the normal from the col axis
+    angle_rad : of the normal from the col axis; None for the mean over all directions
     highest_lpmm : where the curves end
     factor : what the frequencies are multiplied by
     """
     frequency_lpmm = np.linspace(0.0, highest_lpmm, _LIMIT_POINTS)
+    angles_rad = _DIRECTIONS_RAD if angle_rad is None else [angle_rad]
+    row_mm, col_mm = pitch_pair_mm(pitch_mm)
     for share, style, name in ((1.0, "--", "pixel"), (0.5, ":", "half a pixel")):
-        sides_mm = tuple(share * np.broadcast_to(pitch_mm, (2,)))
-        limit = pixel_aperture_mtf(
-            frequency_lpmm, (float(sides_mm[0]), float(sides_mm[1])), angle_rad=angle_rad
+        sides_mm = (share * row_mm, share * col_mm)
+        limit = np.mean(
+            [pixel_aperture_mtf(frequency_lpmm, sides_mm, angle_rad=one) for one in angles_rad],
+            axis=0,
         )
         axes.plot(
             frequency_lpmm * factor,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.collections import LineCollection
 from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,14 +23,20 @@ _DIVERGING = "RdBu_r"
 
 
 def draw_image(
-    axes: Axes, values: ArrayLike, title: str, *, corner_px: tuple[int, int] = (0, 0)
+    axes: Axes,
+    values: ArrayLike,
+    title: str,
+    *,
+    colours: str = "gray",
+    corner_px: tuple[int, int] = (0, 0),
 ) -> AxesImage:
-    """Draw an image in grey, from its 0.5th to its 99.5th percentile; pixel centres at integers.
+    """Draw an image from its 0.5th to its 99.5th percentile; pixel centres lie at integers.
 
     Parameters
     ----------
     values : [row col]; NaN is shaded
     title : above it
+    colours : name of the colour map
     corner_px : row and column of the first pixel
 
     Raises
@@ -40,7 +47,7 @@ def draw_image(
     image = plain_image(values)
     known = image[np.isfinite(image)]
     low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
-    return _draw(axes, image, title, corner_px, "gray", (float(low), float(high)))
+    return _draw(axes, image, title, corner_px, colours, (float(low), float(high)))
 
 
 def draw_map(
@@ -96,6 +103,18 @@ def draw_region(
             path_effects=outlined(1.3),
             clip_on=False,  # a region that fills the image is not cut in half
         )
+    )
+
+
+def outline(axes: Axes, mask: NDArray[np.bool_], colour: str) -> None:
+    """Draw a line along the borders between pixels inside and outside a mask [row col]."""
+    inside = np.pad(mask, 1)
+    row, col = np.nonzero(inside[:, 1:] != inside[:, :-1])
+    upright = [((c - 0.5, r - 1.5), (c - 0.5, r - 0.5)) for r, c in zip(row, col, strict=True)]
+    row, col = np.nonzero(inside[1:] != inside[:-1])
+    level = [((c - 1.5, r - 0.5), (c - 0.5, r - 0.5)) for r, c in zip(row, col, strict=True)]
+    axes.add_collection(
+        LineCollection([*upright, *level], colors=colour, linewidths=0.8), autolim=False
     )
 
 

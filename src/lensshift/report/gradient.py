@@ -1,0 +1,174 @@
+"""Figures of edge gradients: profiles with the limits they were measured between, every slope."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.report.curves import legend_above
+from lensshift.report.style import (
+    BAND_ALPHA,
+    GREY,
+    LIGHT,
+    SMALL_PT,
+    colour_of,
+    new_figure,
+    outlined,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from lensshift.evaluation.edge_gradient import EdgeGradient, ProfileEdge
+
+_SHOWN_WIDTHS = 3.0  # on either side of the edge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredLines:
+    """Lines across an edge and what was measured on them.
+
+    Parameters
+    ----------
+    gradient : of these lines
+    values : [n] or [line n]
+    step_mm : spacing of the samples
+    name : in the legend
+    """
+
+    gradient: EdgeGradient
+    values: ArrayLike
+    step_mm: float
+    name: str = "image"
+
+    @property
+    def lines(self) -> NDArray[np.float64]:
+        """Return the lines [line n], also of a single one."""
+        return np.atleast_2d(np.asarray(self.values, dtype=np.float64))
+
+
+def gradient_figure(
+    gradient: EdgeGradient,
+    values: ArrayLike,
+    *,
+    step_mm: float,
+    length: str = "mm",
+    name: str = "image",
+    against: MeasuredLines | None = None,
+    unit: str = "",
+) -> Figure:
+    """Draw lines across an edge with limits and gradient, and the gradient of every line.
+
+    The lines are laid onto one another where each crosses the middle between its limits.
+
+    Parameters
+    ----------
+    gradient, values, step_mm, name : as in `MeasuredLines`
+    length : unit of `step_mm` as it is to be called
+    against : lines of the same edge in another image
+    unit : of the values
+
+    Raises
+    ------
+    ValueError
+        If the number of lines is not that of the gradient.
+    """
+    measured = [MeasuredLines(gradient, values, step_mm, name)]
+    measured += [] if against is None else [against]
+    for one in measured:
+        if len(one.lines) != len(one.gradient.lines):
+            raise ValueError(
+                f"expected {len(one.gradient.lines)} lines as measured, got {len(one.lines)}"
+            )
+    with styled():
+        figure = new_figure(9.0, 3.9)
+        profiles, slopes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+        for number, one in enumerate(measured):
+            _draw_profiles(profiles, one, colour_of(number), length)
+            _draw_slopes(slopes, one, colour_of(number))
+        reach_mm = _SHOWN_WIDTHS * max(float(one.gradient.width_mm.max()) for one in measured)
+        profiles.set_xlim(-reach_mm, reach_mm)
+        profiles.set_xlabel(f"distance from the edge along the line ({length})")
+        profiles.set_ylabel(f"value ({unit})" if unit else "value")
+        legend_above(profiles, "lines across the edge: limits and gradient", columns=1)
+        slopes.set_xlim(-0.7, max(len(one.lines) for one in measured) - 0.3)
+        slopes.set_ylim(0.0, 1.1 * slopes.dataLim.y1)
+        slopes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        slopes.set_xlabel("line")
+        slopes.set_ylabel(f"gradient (share of the step per {length})")
+        legend_above(slopes, "gradient of every line", columns=1)
+    return figure
+
+
+def _draw_profiles(axes: Axes, measured: MeasuredLines, colour: str, length: str) -> None:
+    """Draw all lines in a pale colour, the middle one strongly, with its limits."""
+    lines, edges = measured.lines, measured.gradient.lines
+    place_mm = np.arange(lines.shape[1]) * measured.step_mm
+    for values, edge in zip(lines, edges, strict=True):
+        axes.plot(place_mm - edge.position_mm, values, color=colour, linewidth=0.7, alpha=0.25)
+    middle = len(lines) // 2
+    edge = edges[middle]
+    axes.plot(
+        place_mm - edge.position_mm, lines[middle], ".-", color=colour, linewidth=1.2, markersize=5
+    )
+    ends_mm = np.array([edge.low_position_mm, edge.high_position_mm]) - edge.position_mm
+    axes.plot(
+        ends_mm,
+        [edge.low_limit, edge.high_limit],
+        "o-",
+        color=colour,
+        linewidth=3.0,
+        markersize=6.0,
+        markeredgecolor="white",
+        label=f"{measured.name}, line {middle} of {len(lines)}: "
+        f"{edge.slope_per_mm:.3g} per {length} over {edge.width_mm:.3g} {length}",
+    )
+    _draw_limits(axes, edge)
+
+
+def _draw_limits(axes: Axes, edge: ProfileEdge) -> None:
+    step = edge.high - edge.low
+    for limit, plateau in ((edge.low_limit, edge.low), (edge.high_limit, edge.high)):
+        axes.axhline(plateau, color=LIGHT, linewidth=0.9, zorder=1.0)
+        axes.axhline(limit, color=GREY, linewidth=0.9, linestyle="--", zorder=1.0)
+        share = 100.0 * (limit - edge.low) / step
+        axes.annotate(
+            f"{share:.3g} % of the step",
+            (1.0, limit),
+            xycoords=("axes fraction", "data"),
+            xytext=(-2.0, 2.0 if plateau == edge.low else -2.0),
+            textcoords="offset points",
+            ha="right",
+            va="bottom" if plateau == edge.low else "top",
+            fontsize=SMALL_PT,
+            color=GREY,
+            path_effects=outlined(1.0),
+        )
+
+
+def _draw_slopes(axes: Axes, measured: MeasuredLines, colour: str) -> None:
+    gradient = measured.gradient
+    mean, interval = gradient.mean_per_mm, gradient.interval_per_mm
+    axes.plot(gradient.normalised_per_mm, "o", color=colour, markersize=3.5)
+    ending = ""
+    if interval is not None:
+        axes.axhspan(*interval, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
+        ending = f" ({interval[0]:.3g} to {interval[1]:.3g}, 95 %)"
+    axes.axhline(
+        mean, color=colour, linewidth=1.2, label=f"{measured.name}, mean {mean:.3g}{ending}"
+    )
+    if gradient.averaged is not None:
+        averaged = gradient.averaged.normalised_per_mm
+        axes.axhline(
+            averaged,
+            color=colour,
+            linewidth=1.2,
+            linestyle="--",
+            label=f"{measured.name}, averaged profile {averaged:.3g}",
+        )
