@@ -16,17 +16,21 @@ from lensshift.cli.optics import (
     SHIFT_PX,
     ElementOption,
     LensArgument,
+    MtfFigure,
     PitchOption,
     SensorOption,
     ShiftOption,
+    ShowFigure,
     TemperatureOption,
     WavelengthOption,
     diagonal_mm,
     element_of,
     figure_of,
+    mtf_figure,
     parse_fields_tan,
     read_lens,
     sensor_grid,
+    show_figure,
 )
 from lensshift.cli.session import DebugOption, JsonOption, session
 
@@ -37,6 +41,7 @@ lens_verbs = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 lens_verbs.command()(optimise)
 lens_verbs.command()(tolerance)
+
 
 FieldOption = Annotated[
     list[str] | None,
@@ -51,6 +56,8 @@ HighestOption = Annotated[
 FastOption = Annotated[
     bool, typer.Option("--fast", help="Geometric times diffraction MTF instead of the exact one.")
 ]
+ShowOption = Annotated[ShowFigure, typer.Option("--figure", help="What --plot draws.")]
+MtfFigureOption = Annotated[MtfFigure, typer.Option("--figure", help="What --plot draws.")]
 OutOption = Annotated[Path | None, typer.Option("-o", "--out", help="Write the shift map (.npz).")]
 
 _CURVE_STEPS = 80
@@ -81,6 +88,7 @@ def show(
     pitch_mm: PitchOption = PITCH_MM,
     wavelength_nm: WavelengthOption = None,
     temperature_c: TemperatureOption = None,
+    figure: ShowOption = ShowFigure.LAYOUT,
     plot: PlotOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
@@ -90,6 +98,7 @@ def show(
     \b
     Example:
       lensshift lens show petzval_b --element 1 --plot lens.svg
+      lensshift lens show petzval_b --figure spots --plot spots.png
     """
     with session(as_json=as_json, debug=debug) as current:
         from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
@@ -127,7 +136,7 @@ def show(
         write_plot(
             current,
             plot,
-            lambda: figure_of("lenses", "layout_figure", model, moved, travel_mm),
+            lambda: show_figure(figure, model, moved, travel_mm, grid),
         )
 
 
@@ -145,6 +154,7 @@ def mtf(
     wavelength_nm: WavelengthOption = None,
     temperature_c: TemperatureOption = None,
     csv: CsvOption = None,
+    figure: MtfFigureOption = MtfFigure.CURVES,
     plot: PlotOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
@@ -192,7 +202,7 @@ def mtf(
         write_plot(
             current,
             plot,
-            lambda: figure_of("lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan),
+            lambda: mtf_figure(figure, model, moved, travel_mm, grid, fields_tan),
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,6 +39,21 @@ TemperatureOption = Annotated[
 ]
 
 SENSOR, PITCH_MM, SHIFT_PX = "64x16", "0.155", 0.25
+
+
+class ShowFigure(StrEnum):
+    """Pictures of a lens."""
+
+    LAYOUT = "layout"
+    SPOTS = "spots"
+    DISTORTION = "distortion"
+
+
+class MtfFigure(StrEnum):
+    """Pictures of its MTF."""
+
+    CURVES = "curves"
+    FIELD = "field"
 
 
 def read_lens(
@@ -97,3 +113,30 @@ def figure_of(module: str, name: str, *arguments: Any, **options: Any) -> Any:
     from importlib import import_module
 
     return getattr(import_module(f"lensshift.report.{module}"), name)(*arguments, **options)
+
+
+def show_figure(
+    kind: ShowFigure, model: Lens, moved: int, travel_mm: tuple[float, float], grid: Grid
+) -> Any:
+    """Draw a lens."""
+    if kind is ShowFigure.LAYOUT:
+        return figure_of("lenses", "layout_figure", model, moved, travel_mm)
+    if kind is ShowFigure.DISTORTION:
+        return figure_of("lens_maps", "distortion_figure", model, grid)
+    fields_tan = parse_fields_tan(["0,0", "0.8,3.3", "1.6,6.5"])
+    return figure_of("lens_maps", "spots_figure", model, moved, travel_mm, grid, fields_tan)
+
+
+def mtf_figure(
+    kind: MtfFigure,
+    model: Lens,
+    moved: int,
+    travel_mm: tuple[float, float],
+    grid: Grid,
+    fields_tan: list[tuple[float, float]],
+) -> Any:
+    """Draw the MTF of a lens."""
+    if kind is MtfFigure.CURVES:
+        return figure_of("lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan)
+    frequency_lpmm = 1.0 / max(grid.pitch_mm)
+    return figure_of("lens_maps", "field_figure", model, moved, travel_mm, grid, frequency_lpmm)
