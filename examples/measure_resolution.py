@@ -24,13 +24,15 @@ SLANT_RAD = np.deg2rad(10.0)
 
 
 def main() -> None:
+    """Print the resolution of a frame, of all frames and of the reconstruction."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plot", help="draw both curves there: .png, .svg or .pdf")
     arguments = parser.parse_args()
     sensor = Sensor(Grid(SHAPE, (PITCH_MM, PITCH_MM)), full_well_electrons=4000.0)
     burst, _ = lensshift.simulate_burst(slanted_edge(SLANT_RAD), sensor, shift_error_px=0.02)
     result = lensshift.reconstruct(burst, scale=2)
-    assert result.amplitude is not None
+    if result.amplitude is None:
+        raise SystemExit("the reconstruction has no amplitude")
     rows, cols = SHAPE
     whole = (0, rows, 0, cols)
     frame = lensshift.measure_edge(burst.amplitude[0], PITCH_MM, region=whole)
