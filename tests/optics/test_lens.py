@@ -124,6 +124,8 @@ PETZVAL = format_lens(load_lens("petzval_a"))
     [
         ('name = "Petzval A"', "name = ", "lens.toml: expected TOML, .*line 1"),
         ('glass = ["N-SF11"]', 'glass = ["SF99"]', "element 3, line 4[0-9].*glass of .*'SF99'"),
+        ('glass = ["N-SF11"]', "glass = [[]]", "element 3, line 4[0-9]: expected names of glasses"),
+        ("position_mm = 0.0", "rides_on = true", "rides_on: expected the number of an element"),
         ("radius_mm = 25.56", "radius_mm = 0", "element 1 surface 1, line 16: expected a radius"),
         ("radius_mm = 25.56", "radius = 5", "element 1 surface 1, line 16: .*got 'radius'"),
         ("gap_mm = 29.071", "", "element 1, line 10: expected 'gap_mm', which is missing"),
@@ -142,6 +144,17 @@ def test_bad_files_are_named_with_their_place(
     path.write_text(PETZVAL.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(DataError, match=message):
         load_lens(path)
+
+
+def test_values_in_place_of_tables() -> None:
+    head = "[stop]\ndiameter_mm = 1\n"
+    with pytest.raises(DataError, match=r"lens: expected tables \[\[element\]\], got 5"):
+        parse_lens("element = 5\n" + head)
+    text = head + "[[element]]\nglass = 'N-BK7'\nthickness_mm = 1\ngap_mm = 1\nsurface = 5\n"
+    with pytest.raises(DataError, match=r"element 1, line 3: expected tables \[\[surface\]\]"):
+        parse_lens(text)
+    with pytest.raises(DataError, match="stop: expected a table, got 3"):
+        parse_lens("stop = 3\nelement = []\n")
 
 
 def test_missing_and_unreadable_files(tmp_path: Path) -> None:

@@ -118,6 +118,10 @@ def test_lenses_without_power_or_pupil() -> None:
     assert decenter_gains(lens) == pytest.approx([0.0], abs=1e-15)
     with pytest.raises(ValueError, match="magnification other than 0"):
         object_for_magnification_mm(load_lens("petzval_a"), 0.0)
+    thin = load_lens("al2550")
+    relay = replace(thin.with_sensor(150.0), object_mm=100.0, stop=Stop(5.0, -100.0))
+    with pytest.raises(ValueError, match="image away from the exit pupil"):
+        paraxial(relay)
     telecentric = load_lens("al2550")
     focus_mm = telecentric.elements[0].length_mm + paraxial(telecentric).back_focal_mm
     telecentric = replace(telecentric.with_sensor(60.0), stop=Stop(5.0, focus_mm))

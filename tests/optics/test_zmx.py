@@ -1,15 +1,18 @@
 """Zemax files: what is written reads back, in this program and another, and errors are placed."""
 
+import contextlib
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lensshift.core.errors import DataError
 from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
-from lensshift.optics.lens_file import lens_names, load_lens
+from lensshift.optics.lens_file import format_lens, lens_names, load_lens, parse_lens
 from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
 from lensshift.optics.zmx import load_zmx, parse_zmx
@@ -151,6 +154,8 @@ def test_coordinate_breaks_turn_about_x_then_y_then_z() -> None:
         ("DISZ 95.0", "DISZ", "surface 3, line 28: line 35: expected values after DISZ"),
         ("DISZ 2.5", "DISZ INFINITY", "surface 2, line 22: expected a finite distance"),
         ("DISZ 2.5", "DISZ -2.5", "surface 1, line 15: surface 2: expected a positive thickness"),
+        ("PARM 1 0", "PARM 99999999999 0.1", "line 32: expected a parameter up to 8"),
+        ("FNUM 10.0", "FNUM 0", "line 5: expected a positive FNUM, got 0"),
         ("PARM 1 0", "PARM 1 0.1", "surface 3, line 28: expected no term in r.2"),
         ("  STOP\n", "", "one surface marked STOP, got 0"),
         ("PWAV 2", "PWAV 3", "PWAV: expected a wavelength number 3"),
@@ -168,6 +173,24 @@ def test_bad_files_are_named_with_line_and_surface(
     path.write_text(DOUBLET.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(DataError, match=rf"bad\.zmx: (.|\n)*{message}"):
         load_zmx(path)
+
+
+WORDS = ["", "nan", "-inf", "0", "-5", "1e400", "x", "99999999999999999999", "STOP", "SURF", "GLAS"]
+
+
+@settings(max_examples=40)
+@given(data=st.data())
+def test_damaged_files_raise_nothing_but_data_errors(data: st.DataObject) -> None:
+    lens = load_lens("petzval_a").with_decenter(0, (0.1, 0.2)).with_tilt(1, (0.01, 0.0))
+    for text, parse in ((format_zmx(lens), parse_zmx), (format_lens(lens), parse_lens)):
+        lines = text.splitlines()
+        for _ in range(data.draw(st.integers(1, 3))):
+            number = data.draw(st.integers(0, len(lines) - 1))
+            words = lines[number].split(" ")
+            words[data.draw(st.integers(0, len(words) - 1))] = data.draw(st.sampled_from(WORDS))
+            lines[number] = " ".join(words)
+        with contextlib.suppress(DataError):
+            assert isinstance(parse("\n".join(lines)), Lens)
 
 
 def test_files_that_are_no_lens(tmp_path: Path) -> None:

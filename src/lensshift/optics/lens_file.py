@@ -122,9 +122,7 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
     _check_keys(content, _LENS_KEYS, "lens", {"stop", "element"})
     stop = _table(content["stop"], "stop")
     _check_keys(stop, _STOP_KEYS, "stop", {"diameter_mm"})
-    tables = content["element"]
-    if not isinstance(tables, list):
-        raise DataError("expected tables headed [[element]]", field="element")
+    tables = _tables(content["element"], "element", "lens")
     elements, gaps_mm = [], []
     for number, table in enumerate(tables, start=1):
         where = f"element {number}, line {_line(text, '[[element]]', number)}"
@@ -134,7 +132,7 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
         elements.append(_element(element, where, text, first))
         gaps_mm.append(_number(element, "gap_mm", where))
     rides_on = stop.get("rides_on")
-    if rides_on is not None and not isinstance(rides_on, int):
+    if rides_on is not None and (isinstance(rides_on, bool) or not isinstance(rides_on, int)):
         raise DataError(f"expected the number of an element, got {rides_on!r}", field="rides_on")
     return Lens(
         elements=tuple(elements),
@@ -153,7 +151,7 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
 
 def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -> Element:
     surfaces = []
-    for number, content in enumerate(table["surface"], start=1):
+    for number, content in enumerate(_tables(table["surface"], "surface", where), start=1):
         line = _line(text, "[[element.surface]]", first_surface + number)
         at = f"{where.split(',')[0]} surface {number}, line {line}"
         surface = _table(content, at)
@@ -166,11 +164,13 @@ def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -
             raise DataError(str(error), field=at) from error
     tilt_deg = _numbers(table.get("tilt_deg", [0.0, 0.0]), "tilt_deg", where, 2)
     row_mm, col_mm = _numbers(table.get("decenter_mm", [0.0, 0.0]), "decenter_mm", where, 2)
-    glass = table["glass"]
+    glass = table["glass"] if isinstance(table["glass"], list) else [table["glass"]]
+    if not all(isinstance(one, str) for one in glass):
+        raise DataError(f"expected names of glasses, got {table['glass']!r}", field=where)
     try:
         return Element(
             surfaces=tuple(surfaces),
-            glass=tuple(glass) if isinstance(glass, list) else (glass,),
+            glass=tuple(glass),
             thickness_mm=_numbers(table["thickness_mm"], "thickness_mm", where),
             name=str(table.get("name", "")),
             decenter_mm=(row_mm, col_mm),
@@ -189,6 +189,12 @@ def _surface(table: dict[str, Any], where: str) -> Surface:
         asphere=_numbers(table.get("asphere", []), "asphere", where),
         semi_diameter_mm=_number(table, "semi_diameter_mm", where, math.inf),
     )
+
+
+def _tables(value: object, key: str, where: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise DataError(f"expected tables [[{key}]], got {value!r}", field=where)
+    return value
 
 
 def _table(value: object, where: str) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
     Raises
     ------
     ValueError
-        If the lens has no power: there is no focal length.
+        If the lens has no power, or its image or a pupil is where there is no working f-number.
     """
     system = system_matrix(lens, wavelength_nm)
     power = _power(system)
@@ -61,6 +61,8 @@ def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
     image_mm, magnification = _image(system, lens.object_mm)
     pupil_diameter_mm = lens.stop.diameter_mm * abs(entrance_scale)
     exit_diameter_mm = lens.stop.diameter_mm * abs(exit_scale)
+    if image_mm == exit_mm:
+        raise ValueError(f"expected an image away from the exit pupil, got both at {exit_mm:g} mm")
     slope = 0.5 * exit_diameter_mm / (image_mm - exit_mm)
     return Paraxial(
         focal_length_mm=1.0 / power,

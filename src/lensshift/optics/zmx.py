@@ -19,6 +19,7 @@ _TYPES = ("STANDARD", "EVENASPH", "COORDBRK")
 _GLASS_NAMES = {"F_SILICA": "fused silica", "SILICA": "fused silica", "UVFS": "fused silica"}
 _CLOSE = 1e-9  # of an image plane to the axis, in mm and in direction cosines
 _UNSET_STOP_MM = 1e-6
+_MOST_PARAMETERS = 8  # an even asphere ends with r^16
 
 
 @dataclass(slots=True)
@@ -135,6 +136,8 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
     elif key == "PWAV":
         content.primary = int(values[0])
     elif key in ("ENPD", "FNUM"):
+        if not float(values[0]) > 0:
+            raise DataError(f"expected a positive {key}, got {values[0]}", field=f"line {line}")
         content.aperture = (key, float(values[0]))
 
 
@@ -151,7 +154,13 @@ def _read_surface_line(entry: _Entry, key: str, values: list[str], line: int) ->
     elif key == "CONI":
         entry.conic = float(values[0])
     elif key == "PARM":
-        entry.parameters[int(values[0])] = float(values[1])
+        number = int(values[0])
+        if not 0 <= number <= _MOST_PARAMETERS:
+            raise DataError(
+                f"line {line}: expected a parameter up to {_MOST_PARAMETERS}, got {number}",
+                field=entry.where(),
+            )
+        entry.parameters[number] = float(values[1])
     elif key == "DISZ":
         entry.distance_mm = float(values[0])  # also reads INFINITY
     elif key == "DIAM":
