@@ -103,12 +103,12 @@ def draw_limits(
         )
 
 
-def mark_frequency(axes: Axes, frequency: float, text: str) -> None:
-    """Draw a vertical line with its name along it."""
-    axes.axvline(frequency, color=LIGHT, linewidth=1.2, zorder=1.0)
+def mark_frequency(axes: Axes, at: float, text: str) -> None:
+    """Draw a vertical line at a frequency in the unit of the axes, with its name along it."""
+    axes.axvline(at, color=LIGHT, linewidth=1.2, zorder=1.0)
     axes.annotate(
         text,
-        (frequency, 0.0),
+        (at, 0.0),
         xycoords=("data", "axes fraction"),
         xytext=(-2.0, 3.0),
         textcoords="offset points",
@@ -133,7 +133,7 @@ def mark_crossing(
     axes.plot(place.value, level, "o", color=colour, markerfacecolor=face, markersize=5.0)
 
 
-def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str) -> None:
+def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str, *, columns: int = 2) -> None:
     """Set limits and labels of axes with MTF curves, and their title with the legend below it.
 
     Parameters
@@ -141,13 +141,14 @@ def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str) -> None:
     highest : frequency where they end
     unit : of the frequency
     title : above the legend
+    columns : of the legend
     """
     axes.axhline(0.5, color=FAINT, linewidth=1.4, zorder=0.5)
     axes.set_xlim(0.0, highest)
     axes.set_ylim(0.0, _room_above(axes))
     axes.set_xlabel(f"spatial frequency ({unit})")
     axes.set_ylabel("modulation")
-    legend_above(axes, title)
+    legend_above(axes, title, columns)
 
 
 def legend_above(axes: Axes, title: str, columns: int = 2) -> None:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from cycler import cycler
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.image import AxesImage
 
 # Okabe and Ito's colours, which stay apart for colour-blind eyes and in grey.
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
@@ -76,9 +72,9 @@ def styled() -> Iterator[None]:
         yield
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure that finds room for its labels by itself."""
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+def new_figure(wide_in: float, high_in: float) -> Figure:
+    """Return an empty figure, of so many inches, that finds room for its labels by itself."""
+    return Figure(figsize=(wide_in, high_in), layout="constrained")
 
 
 def colour_of(number: int) -> str:
@@ -86,36 +82,12 @@ def colour_of(number: int) -> str:
     return COLOURS[number % len(COLOURS)]
 
 
-def outlined(width_pt: float) -> list[withStroke]:
-    """Return effects that keep a line or a text of this width visible on any image."""
-    return [withStroke(linewidth=width_pt + 1.8, foreground="white", alpha=0.8)]
+def outlined(line_pt: float) -> list[withStroke]:
+    """Return effects that keep a line so many points wide, or a text, visible on any image."""
+    return [withStroke(linewidth=line_pt + 1.8, foreground="white", alpha=0.8)]
 
 
-def say(axes: Axes, text: str) -> None:
-    """Write a remark into the middle of empty axes."""
-    axes.set_axis_off()
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
-
-
-def image_axes(axes: Axes, title: str = "") -> None:
-    """Prepare axes for an image: rows downwards, no grid."""
-    axes.grid(visible=False)
-    axes.set_title(title)
-    axes.set_xlabel("column (px)")
-    axes.set_ylabel("row (px)")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(True)
-
-
-def grey_range(values: np.ndarray) -> tuple[float, float]:
-    """Return the range an image is drawn in: its 0.5th to its 99.5th percentile."""
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
-    return float(low), float(high)
-
-
-def colour_bar(axes: Axes, shown: AxesImage, label: str) -> None:
-    """Put a colour scale beside an image."""
-    figure = axes.get_figure(root=True)
-    if figure is not None:
-        figure.colorbar(shown, ax=axes, shrink=0.8, label=label)
+def round_number(value: float) -> float:
+    """Return the largest of 1, 2 or 5 times a power of ten that is not above a positive value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))

@@ -1,0 +1,109 @@
+"""Figures of lenses as they are built: spread of sharpness and shift, yield, what matters most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.report.curves import legend_above
+from lensshift.report.style import BLUE, GREY, INK, RED, SMALL_PT, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from lensshift.optics.tolerance import Sensitivity, ToleranceResult
+
+_MOST_BINS, _BUILDS_A_BIN = 40, 12
+_MOST_ROWS = 10
+
+
+def tolerance_figure(
+    found: ToleranceResult, limit: float, *, table: Sequence[Sensitivity] = ()
+) -> Figure:
+    """Draw how builds of a lens spread: MTF with the yield, errors of the shift, refocus.
+
+    Parameters
+    ----------
+    found : of many builds
+    limit : MTF that a build must keep everywhere
+    table : of `sensitivity_table`; its first rows are drawn as bars if given
+
+    Raises
+    ------
+    ValueError
+        If the limit is not from 0 to 1.
+    """
+    if not 0.0 <= limit <= 1.0:
+        raise ValueError(f"expected a limit of the MTF from 0 to 1, got {limit}")
+    rows = list(table)[:_MOST_ROWS]
+    with styled():
+        figure = new_figure(9.0, 5.6 + (0.6 + 0.24 * len(rows) if rows else 0.0))
+        heights = (5.6, 0.6 + 0.24 * len(rows)) if rows else (1.0,)
+        parts = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+        (worst, share), (shift, focus) = parts[0].subplots(2, 2)
+        _draw_worst(worst, found, limit)
+        _draw_yield(share, found, limit)
+        _draw_histogram(shift, found.shift_error_px, "largest error of the shift (px)")
+        shift.set_title(
+            f"against the lens as drawn, median {np.median(found.shift_error_px):.4f} px"
+        )
+        _draw_histogram(focus, found.refocus_mm, "sensor moved away from the lens (mm)")
+        focus.set_title(f"refocus, {np.std(found.refocus_mm):.3f} mm rms")
+        if rows:
+            _draw_table(parts[1].subplots(), rows)
+    return figure
+
+
+def _draw_worst(axes: Axes, found: ToleranceResult, limit: float) -> None:
+    nominal = float(found.nominal_mtf.min())
+    _draw_histogram(
+        axes, found.worst_mtf, f"least MTF of a build at {found.frequency_lpmm:.3g} LP/mm"
+    )
+    axes.axvline(limit, color=RED, linewidth=1.4, label=f"limit {limit:g}")
+    axes.axvline(nominal, color=INK, linestyle="--", linewidth=1.2, label=f"as drawn {nominal:.3f}")
+    title = f"{100 * found.yield_at(limit):.1f} % of {len(found.worst_mtf)} builds keep {limit:g}"
+    legend_above(axes, title)
+
+
+def _draw_yield(axes: Axes, found: ToleranceResult, limit: float) -> None:
+    """Draw the share of builds that keep an MTF, over that MTF."""
+    ordered = np.sort(found.worst_mtf)
+    keep = 100.0 * (1.0 - np.arange(ordered.size) / ordered.size)
+    axes.step(ordered, keep, where="pre", color=BLUE)
+    axes.axvline(limit, color=RED, linewidth=1.4)
+    axes.plot(limit, 100.0 * found.yield_at(limit), "o", color=RED)
+    axes.set_ylim(0.0, 103.0)
+    axes.set_xlabel("MTF kept everywhere")
+    axes.set_ylabel("yield (% of builds)")
+    low, median, high = found.percentiles()
+    axes.set_title(f"5, 50, 95 %: {low:.3f}, {median:.3f}, {high:.3f}")
+
+
+def _draw_histogram(axes: Axes, values: NDArray[np.float64], label: str) -> None:
+    bins = int(np.clip(values.size // _BUILDS_A_BIN, 5, _MOST_BINS))
+    axes.hist(values, bins=bins, color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.4)
+    axes.set_xlabel(label)
+    axes.set_ylabel("builds")
+
+
+def _draw_table(axes: Axes, rows: Sequence[Sensitivity]) -> None:
+    names = [f"{row.kind}, {row.element + 1} {row.name}" for row in rows]
+    axes.barh(names, [row.mtf_loss for row in rows], color=BLUE, height=0.65)
+    for place, row in enumerate(rows):
+        axes.annotate(
+            f"{row.mtf_loss:.3g}, shift {row.shift_error_px:.2g} px",
+            (max(row.mtf_loss, 0.0), place),
+            xytext=(3.0, 0.0),
+            textcoords="offset points",
+            va="center",
+            fontsize=SMALL_PT,
+            color=GREY,
+        )
+    axes.margins(x=0.25)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("loss of the least MTF, each tolerance at its limit alone")

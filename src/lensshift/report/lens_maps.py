@@ -1,0 +1,269 @@
+"""Figures of what a lens does over the sensor: MTF, shift, distortion, spots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.patches import Circle, Rectangle
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.optics.layout import distortion_grid
+from lensshift.optics.mtf import sensor_mtf
+from lensshift.optics.paraxial import paraxial
+from lensshift.optics.shift import moving
+from lensshift.optics.spots import spots
+from lensshift.report import images
+from lensshift.report.curves import legend_above
+from lensshift.report.style import (
+    BLUE,
+    GREY,
+    INK,
+    LIGHT,
+    RED,
+    TITLE_PT,
+    new_figure,
+    round_number,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from lensshift.core.grid import Grid
+    from lensshift.core.motion import ShiftField
+    from lensshift.optics.lens import Lens
+    from lensshift.optics.spots import Spots
+
+Floats = NDArray[np.float64]
+Pair = tuple[float, float]
+
+_WIDTH_IN, _LABELS_IN = 9.0, 0.75
+_ARROWS = (5, 14)  # most rows and columns of arrows
+_ARROW_PX = 0.06  # length of the longest, as a share of the columns
+_DEPARTURE_PX = 0.03  # the same for the distortion grid
+_AIRY = 1.22  # radius of the first dark ring over wavelength x f-number
+_SPOT_RINGS = 10
+_LEAST_CHANGE = 1e-6  # of the MTF: less is rounding
+
+
+def field_figure(
+    lens: Lens, element: int, travel_mm: Pair, grid: Grid, frequency_lpmm: float
+) -> Figure:
+    """Draw the MTF at one frequency over the sensor, at rest and moved, and the difference.
+
+    Of the two directions, along columns and along rows, each pixel shows the worse.
+
+    Parameters
+    ----------
+    lens : at rest
+    element, travel_mm : which element moves, counted from 0, and its decentre (row, col)
+    grid : of the sensor
+    frequency_lpmm : of the MTF
+    """
+    rest, moved = (
+        sensor_mtf(lens, grid, frequency_lpmm, build=build).min(axis=(-2, -1))
+        for build in (None, moving(lens, element, np.asarray(travel_mm)))
+    )
+    low, high = float(min(rest.min(), moved.min())), float(max(rest.max(), moved.max()))
+    change = moved - rest
+    with styled():
+        figure = new_figure(_WIDTH_IN, 3 * _map_in(grid, 0.8 * _WIDTH_IN))
+        panels = figure.subplots(3, 1)
+        for axes, values, state in zip(
+            panels[:2], (rest, moved), ("at rest", "moved"), strict=True
+        ):
+            title = (
+                f"element {element + 1} {state}: MTF at {frequency_lpmm:.3g} LP/mm, "
+                f"worse direction, {values.min():.3f} to {values.max():.3f}"
+            )
+            shown = images.draw_image(axes, values, title, colours="viridis")
+            shown.set_clim(low, high)
+            images.add_scale(axes, shown, "modulation")
+        largest = max(float(np.abs(change).max()), _LEAST_CHANGE)
+        images.draw_map(panels[2], change, "moved minus rest", "change", largest=largest)
+        for axes in panels:
+            axes.set_aspect(grid.pitch_mm[0] / grid.pitch_mm[1])
+    return figure
+
+
+def shift_map_figure(field: ShiftField, grid: Grid, wanted_px: ArrayLike | None = None) -> Figure:
+    """Draw for each frame how the shift of the pixels departs from an even one.
+
+    Parameters
+    ----------
+    field : shift of every pixel
+    grid : of the sensor
+    wanted_px : [frame 2] (row, col) the departure is from; the mean over the sensor if None
+
+    Raises
+    ------
+    ValueError
+        If the number of frames differs.
+    """
+    mean = field.offset_px.mean(axis=(1, 2))
+    even = mean if wanted_px is None else np.asarray(wanted_px, dtype=np.float64)
+    if even.shape != mean.shape:
+        raise ValueError(f"expected wanted_px {mean.shape}, got {even.shape}")
+    error = field.offset_px - even[:, None, None, :]
+    longest = float(np.max(np.linalg.norm(error, axis=-1)))
+    times = round_number(_ARROW_PX * grid.shape[1] / longest) if longest > 0 else 1.0
+    across = min(len(even), 2)
+    down = -(-len(even) // across)
+    with styled():
+        width_in = (0.84 if across == 1 else 0.4) * _WIDTH_IN
+        figure = new_figure(_WIDTH_IN, 0.4 + down * _map_in(grid, width_in))
+        panels = list(figure.subplots(down, across, squeeze=False).ravel())
+        for axes, wish, here in zip(panels, even, error, strict=False):
+            length = np.linalg.norm(here, axis=-1)
+            title = f"({wish[0]:+.3f}, {wish[1]:+.3f}) px: up to {length.max():.4f}"
+            shown = images.draw_image(axes, length, title, colours="Blues")
+            shown.set_clim(0.0, longest if longest > 0 else 1.0)
+            _draw_arrows(axes, here, times)
+            axes.set_aspect(grid.pitch_mm[0] / grid.pitch_mm[1])
+        for axes in panels[len(even) :]:
+            axes.set_axis_off()
+        figure.colorbar(shown, ax=panels, label="departure (px)")
+        base = "mean" if wanted_px is None else "wanted"
+        figure.suptitle(
+            f"departure of the shift from the {base} one (row, column), arrows {times:g} times "
+            "as long",
+            fontsize=TITLE_PT,
+        )
+    return figure
+
+
+def distortion_figure(lens: Lens, grid: Grid) -> Figure:
+    """Draw real against paraxial image points over the sensor, the difference enlarged.
+
+    Parameters
+    ----------
+    lens, grid : whose image falls on the sensor
+    """
+    found = distortion_grid(lens, grid)
+    longest = float(np.max(np.linalg.norm(found.error_px, axis=-1)))
+    times = round_number(_DEPARTURE_PX * grid.shape[1] / longest) if longest > 0 else 1.0
+    centre_px = 0.5 * (np.asarray(grid.shape) - 1.0)
+    ideal = found.paraxial_mm / np.asarray(grid.pitch_mm) + centre_px
+    real = ideal + times * found.error_px
+    with styled():
+        figure = new_figure(_WIDTH_IN, 0.4 + _map_in(grid, 0.9 * _WIDTH_IN))
+        axes = figure.subplots()
+        for points, colour, label in (
+            (ideal, LIGHT, "paraxial"),
+            (real, BLUE, "real" if times == 1.0 else f"real, departure {times:g} times as large"),
+        ):
+            axes.plot(points[..., 1].T, points[..., 0].T, color=colour, linewidth=1.1)
+            axes.plot(points[..., 1], points[..., 0], color=colour, linewidth=1.1)
+            axes.plot([], [], color=colour, label=label)
+        axes.grid(visible=False)
+        axes.set_aspect(grid.pitch_mm[0] / grid.pitch_mm[1])
+        axes.invert_yaxis()
+        axes.set_xlabel("column (px)")
+        axes.set_ylabel("row (px)")
+        legend_above(axes, f"{lens.name or 'lens'}: departs by up to {longest:.3g} px")
+    return figure
+
+
+def spots_figure(
+    lens: Lens, element: int, travel_mm: Pair, grid: Grid, fields_tan: Sequence[Pair]
+) -> Figure:
+    """Draw the spots of some fields at rest and moved: in a pixel, and enlarged.
+
+    Each spot lies about its centroid. The circle is the first dark ring of the Airy pattern.
+
+    Parameters
+    ----------
+    lens : at rest
+    element, travel_mm : which element moves, counted from 0, and its decentre (row, col)
+    grid : of the sensor
+    fields_tan : tangents (row, col) of the fields
+    """
+    airy_um = _AIRY * 1e-3 * lens.wavelength_nm * paraxial(lens).working_f_number
+    builds = (None, moving(lens, element, np.asarray(travel_mm)))
+    found = [
+        [spots(lens, field, build=build, rings=_SPOT_RINGS) for build in builds]
+        for field in fields_tan
+    ]
+    rays_um = [[_rays_um(spot) for spot in both] for both in found]
+    farthest_um = max(float(np.abs(rays).max()) for both in rays_um for rays in both)
+    pixel_um = 1e3 * np.asarray(grid.pitch_mm)
+    reaches_um = (max(0.6 * float(pixel_um.max()), farthest_um), 1.1 * max(farthest_um, airy_um))
+    with styled():
+        figure = new_figure(max(5.0, 0.8 + 2.2 * len(fields_tan)), 5.4)
+        panels = figure.subplots(2, len(fields_tan), squeeze=False, sharex="row", sharey="row")
+        for line, reach_um in zip(panels, reaches_um, strict=True):
+            for axes, both in zip(line, rays_um, strict=True):
+                _draw_spots(axes, both, airy_um, pixel_um)
+            line[0].set_xlim(-reach_um, reach_um)
+            line[0].set_ylim(reach_um, -reach_um)
+            line[0].set_ylabel("row (um)")
+        panels[1, 0].set_ylabel("row (um), enlarged")
+        for axes, field, (rest, moved) in zip(panels[0], fields_tan, found, strict=True):
+            row_deg, col_deg = np.rad2deg(np.arctan(field))
+            radii = f"{1e3 * rest.rms_radius_mm:.1f}, {1e3 * moved.rms_radius_mm:.1f} um rms"
+            axes.set_title(f"{row_deg:.1f}/{col_deg:.1f} degrees\n{radii}")
+        for axes in panels.ravel():
+            axes.set_xlabel("column (um)")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper left", ncols=4)
+    return figure
+
+
+def _map_in(grid: Grid, width_in: float) -> float:
+    """Return the height of a map of the sensor with its labels."""
+    shape = np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
+    return _LABELS_IN + float(width_in * shape[0] / shape[1])
+
+
+def _draw_arrows(axes: Axes, error_px: Floats, times: float) -> None:
+    """Draw the departures of some pixels, spread over the sensor from border to border."""
+    row, col = (
+        np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+        for count, most in zip(error_px.shape[:2], _ARROWS, strict=True)
+    )
+    part = times * error_px[np.ix_(row, col)]
+    arrows = axes.quiver(
+        *np.meshgrid(col, row),
+        part[..., 1],
+        part[..., 0],
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        color=INK,
+        units="inches",
+        width=0.014,
+        minlength=0.5,
+        clip_on=False,
+    )
+    arrows.set_in_layout(False)  # else the layout makes room for arrows of any length
+
+
+def _draw_spots(axes: Axes, both_um: Sequence[Floats], airy_um: float, pixel_um: Floats) -> None:
+    row_um, col_um = pixel_um
+    axes.add_patch(
+        Rectangle(
+            (-0.5 * col_um, -0.5 * row_um),
+            col_um,
+            row_um,
+            fill=False,
+            edgecolor=GREY,
+            linewidth=1.2,
+            label="pixel",
+        )
+    )
+    for rays_um, colour, label in zip(both_um, (BLUE, RED), ("at rest", "moved"), strict=True):
+        axes.plot(
+            rays_um[:, 1], rays_um[:, 0], ".", color=colour, markersize=1.6, label=label, alpha=0.7
+        )
+    axes.add_patch(
+        Circle((0.0, 0.0), airy_um, fill=False, edgecolor=INK, zorder=3.0, label="Airy ring")
+    )
+    axes.set_aspect("equal")
+
+
+def _rays_um(spot: Spots) -> Floats:
+    """Return the landing points [n 2] of the rays that arrive, from the centroid."""
+    return np.asarray(1e3 * spot.ray_mm[spot.weight > 0])

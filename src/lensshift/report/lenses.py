@@ -1,0 +1,288 @@
+"""Figures of lenses: the section with the moved element, MTF curves, the choice of the mover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.evaluation.limits import paper_sensor_limit, pixel_aperture_mtf
+from lensshift.optics.layout import layout
+from lensshift.optics.mtf import diffraction_limit
+from lensshift.optics.otf import exact_otf
+from lensshift.optics.shift import moving
+from lensshift.report import curves
+from lensshift.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    LIGHT,
+    ORANGE,
+    RED,
+    SMALL_PT,
+    colour_of,
+    new_figure,
+    outlined,
+    round_number,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from lensshift.core.grid import Grid
+    from lensshift.optics.layout import Layout
+    from lensshift.optics.lens import Lens
+    from lensshift.optics.which import Mover
+
+Floats = NDArray[np.float64]
+Pair = tuple[float, float]
+
+_GLASS = "#E3EDF6"
+_FIELDS_DEG = (0.0, 6.5)
+_VISIBLE = 0.03  # of the height of the lens: a smaller travel is drawn enlarged
+_STEPS = 41
+_STATES = ((0.0, "-", "at rest"), (1.0, "--", "moved"), (-1.0, ":", "moved the other way"))
+
+
+def layout_figure(
+    lens: Lens, element: int, travel_mm: Pair, *, fields_deg: Sequence[float] = _FIELDS_DEG
+) -> Figure:
+    """Draw the section of a lens along columns with rays, one element also where it moves to.
+
+    Parameters
+    ----------
+    lens : at rest
+    element : that moves, counted from 0
+    travel_mm : its decentre (row, col); drawn enlarged where it would not be seen
+    fields_deg : of the rays, along columns
+    """
+    tangents = np.tan(np.deg2rad(fields_deg))
+    rest = layout(lens, field_tan=tangents)
+    height_mm = max(float(np.max(line.height_mm)) for line in rest.outlines)
+    times, travel = 1.0, abs(travel_mm[1])
+    if 0.0 < travel < _VISIBLE * height_mm:
+        times = round_number(3.0 * _VISIBLE * height_mm / travel)
+    moved = layout(lens, element, (times * travel_mm[0], times * travel_mm[1]), rays=1)
+    dashed = moved.outlines[element]
+    ending = "" if times == 1.0 else f", drawn {times:g} times as far"
+    with styled():
+        figure = new_figure(9.0, 4.6)
+        axes = figure.subplots()
+        _draw_rays(axes, rest, fields_deg)
+        _draw_parts(axes, rest, element)
+        axes.plot(
+            dashed.z_mm,
+            dashed.height_mm,
+            "--",
+            color=RED,
+            linewidth=1.3,
+            label=f"element {element + 1} moved by {1e3 * travel_mm[1]:.1f} um{ending}",
+        )
+        axes.set_aspect("equal")
+        axes.set_xlabel("along the axis (mm)")
+        axes.set_ylabel("along columns (mm)")
+        title = f"{lens.name or 'lens'}, stop {lens.stop.diameter_mm:g} mm"
+        curves.legend_above(axes, title, columns=3)
+    return figure
+
+
+def mtf_figure(
+    lens: Lens,
+    element: int,
+    travel_mm: Pair,
+    grid: Grid,
+    fields_tan: Sequence[Pair],
+    *,
+    highest_lpmm: float = 8.0,
+    azimuth_rad: float = 0.0,
+) -> Figure:
+    """Draw the exact MTF at rest and moved to both sides, with the limits of lens and sensor.
+
+    Below, what moving changes.
+
+    Parameters
+    ----------
+    lens : at rest
+    element, travel_mm : which element moves, counted from 0, and its decentre (row, col)
+    grid : of the sensor
+    fields_tan : tangents (row, col) of the fields
+    highest_lpmm : where the curves end
+    azimuth_rad : direction in which the pattern repeats, from the columns towards the rows
+    """
+    frequency_lpmm = np.linspace(0.0, highest_lpmm, _STEPS)
+    with styled():
+        figure = new_figure(9.0, 6.2)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
+        for number, field in enumerate(fields_tan):
+            row_deg, col_deg = np.rad2deg(np.arctan(field))
+            name, colour = f"{row_deg:.1f}/{col_deg:.1f} degrees", colour_of(number)
+            found = _mtf_of(lens, element, travel_mm, field, frequency_lpmm, azimuth_rad)
+            for values, (_, dashes, state) in zip(found, _STATES, strict=True):
+                label = f"{name} {state}"
+                above.plot(frequency_lpmm, values, dashes, color=colour, label=label)
+            for values, (_, dashes, _) in zip(found[1:], _STATES[1:], strict=True):
+                below.plot(frequency_lpmm, values - found[0], dashes, color=colour)
+        _draw_sensor(above, grid, frequency_lpmm, azimuth_rad)
+        curves.draw_limits(above, [diffraction_limit(lens, frequency_lpmm)], highest_lpmm)
+        um = ", ".join(f"{1e3 * travel:.1f}" for travel in travel_mm)
+        title = f"{lens.name or 'lens'}, element {element + 1} moved by ({um}) um (row, column)"
+        along = _direction(azimuth_rad)
+        curves.finish_mtf_axes(above, highest_lpmm, "LP/mm", title, columns=3)
+        above.set_xlabel("")
+        above.set_ylabel(f"modulation {along}")
+        below.axhline(0.0, color=GREY, linewidth=0.9, zorder=1.0)
+        curves.mark_frequency(below, 0.5 / max(grid.pitch_mm), "")
+        below.set_xlabel("spatial frequency on the sensor (LP/mm)")
+        below.set_ylabel("moved minus rest")
+    return figure
+
+
+def which_figure(movers: Sequence[Mover]) -> Figure:
+    """Draw what shifting the image with each element takes and costs.
+
+    Parameters
+    ----------
+    movers : of `which_element`
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    if not movers:
+        raise ValueError("expected at least one element that moves the image, got none")
+    names = [f"{mover.element + 1} {mover.name}" for mover in movers]
+    stroke_um = [1e3 * mover.stroke_mm for mover in movers]
+    panels = (
+        ("stroke for the shift (um)", [abs(stroke) for stroke in stroke_um], BLUE),
+        ("largest error of the shift (px)", [one.max_shift_error_px for one in movers], BLUE),
+        ("largest loss of MTF by moving", [one.mtf_loss for one in movers], BLUE),
+    )
+    with styled():
+        figure = new_figure(9.0, 1.5 + 0.55 * len(movers))
+        grid = figure.subplots(1, len(panels) + 1, sharey=True)
+        for axes, (label, values, colour) in zip(grid, panels, strict=False):
+            _draw_bars(axes, names, values, colour)
+            axes.set_xlabel(label)
+        for away, label, values in (
+            (-0.19, "rest", [one.mtf_centred for one in movers]),
+            (0.19, "moved", [one.mtf_moved for one in movers]),
+        ):
+            colour = LIGHT if label == "rest" else BLUE
+            _draw_bars(grid[-1], names, values, colour, away=away, label=label)
+        grid[-1].set_xlabel("least MTF over the field")
+        curves.legend_above(grid[-1], "")
+        grid[0].set_ylim(len(movers) - 0.4, -0.6)
+    return figure
+
+
+def _draw_bars(
+    axes: Axes,
+    names: list[str],
+    values: list[float],
+    colour: str,
+    *,
+    away: float = 0.0,
+    label: str = "",
+) -> None:
+    places = np.arange(len(values)) + away
+    axes.barh(places, values, color=colour, height=0.36 if away else 0.6, label=label)
+    for place, value in zip(places, values, strict=True):
+        axes.annotate(
+            f"{value:.3g}",
+            (value, place),
+            xytext=(3.0, 0.0),
+            textcoords="offset points",
+            va="center",
+            fontsize=SMALL_PT,
+        )
+    axes.set_yticks(range(len(names)), names)
+    axes.set_xlim(0.0, 1.35 * max(max(values), axes.get_xlim()[1] / 1.35 if away > 0 else 0.0))
+    axes.grid(visible=False, axis="y")
+
+
+def _draw_rays(axes: Axes, section: Layout, fields_deg: Sequence[float]) -> None:
+    colours, named = (BLUE, GREEN, ORANGE), set()
+    for ray in section.rays:
+        colour = colours[ray.field % len(colours)]
+        label = "_" if ray.field in named else f"field {fields_deg[ray.field]:g} degrees"
+        named.add(ray.field)
+        dashes = "-" if ray.arrived else ":"
+        axes.plot(
+            ray.line.z_mm, ray.line.height_mm, dashes, color=colour, linewidth=0.8, label=label
+        )
+
+
+def _draw_parts(axes: Axes, section: Layout, element: int) -> None:
+    """Draw glass, stop and sensor with their names."""
+    for number, line in enumerate(section.outlines):
+        colour = RED if number == element else INK
+        axes.fill(
+            line.z_mm, line.height_mm, facecolor=_GLASS, edgecolor=colour, linewidth=1.1, alpha=0.8
+        )
+        middle_mm = 0.5 * float(line.z_mm.min() + line.z_mm.max())
+        side = -1 if number % 2 else 1  # so that names of neighbours do not meet
+        end_mm = float(line.height_mm.max() if side > 0 else line.height_mm.min())
+        _name(axes, f"{number + 1} {section.names[number]}", middle_mm, end_mm, side)
+    for part in section.stop:
+        axes.plot(part.z_mm, part.height_mm, color=INK, linewidth=2.2)
+    _name(axes, "stop", float(section.stop[0].z_mm[0]), float(section.stop[0].height_mm.min()), -1)
+    axes.plot(section.sensor.z_mm, section.sensor.height_mm, color=INK, linewidth=2.2)
+    axes.annotate(
+        "sensor",
+        (float(section.sensor.z_mm[0]), 0.0),
+        xytext=(4.0, 0.0),
+        textcoords="offset points",
+        rotation=90,
+        va="center",
+        fontsize=SMALL_PT,
+    )
+
+
+def _name(axes: Axes, text: str, z_mm: float, height_mm: float, side: int = 1) -> None:
+    axes.annotate(
+        text,
+        (z_mm, height_mm),
+        xytext=(0.0, 4.0 * side),
+        textcoords="offset points",
+        ha="center",
+        va="bottom" if side > 0 else "top",
+        fontsize=SMALL_PT,
+        path_effects=outlined(1.0),
+    )
+
+
+def _mtf_of(
+    lens: Lens,
+    element: int,
+    travel_mm: Pair,
+    field_tan: ArrayLike,
+    frequency_lpmm: Floats,
+    azimuth_rad: float,
+) -> list[Floats]:
+    """Return the MTF at rest, moved and moved the other way."""
+    builds = [moving(lens, element, sign * np.asarray(travel_mm)) for sign, _, _ in _STATES]
+    found = [
+        exact_otf(lens, field_tan, frequency_lpmm, azimuth_rad, build=build)[0] for build in builds
+    ]
+    return [np.asarray(np.abs(values), dtype=np.float64) for values in found]
+
+
+def _draw_sensor(axes: Axes, grid: Grid, frequency_lpmm: Floats, azimuth_rad: float) -> None:
+    aperture = pixel_aperture_mtf(frequency_lpmm, grid.pitch_mm, angle_rad=azimuth_rad)
+    row_mm, col_mm = grid.pitch_mm
+    along_mm = float(np.hypot(row_mm * np.sin(azimuth_rad), col_mm * np.cos(azimuth_rad)))
+    published = paper_sensor_limit(frequency_lpmm, along_mm)
+    axes.plot(frequency_lpmm, aperture, "--", color=INK, linewidth=1.0, label="pixel |sinc|")
+    axes.plot(frequency_lpmm, published, ":", color=INK, linewidth=1.0, label="pixel sinc$^2$")
+    curves.mark_frequency(axes, 0.5 / max(grid.pitch_mm), "LR Nyquist")
+
+
+def _direction(azimuth_rad: float) -> str:
+    named = {0: "along columns", 90: "along rows"}
+    return named.get(round(np.rad2deg(azimuth_rad)), f"at {np.rad2deg(azimuth_rad):.0f} degrees")

@@ -1,0 +1,284 @@
+"""Figures of lenses show what the optics computed, to scale or with a stated factor."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from drawn import assert_well_drawn, line_labelled
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.quiver import Quiver
+
+from lensshift.core.grid import Grid
+from lensshift.core.motion import ShiftField
+from lensshift.optics.layout import distortion_grid, layout
+from lensshift.optics.lens import Lens
+from lensshift.optics.lens_file import load_lens
+from lensshift.optics.mtf import sensor_mtf
+from lensshift.optics.otf import exact_otf
+from lensshift.optics.paraxial import paraxial
+from lensshift.optics.shift import moving, shift_map
+from lensshift.optics.spots import spots
+from lensshift.optics.tolerance import Sensitivity, ToleranceResult
+from lensshift.optics.which import Mover
+from lensshift.report.lens_build import tolerance_figure
+from lensshift.report.lens_maps import (
+    distortion_figure,
+    field_figure,
+    shift_map_figure,
+    spots_figure,
+)
+from lensshift.report.lenses import layout_figure, mtf_figure, which_figure
+from lensshift.report.style import round_number
+
+GRID = Grid((5, 17), (0.5, 0.6))  # few large pixels
+TRAVEL_MM = (0.03, 0.05)
+CORNER_TAN = (math.tan(math.radians(1.6)), math.tan(math.radians(6.5)))
+
+
+@pytest.fixture(scope="module")
+def lens() -> Lens:
+    return load_lens("petzval_b")
+
+
+def factor_in(text: str) -> float:
+    """Return the number before "times" in a text, 1 without one."""
+    found = re.search(r"([\d.]+) times as", text)
+    return float(found.group(1)) if found else 1.0
+
+
+def labels(axes: Axes) -> list[str]:
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_the_layout_shows_lens_rays_and_the_moved_element_to_scale(lens: Lens) -> None:
+    figure = layout_figure(lens, 1, TRAVEL_MM)
+    (axes,) = figure.axes
+    assert axes.get_aspect() == 1.0
+    rest = layout(lens, field_tan=[0.0, CORNER_TAN[1]])
+    drawn = [patch.get_xy() for patch in axes.patches]
+    for outline, corners in zip(rest.outlines, drawn, strict=True):
+        np.testing.assert_allclose(
+            corners[: outline.z_mm.size], np.column_stack([outline.z_mm, outline.height_mm])
+        )
+    (label,) = (text for text in labels(axes) if "element 2 moved by 50.0 um" in text)
+    moved = line_labelled(axes, "element 2 moved")
+    shift_mm = moved[1] - rest.outlines[1].height_mm
+    np.testing.assert_allclose(shift_mm, factor_in(label) * TRAVEL_MM[1], atol=1e-9)
+    assert 0.02 < shift_mm[0] / rest.outlines[1].height_mm.max() < 0.2  # it is seen
+    assert axes.get_xlim()[0] > -25.0  # not the 3.5 m to the object
+    assert axes.get_xlim()[1] < 70.0
+    assert_well_drawn(figure)
+
+
+def test_a_travel_that_is_seen_is_not_enlarged(lens: Lens) -> None:
+    (axes,) = layout_figure(lens, 0, (0.0, -2.0)).axes
+    (label,) = (text for text in labels(axes) if "moved" in text)
+    assert "times" not in label
+    rest = layout(lens)
+    shift_mm = line_labelled(axes, "element 1 moved")[1] - rest.outlines[0].height_mm
+    np.testing.assert_allclose(shift_mm, -2.0)
+
+
+def test_mtf_curves_are_the_exact_ones_with_the_limits_of_the_sensor(lens: Lens) -> None:
+    figure = mtf_figure(lens, 0, TRAVEL_MM, GRID, [CORNER_TAN], highest_lpmm=4.0)
+    axes, change = figure.axes
+    some = [0, 20, 40]
+    at = {}
+    for state, sign in (("at rest", 0), ("moved", 1), ("moved the other way", -1)):
+        (frequency, values) = next(
+            np.array(line.get_data())
+            for line in axes.get_lines()
+            if str(line.get_label()) == f"1.6/6.5 degrees {state}"
+        )
+        build = moving(lens, 0, sign * np.asarray(TRAVEL_MM))
+        exact = np.abs(exact_otf(lens, CORNER_TAN, frequency[some], 0.0, build=build)[0])
+        np.testing.assert_allclose(values[some], exact, atol=1e-12)
+        at[state] = values
+    np.testing.assert_array_equal(change.get_lines()[0].get_ydata(), at["moved"] - at["at rest"])
+    frequency, aperture = line_labelled(axes, "pixel |sinc|")
+    np.testing.assert_allclose(aperture, np.abs(np.sinc(0.6 * frequency)), atol=1e-12)
+    _, published = line_labelled(axes, "pixel sinc")
+    np.testing.assert_allclose(published, aperture**2, atol=1e-12)
+    frequency, limit = line_labelled(axes, "diffraction limit")
+    cutoff = 1e6 / (lens.wavelength_nm * paraxial(lens).working_f_number)
+    np.testing.assert_allclose(1.0 - limit, 4.0 / np.pi * frequency / cutoff, atol=1e-5)
+    assert np.all(at["at rest"] <= limit + 1e-6)
+    assert_well_drawn(figure)
+
+
+def test_on_the_axis_both_ways_are_the_same(lens: Lens) -> None:
+    figure = mtf_figure(lens, 0, TRAVEL_MM, GRID, [(0.0, 0.0)], azimuth_rad=0.5 * np.pi)
+    one, other = (line.get_ydata() for line in figure.axes[1].get_lines()[:2])
+    np.testing.assert_allclose(one, other, atol=1e-9)
+    assert figure.axes[0].get_ylabel() == "modulation along rows"
+    frequency, aperture = line_labelled(figure.axes[0], "pixel |sinc|")
+    np.testing.assert_allclose(aperture, np.abs(np.sinc(0.5 * frequency)), atol=1e-12)
+
+
+def test_maps_over_the_sensor_show_the_worse_direction(lens: Lens) -> None:
+    figure = field_figure(lens, 0, TRAVEL_MM, GRID, 2.0)
+    rest, moved, change = (axes.images[0] for axes in figure.axes)
+    both = sensor_mtf(lens, GRID, 2.0)[..., 0]
+    np.testing.assert_allclose(rest.get_array(), np.minimum(both[..., 0], both[..., 1]))
+    difference = moved.get_array() - rest.get_array()
+    np.testing.assert_allclose(change.get_array(), difference)
+    assert rest.get_clim() == moved.get_clim()
+    assert {axes.get_aspect() for axes in figure.axes} == {0.5 / 0.6}
+    assert_well_drawn(figure)
+
+
+@pytest.mark.parametrize("wanted", [True, False], ids=["wanted", "mean"])
+def test_arrows_are_departures_of_the_shift_times_the_stated_factor(
+    lens: Lens, wanted: bool
+) -> None:
+    field = shift_map(lens, 0, [TRAVEL_MM, (-0.03, 0.05), (0.0, 0.1)], GRID)
+    wish = field.offset_px[:, 2, 8] if wanted else None
+    figure = shift_map_figure(field, GRID, wish)
+    assert figure.get_suptitle().startswith("departure of the shift from the")
+    assert ("wanted" in figure.get_suptitle()) == wanted
+    times = factor_in(figure.get_suptitle())
+    even = field.offset_px.mean(axis=(1, 2)) if wish is None else wish
+    for frame in range(3):
+        axes = figure.axes[frame]
+        (arrows,) = (one for one in axes.collections if isinstance(one, Quiver))
+        error = field.offset_px[frame] - even[frame]
+        at = np.rint(arrows.XY).astype(int)
+        np.testing.assert_allclose(arrows.U, times * error[at[:, 1], at[:, 0], 1])
+        np.testing.assert_allclose(arrows.V, times * error[at[:, 1], at[:, 0], 0])
+        assert arrows.angles == "xy"  # rows count downwards, and so do the arrows
+        np.testing.assert_allclose(axes.images[0].get_array(), np.linalg.norm(error, axis=-1))
+    assert not figure.axes[3].axison  # 3 frames in 4 places
+    assert_well_drawn(figure)
+
+
+def test_an_even_shift_is_drawn_without_arrows() -> None:
+    even = ShiftField(np.tile([0.25, -0.25], (1, 5, 17, 1)))
+    figure = shift_map_figure(even, GRID)
+    (arrows,) = (one for one in figure.axes[0].collections if isinstance(one, Quiver))
+    assert not np.any(arrows.U)
+    with pytest.raises(ValueError, match=r"wanted_px \(1, 2\)"):
+        shift_map_figure(even, GRID, [[0.25, 0.25], [0.0, 0.0]])
+
+
+def test_the_grid_is_distorted_by_the_stated_factor(lens: Lens) -> None:
+    figure = distortion_figure(lens, GRID)
+    (axes,) = figure.axes
+    (label,) = (text for text in labels(axes) if text.startswith("real"))
+    found = distortion_grid(lens, GRID)
+    lines = [line for line in axes.get_lines() if len(line.get_xdata()) == 17]
+    ideal, real = lines[:5], lines[5:]
+    assert len(real) == 5
+    for number in range(5):
+        moved = real[number].get_xydata() - ideal[number].get_xydata()
+        expected = factor_in(label) * found.error_px[number, :, ::-1]
+        np.testing.assert_allclose(moved, expected, atol=1e-9)
+    corners = np.array([line.get_xydata()[[0, -1]] for line in (ideal[0], ideal[-1])])
+    np.testing.assert_allclose(corners, [[[-0.5, -0.5], [16.5, -0.5]], [[-0.5, 4.5], [16.5, 4.5]]])
+    assert_well_drawn(figure)
+
+
+def test_spots_lie_in_a_pixel_with_the_airy_ring_to_scale(lens: Lens) -> None:
+    figure = spots_figure(lens, 0, TRAVEL_MM, GRID, [(0.0, 0.0), CORNER_TAN])
+    f_number = paraxial(lens).working_f_number
+    for axes in figure.axes:
+        (ring,) = (one for one in axes.patches if isinstance(one, Circle))
+        assert ring.radius == pytest.approx(1.22 * 0.85 * f_number)
+        (pixel,) = (one for one in axes.patches if isinstance(one, Rectangle))
+        assert pixel.get_bbox().bounds == (-300.0, -250.0, 600.0, 500.0)
+        assert axes.get_aspect() == 1.0
+        assert axes.yaxis_inverted()
+    corner = figure.axes[1]
+    for line, build in zip(
+        corner.get_lines(), (None, moving(lens, 0, np.asarray(TRAVEL_MM))), strict=True
+    ):
+        spot = spots(lens, CORNER_TAN, build=build, rings=10)
+        np.testing.assert_allclose(line.get_xydata(), 1e3 * spot.ray_mm[:, ::-1])
+        assert f"{1e3 * spot.rms_radius_mm:.1f}" in corner.get_title("left")
+    assert_well_drawn(figure)
+
+
+def movers() -> list[Mover]:
+    return [
+        Mover(0, "front", 0.0444, 0.87, 0.0056, 0.0157, 0.953, 0.931, 0.022),
+        Mover(1, "middle", 0.1267, 0.31, 0.002, 0.0026, 0.953, 0.924, 0.0291),
+        Mover(3, "last", -0.232, -0.17, 0.0011, 0.08, 0.953, 0.87, 0.0824),
+    ]
+
+
+def test_bars_compare_the_elements_that_can_move() -> None:
+    figure = which_figure(movers())
+    widths = [[bar.get_width() for bar in axes.patches] for axes in figure.axes]
+    np.testing.assert_allclose(widths[0], [44.4, 126.7, 232.0])
+    np.testing.assert_allclose(widths[1], [0.0157, 0.0026, 0.08])
+    np.testing.assert_allclose(widths[2], [0.022, 0.0291, 0.0824])
+    np.testing.assert_allclose(widths[3], [0.953] * 3 + [0.931, 0.924, 0.87])
+    names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    assert names == ["1 front", "2 middle", "4 last"]
+    for axes, all_widths in zip(figure.axes, widths, strict=True):
+        assert axes.get_xlim()[1] > max(all_widths)
+        assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first element on top
+    assert_well_drawn(figure)
+    with pytest.raises(ValueError, match="at least one element"):
+        which_figure([])
+
+
+def built(count: int = 200) -> ToleranceResult:
+    rng = np.random.default_rng(5)
+    mtf = 0.95 - 0.1 * rng.random((count, 5, 9, 4))
+    return ToleranceResult(
+        frequency_lpmm=6.45,
+        mtf=mtf,
+        shift_px=0.25 + 0.001 * rng.normal(size=(count, 4, 9, 2)),
+        refocus_mm=rng.normal(0.0, 0.1, count),
+        nominal_mtf=np.full((5, 9, 4), 0.94),
+        nominal_shift_px=np.full((4, 9, 2), 0.25),
+    )
+
+
+def test_builds_are_counted_and_the_yield_is_told() -> None:
+    found = built()
+    limit = float(np.percentile(found.worst_mtf, 30))
+    figure = tolerance_figure(found, limit)
+    worst, share, shift, focus = figure.axes
+    for axes, values in (
+        (worst, found.worst_mtf),
+        (shift, found.shift_error_px),
+        (focus, found.refocus_mm),
+    ):
+        heights = [bar.get_height() for bar in axes.patches]
+        assert sum(heights) == 200
+        assert axes.patches[0].get_x() == pytest.approx(values.min())
+    assert worst.get_legend().get_title().get_text().startswith("70.0 % of 200 builds")
+    assert share.get_lines()[-1].get_xydata().tolist() == [[limit, 70.0]]
+    steps = share.get_lines()[0]
+    at = np.searchsorted(steps.get_xdata(), limit)
+    assert steps.get_ydata()[at] == pytest.approx(70.0)
+    assert line_labelled(worst, "as drawn")[0][0] == 0.94
+    assert_well_drawn(figure)
+    with pytest.raises(ValueError, match="from 0 to 1"):
+        tolerance_figure(found, 90.0)
+
+
+def test_the_tolerances_that_matter_most_are_drawn_below() -> None:
+    table = [
+        Sensitivity("tilt", number % 3, "lens", 0.02 / (1 + number), 0.001, 0.1)
+        for number in range(14)
+    ]
+    figure = tolerance_figure(built(30), 0.9, table=table)
+    bars = figure.axes[4].patches
+    np.testing.assert_allclose([bar.get_width() for bar in bars], [r.mtf_loss for r in table[:10]])
+    assert figure.axes[4].yaxis_inverted()  # the largest loss on top
+    assert_well_drawn(figure)
+
+
+@given(st.floats(1e-9, 1e9))
+def test_factors_are_round_and_not_too_large(value: float) -> None:
+    found = round_number(value)
+    assert found <= value * (1 + 1e-9)
+    assert value < 2.5 * found * (1 + 1e-9)
+    assert f"{found:.6e}"[0] in "125"
+    assert f"{found:.6e}"[2:8] == "000000"
