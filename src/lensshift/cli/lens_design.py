@@ -24,11 +24,12 @@ from lensshift.cli.optics import (
     read_lens,
     sensor_grid,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Progress, session
+from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
     from lensshift.optics.design import Design
     from lensshift.optics.goal import Goal
+    from lensshift.optics.tolerance import ToleranceResult
 
 PlacesArgument = Annotated[
     list[str],
@@ -215,21 +216,8 @@ def tolerance(
         finally:
             progress.close()
         current.say(format_sensitivity(table))
-        low, median, high = found.percentiles()
-        share = found.yield_at(limit)
-        current.say(
-            f"{builds} builds, MTF at {found.frequency_lpmm:.3g} LP/mm, worst of field, direction "
-            f"and position: {low:.3f} / {median:.3f} / {high:.3f} (5, 50, 95 %), as drawn "
-            f"{found.nominal_mtf.min():.3f}"
-        )
-        current.say(f"{100 * share:.1f} % of the builds keep {limit:g}")
-        current.say(
-            f"largest error of a shift: {float(found.shift_error_px.max()):.4f} px, "
-            f"refocus up to {float(abs(found.refocus_mm).max()):.3f} mm"
-        )
-        current.result |= {"lens": model.name or lens, "element": element, "builds": builds}
-        current.result |= {"percentiles_5_50_95": (low, median, high), "yield": share}
-        current.result |= {"limit": limit, "frequency_lpmm": found.frequency_lpmm}
+        _say_builds(current, found, builds, limit)
+        current.result |= {"lens": model.name or lens, "element": element}
         current.result["sensitivity"] = [
             asdict(row) | {"element": row.element + 1} for row in table
         ]
@@ -237,3 +225,20 @@ def tolerance(
         columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
         write_table(current, csv, columns)
         write_plot(current, plot, lambda: figure_of("lens_build", "tolerance_figure", found, limit))
+
+
+def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: float) -> None:
+    low, median, high = found.percentiles()
+    share = found.yield_at(limit)
+    current.say(
+        f"{builds} builds, MTF at {found.frequency_lpmm:.3g} LP/mm, worst of field, direction "
+        f"and position: {low:.3f} / {median:.3f} / {high:.3f} (5, 50, 95 %), as drawn "
+        f"{found.nominal_mtf.min():.3f}"
+    )
+    current.say(f"{100 * share:.1f} % of the builds keep {limit:g}")
+    current.say(
+        f"largest error of a shift: {float(found.shift_error_px.max()):.4f} px, "
+        f"refocus up to {float(abs(found.refocus_mm).max()):.3f} mm"
+    )
+    current.result |= {"builds": builds, "percentiles_5_50_95": (low, median, high)}
+    current.result |= {"limit": limit, "yield": share, "frequency_lpmm": found.frequency_lpmm}
