@@ -197,8 +197,10 @@ def test_files_that_are_no_lens(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="cannot read"):
         load_zmx(tmp_path / "missing.zmx")
     (tmp_path / "empty.zmx").write_text("")
-    with pytest.raises(DataError, match="at least two surfaces and an image, got 0"):
+    with pytest.raises(DataError, match=r"empty\.zmx: expected surfaces .*, got none"):
         load_zmx(tmp_path / "empty.zmx")
+    with pytest.raises(DataError, match="at least two surfaces and an image, got 1"):
+        parse_zmx(DOUBLET.split("SURF 1")[0])
     (tmp_path / "binary.zmx").write_bytes(b"\xff\xfe\x00\xd8\x00")
     with pytest.raises(DataError, match="UTF-8 or UTF-16"):
         load_zmx(tmp_path / "binary.zmx")

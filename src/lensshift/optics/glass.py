@@ -67,9 +67,23 @@ GLASSES = {
 }
 
 
+_OTHER_NAMES = {
+    "F_SILICA": "fused silica",
+    "FUSED SILICA": "fused silica",
+    "SILICA": "fused silica",
+    "UVFS": "fused silica",
+}
+
+
 def glass_names() -> tuple[str, ...]:
     """Return the names that `refractive_index` knows."""
     return (AIR, *GLASSES)
+
+
+def glass_called(name: str) -> str | None:
+    """Return the glass that design programs call `name`, or None if it is not known."""
+    glass = _OTHER_NAMES.get(name.upper(), name.upper())
+    return glass if glass in GLASSES else None
 
 
 def refractive_index(

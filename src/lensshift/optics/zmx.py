@@ -3,61 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.optics.glass import GLASSES
-from lensshift.optics.lens import Element, Lens, Stop, Surface
-from lensshift.optics.paraxial import entrance_pupil, paraxial
+from lensshift.optics.glass import GLASSES, glass_called
+from lensshift.optics.lens import Lens
+from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 
 _TYPES = ("STANDARD", "EVENASPH", "COORDBRK")
-_GLASS_NAMES = {"F_SILICA": "fused silica", "SILICA": "fused silica", "UVFS": "fused silica"}
-_CLOSE = 1e-9  # of an image plane to the axis, in mm and in direction cosines
-_UNSET_STOP_MM = 1e-6
 _MOST_PARAMETERS = 8  # an even asphere ends with r^16
-
-
-@dataclass(slots=True)
-class _Entry:
-    """One surface of the file, as written."""
-
-    number: int
-    line: int
-    type: str = "STANDARD"
-    curvature_per_mm: float = 0.0
-    conic: float = 0.0
-    parameters: dict[int, float] = field(default_factory=dict)
-    distance_mm: float = 0.0
-    semi_diameter_mm: float = 0.0
-    glass: str = ""
-    is_stop: bool = False
-
-    def where(self) -> str:
-        return f"surface {self.number}, line {self.line}"
 
 
 @dataclass(slots=True)
 class _File:
     """The contents of a file, as written."""
 
-    entries: list[_Entry] = field(default_factory=list)
+    entries: list[Entry] = field(default_factory=list)
     name: str = ""
     wavelengths_um: dict[int, float] = field(default_factory=dict)
     primary: int = 1
     aperture: tuple[str, float] = ("FLOA", 0.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
-    """Where a surface is: origin and axes in (x, y, z) of the object."""
-
-    origin: NDArray[np.float64]
-    axes: NDArray[np.float64]
 
 
 def load_zmx(path: str | Path) -> Lens:
@@ -120,7 +89,7 @@ def _read(text: str) -> _File:
 def _read_line(content: _File, words: list[str], line: int) -> None:
     key, values = words[0], words[1:]
     if key == "SURF":
-        content.entries.append(_Entry(int(values[0]), line))
+        content.entries.append(Entry(int(values[0]), line))
     elif content.entries:
         _read_surface_line(content.entries[-1], key, values, line)
     elif key == "MODE" and values[0] != "SEQ":
@@ -141,7 +110,7 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
         content.aperture = (key, float(values[0]))
 
 
-def _read_surface_line(entry: _Entry, key: str, values: list[str], line: int) -> None:
+def _read_surface_line(entry: Entry, key: str, values: list[str], line: int) -> None:
     if key == "TYPE":
         if values[0] not in _TYPES:
             raise DataError(
@@ -171,9 +140,9 @@ def _read_surface_line(entry: _Entry, key: str, values: list[str], line: int) ->
         entry.is_stop = True
 
 
-def _glass(name: str, entry: _Entry, line: int) -> str:
-    glass = _GLASS_NAMES.get(name.upper(), name.upper())
-    if glass not in GLASSES:
+def _glass(name: str, entry: Entry, line: int) -> str:
+    glass = glass_called(name)
+    if glass is None:
         raise DataError(
             f"line {line}: expected a glass of {', '.join(GLASSES)}, got {name}",
             field=entry.where(),
@@ -182,64 +151,27 @@ def _glass(name: str, entry: _Entry, line: int) -> str:
 
 
 def _lens(content: _File) -> Lens:
-    if len(content.entries) < 4:
-        raise DataError(
-            f"expected an object, at least two surfaces and an image, got "
-            f"{len(content.entries)} surfaces"
-        )
-    frames = _frames(content.entries)
-    groups = list(_groups(content.entries))
-    if not groups:
-        raise DataError("expected at least one element of glass")
-    elements = [_element([content.entries[i] for i in g], frames[g[0]]) for g in groups]
-    starts_mm = np.array([frames[group[0]].origin[2] for group in groups])
-    ends_mm = starts_mm + [element.length_mm for element in elements]
-    image = frames[-1]
-    if np.abs(image.origin[:2]).max() > _CLOSE or np.abs(image.axes - np.eye(3)).max() > _CLOSE:
-        raise DataError(
-            "expected an image plane centred on and across the axis of the object",
-            field=content.entries[-1].where(),
-        )
-    gaps_mm = np.append(starts_mm[1:], image.origin[2]) - ends_mm
-    gaps_mm[np.abs(gaps_mm) < _CLOSE] = 0.0
-    stops = [i for i, entry in enumerate(content.entries) if entry.is_stop]
-    if len(stops) != 1:
-        raise DataError(f"expected one surface marked STOP, got {len(stops)}")
+    if not content.entries:
+        raise DataError("expected surfaces (SURF), got none")
     if content.primary not in content.wavelengths_um:
         raise DataError(f"expected a wavelength number {content.primary}", field="PWAV")
-    far = math.isinf(content.entries[0].distance_mm)
-    lens = Lens(
-        elements=tuple(elements),
-        gaps_mm=tuple(map(float, gaps_mm)),
-        stop=Stop(_UNSET_STOP_MM, float(frames[stops[0]].origin[2] - starts_mm[0])),
-        object_mm=math.inf if far else float(starts_mm[0]),
-        wavelength_nm=1e3 * content.wavelengths_um[content.primary],
-        name=content.name,
+    return lens_of_entries(
+        content.entries,
+        _frames(content.entries),
+        content.aperture,
+        1e3 * content.wavelengths_um[content.primary],
+        content.name,
     )
-    return _with_aperture(lens, content, content.entries[stops[0]])
 
 
-def _with_aperture(lens: Lens, content: _File, stop: _Entry) -> Lens:
-    kind, value = content.aperture
-    if kind == "FLOA":
-        diameter_mm = 2.0 * stop.semi_diameter_mm
-    else:
-        pupil_mm = value if kind == "ENPD" else abs(paraxial(lens).focal_length_mm) / value
-        diameter_mm = pupil_mm / abs(entrance_pupil(lens)[1])
-    try:
-        return replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
-    except ValueError as error:
-        raise DataError(str(error), field=stop.where()) from error
-
-
-def _frames(entries: list[_Entry]) -> list[_Frame]:
+def _frames(entries: list[Entry]) -> list[Frame]:
     """Return where each surface is, by following distances and coordinate breaks."""
     origin, axes = np.zeros(3), np.eye(3)
     frames = []
     for entry in entries:
         if entry.type == "COORDBRK":
             origin, axes = _break(entry, origin, axes)
-        frames.append(_Frame(origin, axes))
+        frames.append(Frame(origin, axes))
         if math.isfinite(entry.distance_mm):
             origin = origin + axes[:, 2] * entry.distance_mm
         elif entry is not entries[0]:
@@ -250,7 +182,7 @@ def _frames(entries: list[_Entry]) -> list[_Frame]:
 
 
 def _break(
-    entry: _Entry, origin: NDArray[np.float64], axes: NDArray[np.float64]
+    entry: Entry, origin: NDArray[np.float64], axes: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Apply decentre and then tilts about x, y, z, or all in the opposite order."""
     value = [entry.parameters.get(i, 0.0) for i in range(1, 7)]
@@ -271,53 +203,3 @@ def _rotation(axis: int, angle_rad: float) -> NDArray[np.float64]:
     matrix[first, first] = matrix[second, second] = math.cos(angle_rad)
     matrix[second, first], matrix[first, second] = math.sin(angle_rad), -math.sin(angle_rad)
     return matrix
-
-
-def _groups(entries: list[_Entry]) -> Iterable[list[int]]:
-    """Yield the numbers of the surfaces of each element."""
-    group: list[int] = []
-    for number, entry in enumerate(entries[:-1]):
-        if group and entry.type == "COORDBRK":
-            raise DataError("expected no coordinate break inside an element", field=entry.where())
-        if entry.glass or group:
-            group.append(number)
-        if group and not entry.glass:
-            yield group
-            group = []
-    if group:
-        raise DataError("expected air in front of the image", field=entries[-1].where())
-
-
-def _element(entries: list[_Entry], frame: _Frame) -> Element:
-    x, y, z = frame.axes[:, 2]
-    try:
-        return Element(
-            surfaces=tuple(_surface(entry) for entry in entries),
-            glass=tuple(entry.glass for entry in entries[:-1]),
-            thickness_mm=tuple(entry.distance_mm for entry in entries[:-1]),
-            name=f"surfaces {entries[0].number}-{entries[-1].number}",
-            decenter_mm=(float(frame.origin[1]), float(frame.origin[0])),
-            tilt_rad=(math.atan2(y, z), math.asin(max(-1.0, min(1.0, x)))),
-        )
-    except DataError:
-        raise
-    except ValueError as error:
-        raise DataError(str(error), field=entries[0].where()) from error
-
-
-def _surface(entry: _Entry) -> Surface:
-    asphere: tuple[float, ...] = ()
-    if entry.type == "EVENASPH":
-        if entry.parameters.get(1, 0.0):
-            raise DataError("expected no term in r^2 in an EVENASPH", field=entry.where())
-        last = max((i for i, value in entry.parameters.items() if value), default=1)
-        asphere = tuple(entry.parameters.get(i, 0.0) for i in range(2, last + 1))
-    try:
-        return Surface(
-            radius_mm=1.0 / entry.curvature_per_mm if entry.curvature_per_mm else math.inf,
-            conic=entry.conic,
-            asphere=asphere,
-            semi_diameter_mm=entry.semi_diameter_mm or math.inf,
-        )
-    except ValueError as error:
-        raise DataError(str(error), field=entry.where()) from error

@@ -1,0 +1,276 @@
+"""Lenses to and from Optiland, an optional companion: drawings, analyses, other file formats."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.optics.glass import GLASSES, glass_called, refractive_index
+from lensshift.optics.lens import Lens, Surface
+from lensshift.optics.sequential import Entry, Frame, lens_of_entries
+
+Array = NDArray[np.float64]
+
+_APERTURES = {"EPD": "ENPD", "imageFNO": "FNUM", "float_by_stop_size": "FLOA"}
+_SHAPES = {"Plane": "STANDARD", "StandardGeometry": "STANDARD", "EvenAsphere": "EVENASPH"}
+_CLOSE = 1e-9  # mm and direction cosines
+_SAME_INDEX = 1e-6
+
+
+def to_optiland(lens: Lens) -> Any:
+    """Return an `optiland.optic.Optic` of a lens.
+
+    The stop is a plane of its own; the glasses carry the dispersion of this package at the
+    temperature of the lens; the only field is the axis.
+
+    Raises
+    ------
+    ImportError
+        If Optiland is not installed.
+    """
+    optic = _need("optiland.optic").Optic(lens.name)
+    planes = list(_planes(lens))
+    places_mm = [plane.vertex_mm[2] for plane in planes] + [float(lens.positions_mm()[-1])]
+    far = math.isinf(lens.object_mm)
+    optic.surfaces.add(index=0, thickness=math.inf if far else lens.object_mm + places_mm[0])
+    for number, plane in enumerate(planes, start=1):
+        plane.add_to(optic, number, places_mm[number] - places_mm[number - 1], lens)
+    optic.surfaces.add(index=len(planes) + 1)
+    optic.set_aperture("float_by_stop_size", lens.stop.diameter_mm)
+    optic.fields.set_type("angle")
+    optic.fields.add(y=0.0)
+    optic.wavelengths.add(1e-3 * lens.wavelength_nm, is_primary=True)
+    return optic
+
+
+def from_optiland(optic: Any) -> Lens:
+    """Return the lens that an `optiland.optic.Optic` describes.
+
+    Neighbouring surfaces with glass between them make an element, which may be decentred and
+    tilted as a whole. Fields, coatings, pickups and solves are left out.
+
+    Raises
+    ------
+    ImportError
+        If Optiland is not installed.
+    DataError
+        If the optic has other surfaces than planes, conics and even aspheres, mirrors, an unknown
+        glass, or describes no lens: with the surface.
+    """
+    _need("optiland.optic")
+    wavelength_um = float(optic.primary_wavelength)
+    entries, frames = [], []
+    for number, surface in enumerate(optic.surfaces):
+        entries.append(_entry(number, surface, wavelength_um))
+        frames.append(_frame(surface))
+    kind = _APERTURES.get(getattr(optic.aperture, "ap_type", ""))
+    if kind is None:
+        raise DataError(f"expected an aperture of {', '.join(_APERTURES)}, got {optic.aperture!r}")
+    size = float(optic.aperture.value)
+    frames = _from_object(entries, frames)
+    if kind == "FLOA":
+        for entry in entries:
+            entry.semi_diameter_mm = 0.5 * size if entry.is_stop else entry.semi_diameter_mm
+    return lens_of_entries(
+        entries, frames, (kind, size), 1e3 * wavelength_um, getattr(optic, "name", None) or ""
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plane:
+    """A surface as Optiland places it: vertex (x, y, z), turned about x, then about y."""
+
+    surface: Surface
+    vertex_mm: tuple[float, float, float]
+    turn_rad: tuple[float, float]
+    glass: str | None
+    comment: str
+    is_stop: bool = False
+
+    def add_to(self, optic: Any, number: int, thickness_mm: float, lens: Lens) -> None:
+        """Append the surface to an optic."""
+        surface = self.surface
+        options: dict[str, Any] = {"radius": surface.radius_mm, "conic": surface.conic}
+        if surface.asphere:
+            options |= {
+                "surface_type": "even_asphere",
+                "coefficients": [0.0, *surface.asphere],
+                "tol": 1e-13,
+            }
+        if math.isfinite(surface.semi_diameter_mm):
+            options["aperture"] = 2.0 * surface.semi_diameter_mm
+        glass = None if self.glass is None else _glass_class()(self.glass, lens.temperature_c)
+        optic.surfaces.add(
+            index=number,
+            thickness=thickness_mm,
+            dx=self.vertex_mm[0],
+            dy=self.vertex_mm[1],
+            rx=self.turn_rad[0],
+            ry=self.turn_rad[1],
+            material="air" if glass is None else glass,
+            is_stop=self.is_stop,
+            comment=self.comment,
+            **options,
+        )
+
+
+def _planes(lens: Lens) -> Iterator[_Plane]:
+    """Yield the surfaces and the stop in the order in which light meets them."""
+    before = lens.elements_before_stop()
+    for number, (element, start_mm) in enumerate(
+        zip(lens.elements, lens.positions_mm(), strict=False)
+    ):
+        if number == before:
+            yield _stop(lens)
+        row_rad, col_rad = element.tilt_rad
+        axis = (
+            math.sin(col_rad),
+            math.sin(row_rad) * math.cos(col_rad),
+            math.cos(row_rad) * math.cos(col_rad),
+        )
+        turn_rad = (-math.asin(axis[1]), math.atan2(axis[0], axis[2]))
+        depths_mm = np.cumsum([0.0, *element.thickness_mm])
+        row_mm, col_mm = element.decenter_mm
+        for depth_mm, surface, glass in zip(
+            depths_mm, element.surfaces, (*element.glass, None), strict=True
+        ):
+            vertex_mm = np.array([col_mm, row_mm, start_mm]) + depth_mm * np.array(axis)
+            x_mm, y_mm, z_mm = map(float, vertex_mm)
+            yield _Plane(surface, (x_mm, y_mm, z_mm), turn_rad, glass, element.name)
+    if before == len(lens.elements):
+        yield _stop(lens)
+
+
+def _stop(lens: Lens) -> _Plane:
+    row_mm = col_mm = 0.0
+    if lens.stop.rides_on is not None:
+        row_mm, col_mm = lens.elements[lens.stop.rides_on].decenter_mm
+    plane = Surface(math.inf, semi_diameter_mm=0.5 * lens.stop.diameter_mm)
+    vertex_mm = (col_mm, row_mm, lens.stop.position_mm)
+    return _Plane(plane, vertex_mm, (0.0, 0.0), None, "stop", is_stop=True)
+
+
+def _entry(number: int, surface: Any, wavelength_um: float) -> Entry:
+    entry = Entry(number)
+    shape = type(surface.geometry).__name__
+    if shape not in _SHAPES:
+        raise DataError(
+            f"expected a surface of {', '.join(_SHAPES)}, got {shape}", field=entry.where()
+        )
+    if getattr(surface.interaction_model, "is_reflective", False):
+        raise DataError("expected lenses, got a mirror", field=entry.where())
+    entry.type = _SHAPES[shape]
+    radius_mm = float(np.asarray(surface.geometry.radius).item())
+    entry.curvature_per_mm = 0.0 if math.isinf(radius_mm) else 1.0 / radius_mm
+    entry.conic = float(np.asarray(getattr(surface.geometry, "k", 0.0)).item())
+    terms = getattr(surface.geometry, "coefficients", ())
+    entry.parameters = {place: float(term) for place, term in enumerate(terms, start=1)}
+    entry.semi_diameter_mm = float(getattr(surface.aperture, "r_max", 0.0))
+    entry.is_stop = bool(surface.is_stop)
+    entry.glass = _glass(surface.material_post, wavelength_um, entry)
+    return entry
+
+
+def _glass(material: Any, wavelength_um: float, entry: Entry) -> str:
+    """Return the glass of a material by its name or by its index, "" for air."""
+    if material is None:
+        return ""
+    index = float(np.asarray(material.n(wavelength_um)).ravel()[0])
+    if abs(index - 1.0) < _SAME_INDEX:
+        return ""
+    name = str(getattr(material, "name", ""))
+    glass = glass_called(name)
+    if glass is not None:
+        return glass
+    for known in GLASSES:
+        if abs(refractive_index(known, 1e3 * wavelength_um) - index) < _SAME_INDEX:
+            return known
+    raise DataError(
+        f"expected a glass of {', '.join(GLASSES)}, got {name or 'one'} of index {index:.6f}",
+        field=entry.where(),
+    )
+
+
+def _frame(surface: Any) -> Frame:
+    origin, axes = surface.geometry.cs.get_effective_transform()
+    return Frame(np.asarray(origin, dtype=float).ravel(), np.asarray(axes, dtype=float))
+
+
+def _from_object(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
+    """Return the frames with a near object at the origin, and write the distances in glass."""
+    far = not math.isfinite(frames[0].origin[2])
+    entries[0].distance_mm = math.inf if far else 0.0
+    from_mm = np.zeros(3) if far else frames[0].origin
+    placed = [Frame(frame.origin - from_mm, frame.axes) for frame in frames]
+    for number, entry in enumerate(entries[:-1]):
+        if not entry.glass:
+            continue
+        here, behind = placed[number], placed[number + 1]
+        step_mm = (behind.origin - here.origin) @ here.axes
+        leaning = np.abs(behind.axes[:, 2] - here.axes[:, 2]).max()
+        if max(abs(step_mm[0]), abs(step_mm[1]), leaning) > _CLOSE:
+            raise DataError(
+                f"expected it on the axis of surface {number}, as one element",
+                field=entries[number + 1].where(),
+            )
+        entry.distance_mm = float(step_mm[2])
+    return placed
+
+
+@lru_cache(maxsize=1)
+def _glass_class() -> Any:
+    """Return the class of glasses with the dispersion of this package."""
+    base = _need("optiland.materials").BaseMaterial
+
+    class LensshiftGlass(base):  # type: ignore[misc, valid-type]
+        """A glass of `lensshift.optics.glass` at one temperature."""
+
+        def __init__(self, name: str, temperature_c: float) -> None:
+            super().__init__()
+            self.name = name
+            self.temperature_c = temperature_c
+
+        @property
+        def display_name(self) -> str:
+            """The name for drawings and tables."""
+            return self.name
+
+        def _calculate_n(self, wavelength: Any, **_: Any) -> Any:
+            um = np.asarray(wavelength, dtype=np.float64)
+            values, places = np.unique(um, return_inverse=True)
+            index = [refractive_index(self.name, 1e3 * v, self.temperature_c) for v in values]
+            return np.asarray(index)[places].reshape(um.shape)
+
+        def _calculate_k(self, wavelength: Any, **_: Any) -> Any:
+            return np.zeros_like(np.asarray(wavelength, dtype=np.float64))
+
+        def to_dict(self) -> dict[str, Any]:
+            """Return what `from_dict` makes the same glass of."""
+            data: dict[str, Any] = super().to_dict()
+            return data | {"name": self.name, "temperature_c": self.temperature_c}
+
+        @classmethod
+        def from_dict(cls, data: dict[str, Any]) -> LensshiftGlass:
+            """Return the glass that `to_dict` wrote."""
+            return cls(data["name"], data["temperature_c"])
+
+    return LensshiftGlass
+
+
+def _need(name: str) -> Any:
+    """Return a module of Optiland."""
+    from importlib import import_module
+
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            "expected Optiland, which is not installed: pip install lensshift[optiland]"
+        ) from error
