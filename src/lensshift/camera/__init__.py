@@ -1,4 +1,8 @@
-"""What the world does to an image before anybody can estimate anything from it."""
+"""What the world does to an image before anybody can estimate anything from it.
+
+Two cameras that share no code with `lensshift.forward`: `simulate_burst` takes flat targets with
+plain pixels, `simulate_tof` a scene in the world with a time-of-flight camera, effect by effect.
+"""
 
 from lensshift.camera.flat import (
     QUARTER_SQUARE_PX,
@@ -7,5 +11,54 @@ from lensshift.camera.flat import (
     pixel_means,
     simulate_burst,
 )
+from lensshift.camera.output import O3mImages
+from lensshift.camera.presets import camera_preset, preset_names
+from lensshift.camera.radiometry import closed_form_distance_std_m
+from lensshift.camera.settings import (
+    Ambient,
+    Drift,
+    Illumination,
+    LensOptics,
+    Multipath,
+    Pixels,
+    PlainOptics,
+    Readout,
+    Scatter,
+    TofCamera,
+    Validity,
+)
+from lensshift.camera.simulate import (
+    RawPhases,
+    TofCapture,
+    TofTruth,
+    simulate_tof,
+    simulate_tof_burst,
+)
 
-__all__ = ["QUARTER_SQUARE_PX", "Sensor", "Truth", "pixel_means", "simulate_burst"]
+__all__ = [
+    "QUARTER_SQUARE_PX",
+    "Ambient",
+    "Drift",
+    "Illumination",
+    "LensOptics",
+    "Multipath",
+    "O3mImages",
+    "Pixels",
+    "PlainOptics",
+    "RawPhases",
+    "Readout",
+    "Scatter",
+    "Sensor",
+    "TofCamera",
+    "TofCapture",
+    "TofTruth",
+    "Truth",
+    "Validity",
+    "camera_preset",
+    "closed_form_distance_std_m",
+    "pixel_means",
+    "preset_names",
+    "simulate_burst",
+    "simulate_tof",
+    "simulate_tof_burst",
+]

@@ -1,0 +1,104 @@
+"""From amplitude and distance to what leaves the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.camera.demodulate import demodulate, unwrap
+from lensshift.camera.readout import Reading
+from lensshift.camera.settings import TofCamera
+
+Array = NDArray[Any]
+
+# Bits of the confidence of an O3M pixel.
+INVALID, LONG_EXPOSURE, HIGH_GAIN, LOW_SIGNAL = 1, 2, 4, 4096
+_INVALID_CM, _FARTHEST_CM = 1, 15_000
+_WORD_BITS = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class O3mImages:
+    """What an O3M sends, [frame row col].
+
+    Parameters
+    ----------
+    distance_cm : radial, 0 to 15000; 1 where invalid
+    amplitude_counts : of the exposure and gain that the pixel used
+    confidence : bits: 1 invalid, 2 long exposure, 4 high gain, 4096 too little signal
+    amplitude_normalization : [4] factor on `amplitude_counts` for (confidence >> 1) & 3
+    """
+
+    distance_cm: NDArray[np.uint16]
+    amplitude_counts: NDArray[np.uint16]
+    confidence: NDArray[np.uint16]
+    amplitude_normalization: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """One frame as it leaves the camera.
+
+    Parameters
+    ----------
+    amplitude : [row col] 1: as many electrons as a tap holds, in the longest exposure
+    distance_m : [row col] radial
+    valid : [row col]
+    o3m : the same as an O3M sends it, without frame axis, or None
+    """
+
+    amplitude: Array
+    distance_m: Array
+    valid: NDArray[np.bool_]
+    o3m: O3mImages | None = None
+
+
+def image_of(reading: Reading, camera: TofCamera) -> Image:
+    """Compute amplitude and distance of one frame in the style of the camera."""
+    phase_rad, counts = demodulate(reading.difference)
+    distance_m = unwrap(phase_rad, counts, camera.illumination.modulation_hz)
+    counts = counts.mean(axis=0)
+    electrons = counts * reading.electrons_per_count
+    weak = (electrons < camera.validity.min_amplitude_electrons) | (electrons <= 0)
+    valid = ~(reading.saturated | weak)
+    if camera.output == "o3m":
+        return _o3m_image(reading, camera, counts, distance_m, valid, weak)
+    exposure_s = np.asarray(camera.readout.exposure_s)
+    longer = exposure_s[-1] / exposure_s[reading.exposure]
+    amplitude = electrons * longer / camera.readout.full_well_electrons
+    return Image(amplitude, distance_m, valid)
+
+
+def _o3m_image(
+    reading: Reading,
+    camera: TofCamera,
+    counts: Array,
+    distance_m: Array,
+    valid: NDArray[np.bool_],
+    weak: NDArray[np.bool_],
+) -> Image:
+    readout = camera.readout
+    fraction = 2 ** (_WORD_BITS - (readout.bits or _WORD_BITS))
+    words = np.minimum(np.rint(counts * fraction), 2**_WORD_BITS - 1).astype(np.uint16)
+    distance_cm = np.clip(np.rint(100.0 * distance_m), 0, _FARTHEST_CM).astype(np.uint16)
+    distance_cm[~valid] = _INVALID_CM
+    state = reading.exposure + 2 * reading.gain
+    confidence = 2 * state.astype(np.uint16)
+    confidence[~valid] |= INVALID
+    confidence[weak] |= LOW_SIGNAL
+    factors = _normalization(camera) / fraction
+    amplitude = words * factors[state]
+    o3m = O3mImages(distance_cm, words, confidence, factors)
+    return Image(amplitude, distance_cm / 100.0, valid, o3m)
+
+
+def _normalization(camera: TofCamera) -> NDArray[np.float64]:
+    """Return the amplitude of one count for (short, long) exposure at low, then at high gain."""
+    readout = camera.readout
+    exposure = np.resize(readout.exposure_s[-1] / np.asarray(readout.exposure_s), 2)
+    gain = np.resize(np.asarray(readout.gain), 2)
+    per_count = 1.0 / 2 ** ((readout.bits or _WORD_BITS) - 1)
+    return np.asarray(per_count * (exposure[None, :] / gain[:, None]).ravel())

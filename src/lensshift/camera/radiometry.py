@@ -1,0 +1,88 @@
+"""How many electrons a pixel collects, and what their noise does to distances."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.camera.settings import TofCamera
+from lensshift.core.units import SPEED_OF_LIGHT_MPS, unambiguous_range_m
+
+_PLANCK_J_S = 6.626_070_15e-34
+# Of sunlight at 850 nm, in W / (m2 nm klx): about 0.9 W / (m2 nm) at 110 klx.
+_SUN_PER_KLX = 0.9 / 110.0
+
+
+def active_electrons_per_s(camera: TofCamera) -> float:
+    """Return the electrons per second that the modulated light gives, per share / m2.
+
+        rate = intensity * Q,    electrons of a pixel = rate * mean of rho cos / d^2
+        Q = transmission / (4 F^2) * area * fill factor * efficiency * wavelength / (h c)
+
+    A surface of reflectance rho that light meets at an angle at distance d has the irradiance
+    intensity cos / d^2 and scatters rho of it as a Lambertian surface; the image of radiance L
+    has the irradiance pi L transmission / (4 F^2). In both taps together.
+    """
+    return camera.illumination.intensity_w_per_sr * _electrons_per_exitance(camera)
+
+
+def ambient_electrons_per_s(camera: TofCamera) -> float:
+    """Return the electrons per second that sunlight gives a white pixel, 0 without sunlight."""
+    if camera.ambient is None:
+        return 0.0
+    irradiance = (
+        _SUN_PER_KLX * camera.ambient.illuminance_klx * camera.ambient.filter_width_nm
+    )  # W / m2
+    return irradiance * _electrons_per_exitance(camera)
+
+
+def closed_form_distance_std_m(
+    amplitude_electrons: ArrayLike,
+    mean_electrons: ArrayLike,
+    modulation_hz: float,
+    *,
+    read_noise_electrons: float = 0.0,
+    taps: Literal[1, 2] = 2,
+) -> NDArray[np.float64]:
+    """Return the standard deviation of distances from four phases, for little noise.
+
+        std = c / (4 pi f) * sqrt(mean + read noise^2) / (amplitude * sqrt(2 taps))
+
+    The propagation of errors through arctan((D1 - D3) / (D0 - D2)). At low signal, amplitude
+    below about ten times the root, real noise is larger.
+
+    Parameters
+    ----------
+    amplitude_electrons : of the oscillation of one tap with the phase, a quarter of its swing
+        over D0 - D2 for two taps
+    mean_electrons : of one tap, all light and the dark current together, before any suppression
+    read_noise_electrons : of one tap
+    taps : 2: A - B is used, 1: only A
+
+    Raises
+    ------
+    ValueError
+        If an amplitude is not positive, a mean or noise is negative, or there are other taps.
+
+    Source: Lange, 3D time-of-flight distance measurement, PhD thesis, Siegen (2000).
+    """
+    amplitude = np.asarray(amplitude_electrons, dtype=np.float64)
+    mean = np.asarray(mean_electrons, dtype=np.float64)
+    if not np.all(amplitude > 0) or not np.all(mean >= 0) or not read_noise_electrons >= 0:
+        raise ValueError("expected amplitudes above 0, means and read noise of at least 0")
+    if taps not in (1, 2):
+        raise ValueError(f"expected 1 or 2 taps, got {taps}")
+    range_m = unambiguous_range_m(modulation_hz)
+    phase_rad = np.sqrt(mean + read_noise_electrons**2) / (amplitude * np.sqrt(2.0 * taps))
+    return np.asarray(phase_rad * range_m / (2.0 * np.pi))
+
+
+def _electrons_per_exitance(camera: TofCamera) -> float:
+    """Return electrons per second for a scene that gives off 1 W / m2 evenly to one side."""
+    pixel_m2 = 1e-6 * camera.grid.pitch_mm[0] * camera.grid.pitch_mm[1]
+    photon_j = _PLANCK_J_S * SPEED_OF_LIGHT_MPS / (1e-9 * camera.illumination.wavelength_nm)
+    collected = camera.optics.transmission / (4.0 * camera.optics.f_number**2)
+    area_m2 = pixel_m2 * camera.pixels.fill_factor
+    return collected * area_m2 * camera.pixels.quantum_efficiency / photon_j

@@ -1,0 +1,301 @@
+"""A time-of-flight camera takes a burst of a scene; the order of the effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.camera.channels import Seen, Tones
+from lensshift.camera.flat import QUARTER_SQUARE_PX
+from lensshift.camera.footprints import Footprints, see
+from lensshift.camera.output import Image, O3mImages, image_of
+from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
+from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
+from lensshift.camera.settings import LensOptics, Scatter, TofCamera
+from lensshift.camera.view import motions
+from lensshift.core.motion import ShiftField
+from lensshift.core.types import Burst
+from lensshift.core.units import unambiguous_range_m
+from lensshift.scene import Scene
+
+Array = NDArray[Any]
+
+_SAMPLES_PER_HR_PX = 8
+_FEWEST_SAMPLES = 16  # of an LR pixel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TofTruth:
+    """What an experimenter never gets to know.
+
+    Images are on the HR grid [row col]: what pixels of 1/scale pitch, sensitive all over, see
+    through the same lens at rest, without noise, scattered or indirect light, and errors.
+
+    Parameters
+    ----------
+    amplitude : in the unit of the burst
+    distance_m : radial, from the mean phasor of the first modulation frequency
+    valid : whether anything is there
+    flying : whether a pixel mixes surfaces, see `Validity`
+    flying_in_frames : [frame row col] the same for the LR pixels of the frames
+    offset_px : [frame 2] where the image content really was, at the centre of the sensor
+    offset_field : the same for every pixel, if the shift varies over the sensor, or None
+    """
+
+    amplitude: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    flying: NDArray[np.bool_]
+    flying_in_frames: NDArray[np.bool_]
+    offset_px: NDArray[np.float64]
+    offset_field: ShiftField | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawPhases:
+    """The four phase images behind a burst.
+
+    Parameters
+    ----------
+    difference : [frame frequency phase row col] tap A - tap B in counts: whole numbers, or
+        electrons if there is no converter
+    electrons_per_count : [frame row col]
+    exposure, gain : [frame row col] which of those of `Readout` a pixel used
+    saturated : [frame row col]
+    modulation_hz : [frequency]
+    """
+
+    difference: NDArray[Any]
+    electrons_per_count: NDArray[np.float64]
+    exposure: NDArray[np.uint8]
+    gain: NDArray[np.uint8]
+    saturated: NDArray[np.bool_]
+    modulation_hz: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TofCapture:
+    """Everything about one simulated burst.
+
+    Parameters
+    ----------
+    burst : what reconstruction gets
+    truth : what it is compared with
+    raw : the phase images
+    o3m : what an O3M sends, if the camera is one, or None
+    """
+
+    burst: Burst
+    truth: TofTruth
+    raw: RawPhases
+    o3m: O3mImages | None
+
+
+def simulate_tof_burst(
+    scene: Scene,
+    camera: TofCamera,
+    planned_px: ArrayLike = QUARTER_SQUARE_PX,
+    *,
+    scale: int = 2,
+    shift_error_px: float = 0.02,
+    samples_per_px: int | None = None,
+    seed: int = 0,
+) -> tuple[Burst, TofTruth]:
+    """Take a burst with a time-of-flight camera; see `simulate_tof`, which returns more."""
+    capture = simulate_tof(
+        scene,
+        camera,
+        planned_px,
+        scale=scale,
+        shift_error_px=shift_error_px,
+        samples_per_px=samples_per_px,
+        seed=seed,
+    )
+    return capture.burst, capture.truth
+
+
+def simulate_tof(
+    scene: Scene,
+    camera: TofCamera,
+    planned_px: ArrayLike = QUARTER_SQUARE_PX,
+    *,
+    scale: int = 2,
+    shift_error_px: float = 0.02,
+    samples_per_px: int | None = None,
+    seed: int = 0,
+) -> TofCapture:
+    """Take a burst with a time-of-flight camera whose lens does not go exactly where it was sent.
+
+        P(u) = mean over pixel u of [ (rho cos / d^2) exp(4 pi i f d / c) ] * PSF, scattered
+        D_k = A_k - B_k,  k = 0 .. 3: counted, suppressed, filled, read, converted
+        offset = planned + e,  e ~ normal(0, shift error) along each axis
+
+    The order: light and phase of the surfaces, indirect light; lens, moved; mean over the
+    aperture; scattered light; drift; taps with harmonics, sunlight and dark current; shot noise,
+    background suppression, full well, read noise, converter; amplitude, phase, unwrapping,
+    validity, output. The burst holds the planned offsets.
+
+    Parameters
+    ----------
+    scene : in the world, the camera at its origin
+    planned_px : [frame 2] (row, col) at the centre; positive: the content moves down / right
+    scale : the truth has pixels of 1/scale of the pitch
+    shift_error_px : rms error of the shift along each axis
+    samples_per_px : rays across an LR pixel; by default 8 across an HR pixel, at least 16
+
+    Raises
+    ------
+    ValueError
+        If `planned_px` is not [frame 2], a number is out of range, or a traced lens cannot make
+        a shift.
+    DataError
+        If no pixel is valid.
+    """
+    planned = _planned(planned_px)
+    samples = _samples(scale, samples_per_px)
+    if not (np.isfinite(shift_error_px) and shift_error_px >= 0):
+        raise ValueError(f"expected shift_error_px of at least 0, got {shift_error_px}")
+    rng = np.random.default_rng(seed)
+    offset = planned + shift_error_px * rng.standard_normal(planned.shape)
+    *moved, rest = motions(camera, np.concatenate([offset, np.zeros((1, 2))]))
+    side_px = camera.pixels.fill_factor**0.5
+    looks = [Footprints(1, one.offset_px, side_px, one.blur) for one in moved]
+    looks.append(Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, rest.blur))
+    tones = Tones(camera.illumination.modulation_hz, tuple(harmonic_shares(camera.pixels)))
+    *frames, ideal = see(scene, camera, tones, looks, samples)
+    if camera.multipath is not None:
+        (ideal,) = see(scene, replace(camera, multipath=None), tones, looks[-1:], samples)
+    readings = [
+        read(_rates(seen, camera, number), camera.pixels, camera.readout, rng)
+        for number, seen in enumerate(frames)
+    ]
+    images = [image_of(reading, camera) for reading in readings]
+    notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
+    flying = np.stack([_flying(seen, camera) for seen in frames])
+    field = None
+    if isinstance(camera.optics, LensOptics):
+        field = ShiftField(np.stack([one.offset_px for one in moved]))
+    return TofCapture(
+        burst=_burst(images, camera, planned, shift_error_px, notes),
+        truth=_truth(ideal, camera, flying, offset, field),
+        raw=_raw(readings, camera),
+        o3m=_o3m(images),
+    )
+
+
+def _planned(planned_px: ArrayLike) -> NDArray[np.float64]:
+    planned = np.asarray(planned_px, dtype=np.float64)
+    if planned.ndim != 2 or planned.shape[1] != 2 or not len(planned):
+        raise ValueError(f"expected planned_px [frame 2], got shape {planned.shape}")
+    if not np.all(np.isfinite(planned)):
+        raise ValueError("expected finite planned_px, got NaN or infinity")
+    return planned
+
+
+def _samples(scale: int, samples_per_px: int | None) -> int:
+    if scale != int(scale) or scale < 1:
+        raise ValueError(f"expected an integer scale from 1, got {scale}")
+    if samples_per_px is None:
+        return max(_FEWEST_SAMPLES, _SAMPLES_PER_HR_PX * int(scale))
+    if samples_per_px != int(samples_per_px) or samples_per_px < 1:
+        raise ValueError(f"expected an integer samples_per_px from 1, got {samples_per_px}")
+    return int(samples_per_px)
+
+
+def _rates(seen: Seen, camera: TofCamera, frame: int) -> Rates:
+    """Return electrons per second of one frame: scattered light, drift, sunlight, dark current."""
+    if camera.scatter is not None:
+        seen = Seen(_scattered(seen.values, camera.scatter), seen.tones)
+    active = active_electrons_per_s(camera)
+    phasor = active * seen.phasor
+    if camera.drift is not None:
+        rise_k = camera.drift.temperature_rise_k + frame * camera.drift.warming_k_per_frame
+        delay = seen.tones.phases(np.array(1e-3 * camera.drift.mm_per_k * rise_k))
+        phasor = phasor * np.exp(1j * delay).reshape(*phasor.shape[:2], 1, 1)
+    constant = ambient_electrons_per_s(camera) * seen.reflectance
+    return Rates(active * seen.light, constant + camera.pixels.dark_electrons_per_s, phasor)
+
+
+def _scattered(values: Array, scatter: Scatter) -> Array:
+    """Return [row col channel] with a share of the light spread widely; the sum stays."""
+    from scipy.ndimage import gaussian_filter
+
+    spread = gaussian_filter(values, scatter.sigma_px, axes=(0, 1), mode="reflect")
+    return np.asarray((1.0 - scatter.scattered) * values + scatter.scattered * spread)
+
+
+def _flying(seen: Seen, camera: TofCamera) -> NDArray[np.bool_]:
+    return np.asarray(seen.distances()[1] > camera.validity.flying_std_m)
+
+
+def _truth(
+    ideal: Seen,
+    camera: TofCamera,
+    flying_in_frames: NDArray[np.bool_],
+    offset_px: Array,
+    field: ShiftField | None,
+) -> TofTruth:
+    hz = camera.illumination.modulation_hz[0]
+    phasor = ideal.phasor[0, 0]
+    full = camera.readout.exposure_s[-1] * active_electrons_per_s(camera) * camera.pixels.contrast
+    return TofTruth(
+        amplitude=np.abs(phasor) * full / camera.readout.full_well_electrons,
+        distance_m=_nearest_turn(phasor, ideal.distances()[0], hz),
+        valid=ideal.light > 0,
+        flying=_flying(ideal, camera),
+        flying_in_frames=flying_in_frames,
+        offset_px=offset_px,
+        offset_field=field,
+    )
+
+
+def _nearest_turn(phasor: Array, mean_m: Array, modulation_hz: float) -> NDArray[np.float64]:
+    """Return the distance of a phasor, of all that are c / 2f apart the nearest to the mean one."""
+    range_m = unambiguous_range_m(modulation_hz)
+    expected = np.exp(2j * np.pi * mean_m / range_m)
+    return np.asarray(mean_m + np.angle(phasor * expected.conj()) * range_m / (2.0 * np.pi))
+
+
+def _burst(
+    images: list[Image],
+    camera: TofCamera,
+    planned_px: NDArray[np.float64],
+    shift_error_px: float,
+    notes: dict[str, Any],
+) -> Burst:
+    return Burst(
+        amplitude=np.stack([image.amplitude for image in images]),
+        distance_m=np.stack([image.distance_m for image in images]),
+        valid=np.stack([image.valid for image in images]),
+        offset_px=planned_px,
+        offset_sigma_px=np.full(planned_px.shape, float(shift_error_px)),
+        grid=camera.grid,
+        modulation_hz=camera.illumination.modulation_hz[0],
+        meta={**notes, **camera.settings()},
+    )
+
+
+def _raw(readings: list[Reading], camera: TofCamera) -> RawPhases:
+    return RawPhases(
+        difference=np.stack([one.difference for one in readings]),
+        electrons_per_count=np.stack([one.electrons_per_count for one in readings]),
+        exposure=np.stack([one.exposure for one in readings]),
+        gain=np.stack([one.gain for one in readings]),
+        saturated=np.stack([one.saturated for one in readings]),
+        modulation_hz=camera.illumination.modulation_hz,
+    )
+
+
+def _o3m(images: list[Image]) -> O3mImages | None:
+    sent = [image.o3m for image in images if image.o3m is not None]
+    if not sent:
+        return None
+    return O3mImages(
+        distance_cm=np.stack([one.distance_cm for one in sent]),
+        amplitude_counts=np.stack([one.amplitude_counts for one in sent]),
+        confidence=np.stack([one.confidence for one in sent]),
+        amplitude_normalization=sent[0].amplitude_normalization,
+    )

@@ -1,0 +1,210 @@
+"""Where the camera looks, how the image moves, and what a lens makes of a point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
+from lensshift.core.grid import Grid
+from lensshift.optics.lens import Lens
+
+Array = NDArray[Any]
+
+_RINGS = 4  # of rays in the spots, 64 of them
+_DENSE = np.linspace(0.0, 400.0, 40_001)  # pi times radii of the Airy disc
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpotBlur:
+    """Where the light of a point lands around its image, over the sensor.
+
+    Parameters
+    ----------
+    row_px, col_px : [node] rising places on the sensor
+    landing_px : [node node ray 2] (row, col) from the image of the point; linear between the
+        nodes, ray by ray
+    weight : [node node ray] sums to 1 over the rays
+    """
+
+    row_px: Array
+    col_px: Array
+    landing_px: Array
+    weight: Array
+
+    def at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
+        """Return landing points [row col ray 2] and weights [row col ray] at [row], [col]."""
+        rows = _between(self.row_px, row_px)
+        cols = _between(self.col_px, col_px)
+        landing = np.einsum("rn,cm,nmki->rcki", rows, cols, self.landing_px, optimize=True)
+        return landing, np.einsum("rn,cm,nmk->rck", rows, cols, self.weight, optimize=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """How the image of one frame differs from what the camera at rest sees.
+
+    Parameters
+    ----------
+    offset_px : [row col 2] at the pixels, or [1 1 2]; the content moved down / right
+    blur : sigma in LR pixels of a Gaussian that is the same all over the sensor, or spots
+    """
+
+    offset_px: Array
+    blur: float | SpotBlur
+
+
+def motions(camera: TofCamera, offset_px: Array) -> list[Motion]:
+    """Return the motion of each frame of `offset_px` [frame 2] at the centre of the sensor."""
+    if isinstance(camera.optics, PlainOptics):
+        sigma_px = camera.optics.blur_sigma_px
+        return [Motion(offset[None, None, :], sigma_px) for offset in offset_px]
+    return _lens_motions(camera.optics, camera.grid, offset_px)
+
+
+class View:
+    """Where the camera at rest looks: tangents of directions as a function of pixels.
+
+    Parameters
+    ----------
+    camera : of which only grid and optics matter
+    margin_px : how far around the sensor the view is needed
+    """
+
+    def __init__(self, camera: TofCamera, margin_px: float) -> None:
+        self._grid = camera.grid
+        self._splines: tuple[Any, Any] | None = None
+        if isinstance(camera.optics, PlainOptics):
+            focal_mm = camera.optics.focal_length_mm
+        else:
+            from lensshift.optics.spots import image_per_field_mm
+
+            focal_mm = image_per_field_mm(camera.optics.lens)
+            self._splines = _direction_splines(camera.optics.lens, camera.grid, margin_px)
+        self.per_px = (camera.grid.pitch_mm[0] / focal_mm, camera.grid.pitch_mm[1] / focal_mm)
+
+    def lattice(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
+        """Return down and right over forward, [row col] each, at places [row] and [col]."""
+        if self._splines is not None:
+            down, right = (spline(row_px, col_px) for spline in self._splines)
+            return down, right
+        down, right = np.meshgrid(*self._straight(row_px, col_px), indexing="ij")
+        return down, right
+
+    def at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
+        """Return down and right over forward, [...] each, at places [...]."""
+        if self._splines is not None:
+            down, right = (spline.ev(row_px, col_px) for spline in self._splines)
+            return down, right
+        return self._straight(row_px, col_px)
+
+    def _straight(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
+        rows, cols = self._grid.shape
+        return (
+            (row_px - 0.5 * (rows - 1)) * self.per_px[0],
+            (col_px - 0.5 * (cols - 1)) * self.per_px[1],
+        )
+
+
+def _direction_splines(lens: Lens, grid: Grid, margin_px: float) -> tuple[Any, Any]:
+    from scipy.interpolate import RectBivariateSpline
+
+    from lensshift.optics.spots import fields_for_image
+
+    rows, cols = (_nodes(count, margin_px) for count in grid.shape)
+    field = fields_for_image(lens, _places_mm(grid, rows, cols))
+    down, right = (RectBivariateSpline(rows, cols, field[..., i]) for i in (0, 1))
+    return down, right
+
+
+def _lens_motions(optics: LensOptics, grid: Grid, offset_px: Array) -> list[Motion]:
+    from lensshift.optics.shift import decenter_for_shift
+
+    decenter_mm = decenter_for_shift(optics.lens, optics.element, offset_px, grid)
+    fields_px = _offset_fields(optics, grid, decenter_mm)
+    blurs = _spot_blurs(optics, grid, decenter_mm)
+    return [Motion(field, blur) for field, blur in zip(fields_px, blurs, strict=True)]
+
+
+def _offset_fields(optics: LensOptics, grid: Grid, decenter_mm: Array) -> Array:
+    """Return the traced offset of every pixel, [frame row col 2], by splines between nodes."""
+    from scipy.interpolate import RectBivariateSpline
+
+    from lensshift.optics.shift import shift_map
+
+    rows, cols = (_nodes(count, 1.0) for count in grid.shape)
+    step_px = (float(rows[1] - rows[0]), float(cols[1] - cols[0]))
+    pitch_mm = (step_px[0] * grid.pitch_mm[0], step_px[1] * grid.pitch_mm[1])
+    coarse = Grid((len(rows), len(cols)), pitch_mm)
+    field = shift_map(optics.lens, optics.element, decenter_mm, coarse).offset_px * step_px
+    row, col = (np.arange(count, dtype=np.float64) for count in grid.shape)
+    splines = [[RectBivariateSpline(rows, cols, one[..., i]) for i in (0, 1)] for one in field]
+    return np.stack([np.stack([part(row, col) for part in pair], axis=-1) for pair in splines])
+
+
+def _spot_blurs(optics: LensOptics, grid: Grid, decenter_mm: Array) -> list[SpotBlur]:
+    """Return the spots of the lens in each frame."""
+    from lensshift.optics.shift import moving
+    from lensshift.optics.spots import fields_for_image, spots
+
+    rows, cols = (_nodes(count, 0.5) for count in grid.shape)
+    build = moving(optics.lens, optics.element, decenter_mm[:, None, None, :])
+    near_mm = 1e-2 * min(grid.pitch_mm)  # the spots change slowly
+    fields = fields_for_image(
+        optics.lens, _places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm
+    )
+    spot = spots(optics.lens, fields, build=build, rings=_RINGS)
+    landing_mm = spot.ray_mm
+    if optics.diffraction:
+        spread_mm = optics.lens.wavelength_nm * 1e-6 * optics.f_number
+        landing_mm = landing_mm + airy_points(landing_mm.shape[-2]) * spread_mm
+        landing_mm -= np.einsum("...k,...ki->...i", spot.weight, landing_mm)[..., None, :]
+    landing_px = landing_mm / np.asarray(grid.pitch_mm)
+    pairs = zip(landing_px, spot.weight, strict=True)
+    return [SpotBlur(rows, cols, landing, weight) for landing, weight in pairs]
+
+
+def airy_points(count: int) -> Array:
+    """Return points [point 2] of equal light of an Airy disc, in wavelength times f-number.
+
+        light within r = 1 - J0(pi r)^2 - J1(pi r)^2
+
+    Their order goes evenly through radii and angles, so that each may be added to another ray.
+
+    Source: Born, Wolf, Principles of Optics, section 8.5.
+    """
+    from scipy.special import j0, j1
+
+    light = 1.0 - j0(_DENSE) ** 2 - j1(_DENSE) ** 2
+    number = np.arange(count)
+    share = (np.argsort(np.argsort(np.mod(number * _GOLDEN, 1.0))) + 0.5) / count
+    radius = np.interp(share, light, _DENSE) / np.pi
+    angle = 2.0 * np.pi * np.mod(number * 2.0**0.5, 1.0)
+    return np.asarray(radius[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1))
+
+
+def _nodes(count: int, margin_px: float) -> Array:
+    """Return places along an axis, from beyond its first pixel to beyond its last."""
+    return np.linspace(-margin_px, count - 1 + margin_px, min(max(5, count // 4), 17))
+
+
+def _places_mm(grid: Grid, row_px: Array, col_px: Array) -> Array:
+    """Return places [row col 2] (row, col) on the sensor, from the axis."""
+    along = [
+        (place_px - 0.5 * (count - 1)) * pitch_mm
+        for place_px, count, pitch_mm in zip(
+            (row_px, col_px), grid.shape, grid.pitch_mm, strict=True
+        )
+    ]
+    return np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
+
+
+def _between(nodes: Array, places: Array) -> NDArray[np.float64]:
+    """Return weights [place node] that interpolate linearly between evenly spaced nodes."""
+    step = nodes[1] - nodes[0]
+    at = np.clip((places - nodes[0]) / step, 0.0, len(nodes) - 1.0)
+    return np.asarray(np.maximum(1.0 - np.abs(at[:, None] - np.arange(len(nodes))), 0.0))

@@ -1,0 +1,152 @@
+"""A traced lens: where it images things, how far it moves them, how sharply."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from tof_worlds import EXACT, make_camera, quiet, still, wall, wave_of
+
+from lensshift.camera import LensOptics, camera_preset, simulate_tof
+from lensshift.camera.view import airy_points
+from lensshift.core.grid import Grid
+from lensshift.optics.lens_file import load_lens
+from lensshift.optics.mtf import diffraction_mtf, fast_mtf
+from lensshift.optics.shift import decenter_for_shift, moving, shift_map
+from lensshift.optics.spots import fields_for_image, image_per_field_mm, spots
+from lensshift.scene import Plane, Rectangle, Scene
+
+SENSOR = Grid((5, 64), (0.155, 0.155))
+DISTANCE_M = 3.5
+PLANNED = np.array([(0.25, -0.25), (-0.1, 0.4)])
+
+
+@cache
+def petzval() -> Any:
+    return load_lens("petzval_a")
+
+
+def lens_camera(**options: Any) -> Any:
+    return make_camera(SENSOR, optics=LensOptics(petzval(), **options))
+
+
+def stripes(cycles: float, turns: float = 0.0) -> Any:
+    """Return stripes with so many cycles per unit of the tangent of the direction."""
+
+    def texture(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        return 0.6 + 0.3 * np.cos(2 * np.pi * (cycles / DISTANCE_M * x_m + turns))
+
+    return texture
+
+
+def per_px(cycles: float, col: float, build: Any = None, lens: Any = None) -> float:
+    """Return how many cycles of the stripes are on a pixel, by tracing both of its sides back."""
+    sides_mm = np.array([[0.0, (col - 31.5 + side) * 0.155] for side in (-0.5, 0.5)])
+    tangent = fields_for_image(lens or petzval(), sides_mm, build=build)[:, 1]
+    return float(cycles * (tangent[1] - tangent[0]))
+
+
+@pytest.mark.parametrize("element", [0, 1])
+def test_offsets_are_the_traced_ones(element: int) -> None:
+    capture = simulate_tof(wall(), lens_camera(element=element), PLANNED, **EXACT)
+    decenter_mm = decenter_for_shift(petzval(), element, PLANNED, SENSOR)
+    traced = shift_map(petzval(), element, decenter_mm, SENSOR).offset_px
+    field = capture.truth.offset_field
+    assert field is not None
+    np.testing.assert_allclose(field.offset_px, traced, atol=2e-5)
+    np.testing.assert_array_equal(capture.burst.offset_px, PLANNED)
+
+
+def test_content_moves_by_the_field_of_offsets() -> None:
+    cycles = 53.0
+    scene = wall(DISTANCE_M, stripes(cycles))
+    capture = simulate_tof(scene, lens_camera(), np.array([(0.0, 0.0), (0.0, 0.8)]), **EXACT)
+    rest, moved = capture.burst.amplitude[:, 2]
+    field = capture.truth.offset_field
+    assert field is not None
+    for first in (0, 21, 43):
+        part = slice(first, first + 21)
+        local = per_px(cycles, first + 10)
+        turn = np.angle(wave_of(rest[part], local) / wave_of(moved[part], local))
+        expected_px = field.offset_px[1, 2, part, 1].mean()
+        assert turn / (2 * np.pi * local) == pytest.approx(expected_px, abs=3e-3)
+    # The shift grows towards the edges by more than the test above allows.
+    assert field.offset_px[1, 2, 0, 1] > 0.8 + 0.03
+
+
+@pytest.mark.parametrize("tangent", [(0.0, 0.0), (0.004, 0.098), (-0.003, -0.05)])
+def test_things_are_seen_where_the_lens_images_them(tangent: tuple[float, float]) -> None:
+    """A bright card in a known direction, and its centroid against traced rays."""
+    # One pixel wide: then the centroid over pixels is that of the card.
+    size_m = DISTANCE_M * 0.155 / image_per_field_mm(petzval())
+    centre_m = (DISTANCE_M * tangent[1], DISTANCE_M * tangent[0], DISTANCE_M)
+    card = Rectangle(centre_m=centre_m, size_m=(size_m, size_m), reflectance=1.0)
+    back = Plane(centre_m=(0.0, 0.0, 4.0), reflectance=0.0)
+    optics = LensOptics(petzval(), diffraction=False)
+    truth = still(Scene((card,), back), make_camera(SENSOR, optics=optics), scale=3).truth
+    light = truth.amplitude / truth.amplitude.sum()
+    row, col = (np.arange(n) for n in light.shape)
+    seen_px = (np.array([light.sum(1) @ row, light.sum(0) @ col]) + 0.5) / 3 - 0.5
+    image_mm = spots(petzval(), tangent).centroid_mm
+    expected_px = image_mm / 0.155 + (np.array(SENSOR.shape) - 1) / 2
+    np.testing.assert_allclose(seen_px, expected_px, atol=4e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "col", "shift_px", "most"),
+    [("petzval_a", 31, 0.0, 0.99), ("petzval_b", 60, 0.9, 0.93)],
+)
+@pytest.mark.slow
+def test_contrast_is_aperture_times_lens(name: str, col: int, shift_px: float, most: float) -> None:
+    cycles = 170.0  # 0.6 to a pixel
+    lens, grid = load_lens(name), Grid((3, 64), (0.155, 0.155))
+    build = moving(lens, 0, decenter_for_shift(lens, 0, [0.0, shift_px], grid))
+    field = fields_for_image(lens, [0.0, (col - 31.5) * 0.155], build=build)
+    local = per_px(cycles, col, build, lens)
+    contrast = fast_mtf(lens, field, [local / 0.155], [0.0], build=build, rings=8)[0, 0]
+    assert contrast < most
+    camera = make_camera(grid, optics=LensOptics(lens))
+    seen = [
+        simulate_tof(
+            wall(DISTANCE_M, stripes(cycles, turns)), camera, [(0.0, shift_px)], **EXACT
+        ).burst.amplitude[0, 1, col]
+        for turns in (0.0, 1 / 3, 2 / 3)
+    ]
+    swing = 2 * abs(np.dot(seen, np.exp(2j * np.pi * np.arange(3) / 3))) / np.sum(seen)
+    assert swing == pytest.approx(0.5 * np.sinc(local) * contrast, abs=0.002)
+
+
+def test_airy_points_have_the_contrast_of_a_perfect_lens() -> None:
+    points = airy_points(4096)
+    for frequency in (0.02, 0.1, 0.3, 0.6):  # of the cutoff, 1 / (wavelength x f-number)
+        seen = np.cos(2 * np.pi * frequency * points[:, 1]).mean()
+        assert seen == pytest.approx(diffraction_mtf(frequency, 1.0), abs=0.01)
+
+
+def test_preset_behind_a_lens_with_everything_on() -> None:
+    preset = camera_preset("o3m151")
+    camera = replace(preset, grid=SENSOR, optics=LensOptics(petzval(), element=1))
+    capture = simulate_tof(wall(3.5), camera, PLANNED, seed=2)
+    plain = simulate_tof(wall(3.5), replace(preset, grid=SENSOR), PLANNED, seed=2)
+    assert capture.burst.valid.all()
+    # f-numbers of 2.17 and 2.1.
+    ratio = capture.burst.amplitude.mean() / plain.burst.amplitude.mean()
+    assert ratio == pytest.approx((2.1 / 2.17) ** 2, rel=0.02)
+    error_px = capture.truth.offset_px - PLANNED
+    assert 0 < np.abs(error_px).max() < 0.1
+
+
+def test_a_lens_that_cannot_move_the_image_is_refused() -> None:
+    with pytest.raises(ValueError, match="element from 0 to 2, got 3"):
+        LensOptics(petzval(), element=3)
+    with pytest.raises(TypeError, match="expected a Lens, got str"):
+        LensOptics("petzval_a")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="no ray"):
+        simulate_tof(wall(), lens_camera(), [(0.0, 300.0)], **EXACT)
+
+
+def test_quiet_camera_is_quiet() -> None:
+    camera = make_camera(SENSOR, optics=LensOptics(petzval()), readout=quiet())
+    first, again = (still(wall(), camera, seed=seed).burst.amplitude for seed in (1, 2))
+    np.testing.assert_array_equal(first, again)
