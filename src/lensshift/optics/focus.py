@@ -76,7 +76,7 @@ def scan_focus(
     azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
     axes = np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
     shape = rays.status.shape[:-1]
-    first = np.broadcast_to(np.asarray(first_mm, dtype=np.float64), shape).ravel()
+    first = np.broadcast_to(np.asarray(first_mm, dtype=np.float64), shape).copy().ravel()
     mtf = np.empty((len(first), len(azimuth), planes))
     focus_kernel.focus_mtf(
         *_flat(rays), weight, axes, np.abs(axes @ pupil_arms(rings).T), ring_edges(rings),
@@ -89,7 +89,7 @@ def _flat(rays: RayBundle) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Return position, direction and status with one leading axis."""
     count = rays.status.shape[-1]
     return (
-        rays.position_mm.reshape(-1, count, 2),
-        rays.direction.reshape(-1, count, 3),
-        rays.status.reshape(-1, count),
+        np.ascontiguousarray(rays.position_mm).reshape(-1, count, 2),
+        np.ascontiguousarray(rays.direction).reshape(-1, count, 3),
+        np.ascontiguousarray(rays.status).reshape(-1, count),
     )

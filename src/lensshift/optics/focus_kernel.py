@@ -47,14 +47,12 @@ def spot_means(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pupil_width(
-    direction: Array, status: Array, weight: Array, s: int, row: float, col: float
-) -> float:
+def _pupil_width(direction: Array, status: Array, weight: Array, row: float, col: float) -> float:
     """Return four standard deviations of the direction cosines along an azimuth."""
     total, mean, square = 0.0, 0.0, 0.0
-    for r in range(status.shape[1]):
-        if status[s, r] == 0:
-            cosine = row * direction[s, r, 0] + col * direction[s, r, 1]
+    for r in range(status.size):
+        if status[r] == 0:
+            cosine = row * direction[r, 0] + col * direction[r, 1]
             total += weight[r]
             mean += weight[r] * cosine
             square += weight[r] * cosine * cosine
@@ -95,27 +93,29 @@ def focus_mtf(
     rings, arms = edges.size - 1, along.shape[1]
     x, y = np.empty(weight.size), np.empty(weight.size)
     c, d = np.empty(weight.size), np.empty(weight.size)
-    for s, a in np.ndindex(out.shape[:2]):
-        row, col = axes[a, 0], axes[a, 1]
-        v = min(turns * wavelength_mm / _pupil_width(direction, status, weight, s, row, col), 1.0)
-        total, used = 0.0, 0
-        for j in range(arms):
-            square = overlap_square(v, along[a, j])
-            for k in range(rings):
-                share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
-                if share <= 0.0:
-                    break
-                r = k * arms + j
-                if status[s, r] != 0:
-                    continue
-                part = share * weight[r]
-                slope = row * direction[s, r, 0] + col * direction[s, r, 1]
-                slope /= direction[s, r, 2]
-                at = row * position[s, r, 0] + col * position[s, r, 1] + first[s] * slope
-                angle, turn = 2.0 * np.pi * turns * at, 2.0 * np.pi * turns * step * slope
-                x[used], y[used] = part * np.cos(angle), part * np.sin(angle)
-                c[used], d[used] = np.cos(turn), np.sin(turn)
-                total += part
-                used += 1
-        scale = diffraction(v) / total if total > 0.0 else 0.0
-        _sum_planes(x[:used], y[:used], c[:used], d[:used], scale, out[s, a])
+    omega = 2.0 * np.pi * turns
+    for s in range(out.shape[0]):
+        for a in range(out.shape[1]):
+            row, col = axes[a, 0], axes[a, 1]
+            width = _pupil_width(direction[s], status[s], weight, row, col)
+            v = min(turns * wavelength_mm / width, 1.0)
+            total, used = 0.0, 0
+            for j in range(arms):
+                square = overlap_square(v, along[a, j])
+                for k in range(rings):
+                    share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
+                    r = k * arms + j
+                    if share <= 0.0 or status[s, r] != 0:
+                        continue
+                    part = share * weight[r]
+                    slope = row * direction[s, r, 0] + col * direction[s, r, 1]
+                    slope /= direction[s, r, 2]
+                    at = row * position[s, r, 0] + col * position[s, r, 1] + first[s] * slope
+                    x[used] = part * np.cos(omega * at)
+                    y[used] = part * np.sin(omega * at)
+                    c[used] = np.cos(omega * step * slope)
+                    d[used] = np.sin(omega * step * slope)
+                    total += part
+                    used += 1
+            scale = diffraction(v) / total if total > 0.0 else 0.0
+            _sum_planes(x[:used], y[:used], c[:used], d[:used], scale, out[s, a])

@@ -168,7 +168,8 @@ def _spot_otf(
     if np.any(away):
         axial = np.where(spot.weight > 0, spot.direction[..., 2], 1.0)
         moved = moved + away[..., None, None] * spot.direction[..., :2] / axial[..., None]
-    landing = np.moveaxis(moved @ axes, -1, -2)  # [... azimuth ray]
+    # Contiguous and writable, so that Numba compiles the kernel once.
+    landing = np.ascontiguousarray(np.moveaxis(moved @ axes, -1, -2))  # [... azimuth ray]
     cosine = np.moveaxis(spot.direction[..., :2] @ axes, -1, -2)
     weight = spot.weight[..., None, :]
     mean = (weight * cosine).sum(axis=-1, keepdims=True)
@@ -178,10 +179,10 @@ def _spot_otf(
     count, rays = len(axes.T), landing.shape[-1]
     spot_otf(
         landing.reshape(-1, count, rays),
-        np.broadcast_to(spot.weight, (*landing.shape[:-2], rays)).reshape(-1, rays),
+        np.broadcast_to(spot.weight, (*landing.shape[:-2], rays)).copy().reshape(-1, rays),
         np.abs(axes.T @ pupil_arms(rings).T),
         ring_edges(rings),
-        np.broadcast_to(shear_mm, landing.shape[:-1]).reshape(-1, count),
+        np.broadcast_to(shear_mm, landing.shape[:-1]).copy().reshape(-1, count),
         frequency_lpmm,
         otf.reshape(-1, count, len(frequency_lpmm)),
     )

@@ -31,6 +31,28 @@ def diffraction(v: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _sum_rays(
+    landing: Array, weight: Array, along: Array, edges: Array, v: float, turn: float
+) -> complex:
+    """Return the OTF of one spot, azimuth and frequency."""
+    rings, arms = edges.size - 1, along.size
+    real, imaginary, total = 0.0, 0.0, 0.0
+    for j in range(arms):
+        square = overlap_square(v, along[j])
+        for k in range(rings):
+            share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
+            if share <= 0.0:
+                break
+            r = k * arms + j
+            part = share * weight[r]
+            real += part * np.cos(turn * landing[r])
+            imaginary += part * np.sin(turn * landing[r])
+            total += part
+    scale = diffraction(v) / total if total > 0.0 else 0.0
+    return complex(scale * real, scale * imaginary)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def spot_otf(
     landing: Array, weight: Array, along: Array, edges: Array, shear: Array, frequency: Array,
     out: Array,
@@ -50,22 +72,11 @@ def spot_otf(
     frequency : [frequency] f, in line pairs per mm
     out : [spot azimuth frequency], complex
     """
-    rings, arms = edges.size - 1, along.shape[1]
-    for s, a, f in np.ndindex(out.shape):
-        turn = -2.0 * np.pi * frequency[f]
-        v = min(shear[s, a] * abs(frequency[f]), 1.0)
-        real, imaginary, total = 0.0, 0.0, 0.0
-        for j in range(arms):
-            square = overlap_square(v, along[a, j])
-            for k in range(rings):
-                share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
-                if share <= 0.0:
-                    break
-                r = k * arms + j
-                part = share * weight[s, r]
-                angle = turn * landing[s, a, r]
-                real += part * np.cos(angle)
-                imaginary += part * np.sin(angle)
-                total += part
-        scale = diffraction(v) / total if total > 0.0 else 0.0
-        out[s, a, f] = scale * complex(real, imaginary)
+    for s in range(out.shape[0]):
+        for a in range(out.shape[1]):
+            for f in range(out.shape[2]):
+                turns = frequency[f]
+                v = min(shear[s, a] * abs(turns), 1.0)
+                out[s, a, f] = _sum_rays(
+                    landing[s, a], weight[s], along[a], edges, v, -2.0 * np.pi * turns
+                )

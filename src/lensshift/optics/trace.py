@@ -141,7 +141,10 @@ class _Rays:
 
 
 class _System:
-    """A lens, its builds and fields as the plain arrays that the kernel takes."""
+    """A lens, its builds and fields as the plain arrays that the kernel takes.
+
+    Always writable and contiguous: for other arrays Numba would compile the kernel again.
+    """
 
     def __init__(
         self, lens: Lens, build: Build, fields: Array, wavelength_nm: float | None
@@ -169,7 +172,7 @@ class _System:
         self.sensor = np.ascontiguousarray(ends[:, -1])
         self.vertices = np.concatenate([self.decenter, starts[..., None]], axis=-1)
         self.rotations = np.ascontiguousarray(_rotations(self._flat(tilt, 2)))
-        self.index = np.ascontiguousarray(self._flat(index, 1))
+        self.index = self._flat(index, 1).copy()
         self._tables(lens)
 
     def _flat(self, values: Array, trailing: int) -> Array:
@@ -230,7 +233,7 @@ class _System:
         self.follow(rays, surfaces, self.sensor, heights, met)
         shape = (*self.shape, rays.path.shape[1])
         return RayBundle(
-            position_mm=rays.origin[..., :2].reshape(*shape, 2),
+            position_mm=np.ascontiguousarray(rays.origin[..., :2]).reshape(*shape, 2),
             direction=rays.direction.reshape(*shape, 3),
             path_mm=rays.path.reshape(shape),
             status=rays.status.reshape(shape),
