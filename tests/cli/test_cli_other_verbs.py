@@ -232,6 +232,7 @@ def test_fidelity_refuses(
 class FakeSummary:
     files: tuple[Path, ...]
     fidelity: dict[str, dict[str, float]]
+    depth: dict[str, dict[str, float]]
     reconstruction: Reconstruction
     seconds: float
 
@@ -244,18 +245,21 @@ def test_run_hands_over_to_the_pipeline(
     def pipeline_run(out_dir: Path, **options: Any) -> FakeSummary:
         seen.update(out_dir=out_dir, **options)
         options["on_iteration"](1, 1.0)
-        result = fake(burst, scale=options["scale"], channel="auto", method=options["method"])
+        scale, method = options["scale"] or 2, options["method"] or "auto"
+        result = fake(burst, scale=scale, channel="auto", method=method)
         numbers = {"auto": {"psnr_db": 45.5, "ssim": 0.99, "rmse": 0.005}}
-        return FakeSummary((out_dir / "sharp.nc",), numbers, result, 0.5)
+        depth = {"auto": {"edge_rmse_m": 0.05, "flat_rmse_m": 0.012}}
+        return FakeSummary((out_dir / "sharp.nc",), numbers, depth, result, 0.5)
 
     module = types.ModuleType("lensshift.pipeline")
     module.run = pipeline_run  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "lensshift.pipeline", module)
     done = call("run", "--out", tmp_path / "o", "--scale", 3, "--method", "irwsr", "--seed", 4)
     assert done.exit_code == 0, done.output
-    assert (seen["out_dir"], seen["scale"], seen["method"], seen["seed"]) == (
-        tmp_path / "o", 3, "irwsr", 4,
+    assert (seen["out_dir"], seen["scale"], seen["method"], seen["seed"], seen["config"]) == (
+        tmp_path / "o", 3, "irwsr", 4, None,
     )  # fmt: skip
+    assert "RMSE 50.0 mm at edges, 12.0 mm elsewhere" in done.stdout
     assert "PSNR 45.50 dB, SSIM 0.9900, RMSE 0.005" in done.stdout
     found = json.loads(call("run", "--out", tmp_path / "o", "--json").stdout)
     assert found["fidelity"]["auto"]["psnr_db"] == 45.5

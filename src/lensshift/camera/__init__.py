@@ -12,6 +12,7 @@ from lensshift.camera.flat import (
     simulate_burst,
 )
 from lensshift.camera.output import O3mImages
+from lensshift.camera.pattern import PATTERNS, grid_pattern_px, named_pattern_px
 from lensshift.camera.presets import camera_preset, preset_names
 from lensshift.camera.radiometry import closed_form_distance_std_m
 from lensshift.camera.settings import (
@@ -36,6 +37,7 @@ from lensshift.camera.simulate import (
 )
 
 __all__ = [
+    "PATTERNS",
     "QUARTER_SQUARE_PX",
     "Ambient",
     "Drift",
@@ -56,6 +58,8 @@ __all__ = [
     "Validity",
     "camera_preset",
     "closed_form_distance_std_m",
+    "grid_pattern_px",
+    "named_pattern_px",
     "pixel_means",
     "preset_names",
     "simulate_burst",

@@ -84,20 +84,22 @@ class LensOptics:
     Parameters
     ----------
     lens : at rest
-    element : number of the element that moves, counted from 0
+    element : number of the element that moves, counted from 0; None: the lens stays where it is
+        and the sensor moves
     transmission : share of the light that lens and filter let through
     diffraction : whether the point spread holds diffraction, beside the aberrations
     """
 
     lens: Lens
-    element: int = 0
+    element: int | None = 0
     transmission: float = 0.8
     diffraction: bool = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.lens, Lens):
             raise TypeError(f"expected a Lens, got {type(self.lens).__name__}")
-        self.lens.check_element(self.element)
+        if self.element is not None:
+            self.lens.check_element(self.element)
         share("transmission", self.transmission)
 
     @property

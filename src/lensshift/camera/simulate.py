@@ -176,7 +176,7 @@ def simulate_tof(
     notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
     flying = np.stack([_flying(seen, camera) for seen in frames])
     field = None
-    if isinstance(camera.optics, LensOptics):
+    if isinstance(camera.optics, LensOptics) and camera.optics.element is not None:
         field = ShiftField(np.stack([one.offset_px for one in moved]))
     return TofCapture(
         burst=_burst(images, camera, planned, shift_error_px, notes),

@@ -124,13 +124,16 @@ def _direction_splines(lens: Lens, grid: Grid, margin_px: float) -> tuple[Any, A
 def _lens_motions(optics: LensOptics, grid: Grid, offset_px: Array) -> list[Motion]:
     from lensshift.optics.shift import decenter_for_shift
 
+    if optics.element is None:
+        (blur,) = _spot_blurs(optics, 0, grid, np.zeros((1, 2)))
+        return [Motion(offset[None, None, :], blur) for offset in offset_px]
     decenter_mm = decenter_for_shift(optics.lens, optics.element, offset_px, grid)
-    fields_px = _offset_fields(optics, grid, decenter_mm)
-    blurs = _spot_blurs(optics, grid, decenter_mm)
+    fields_px = _offset_fields(optics.lens, optics.element, grid, decenter_mm)
+    blurs = _spot_blurs(optics, optics.element, grid, decenter_mm)
     return [Motion(field, blur) for field, blur in zip(fields_px, blurs, strict=True)]
 
 
-def _offset_fields(optics: LensOptics, grid: Grid, decenter_mm: Array) -> Array:
+def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> Array:
     """Return the traced offset of every pixel, [frame row col 2], by splines between nodes."""
     from scipy.interpolate import RectBivariateSpline
 
@@ -140,27 +143,26 @@ def _offset_fields(optics: LensOptics, grid: Grid, decenter_mm: Array) -> Array:
     step_px = (float(rows[1] - rows[0]), float(cols[1] - cols[0]))
     pitch_mm = (step_px[0] * grid.pitch_mm[0], step_px[1] * grid.pitch_mm[1])
     coarse = Grid((len(rows), len(cols)), pitch_mm)
-    field = shift_map(optics.lens, optics.element, decenter_mm, coarse).offset_px * step_px
+    field = shift_map(lens, element, decenter_mm, coarse).offset_px * step_px
     row, col = (np.arange(count, dtype=np.float64) for count in grid.shape)
     splines = [[RectBivariateSpline(rows, cols, one[..., i]) for i in (0, 1)] for one in field]
     return np.stack([np.stack([part(row, col) for part in pair], axis=-1) for pair in splines])
 
 
-def _spot_blurs(optics: LensOptics, grid: Grid, decenter_mm: Array) -> list[SpotBlur]:
+def _spot_blurs(optics: LensOptics, element: int, grid: Grid, decenter_mm: Array) -> list[SpotBlur]:
     """Return the spots of the lens in each frame."""
     from lensshift.optics.shift import moving
     from lensshift.optics.spots import fields_for_image, spots
 
     rows, cols = (_nodes(count, 0.5) for count in grid.shape)
-    build = moving(optics.lens, optics.element, decenter_mm[:, None, None, :])
+    lens = optics.lens
+    build = moving(lens, element, decenter_mm[:, None, None, :])
     near_mm = 1e-2 * min(grid.pitch_mm)  # the spots change slowly
-    fields = fields_for_image(
-        optics.lens, _places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm
-    )
-    spot = spots(optics.lens, fields, build=build, rings=_RINGS)
+    fields = fields_for_image(lens, _places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm)
+    spot = spots(lens, fields, build=build, rings=_RINGS)
     landing_mm = spot.ray_mm
     if optics.diffraction:
-        spread_mm = optics.lens.wavelength_nm * 1e-6 * optics.f_number
+        spread_mm = lens.wavelength_nm * 1e-6 * optics.f_number
         landing_mm = landing_mm + airy_points(landing_mm.shape[-2]) * spread_mm
         landing_mm -= np.einsum("...k,...ki->...i", spot.weight, landing_mm)[..., None, :]
     landing_px = landing_mm / np.asarray(grid.pitch_mm)

@@ -12,6 +12,7 @@ from lensshift.cli.info import info
 from lensshift.cli.lens import lens_verbs
 from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.run import run
+from lensshift.cli.simulate import simulate
 
 app = typer.Typer(
     name="lensshift",
@@ -46,6 +47,7 @@ def root(
 
 
 app.command()(run)
+app.command()(simulate)
 app.command()(reconstruct)
 app.command()(convert)
 app.command()(info)

@@ -1,4 +1,4 @@
-"""`lensshift run`: the whole chain on a small burst that comes with the package."""
+"""`lensshift run`: one simulated experiment, from the scene to the comparison with the truth."""
 
 from __future__ import annotations
 
@@ -7,42 +7,57 @@ from typing import Annotated
 
 import typer
 
-from lensshift.cli.reconstruct import (
-    MethodOption,
-    ScaleOption,
-    SeedOption,
-    channels_of,
-    check_method,
-    describe,
-    say_channels,
-)
+from lensshift.cli.reconstruct import channels_of, check_method, describe, say_channels
 from lensshift.cli.session import DebugOption, JsonOption, Progress, session
 
+ConfigArgument = Annotated[
+    Path | None, typer.Argument(help="Experiment in TOML; the built-in four boxes if not given.")
+]
 FolderOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the files it writes.")]
+ScaleOption = Annotated[
+    int | None, typer.Option(min=1, max=8, help="Upscaling factor instead of CONFIG's.")
+]
+MethodOption = Annotated[
+    str | None, typer.Option(help="Method instead of CONFIG's; a wrong name lists them.")
+]
+SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed instead of CONFIG's.")]
+PrintOption = Annotated[
+    bool, typer.Option("--print-config", help="Print the built-in experiment and stop.")
+]
 
 
 def run(
+    config: ConfigArgument = None,
     out: FolderOption = Path("lensshift-run"),
-    scale: ScaleOption = 2,
-    method: MethodOption = "auto",
-    seed: SeedOption = 0,
+    scale: ScaleOption = None,
+    method: MethodOption = None,
+    seed: SeedOption = None,
+    print_config: PrintOption = False,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
-    """Run the whole chain on a small built-in burst, and compare with the truth.
+    """Simulate one experiment, reconstruct its burst, and compare with the truth.
 
     \b
     Example:
       lensshift run --out first-run
+      lensshift run --print-config > mine.toml
+      lensshift run mine.toml --out second-run
     """
     with session(as_json=as_json, debug=debug) as current:
-        check_method(method)
+        if print_config:
+            from lensshift.pipeline.experiment_file import default_text
+
+            typer.echo(default_text(), nl=False)
+            raise typer.Exit
+        if method is not None:
+            check_method(method)
         from lensshift.pipeline import run as run_pipeline
 
-        progress = Progress(f"running with {method}")
+        progress = Progress("reconstructing")
         try:
             summary = run_pipeline(
-                out, scale=scale, method=method, seed=seed, on_iteration=progress
+                out, config=config, scale=scale, method=method, seed=seed, on_iteration=progress
             )
         finally:
             progress.close()
@@ -55,8 +70,13 @@ def run(
         say_channels(current, result)
         for name, numbers in summary.fidelity.items():
             current.say(
-                f"{name:<14} PSNR {numbers['psnr_db']:.2f} dB, SSIM {numbers['ssim']:.4f}, "
-                f"RMSE {numbers['rmse']:.4g}"
+                f"{name:<14} amplitude PSNR {numbers['psnr_db']:.2f} dB, "
+                f"SSIM {numbers['ssim']:.4f}, RMSE {numbers['rmse']:.4g}"
+            )
+        for name, numbers in summary.depth.items():
+            current.say(
+                f"{name:<14} distance RMSE {1e3 * numbers['edge_rmse_m']:.1f} mm at edges, "
+                f"{1e3 * numbers['flat_rmse_m']:.1f} mm elsewhere"
             )
         current.say("wrote " + ", ".join(str(path) for path in summary.files))
         current.result |= {
@@ -65,6 +85,7 @@ def run(
             "shape": shape,
             "seconds": summary.seconds,
             "fidelity": summary.fidelity,
+            "depth": summary.depth,
             "channels": {name: describe(part) for name, part in channels_of(result).items()},
             "files": summary.files,
         }

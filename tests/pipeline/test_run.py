@@ -8,21 +8,25 @@ from PIL import Image
 
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
-from lensshift.io import load_burst, load_image_stack, load_reconstruction
+from lensshift.io import load_burst, load_reconstruction
 from lensshift.pipeline import demo_burst, run
 
 
 def test_run_writes_what_it_says_and_beats_the_yardsticks(tmp_path: Path) -> None:
     seen: list[int] = []
     summary = run(tmp_path / "a" / "b", on_iteration=lambda number, _: seen.append(number))
-    names = ["burst.nc", "truth.tif", "result.nc", "preview.png"]
+    names = ["burst.nc", "truth.npz", "result.nc", "preview.png"]
     assert [path.name for path in summary.files] == names
     assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == sorted(names)
     assert load_burst(summary.files[0]).amplitude.shape == (4, 16, 64)
-    truth = load_image_stack(summary.files[1], pitch_mm=1.0).amplitude[0]
-    image = load_reconstruction(summary.files[2]).amplitude
+    with np.load(summary.files[1]) as stored:
+        truth, truth_m, offset_px = stored["amplitude"], stored["distance_m"], stored["offset_px"]
+    result = load_reconstruction(summary.files[2])
+    image = result.amplitude
     assert image is not None
-    assert image.image.shape == truth.shape == (32, 128)
+    assert result.distance_m is not None
+    assert image.image.shape == truth.shape == truth_m.shape == (32, 128)
+    assert 0 < np.abs(offset_px - load_burst(summary.files[0]).offset_px).max() < 0.1
     inside = np.s_[4:-4, 4:-4]
     rmse = float(np.sqrt(np.mean((image.image[inside] - truth[inside]) ** 2)))
     assert rmse == pytest.approx(summary.fidelity["auto"]["rmse"], rel=1e-4)
@@ -31,6 +35,8 @@ def test_run_writes_what_it_says_and_beats_the_yardsticks(tmp_path: Path) -> Non
     psnr_db = {name: numbers["psnr_db"] for name, numbers in summary.fidelity.items()}
     assert set(psnr_db) == {"nearest", "bicubic", "auto"}
     assert psnr_db["auto"] > max(psnr_db["nearest"], psnr_db["bicubic"]) + 3
+    edge_m = {name: numbers["edge_rmse_m"] for name, numbers in summary.depth.items()}
+    assert edge_m["auto"] < 0.8 * edge_m["bicubic"] < edge_m["nearest"]
     assert seen
     assert summary.seconds > 0
 

@@ -1,0 +1,187 @@
+"""One simulated experiment: a scene, a camera, a burst, its reconstruction, the comparison."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth, named_pattern_px
+from lensshift.camera import simulate_tof as take
+from lensshift.core.types import Burst, Reconstruction, ShiftField
+from lensshift.evaluation import depth_error, fidelity
+from lensshift.reconstruction.reconstruct import Channel, reconstruct
+from lensshift.scene import Scene
+
+YARDSTICKS = ("nearest", "bicubic")
+Shifts = Literal["planned", "true", "traced"]
+SHIFTS: tuple[Shifts, ...] = ("planned", "true", "traced")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """What is simulated, and how it is reconstructed.
+
+    Parameters
+    ----------
+    scene, camera : the world
+    pattern_px : [frame 2] where the image is sent
+    shift_error_px : rms error of the shift along each axis, which the reconstruction cannot know
+    seed : of noise and errors
+    scale : upscaling factor
+    method, channel : of the reconstruction
+    shifts : what the reconstruction is told: the planned ones; the true ones of the middle of
+        the sensor; or, for a traced lens, the planned ones with their field over the sensor
+    psf_sigma_px : blur of the optics that the reconstruction assumes, in LR pixels
+    name : for titles
+    """
+
+    scene: Scene
+    camera: TofCamera
+    pattern_px: NDArray[np.float64]
+    shift_error_px: float = 0.02
+    seed: int = 0
+    scale: int = 2
+    method: str = "auto"
+    channel: Channel = "auto"
+    shifts: Shifts = "planned"
+    psf_sigma_px: float = 0.3
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.shifts not in SHIFTS:
+            raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
+        if self.shifts == "traced" and not self._moves_a_lens:
+            raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
+
+    @property
+    def _moves_a_lens(self) -> bool:
+        optics = self.camera.optics
+        return isinstance(optics, LensOptics) and optics.element is not None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What an experiment gave.
+
+    Parameters
+    ----------
+    capture : burst, truth and raw data
+    reconstruction : by the method asked for
+    images : name -> channel -> [row col] on the HR grid: the yardsticks and the method
+    fidelity : name -> psnr_db, ssim, rmse of the amplitude, 4 HR px of border left out
+    depth : name -> errors of the distance against the truth, in metres
+    seconds : of the reconstruction asked for
+    """
+
+    capture: TofCapture
+    reconstruction: Reconstruction
+    images: dict[str, dict[str, NDArray[Any]]]
+    fidelity: dict[str, dict[str, float]]
+    depth: dict[str, dict[str, float]]
+    seconds: float
+
+
+def carry_out(
+    experiment: Experiment, *, on_iteration: Callable[[int, float], None] | None = None
+) -> Outcome:
+    """Simulate the burst, reconstruct it, and compare with the truth.
+
+    Parameters
+    ----------
+    on_iteration : called with the number of an iteration (from 1) and the objective
+
+    Raises
+    ------
+    ValueError
+        If there is no such method, or settings do not fit each other.
+    DataError
+        If no pixel of the burst is valid.
+    """
+    capture = simulate(experiment)
+    burst, field = told(experiment, capture)
+    start_s = time.perf_counter()
+    result = reconstruct(
+        burst,
+        experiment.scale,
+        experiment.method,
+        channel=experiment.channel,
+        psf_sigma_px=experiment.psf_sigma_px,
+        shift_field=field,
+        seed=experiment.seed,
+        on_iteration=on_iteration,
+    )
+    seconds = time.perf_counter() - start_s
+    images = {
+        name: images_of(reconstruct(burst, experiment.scale, name, std=False))
+        for name in YARDSTICKS
+    }
+    images[experiment.method] = images_of(result)
+    truth = capture.truth
+    return Outcome(
+        capture=capture,
+        reconstruction=result,
+        images=images,
+        fidelity={
+            name: asdict(fidelity(image["amplitude"], truth.amplitude))
+            for name, image in images.items()
+            if "amplitude" in image
+        },
+        depth={
+            name: depth_numbers(image["distance"], truth, experiment.scale)
+            for name, image in images.items()
+            if "distance" in image
+        },
+        seconds=seconds,
+    )
+
+
+def simulate(experiment: Experiment) -> TofCapture:
+    """Take the burst of an experiment."""
+    return take(
+        experiment.scene,
+        experiment.camera,
+        experiment.pattern_px,
+        scale=experiment.scale,
+        shift_error_px=experiment.shift_error_px,
+        seed=experiment.seed,
+    )
+
+
+def told(experiment: Experiment, capture: TofCapture) -> tuple[Burst, ShiftField | None]:
+    """Return the burst with the shifts that the reconstruction is told, and their field."""
+    from dataclasses import replace
+
+    burst = capture.burst
+    if experiment.shifts == "true":
+        return replace(burst, offset_px=capture.truth.offset_px), None
+    if experiment.shifts == "planned":
+        return burst, None
+    from lensshift.optics.shift import decenter_for_shift, shift_map
+
+    optics = experiment.camera.optics
+    if not isinstance(optics, LensOptics) or optics.element is None:
+        raise TypeError(f"expected a traced lens that moves, got {type(optics).__name__}")
+    decenter_mm = decenter_for_shift(optics.lens, optics.element, burst.offset_px, burst.grid)
+    return burst, shift_map(optics.lens, optics.element, decenter_mm, burst.grid)
+
+
+def images_of(result: Reconstruction) -> dict[str, NDArray[Any]]:
+    """Return the images of a reconstruction by channel."""
+    named = {"amplitude": result.amplitude, "distance": result.distance_m}
+    return {name: estimate.image for name, estimate in named.items() if estimate is not None}
+
+
+def depth_numbers(distance_m: NDArray[Any], truth: TofTruth, scale: int) -> dict[str, float]:
+    """Return the errors of a distance image against the truth."""
+    found = asdict(depth_error(distance_m, truth.distance_m, truth_valid=truth.valid, scale=scale))
+    return {name: float(value) for name, value in found.items()}
+
+
+def still_pattern_px() -> NDArray[np.float64]:
+    """Return the pattern of one frame at rest."""
+    return named_pattern_px("still")

@@ -1,0 +1,78 @@
+"""Images of one scene below each other, amplitude beside distance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.report.style import SMALL_PT, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+_UNITS = {"amplitude": "amplitude", "distance": "distance (m)"}
+_COLOURS = {"amplitude": "gray", "distance": "viridis"}
+_OUTSIDE = (0.5, 99.5)  # percentiles of the last image that are shown
+
+
+def shots_figure(
+    shown: Mapping[str, Mapping[str, Floats]], title: str = "", *, wide_in: float = 11.0
+) -> Figure:
+    """Draw images of one scene on one scale per channel.
+
+    Parameters
+    ----------
+    shown : label -> channel ("amplitude", "distance") -> [row col]; the last sets the scales
+    title : above all
+    wide_in : width of the figure
+
+    Raises
+    ------
+    ValueError
+        If there is no image.
+    """
+    channels = [name for name in _UNITS if any(name in images for images in shown.values())]
+    if not channels:
+        raise ValueError("expected at least one image, got none")
+    rows, cols = next(iter(next(iter(shown.values())).values())).shape
+    beside = rows > cols  # tall images stand side by side
+    count = (len(channels), len(shown)) if beside else (len(shown), len(channels))
+    side_in = wide_in / count[1]
+    with styled():
+        figure = new_figure(wide_in, count[0] * (side_in * rows / cols + 0.3) + 0.7)
+        panels = figure.subplots(*count, squeeze=False)
+        panels = panels.T if beside else panels
+        for number, channel in enumerate(channels):
+            low, high = _range(shown, channel)
+            drawn = None
+            for axes, (label, images) in zip(panels[:, number], shown.items(), strict=True):
+                axes.set_axis_off()
+                if channel not in images:
+                    continue
+                drawn = axes.imshow(
+                    np.abs(images[channel]), cmap=_COLOURS[channel], vmin=low, vmax=high
+                )
+                axes.set_title(label, fontsize=SMALL_PT)
+            if drawn is not None:
+                where = "right" if beside else "bottom"
+                bar = figure.colorbar(
+                    drawn, ax=list(panels[:, number]), location=where, shrink=0.6, aspect=40
+                )
+                bar.set_label(_UNITS[channel])
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    return figure
+
+
+def _range(shown: Mapping[str, Mapping[str, Floats]], channel: str) -> tuple[float, float]:
+    having = [images[channel] for images in shown.values() if channel in images]
+    values = np.abs(having[-1])
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, _OUTSIDE).tolist()
+    return low, high if high > low else low + 1.0

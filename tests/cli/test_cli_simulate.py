@@ -1,0 +1,115 @@
+"""`lensshift simulate` and `lensshift run CONFIG`: what they write and what they refuse."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensshift.io import load_burst, load_reconstruction
+
+Call = Callable[..., Any]
+
+SMALL = """
+[scene]
+name = "slanted_edge"
+[camera]
+output = "float"
+[camera.grid]
+shape = [11, 13]
+[reconstruction]
+method = "bicubic"
+"""
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    file = tmp_path / "small.toml"
+    file.write_text(SMALL, encoding="utf-8")
+    return file
+
+
+def test_burst_with_truth_and_phases_beside_it(call: Call, small: Path, tmp_path: Path) -> None:
+    out, phases = tmp_path / "edge.nc", tmp_path / "raw.npz"
+    done = call(
+        "simulate", "slanted_edge", "--camera", small, "-o", out, "--pattern", "3x3", "--scale", 3,
+        "--phases", phases, "--seed", 5, "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["files"] == [str(out), str(tmp_path / "edge.truth.npz"), str(phases)]
+    burst = load_burst(out)
+    assert burst.amplitude.shape == (9, 11, 13)
+    with np.load(tmp_path / "edge.truth.npz") as truth:
+        assert truth["amplitude"].shape == truth["distance_m"].shape == (33, 39)
+        error_px = truth["offset_px"] - burst.offset_px
+    assert 0 < np.abs(error_px).max() < 0.1
+    with np.load(phases) as raw:
+        d = raw["difference"][:, 0]
+        counts = 0.5 * np.hypot(d[:, 0] - d[:, 2], d[:, 1] - d[:, 3])
+        electrons = counts * raw["electrons_per_count"]
+        # The unit of the amplitude: a full tap in the long one of two exposures, 1 to 8.
+        full = np.where(raw["exposure"] == 1, 5e5, 5e5 / 8)
+    np.testing.assert_allclose(burst.amplitude, electrons / full, rtol=1e-6)
+
+
+def test_options_change_the_camera(call: Call, small: Path, tmp_path: Path) -> None:
+    def taken(*options: object) -> Any:
+        out = tmp_path / "b.nc"
+        done = call("simulate", "slanted_edge", "--camera", small, "-o", out, *options)
+        assert done.exit_code == 0, done.output
+        return load_burst(out)
+
+    plain, ideal = taken(), taken("--ideal", "--pattern", "still")
+    assert plain.frame_count == 4
+    assert ideal.frame_count == 1
+    again = taken("--ideal", "--pattern", "still", "--seed", 9, "--shift-error-px", 0)
+    exact = taken("--ideal", "--pattern", "still", "--shift-error-px", 0)
+    np.testing.assert_array_equal(again.amplitude, exact.amplitude)
+    assert taken("--ambient-klx", 80).meta["ambient"]["illuminance_klx"] == 80
+    assert taken("--lens", "petzval_a", "--element", 2).meta["optics"]["element"] == 1
+    assert taken("--lens", "petzval_a", "--element", 0).meta["optics"]["element"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["moon"], 1, "expected a scene file or one of four_boxes"),
+        (["four_boxes", "--camera", "phone"], 1, "expected a camera of o3m151"),
+        (["four_boxes", "-o", "burst.tif"], 2, "ends in .nc"),
+        (["four_boxes", "--phases", "raw.nc"], 2, "end in .npz"),
+        (["four_boxes", "--lens", "petzval_a", "--element", "9"], 1, "element"),
+        (["four_boxes", "--pattern", "star"], 2, "square"),
+        (["four_boxes", "-o", "none/burst.nc"], 1, "no folder"),
+    ],
+)
+def test_nonsense_is_refused(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], code: int,
+    said: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    done = call("simulate", *arguments)
+    assert done.exit_code == code, done.output
+    assert said in " ".join(done.stderr.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_run_carries_out_a_file(call: Call, small: Path, tmp_path: Path) -> None:
+    done = call("run", small, "--out", tmp_path / "o", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert set(found["fidelity"]) == set(found["depth"]) == {"nearest", "bicubic"}
+    result = load_reconstruction(tmp_path / "o" / "result.nc")
+    assert result.grid.shape == (22, 26)
+    assert call("run", tmp_path / "none.toml").exit_code == 1
+
+
+def test_the_built_in_experiment_can_be_printed_and_run(call: Call, tmp_path: Path) -> None:
+    done = call("run", "--print-config")
+    assert done.exit_code == 0
+    (tmp_path / "mine.toml").write_text(done.stdout, encoding="utf-8")
+    from lensshift.pipeline import default_experiment, load_experiment
+
+    assert load_experiment(tmp_path / "mine.toml").camera == default_experiment().camera

@@ -1,0 +1,121 @@
+"""Experiments in TOML: what they may say, and how they are refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensshift.camera import LensOptics, camera_preset, named_pattern_px
+from lensshift.core.errors import DataError
+from lensshift.pipeline import default_experiment, load_experiment, named_scene
+from lensshift.pipeline.experiment_file import SCENES
+from lensshift.scene import save_scene, slanted_depth_step
+
+EVERYTHING = """
+name = "all of it"
+[scene]
+file = "scene.toml"
+[camera]
+preset = "o3m151"
+output = "float"
+[camera.grid]
+shape = [9, 13]
+[camera.lens]
+name = "petzval_b"
+element = 2
+[camera.illumination]
+modulation_hz = [20e6]
+[camera.ambient]
+illuminance_klx = 40
+[burst]
+offset_px = [[0.0, 0.0], [0.25, -0.5]]
+shift_error_px = 0.0
+seed = 4
+[reconstruction]
+scale = 3
+method = "tikhonov"
+channel = "amplitude"
+shifts = "traced"
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    file = folder / "mine.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_everything_that_a_file_can_say(tmp_path: Path) -> None:
+    save_scene(slanted_depth_step(), tmp_path / "scene.toml")
+    found = load_experiment(write(tmp_path, EVERYTHING))
+    camera = found.camera
+    assert (found.name, found.seed, found.scale) == ("all of it", 4, 3)
+    assert (found.method, found.channel, found.shifts) == ("tikhonov", "amplitude", "traced")
+    np.testing.assert_array_equal(found.pattern_px, [(0.0, 0.0), (0.25, -0.5)])
+    assert len(found.scene.objects) == len(slanted_depth_step().objects)
+    assert camera.grid.shape == (9, 13)
+    assert camera.grid.pitch_mm == (0.155, 0.155)
+    assert isinstance(camera.optics, LensOptics)
+    assert camera.optics.element == 1
+    assert camera.illumination.modulation_hz == (20e6,)
+    assert camera.illumination.intensity_w_per_sr == 20.0  # as in the preset
+    assert camera.ambient is not None
+    assert camera.ambient.illuminance_klx == 40
+    assert camera.output == "float"
+
+
+def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
+    empty, default = load_experiment(write(tmp_path, "")), default_experiment()
+    assert empty.camera == default.camera == camera_preset("o3m151")
+    np.testing.assert_array_equal(empty.pattern_px, default.pattern_px)
+    np.testing.assert_array_equal(default.pattern_px, named_pattern_px("square"))
+    assert (empty.scale, empty.method, empty.channel) == (2, "auto", "auto")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("nam = 1", "mine.toml: nam: is not known, expected name, scene"),
+        ("[scene]\nname = 'moon'", "mine.toml: scene.name: expected one of four_boxes"),
+        ("[scene]\nfile = 'none.toml'", "none.toml: "),
+        ("[camera]\npreset = 'phone'", "mine.toml: expected a camera of o3m151"),
+        ("[camera.pixels]\nfill = 1", "camera.pixels.fill: is not known, expected fill_factor"),
+        ("[camera.pixels]\nfill_factor = 2", "mine.toml: expected fill_factor above 0"),
+        ("[camera]\npixels = 3", "camera.pixels: expected a table, got 3"),
+        ("[camera.lens]\nname = 'none'", "none"),
+        ("[camera.lens]\nelement = -1", "expected a whole camera.lens.element of at least 0"),
+        ("[burst]\npattern = 'star'", "expected a pattern of square, 3x3, 4x4, still"),
+        ("[burst]\nseed = 1.5", "expected a whole seed"),
+        ("[reconstruction]\nshifts = 'guessed'", "expected shifts planned, true, traced"),
+        ("[reconstruction]\nshifts = 'traced'", "a camera whose lens is traced and moves"),
+        ("= 3", "mine.toml: is not TOML"),
+    ],
+)
+def test_what_does_not_fit_is_named(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(DataError) as caught:
+        load_experiment(write(tmp_path, text))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"none\.toml: cannot be read"):
+        load_experiment(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_by_name(name: str) -> None:
+    assert named_scene(name).objects
+
+
+def test_patterns_sample_a_pixel_evenly() -> None:
+    for name, per_side in (("still", 1), ("square", 2), ("3x3", 3), ("4x4", 4)):
+        offset_px = named_pattern_px(name)
+        assert offset_px.shape == (per_side**2, 2)
+        np.testing.assert_allclose(offset_px.mean(axis=0), 0.0, atol=1e-15)
+        places = np.unique(offset_px.round(9))
+        np.testing.assert_allclose(np.diff(places), 1 / per_side)
+        steps = np.abs(np.diff(offset_px, axis=0)).sum(axis=1)
+        np.testing.assert_allclose(steps, 1 / per_side)  # each to a neighbour
+    with pytest.raises(ValueError, match="3x3"):
+        named_pattern_px("5x5")
