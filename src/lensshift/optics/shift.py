@@ -64,7 +64,7 @@ def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> S
 def stage_map(lens: Lens, element: int, grid: Grid) -> StageMap:
     """Return how far the image moves per mm of one element, over the sensor and at its centre.
 
-    Central differences over 0.05 mm; the stage axes are (row, col).
+    The stage axes are (row, col).
 
     Raises
     ------
@@ -73,8 +73,8 @@ def stage_map(lens: Lens, element: int, grid: Grid) -> StageMap:
     """
     centre = Grid((1, 1), grid.pitch_mm)
     return StageMap(
-        px_per_mm=_px_per_mm(lens, element, centre)[0, 0],
-        field_px_per_mm=_px_per_mm(lens, element, grid),
+        px_per_mm=px_per_mm_over(lens, element, centre)[0, 0],
+        field_px_per_mm=px_per_mm_over(lens, element, grid),
     )
 
 
@@ -109,7 +109,7 @@ def decenter_for_shift(
         )
     targets = wanted.reshape(-1, 2)
     centre = Grid((1, 1), grid.pitch_mm)
-    mm_per_px = np.linalg.inv(_px_per_mm(lens, element, centre)[0, 0])
+    mm_per_px = np.linalg.inv(px_per_mm_over(lens, element, centre)[0, 0])
     moves_mm = targets @ mm_per_px.T
     for _ in range(_INVERSE_STEPS):
         error_px = targets - shift_map(lens, element, moves_mm, centre).offset_px[:, 0, 0]
@@ -175,8 +175,14 @@ def moving(lens: Lens, element: int, decenter_mm: Array) -> Build:
     return Build(decenter_mm=moves)
 
 
-def _px_per_mm(lens: Lens, element: int, grid: Grid) -> Array:
-    """Return [row col 2 2] image over stage, by central differences."""
+def px_per_mm_over(lens: Lens, element: int, grid: Grid) -> Array:
+    """Return [row col 2 2] image over stage at every pixel, by central differences over 0.05 mm.
+
+    Raises
+    ------
+    ValueError
+        As in `shift_map`.
+    """
     probes = _PROBE_MM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     offset_px = shift_map(lens, element, probes, grid).offset_px
     row, col = offset_px[0] - offset_px[1], offset_px[2] - offset_px[3]
