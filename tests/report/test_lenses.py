@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from drawn import line_labelled
+from drawn import assert_well_drawn, line_labelled
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.axes import Axes
@@ -15,6 +15,7 @@ from sights import built, movers, sensitivities
 
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
+from lensshift.optics.actuator import ActuatorBudget
 from lensshift.optics.layout import distortion_grid, layout
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import load_lens
@@ -23,7 +24,7 @@ from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import moving, shift_map
 from lensshift.optics.spots import spots
-from lensshift.report.lens_build import tolerance_figure
+from lensshift.report.lens_build import budget_figure, tolerance_figure
 from lensshift.report.lens_maps import (
     distortion_figure,
     field_figure,
@@ -239,6 +240,19 @@ def test_the_tolerances_that_matter_most_are_drawn_below() -> None:
     bars = figure.axes[4].patches
     np.testing.assert_allclose([bar.get_width() for bar in bars], [r.mtf_loss for r in table[:10]])
     assert figure.axes[4].yaxis_inverted()  # the largest loss on top
+
+
+def test_a_budget_is_drawn_part_by_part() -> None:
+    parts_px = {"repeatability": 0.03, "backlash": 0.04, "encoder": 0.0, "drift": 0.12}
+    figure = budget_figure(ActuatorBudget(1, 44.4, 0.0056, parts_px, 0.13, 1.234, 0.056))
+    (axes,) = figure.axes
+    np.testing.assert_allclose(
+        [bar.get_width() for bar in axes.patches], [*parts_px.values(), 0.13]
+    )
+    assert [text.get_text() for text in axes.get_yticklabels()] == [*parts_px, "all together"]
+    assert axes.get_title("left") == "element 2: costs 1.23 dB of PSNR and 5.6 % of MTF50"
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first error on top
+    assert_well_drawn(figure)
 
 
 @given(st.floats(1e-9, 1e9))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.lens_design import optimise, tolerance
+from lensshift.cli.lens_design import budget, optimise, tolerance
 from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
 from lensshift.cli.optics import (
     PITCH_MM,
@@ -41,6 +41,7 @@ lens_verbs = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 lens_verbs.command()(optimise)
 lens_verbs.command()(tolerance)
+lens_verbs.command()(budget)
 
 
 FieldOption = Annotated[

@@ -1,4 +1,4 @@
-"""`lensshift lens optimise` and `tolerance`: find a lens, and see what building it does."""
+"""`lensshift lens optimise`, `tolerance` and `budget`: find a lens, build it, drive it."""
 
 from __future__ import annotations
 
@@ -67,6 +67,21 @@ ShareOption = Annotated[
     float, typer.Option("--focal-share", min=0.0, help="Of the focal length of each element.")
 ]
 IndexOption = Annotated[float, typer.Option("--index", min=0.0, help="Of each refractive index.")]
+RepeatabilityOption = Annotated[
+    float, typer.Option("--repeatability-um", min=0.0, help="Standard deviation of where it stops.")
+]
+BacklashOption = Annotated[
+    float, typer.Option("--backlash-um", min=0.0, help="Between approaches from the two sides.")
+]
+EncoderOption = Annotated[
+    float, typer.Option("--encoder-um", min=0.0, help="One step of the encoder.")
+]
+DriftOption = Annotated[
+    float, typer.Option("--drift-um", min=0.0, help="From the first frame of a burst to the last.")
+]
+NoiseOption = Annotated[
+    float, typer.Option("--noise", help="Of a pixel: standard deviation as a share of full scale.")
+]
 
 
 def optimise(
@@ -224,7 +239,11 @@ def tolerance(
         columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
         columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
         write_table(current, csv, columns)
-        write_plot(current, plot, lambda: figure_of("lens_build", "tolerance_figure", found, limit))
+        write_plot(
+            current,
+            plot,
+            lambda: figure_of("lens_build", "tolerance_figure", found, limit, table=table),
+        )
 
 
 def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: float) -> None:
@@ -242,3 +261,46 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
     )
     current.result |= {"builds": builds, "percentiles_5_50_95": (low, median, high)}
     current.result |= {"limit": limit, "yield": share, "frequency_lpmm": found.frequency_lpmm}
+
+
+def budget(
+    lens: LensArgument,
+    element: ElementOption = 1,
+    repeatability_um: RepeatabilityOption = 0.0,
+    backlash_um: BacklashOption = 0.0,
+    encoder_um: EncoderOption = 0.0,
+    drift_um: DriftOption = 0.0,
+    noise: NoiseOption = 0.005,
+    shift_px: ShiftOption = SHIFT_PX,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Tell what the errors of an actuator cost: micrometres, pixels, lost resolution.
+
+    The losses are those of simulated bursts of four frames whose shifts were wrong by as much,
+    against bursts whose shifts are known.
+
+    \b
+    Example:
+      lensshift lens budget petzval_search --element 2 --repeatability-um 1 --backlash-um 5
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
+
+        check_outputs([], None, plot)
+        model, grid = read_lens(lens), sensor_grid(sensor, pitch_mm)
+        found = actuator_budget(
+            model,
+            element_of(model, element),
+            grid,
+            Actuator(repeatability_um, backlash_um, encoder_um, drift_um),
+            noise=noise,
+            shift_px=shift_px,
+        )
+        current.say(format_budget(found))
+        current.result |= {"lens": model.name or lens, "noise": noise}
+        current.result |= asdict(found) | {"element": element}
+        write_plot(current, plot, lambda: figure_of("lens_build", "budget_figure", found))

@@ -1,4 +1,4 @@
-"""Figures of lenses as they are built: spread of sharpness and shift, yield, what matters most."""
+"""Figures of lenses as they are built and driven: spread, yield, what matters most."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from lensshift.optics.actuator import ActuatorBudget
     from lensshift.optics.tolerance import Sensitivity, ToleranceResult
 
 _MOST_BINS, _BUILDS_A_BIN = 40, 12
@@ -55,6 +56,26 @@ def tolerance_figure(
         focus.set_title(f"refocus, {np.std(found.refocus_mm):.3f} mm rms")
         if rows:
             _draw_table(parts[1].subplots(), rows)
+    return figure
+
+
+def budget_figure(budget: ActuatorBudget) -> Figure:
+    """Draw what each error of an actuator adds to the error of the shifts, and what they cost."""
+    sizes_px = {**budget.parts_px, "all together": budget.shift_error_px}
+    with styled():
+        figure = new_figure(6.0, 2.8)
+        axes = figure.subplots()
+        colours = [BLUE] * len(budget.parts_px) + [INK]
+        bars = axes.barh(list(sizes_px), list(sizes_px.values()), color=colours, height=0.65)
+        axes.bar_label(bars, fmt="%.4f", padding=3.0, fontsize=SMALL_PT, color=GREY)
+        axes.margins(x=0.2)
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("error of the shift along each axis (px rms)")
+        axes.set_title(
+            f"element {budget.element + 1}: costs {budget.psnr_loss_db:.2f} dB of PSNR "
+            f"and {100 * budget.mtf50_loss:.1f} % of MTF50"
+        )
     return figure
 
 

@@ -1,0 +1,146 @@
+"""`lensshift lens optimise`, `tolerance` and `budget`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stand_in import Call
+
+from lensshift.optics.lens_file import load_lens
+from lensshift.optics.paraxial import paraxial
+
+SENSOR = "--sensor", "33x11", "--pitch-mm", "0.25,0.3"
+NONE = [
+    text
+    for name in ("decenter-mm", "tilt-deg", "gap-mm", "focal-share", "index")
+    for text in (f"--{name}", "0")
+]
+
+
+def numbers(call: Call, *arguments: object) -> dict[str, object]:
+    done = call("lens", *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    found: dict[str, object] = json.loads(done.stdout)
+    return found
+
+
+def test_builds_are_told_counted_and_drawn(call: Call, tmp_path: Path) -> None:
+    csv, plot = tmp_path / "builds.csv", tmp_path / "builds.svg"
+    arguments = "tolerance", "petzval_b", "--builds", 12, "--limit", 0.85, *SENSOR
+    found = numbers(call, *arguments, "--csv", csv, "--plot", plot)
+    table = np.genfromtxt(csv, delimiter=",", names=True)
+    assert table["build"].tolist() == list(range(12))
+    assert found["yield"] == np.mean(table["worst_mtf"] >= 0.85)
+    assert 0.0 < found["yield"] < 1.0  # type: ignore[operator]
+    assert found["percentiles_5_50_95"] == pytest.approx(
+        np.percentile(table["worst_mtf"], [5, 50, 95]), abs=1e-6
+    )
+    assert found["frequency_lpmm"] == pytest.approx(1.0 / 0.3)  # twice the Nyquist frequency
+    assert found["element"] == 1
+    rows = found["sensitivity"]
+    assert len(rows) == 14  # type: ignore[arg-type]
+    assert {row["element"] for row in rows} == {1, 2, 3}  # type: ignore[attr-defined]
+    drawn = plot.read_text()
+    assert f"{100 * found['yield']:.1f} % of 12 builds keep 0.85" in drawn  # type: ignore[operator]
+    assert "loss of the least MTF, each tolerance at its limit alone" in drawn
+    other = numbers(call, *arguments, "--seed", 1)
+    assert other["percentiles_5_50_95"] != found["percentiles_5_50_95"]
+    assert other["sensitivity"] == rows
+
+
+def test_without_tolerances_every_build_is_the_lens_as_drawn(call: Call) -> None:
+    arguments = "tolerance", "petzval_b", "--builds", 3, *NONE, *SENSOR
+    low, median, high = numbers(call, *arguments)["percentiles_5_50_95"]  # type: ignore[misc]
+    assert low == median == high
+    text = call("lens", *arguments, "--limit", 0.5).stdout
+    assert f"as drawn {median:.3f}" in text
+    assert "100.0 % of the builds keep 0.5" in text
+    assert "largest error of a shift: 0.0000 px" in text
+
+
+def test_the_only_gap_of_two_lenses_is_found_and_written(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "pair.toml"
+    train = "al2550", "eo33950", "--focal-length-mm", 42.7, "--object-mm", 3500, *SENSOR
+    found = numbers(call, "optimise", *train, "--element", 2, "--mtf", 0.1, "-o", out)
+    (design,) = found["designs"]  # type: ignore[misc]
+    assert design["element"] == 2
+    assert design["train"] == ["Thorlabs AL2550", "Edmund 33950"]
+    written = load_lens(out)
+    assert written.gaps_mm == pytest.approx(design["gaps_mm"])
+    assert paraxial(written).focal_length_mm == pytest.approx(42.7, abs=1e-3)
+    shift = numbers(call, "shiftmap", out, "--element", 2, *SENSOR)
+    stroke_mm = np.abs(np.array(shift["travel_mm"])[:, 1])
+    assert stroke_mm == pytest.approx([abs(design["stroke_mm"])] * 4, rel=0.01)
+
+
+def test_the_best_of_several_lenses_comes_first(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "pair.zmx"
+    places = "al2550,eo33944", "eo33950", "--focal-length-mm", 42.7, "--element", 1
+    done = call("lens", "optimise", *places, "--keep", 2, *SENSOR, "-o", out)
+    assert done.exit_code == 0, done.output
+    assert "designs meet the goal" in done.stdout
+    assert f"wrote {out}" in " ".join(done.stdout.split())
+    found = numbers(call, "optimise", *places, "--keep", 2, *SENSOR)
+    worst = [min(row["mtf_centred"], row["mtf_moved"]) for row in found["designs"]]  # type: ignore[attr-defined]
+    assert worst == sorted(worst, reverse=True)
+    assert numbers(call, "show", out)["focal_length_mm"] == pytest.approx(42.7, abs=2e-3)
+
+
+def test_a_budget_follows_from_the_travel(call: Call, tmp_path: Path) -> None:
+    plot = tmp_path / "budget.svg"
+    errors = "--repeatability-um", 3, "--backlash-um", 8
+    found = numbers(call, "budget", "petzval_a", "--element", 2, *errors, "--plot", plot)
+    stroke_um = found["stroke_um"]
+    assert stroke_um == pytest.approx(126.7, abs=0.6)
+    # 3 and 4 um make 5 um; 0.3 % more at the edge of the sensor than at its centre.
+    expected_px = 0.25 * 5.0 / stroke_um  # type: ignore[operator]
+    assert found["shift_error_px"] == pytest.approx(expected_px, rel=0.02)
+    assert found["element"] == 2
+    assert found["psnr_loss_db"] > 0  # type: ignore[operator]
+    assert "error of the shift along each axis" in plot.read_text()
+    text = call("lens", "budget", "petzval_a", "--element", 2, *errors).stdout
+    assert f"stroke {stroke_um:.1f} um" in text
+    assert f"costs {found['psnr_loss_db']:.2f} dB of PSNR" in text
+
+
+def test_a_budget_beyond_what_was_simulated_warns(call: Call) -> None:
+    done = call("lens", "budget", "petzval_a", "--drift-um", "100")
+    assert done.exit_code == 0, done.output
+    assert "outside what was simulated" in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["tolerance", "petzval_a", "--element", "4"], 2, "an element from 1 to 3, got 4"),
+        (["tolerance", "petzval_a", "--builds", "0"], 2, "'--builds'"),
+        (["tolerance", "petzval_a", "--tilt-deg", "-1"], 2, "'--tilt-deg'"),
+        (["optimise", "al2550", "--focal-length-mm", "42.7"], 1, "at least two places"),
+        (
+            ["optimise", "al2550", "eo45030", "--focal-length-mm", "42.7", "--element", "3"],
+            2,
+            "an element from 1 to 2, got 3",
+        ),
+        (
+            ["optimise", "al2550", "eo45030", "--focal-length-mm", "42.7", "-o", "best.txt"],
+            2,
+            "to end in .toml or .zmx",
+        ),
+        (["budget", "petzval_a", "--noise", "0"], 1, "noise > 0"),
+        (["budget", "petzval_a", "--drift-um", "-1"], 2, "'--drift-um'"),
+    ],
+)
+def test_wrong_arguments(
+    call: Call,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call("lens", *arguments)
+    assert done.exit_code == code, done.output
+    assert message in " ".join(done.stderr.split())
+    assert list(tmp_path.iterdir()) == []
