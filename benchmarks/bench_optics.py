@@ -14,9 +14,10 @@ import pytest
 from lensshift.core.grid import Grid
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import sensor_mtf
-from lensshift.optics.otf import exact_mtf
+from lensshift.optics.otf import exact_mtf, exact_otf
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.shift import shift_map
+from lensshift.optics.tolerance import Tolerances, tolerance_analysis
 from lensshift.optics.trace import Build, trace
 from lensshift.optics.which import which_element
 from lensshift.optics.zmx_writer import save_zmx
@@ -50,6 +51,18 @@ def test_mtf_over_the_sensor(report: list[str]) -> None:
 def test_exact_mtf_of_a_field(report: list[str]) -> None:
     taken_s = fastest_s(lambda: exact_mtf(LENS, [0.0, 0.11], FREQUENCY_LPMM))
     report.append(f"exact MTF of a field, 15 frequencies {taken_s:8.3f} s")
+
+
+def test_exact_mtf_of_a_finely_sampled_pupil(report: list[str]) -> None:
+    taken_s = fastest_s(lambda: exact_otf(LENS, [0.0, 0.11], [6.452], 0.0, samples=1024), rounds=3)
+    report.append(f"the same, one frequency, 1024 across {taken_s:8.3f} s   wanted 0.5")
+
+
+def test_builds(report: list[str]) -> None:
+    taken_s = fastest_s(
+        lambda: tolerance_analysis(LENS, 0, SENSOR, Tolerances(), builds=1000), rounds=1
+    )
+    report.append(f"1000 builds x 5 x 9 x 4, refocused   {taken_s:8.3f} s   wanted 10")
 
 
 def test_which_element(report: list[str]) -> None:

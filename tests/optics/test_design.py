@@ -161,7 +161,7 @@ def test_the_shipped_result_of_the_search_does_what_was_asked() -> None:
     moves_mm = decenter_for_shift(lens, 1, QUARTERS, SENSOR)
     even = shift_uniformity(shift_map(lens, 1, moves_mm, SENSOR), QUARTERS)
     assert max(one.max_error_px for one in even) <= 0.01
-    azimuths = np.linspace(0.0, np.pi, 12, endpoint=False)
+    azimuths = np.linspace(0.0, np.pi, 4, endpoint=False)
     for move_mm in (np.zeros(2), *moves_mm):
         build = moving(lens, 1, move_mm)
         assert np.abs(exact_otf(lens, CORNER, [6.45], azimuths, build=build)).min() >= 0.90
