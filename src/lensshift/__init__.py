@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from lensshift.io import load_reconstruction as load_reconstruction
     from lensshift.io import save_burst as save_burst
     from lensshift.io import save_reconstruction as save_reconstruction
+    from lensshift.optics.lens_file import load_lens as load_lens
+    from lensshift.optics.shift import shift_map as shift_map
     from lensshift.pipeline import run as run
     from lensshift.reconstruction.methods import method_names as method_names
     from lensshift.reconstruction.reconstruct import reconstruct as reconstruct
@@ -78,6 +80,8 @@ _HOME = {
     "load_reconstruction": "io",
     "save_burst": "io",
     "save_reconstruction": "io",
+    "load_lens": "optics.lens_file",
+    "shift_map": "optics.shift",
     "run": "pipeline",
     "simulate_burst": "camera",
     "method_names": "reconstruction.methods",
