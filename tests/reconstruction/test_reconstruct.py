@@ -343,7 +343,7 @@ def test_iterations_are_an_option() -> None:
         ({"scale": 2.5}, "whole scale from 1 to 8"),
         ({"scale": True}, "whole scale from 1 to 8"),
         ({"channel": "colour"}, "amplitude, distance or phasor"),
-        ({"channel": "phasor"}, "not built yet"),
+        ({"channel": "phasor"}, "no distance_m"),
         ({"channel": "distance"}, "no distance_m"),
         ({"prior_weight": -0.1}, "at least 0"),
         ({"prior_weight": np.nan}, "at least 0"),

@@ -263,6 +263,7 @@ class Reconstruction:
     scale : upscaling factor
     method : registered name of the method
     settings : everything else the caller or `auto` chose
+    flying : [row col] pixels between two surfaces, by the phasor channel; else None
     """
 
     amplitude: Estimate | None
@@ -271,6 +272,7 @@ class Reconstruction:
     scale: int
     method: str
     settings: Mapping[str, Any] = field(default_factory=dict)
+    flying: NDArray[np.bool_] | None = None
 
 
 def _as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:

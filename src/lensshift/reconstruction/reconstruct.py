@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.methods import Method, find_method
+from lensshift.reconstruction.phasor.branch import reconstruct_phasor
+from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
 from lensshift.reconstruction.problem import Problem, make_blur, make_problem, predictor
 from lensshift.reconstruction.request import Request
 
 Array = NDArray[Any]
-Channel = Literal["auto", "amplitude", "distance", "phasor"]
 
 
 def reconstruct(
@@ -49,14 +50,17 @@ def reconstruct(
     burst : the frames with their sub-pixel offsets
     scale : HR pixels per LR pixel, 1 to 8
     method : one of `lensshift.method_names()`; "auto" needs no tuning
-    channel : "amplitude", "distance", or "auto": amplitude, and distance if the burst has it
+    channel : "amplitude", "distance"; "phasor": both from phasors, the way a pixel mixes them; or
+        "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
+        amplitude, and distance if the burst has it, each on its own
     psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289.
         With `fill_factor`: width of the optical spot alone
     prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
         "cross-validation"
     frames : numbers of the frames to use, by default all; the others can be predicted
     fill_factor : light-sensitive share of the pixel width in (0, 1]: exact square aperture
-    noise_sigma : noise of one LR pixel in units of the channel, if it is known
+    noise_sigma : noise of one LR pixel in units of the channel (phasor: of the amplitude, for
+        the real and for the imaginary part), if it is known
     pixel_variance : [frame row col] known noise variance of each LR pixel
     shift_field : offset of every pixel of every frame instead of `burst.offset_px`
     photometric : whether to estimate gain and bias of each frame
@@ -90,14 +94,25 @@ def reconstruct(
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
+    settings = _settings(blur, used, request, photometric, noise_sigma, field)
+    given = photometric or noise_sigma is not None or variance is not None
+    choice = choose_channel(part, channel, method, request, given=given)
+    settings |= {"channel": choice.channel, "channel_reason": choice.reason}
     found: dict[str, Estimate] = {}
-    for name, values in _channels(part, channel).items():
+    flying = None
+    if choice.channel == "phasor":
+        phasor = reconstruct_phasor(
+            burst, used, scale, method, request, blur=blur, shift_field=field,
+            noise_sigma=noise_sigma, pixel_variance=variance, photometric=photometric,
+        )  # fmt: skip
+        found = {"amplitude": phasor.amplitude, "distance": phasor.distance_m}
+        flying = phasor.flying
+    for name, values in _channels(part, choice.channel).items():
         problem = make_problem(
             part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
             intensity=chosen.intensity, pixel_variance=variance,
         )  # fmt: skip
         found[name] = _solve(burst, problem, used, chosen, request, photometric)
-    settings = _settings(blur, used, request, photometric, noise_sigma, field)
     return Reconstruction(
         amplitude=found.get("amplitude"),
         distance_m=found.get("distance"),
@@ -105,6 +120,7 @@ def reconstruct(
         scale=scale,
         method=method,
         settings=settings,
+        flying=flying,
     )
 
 
@@ -142,19 +158,14 @@ def _solve(
     )
 
 
-def _channels(burst: Burst, channel: Channel) -> dict[str, Array]:
-    if channel not in ("auto", "amplitude", "distance", "phasor"):
-        raise ValueError(f"expected channel auto, amplitude, distance or phasor, got {channel!r}")
-    if channel == "phasor":
-        raise ValueError(
-            "the phasor channel is not built yet; give complex frames as amplitude instead"
-        )
+def _channels(burst: Burst, channel: str) -> dict[str, Array]:
+    """Return the frames of each channel that is reconstructed on its own."""
     if channel == "distance" and burst.distance_m is None:
         raise ValueError("the burst has no distance_m; expected channel amplitude or auto")
     found = {}
-    if channel in ("auto", "amplitude"):
+    if channel in ("separate", "amplitude"):
         found["amplitude"] = burst.amplitude
-    if channel in ("auto", "distance") and burst.distance_m is not None:
+    if channel in ("separate", "distance") and burst.distance_m is not None:
         found["distance"] = burst.distance_m
     return found
 

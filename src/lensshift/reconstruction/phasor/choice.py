@@ -1,0 +1,70 @@
+"""Which channel `auto` stands for.
+
+The phasor channel is chosen where it is known to be the better one and can be had:
+
+1. the burst holds real amplitudes, distances and the modulation frequency; a frequency guessed
+   from the distances mixes surfaces in a way that the camera did not;
+2. the method is "auto"; the linear methods ring through zero beside bright objects, and the
+   others know no phasors;
+3. nothing is given that counts in the units of a single channel: noise, pixel variances, a weight
+   of the prior, gains to estimate.
+
+Otherwise amplitude and distance are reconstructed each on its own, as far as the burst has them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from lensshift.core.types import Burst
+from lensshift.reconstruction.request import Request
+
+Channel = Literal["auto", "amplitude", "distance", "phasor"]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is reconstructed, and why.
+
+    Parameters
+    ----------
+    channel : "amplitude", "distance", "phasor", or "separate" for the first two
+    reason : for people
+    """
+
+    channel: str
+    reason: str
+
+
+def choose_channel(
+    burst: Burst, channel: str, method: str, request: Request, *, given: bool
+) -> Choice:
+    """Return what to reconstruct by the rule of this module.
+
+    Parameters
+    ----------
+    channel : as the caller asked
+    given : whether noise, variances or gains of one channel were asked for
+
+    Raises
+    ------
+    ValueError
+        If there is no such channel.
+    """
+    if channel not in get_args(Channel):
+        raise ValueError(f"expected channel auto, amplitude, distance or phasor, got {channel!r}")
+    if channel != "auto":
+        return Choice(channel, "asked for")
+    obstacles = {
+        "complex frames stay complex": burst.amplitude.dtype.kind == "c",
+        "the burst has no distance": burst.distance_m is None,
+        "the modulation frequency is not known": burst.modulation_hz is None,
+        f"{method} is no method for phasors beside bright objects": method != "auto",
+        "noise, gains or a prior weight of one channel are given": given
+        or request.prior_weight is not None,
+    }
+    for reason, holds in obstacles.items():
+        if holds:
+            return Choice("separate", reason)
+    return Choice("phasor", "amplitude, distance and modulation frequency are known")

@@ -1,0 +1,178 @@
+"""Phasor frames: from the four phases of a time-of-flight pixel, or from amplitude and distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.types import Burst
+from lensshift.core.units import (
+    SPEED_OF_LIGHT_MPS,
+    distance_to_phase,
+    phase_to_distance,
+    unambiguous_range_m,
+)
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhasorFrames:
+    """What the four phases of each frame say.
+
+    Parameters
+    ----------
+    phasor : [frame row col] complex
+    variance : [frame row col] of its real and of its imaginary part
+    """
+
+    phasor: NDArray[np.complex128]
+    variance: NDArray[np.float64]
+
+
+def phasor_from_phases(difference: ArrayLike, variance: ArrayLike = 1.0) -> PhasorFrames:
+    """Return the phasors of raw four-phase frames.
+
+        P = ((D_0 - D_2) + i (D_1 - D_3)) / 2,   D_k = tap A - tap B at k pi / 2
+        var(Re P), var(Im P) ~ sum_k var(D_k) / 8
+
+    They make a burst that keeps the noise where it arose:
+
+        frames = phasor_from_phases(difference, variance)
+        burst = Burst.from_arrays(frames.phasor, offset_px=..., pitch_mm=..., modulation_hz=f)
+        reconstruct(burst, channel="phasor", pixel_variance=frames.variance)
+
+    Parameters
+    ----------
+    difference : [frame 4 row col] D_k in any unit
+    variance : of D_k in the square of that unit, one number or anything that broadcasts to
+        [frame 4 row col]; 1 if only its share matters
+
+    Raises
+    ------
+    ValueError
+        If the frames are not real [frame 4 row col], or a variance is not positive.
+    """
+    phases = np.asarray(difference)
+    if phases.dtype.kind not in "uif" or phases.ndim != 4 or phases.shape[1] != 4:
+        raise ValueError(
+            f"expected real phases [frame 4 row col], got {phases.dtype} of shape {phases.shape}"
+        )
+    spread = np.asarray(variance, np.float64)
+    if not (np.all(np.isfinite(spread)) and np.all(spread > 0)):
+        raise ValueError("expected positive, finite variances of the phases")
+    try:
+        spread = np.broadcast_to(spread, phases.shape)
+    except ValueError as error:
+        raise ValueError(
+            f"expected variances that broadcast to {phases.shape}, got {spread.shape}"
+        ) from error
+    d0, d1, d2, d3 = np.moveaxis(phases.astype(np.float64), 1, 0)
+    return PhasorFrames(0.5 * ((d0 - d2) + 1j * (d1 - d3)), spread.sum(axis=1) / 8.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseScale:
+    """How phases stand for distances in one burst.
+
+        phi = 4 pi f (d - d_ref) / c
+
+    Parameters
+    ----------
+    modulation_hz : f
+    reference_m : d_ref, amid the scene: phases are small there, and the cut lies opposite
+    circular : whether distances come back after c / 2f, and lie within 0 .. c / 2f
+    source : where the frequency comes from
+    """
+
+    modulation_hz: float
+    reference_m: float
+    circular: bool
+    source: str
+
+    @property
+    def rad_per_m(self) -> float:
+        """4 pi f / c."""
+        return float(distance_to_phase(1.0, self.modulation_hz))
+
+    def distance_m(self, phase_rad: ArrayLike) -> NDArray[np.float64]:
+        """Return the distances that belong to phases relative to the reference."""
+        distance_m = np.asarray(phase_rad) / self.rad_per_m + self.reference_m
+        if not self.circular:
+            return np.asarray(distance_m)
+        return np.asarray(np.mod(distance_m, unambiguous_range_m(self.modulation_hz)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolarFrames:
+    """The frames of a burst as amplitude and phase; zero where a pixel is not valid.
+
+    Parameters
+    ----------
+    amplitude, phase_rad : [frame row col], the phase relative to `scale.reference_m`
+    scale : how the phases stand for distances
+    """
+
+    amplitude: NDArray[np.float64]
+    phase_rad: NDArray[np.float64]
+    scale: PhaseScale
+
+    @property
+    def phasor(self) -> NDArray[np.complex128]:
+        """A exp(i phi), [frame row col]."""
+        return np.asarray(self.amplitude * np.exp(1j * self.phase_rad))
+
+
+def polar_frames(burst: Burst) -> PolarFrames:
+    """Return amplitude and phase of a burst of complex frames, or of amplitude and distance.
+
+    Phases that come back after c / 2f are cut opposite to the mean phasor. Where a burst does not
+    say its modulation, f = c / (4 range of its distances) puts them over half a turn.
+
+    Raises
+    ------
+    ValueError
+        If there is no distance, a valid amplitude is negative, or complex frames come without
+        their modulation frequency.
+    """
+    valid = np.ones(burst.amplitude.shape, np.bool_) if burst.valid is None else burst.valid
+    if burst.amplitude.dtype.kind == "c":
+        return _from_complex(np.where(valid, burst.amplitude, 0), burst.modulation_hz)
+    if burst.distance_m is None:
+        raise ValueError("the burst has no distance_m; the phasor channel needs it, or phasors")
+    amplitude = np.where(valid, burst.amplitude, 0).astype(np.float64)
+    if amplitude.min() < 0:
+        raise ValueError(f"expected amplitudes of at least 0, got {amplitude.min():g}")
+    distance_m = np.where(valid, burst.distance_m, 0).astype(np.float64)
+    seen_m = distance_m[valid]
+    if burst.modulation_hz is not None:
+        range_m = unambiguous_range_m(burst.modulation_hz)
+        if seen_m.min() >= 0 and seen_m.max() <= range_m:
+            phasor = amplitude * np.exp(1j * distance_to_phase(distance_m, burst.modulation_hz))
+            return _from_complex(phasor, burst.modulation_hz)
+        scale = PhaseScale(burst.modulation_hz, float(np.median(seen_m)), False, "burst")
+    else:
+        scale = _spread_over_half_a_turn(seen_m)
+    phase_rad = np.where(valid, (distance_m - scale.reference_m) * scale.rad_per_m, 0.0)
+    return PolarFrames(amplitude, phase_rad, scale)
+
+
+def _from_complex(phasor: Array, modulation_hz: float | None) -> PolarFrames:
+    if modulation_hz is None:
+        raise ValueError("complex frames need the modulation_hz of the burst to become distances")
+    middle = np.sum(phasor)
+    reference_m = float(phase_to_distance(np.angle(middle), modulation_hz))
+    turned = phasor * np.exp(-1j * np.angle(middle))
+    scale = PhaseScale(modulation_hz, reference_m, True, "burst")
+    return PolarFrames(np.abs(turned), np.angle(turned), scale)
+
+
+def _spread_over_half_a_turn(seen_m: Array) -> PhaseScale:
+    """Return the scale at which the distances of a burst make half a turn."""
+    reference_m = float(np.median(seen_m))
+    span_m = float(np.ptp(seen_m)) or abs(reference_m) or 1.0
+    modulation_hz = SPEED_OF_LIGHT_MPS / (4.0 * span_m)
+    return PhaseScale(modulation_hz, reference_m, False, "range of the distances")

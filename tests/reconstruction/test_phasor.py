@@ -1,0 +1,290 @@
+"""The phasor channel: closed forms, a card before a wall, and what it refuses."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lensshift import Burst, reconstruct
+from lensshift.core.types import Reconstruction
+from lensshift.core.units import distance_to_phase, phase_to_distance, unambiguous_range_m
+from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
+from lensshift.reconstruction.phasor.frames import polar_frames
+
+Array = NDArray[Any]
+
+F_HZ = 15e6
+RANGE_M = unambiguous_range_m(F_HZ)
+SHAPE = (13, 17)
+OFFSETS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
+FINE = 8  # samples of the scene across an LR pixel
+
+
+def card(rows_px: Array, cols_px: Array) -> tuple[Array, Array]:
+    """Amplitude and distance of a bright card that leans before a dim wall that leans."""
+    on = (np.abs(rows_px - 6.2) < 3.6) & (np.abs(cols_px - 8.3 - 0.15 * rows_px) < 4.1)
+    distance_m = np.where(on, 2.6 + 0.01 * rows_px, 3.4 + 0.008 * cols_px)
+    return np.where(on, 0.7, 0.25), distance_m
+
+
+def pixel_means(offset_px: Array, per_px: int) -> Array:
+    """Return the mean phasor of the card over each of `per_px` x `per_px` parts of the pixels."""
+    fine = (np.arange(FINE * max(SHAPE)) + 0.5) / FINE - 0.5
+    rows, cols = np.meshgrid(
+        fine[: FINE * SHAPE[0]] - offset_px[0], fine[: FINE * SHAPE[1]] - offset_px[1],
+        indexing="ij",
+    )  # fmt: skip
+    a, d = card(rows, cols)
+    x = a * np.exp(1j * distance_to_phase(d, F_HZ))
+    n = FINE // per_px
+    return np.asarray(x.reshape(SHAPE[0] * per_px, n, SHAPE[1] * per_px, n).mean(axis=(1, 3)))
+
+
+def burst_of(phasor: Array, **fields: Any) -> Burst:
+    return Burst.from_arrays(
+        np.abs(phasor), phase_to_distance(np.angle(phasor), F_HZ), offset_px=OFFSETS,
+        pitch_mm=0.1, **({"modulation_hz": F_HZ} | fields),
+    )  # fmt: skip
+
+
+def card_burst(sigma: float, seed: int = 0) -> Burst:
+    rng = np.random.default_rng(seed)
+    y = np.stack([pixel_means(offset, 1) for offset in OFFSETS])
+    return burst_of(y + sigma * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape)))
+
+
+def truth() -> tuple[Array, Array]:
+    x = pixel_means(np.zeros(2), 2)
+    return np.abs(x), phase_to_distance(np.angle(x), F_HZ)
+
+
+def images(result: Reconstruction) -> tuple[Array, Array]:
+    assert result.amplitude is not None
+    assert result.distance_m is not None
+    return result.amplitude.image, result.distance_m.image
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv"])
+def test_a_uniform_phasor_stays(method: str) -> None:
+    y = np.full((4, *SHAPE), 0.6 * np.exp(1j * distance_to_phase(7.3, F_HZ)))
+    result = reconstruct(burst_of(y), method=method, channel="phasor")
+    amplitude, distance_m = images(result)
+    assert amplitude.shape == (2 * SHAPE[0], 2 * SHAPE[1])
+    np.testing.assert_allclose(amplitude, 0.6, atol=0.003)  # conjugate gradients at the border
+    np.testing.assert_allclose(distance_m, 7.3, atol=0.003)
+    assert result.flying is not None
+    assert not result.flying.any()
+
+
+def test_a_leaning_plane_stays_a_plane() -> None:
+    rows, cols = np.meshgrid(*map(np.arange, SHAPE), indexing="ij")
+    d = np.stack([3.0 + 0.02 * (rows - o[0]) + 0.03 * (cols - o[1]) for o in OFFSETS])
+    result = reconstruct(burst_of(0.5 * np.exp(1j * distance_to_phase(d, F_HZ))), channel="phasor")
+    u, v = np.meshgrid(*((np.arange(2 * n) + 0.5) / 2 - 0.5 for n in SHAPE), indexing="ij")
+    inside = (slice(3, -3), slice(3, -3))
+    expected_m = 3.0 + 0.02 * u + 0.03 * v
+    np.testing.assert_allclose(images(result)[1][inside], expected_m[inside], atol=1e-3)
+
+
+def test_brighter_frames_make_a_brighter_image_at_the_same_distance() -> None:
+    burst = card_burst(0.01)
+    a, d = images(reconstruct(burst, channel="phasor"))
+    brighter = replace(burst, amplitude=3.0 * burst.amplitude)
+    a3, d3 = images(reconstruct(brighter, channel="phasor"))
+    np.testing.assert_allclose(a3, 3.0 * a, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(d3, d, atol=1e-5)
+
+
+@pytest.mark.parametrize("more_m", [1.0, 6.8])
+def test_a_farther_scene_moves_in_distance_alone_and_comes_round(more_m: float) -> None:
+    burst = card_burst(0.01)
+    a, d = images(reconstruct(burst, channel="phasor"))
+    assert burst.distance_m is not None
+    farther = replace(burst, distance_m=np.mod(burst.distance_m + more_m, RANGE_M))
+    a2, d2 = images(reconstruct(farther, channel="phasor"))
+    np.testing.assert_allclose(a2, a, atol=1e-6)
+    np.testing.assert_allclose(d2, np.mod(d + more_m, RANGE_M), atol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv"])
+@pytest.mark.parametrize("garbage", [np.nan, 1e6, -5.0])
+def test_invalid_pixels_change_nothing(method: str, garbage: float) -> None:
+    burst = card_burst(0.01)
+    valid = np.random.default_rng(3).random(burst.amplitude.shape) > 0.1
+    found = []
+    for value in (0.0, garbage):
+        assert burst.distance_m is not None
+        spoilt = replace(
+            burst, valid=valid, amplitude=np.where(valid, burst.amplitude, value),
+            distance_m=np.where(valid, burst.distance_m, value),
+        )  # fmt: skip
+        found.append(images(reconstruct(spoilt, method=method, channel="phasor")))
+    np.testing.assert_array_equal(found[0], found[1])
+    assert np.all(np.isfinite(found[0]))
+
+
+def near_card_edge(distance_m: Array) -> NDArray[np.bool_]:
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    return np.asarray(maximum_filter(distance_m, 5) - minimum_filter(distance_m, 5) > 0.4)
+
+
+def test_edges_are_better_than_from_distances_alone() -> None:
+    true_m = truth()[1]
+    edge = near_card_edge(true_m)
+    for seed in range(2):
+        burst = card_burst(0.005, seed)
+        joint_m = images(reconstruct(burst, channel="phasor"))[1]
+        alone = reconstruct(burst, channel="distance").distance_m
+        assert alone is not None
+        rms = [np.sqrt(np.mean((d - true_m)[edge] ** 2)) for d in (joint_m, alone.image)]
+        assert rms[0] < 0.85 * rms[1]
+
+
+def test_std_covers_the_errors_of_flat_parts() -> None:
+    true_a, true_m = truth()
+    flat = ~near_card_edge(true_m)
+    flat[:3] = flat[-3:] = flat[:, :3] = flat[:, -3:] = False
+    result = reconstruct(card_burst(0.01), channel="phasor")
+    for estimate, true in ((result.amplitude, true_a), (result.distance_m, true_m)):
+        assert estimate is not None
+        assert estimate.std is not None
+        pull = (estimate.image - true)[flat] / estimate.std[flat]
+        assert 0.6 < np.sqrt(np.mean(pull**2)) < 1.5
+
+
+def test_an_outlier_is_not_believed() -> None:
+    burst = card_burst(0.005)
+    clean = images(reconstruct(burst, channel="phasor"))
+    assert burst.distance_m is not None
+    amplitude, distance_m = burst.amplitude.copy(), burst.distance_m.copy()
+    amplitude[1, 6, 2], distance_m[1, 6, 2] = 0.9, 8.0
+    hit = replace(burst, amplitude=amplitude, distance_m=distance_m)
+    result = reconstruct(hit, channel="phasor")
+    assert np.max(np.abs(images(result)[1] - clean[1])[10:15, 2:7]) < 0.1
+    assert result.amplitude is not None
+    assert result.amplitude.confidence is not None
+    assert result.amplitude.confidence[1, 6, 2] < 0.1
+
+
+def test_flying_pixels_lie_between_two_surfaces() -> None:
+    image_m = np.full((7, 9), 3.0)
+    image_m[:, 5:] = 4.0
+    image_m[2:5, 4] = 3.5
+    expected = np.zeros((7, 9), bool)
+    expected[2:5, 4] = True
+    np.testing.assert_array_equal(flying_pixels(image_m), expected)
+    assert not flying_pixels(image_m, noise_m=0.4).any()
+
+
+def test_estimates_predict_the_frames() -> None:
+    burst = card_burst(0.002)
+    result = reconstruct(burst, channel="phasor")
+    assert result.amplitude is not None
+    assert result.distance_m is not None
+    assert burst.distance_m is not None
+    inside = (slice(2, -2), slice(2, -2))
+    wrong = np.abs(result.amplitude.predict(2) - burst.amplitude[2])[inside]
+    wrong_m = np.abs(result.distance_m.predict(2) - burst.distance_m[2])[inside]
+    assert np.median(wrong) < 0.004
+    assert np.median(wrong_m) < 0.02
+
+
+def test_without_modulation_the_range_of_the_distances_decides() -> None:
+    burst = replace(card_burst(0.005), modulation_hz=None)
+    result = reconstruct(burst, channel="phasor")
+    assert burst.distance_m is not None
+    assert result.distance_m is not None
+    notes = result.distance_m.notes
+    assert notes["modulation_source"] == "range of the distances"
+    span_m = np.ptp(burst.distance_m)
+    assert unambiguous_range_m(notes["modulation_hz"]) == pytest.approx(2 * span_m)
+    flat = ~near_card_edge(truth()[1])
+    error_m = (result.distance_m.image - truth()[1])[flat]
+    assert np.sqrt(np.mean(error_m**2)) < 0.05
+
+
+def test_distances_beyond_the_range_are_kept() -> None:
+    burst = card_burst(0.005)
+    assert burst.distance_m is not None
+    far = replace(burst, distance_m=burst.distance_m + 2 * RANGE_M)
+    near_m, far_m = (images(reconstruct(b, channel="phasor"))[1] for b in (burst, far))
+    np.testing.assert_allclose(far_m, near_m + 2 * RANGE_M, atol=0.02)
+
+
+def test_auto_chooses_phasors_only_where_they_can_be_had() -> None:
+    burst = card_burst(0.01)
+    cases: list[tuple[Burst, dict[str, Any], str]] = [
+        (burst, {}, "phasor"),
+        (replace(burst, modulation_hz=None), {}, "separate"),
+        (replace(burst, distance_m=None), {}, "separate"),
+        (burst, {"method": "bicubic"}, "separate"),
+        (burst, {"noise_sigma": 0.01}, "separate"),
+        (burst, {"prior_weight": 0.1}, "separate"),
+    ]
+    for given, settings, expected in cases:
+        chosen = reconstruct(given, std=False, **settings).settings
+        assert chosen["channel"] == expected
+        assert chosen["channel_reason"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "settings", "message"),
+    [
+        ({"distance_m": None}, {}, "no distance_m"),
+        ({}, {"method": "irwsr"}, "among auto, tikhonov, tv"),
+        ({}, {"prior_weight": 0.1}, "prior_weight None"),
+        ({}, {"photometric": True}, "photometric"),
+        ({"amplitude": np.full((4, *SHAPE), -1.0)}, {}, "at least 0"),
+        ({"amplitude": np.ones((4, *SHAPE), complex), "modulation_hz": None}, {}, "modulation_hz"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    fields: dict[str, Any], settings: dict[str, Any], message: str
+) -> None:
+    burst = replace(card_burst(0.01), **fields)
+    with pytest.raises(ValueError, match=message):
+        reconstruct(burst, channel="phasor", **settings)
+
+
+def test_four_phases_make_the_phasor_and_its_noise() -> None:
+    phasor = np.stack([pixel_means(offset, 1) for offset in OFFSETS])
+    turns = np.exp(-0.5j * np.pi * np.arange(4))[None, :, None, None]
+    difference = (phasor[:, None] * turns).real
+    frames = phasor_from_phases(difference)
+    assert isinstance(frames, PhasorFrames)
+    np.testing.assert_allclose(frames.phasor, phasor, atol=1e-12)
+    rng = np.random.default_rng(0)
+    noisy = phasor_from_phases(0.3 * rng.standard_normal((50, 4, 20, 20)), 0.09)
+    np.testing.assert_allclose(noisy.phasor.real.var(), noisy.variance.mean(), rtol=0.05)
+    np.testing.assert_allclose(noisy.phasor.imag.var(), noisy.variance.mean(), rtol=0.05)
+
+
+def test_phasors_go_into_a_burst_with_their_variance() -> None:
+    by_distance = card_burst(0.01)
+    phasor = polar_frames(by_distance).phasor
+    frames = phasor_from_phases(np.stack([phasor.real, phasor.imag, -phasor.real, -phasor.imag], 1),
+                                2e-4)  # fmt: skip
+    burst = Burst.from_arrays(frames.phasor, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=F_HZ)
+    result = reconstruct(burst, channel="phasor", pixel_variance=frames.variance)
+    assert result.amplitude is not None
+    assert result.amplitude.noise_sigma == pytest.approx(0.01)
+    same = reconstruct(by_distance, channel="phasor", noise_sigma=0.01)
+    np.testing.assert_allclose(images(result)[0], images(same)[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("difference", "variance", "message"),
+    [
+        (np.zeros((4, 5, 7)), 1.0, r"\[frame 4 row col\]"),
+        (np.zeros((2, 3, 5, 7)), 1.0, r"\[frame 4 row col\]"),
+        (np.zeros((2, 4, 5, 7), complex), 1.0, "real phases"),
+        (np.zeros((2, 4, 5, 7)), 0.0, "positive"),
+        (np.zeros((2, 4, 5, 7)), np.ones(3), "broadcast"),
+    ],
+)
+def test_phases_of_another_kind_are_refused(difference: Array, variance: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        phasor_from_phases(difference, variance)
