@@ -56,6 +56,14 @@ def test_mtf_is_below_the_diffraction_limit(call: Call, tmp_path: Path) -> None:
     assert rest == pytest.approx(0.960, abs=0.003)
 
 
+def test_mtf_through_focus_is_drawn(call: Call, tmp_path: Path) -> None:
+    plot = tmp_path / "focus.svg"
+    numbers(call, "mtf", "petzval_a", "--fast", "--figure", "focus", "--plot", plot)
+    drawn = plot.read_text()
+    assert "Petzval A through focus" in drawn
+    assert "modulation at 6.45 LP/mm" in drawn
+
+
 def test_shift_map_moves_the_centre_by_what_was_asked(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "map.npz"
     wanted = "--element", "2", "--shift-px", "0.2", "--sensor", "9x5", "--pitch-mm", "0.3"

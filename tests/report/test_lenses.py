@@ -19,7 +19,7 @@ from lensshift.optics.actuator import ActuatorBudget
 from lensshift.optics.layout import distortion_grid, layout
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import load_lens
-from lensshift.optics.mtf import sensor_mtf
+from lensshift.optics.mtf import fast_mtf, sensor_mtf
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import moving, shift_map
@@ -28,6 +28,7 @@ from lensshift.report.lens_build import budget_figure, tolerance_figure
 from lensshift.report.lens_maps import (
     distortion_figure,
     field_figure,
+    focus_figure,
     shift_map_figure,
     spots_figure,
 )
@@ -126,6 +127,16 @@ def test_maps_over_the_sensor_show_the_worse_direction(lens: Lens) -> None:
     np.testing.assert_allclose(change.get_array(), difference)
     assert rest.get_clim() == moved.get_clim()
     assert {axes.get_aspect() for axes in figure.axes} == {0.5 / 0.6}
+
+
+def test_focus_curves_are_those_of_a_moved_sensor(lens: Lens) -> None:
+    figure = focus_figure(lens, [(0.0, 0.0), CORNER_TAN], 5.0)
+    (axes,) = figure.axes
+    for row, along in enumerate(("columns", "rows")):
+        away_mm, values = line_labelled(axes, f"1.6/6.5 degrees along {along}")
+        refocused = lens.with_sensor(lens.gaps_mm[-1] + away_mm[10])
+        assert values[10] == pytest.approx(fast_mtf(refocused, CORNER_TAN, 5.0)[row, 0], abs=1e-9)
+    assert_well_drawn(figure)
 
 
 @pytest.mark.parametrize("wanted", [True, False], ids=["wanted", "mean"])

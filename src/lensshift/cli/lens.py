@@ -169,6 +169,7 @@ def mtf(
     Example:
       lensshift lens mtf petzval_a --element 1 --plot mtf.png
       lensshift lens mtf petzval_b --field-deg 0,0 --field-deg 0,6.5 --band-nm 40
+      lensshift lens mtf petzval_b --figure focus --plot focus.png
     """
     with session(as_json=as_json, debug=debug) as current:
         import numpy as np

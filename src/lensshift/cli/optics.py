@@ -54,6 +54,7 @@ class MtfFigure(StrEnum):
 
     CURVES = "curves"
     FIELD = "field"
+    FOCUS = "focus"
 
 
 def read_lens(
@@ -139,4 +140,6 @@ def mtf_figure(
     if kind is MtfFigure.CURVES:
         return figure_of("lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan)
     frequency_lpmm = 1.0 / max(grid.pitch_mm)
+    if kind is MtfFigure.FOCUS:
+        return figure_of("lens_maps", "focus_figure", model, fields_tan, frequency_lpmm)
     return figure_of("lens_maps", "field_figure", model, moved, travel_mm, grid, frequency_lpmm)

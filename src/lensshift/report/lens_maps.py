@@ -1,4 +1,4 @@
-"""Figures of what a lens does over the sensor: MTF, shift, distortion, spots."""
+"""Figures of what a lens does over the sensor: MTF, focus, shift, distortion, spots."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.optics.layout import distortion_grid
-from lensshift.optics.mtf import sensor_mtf
+from lensshift.optics.mtf import AZIMUTHS_RAD, sensor_mtf, through_focus
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import moving
 from lensshift.optics.spots import spots
@@ -23,6 +23,7 @@ from lensshift.report.style import (
     LIGHT,
     RED,
     TITLE_PT,
+    colour_of,
     new_figure,
     round_number,
     styled,
@@ -46,6 +47,7 @@ _ARROW_PX = 0.06  # length of the longest, as a share of the columns
 _DEPARTURE_PX = 0.03  # the same for the distortion grid
 _AIRY = 1.22  # radius of the first dark ring over wavelength x f-number
 _SPOT_RINGS = 10
+_FOCUS_MM, _FOCUS_STEPS = 0.4, 80  # how far the sensor moves either way
 _LEAST_CHANGE = 1e-6  # of the MTF: less is rounding
 
 
@@ -86,6 +88,33 @@ def field_figure(
         images.draw_map(panels[2], change, "moved minus rest", "change", largest=largest)
         for axes in panels:
             axes.set_aspect(grid.pitch_mm[0] / grid.pitch_mm[1])
+    return figure
+
+
+def focus_figure(lens: Lens, fields_tan: Sequence[Pair], frequency_lpmm: float) -> Figure:
+    """Draw the MTF at one frequency, lens at rest, over the distance of the sensor.
+
+    Parameters
+    ----------
+    fields_tan : tangents (row, col) of the fields
+    frequency_lpmm : of the MTF
+    """
+    away_mm = np.linspace(-_FOCUS_MM, _FOCUS_MM, _FOCUS_STEPS + 1)
+    found = through_focus(lens, fields_tan, frequency_lpmm, away_mm, AZIMUTHS_RAD)
+    with styled():
+        figure = new_figure(_WIDTH_IN, 4.2)
+        axes = figure.subplots()
+        for number, field in enumerate(fields_tan):
+            row_deg, col_deg = np.rad2deg(np.arctan(field))
+            for values, dashes, along in zip(
+                found[:, number].T, ("-", "--"), ("columns", "rows"), strict=True
+            ):
+                label = f"{row_deg:.1f}/{col_deg:.1f} degrees along {along}"
+                axes.plot(away_mm, values, dashes, color=colour_of(number), label=label)
+        axes.axvline(0.0, color=GREY, linewidth=0.9, zorder=1.0)
+        axes.set_xlabel("sensor moved away from the lens (mm)")
+        axes.set_ylabel(f"modulation at {frequency_lpmm:.3g} LP/mm")
+        legend_above(axes, f"{lens.name or 'lens'} through focus")
     return figure
 
 
