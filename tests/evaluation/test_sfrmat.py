@@ -336,6 +336,7 @@ def test_sfrmat3_needs_more_than_a_ten_thousandth_of_contrast() -> None:
     same_curve(sfrmat5(1e-5 * edge()), sfrmat5(edge()))
 
 
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")  # it is also doubted
 @every_method
 def test_noise_without_an_edge_is_refused(method: Method) -> None:
     with pytest.raises(
