@@ -7,7 +7,7 @@ import pytest
 from hypothesis import settings
 
 # Times mean nothing on a shared machine, and the first call of a kernel compiles it.
-settings.register_profile("lensshift", deadline=None, max_examples=30)
+settings.register_profile("lensshift", deadline=None, max_examples=20)
 settings.load_profile("lensshift")
 
 REFERENCE_VARIABLE = "LENSSHIFT_REFERENCE"

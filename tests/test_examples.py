@@ -18,6 +18,7 @@ def run_example(*arguments: object) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_quickstart_prints_methods_in_order_of_quality() -> None:
     lines = run_example(EXAMPLES / "quickstart.py").splitlines()
     psnr_db = {line.split()[0]: float(line.split()[2]) for line in lines[:3]}

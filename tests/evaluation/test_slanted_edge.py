@@ -100,6 +100,7 @@ def test_an_over_sharpened_edge_peaks_above_one() -> None:
     assert result.peak.value > 1.02
 
 
+@pytest.mark.slow
 def test_turned_and_mirrored_images_have_the_same_curve() -> None:
     image = noisy(box_edge((17, 49)), 0.01)
     reference = measure_edge(image).mtf.modulation
@@ -329,6 +330,7 @@ def test_small_reference_edges(reference_dir: Path, every: int) -> None:
             assert np.mean(values[:, 2]) >= 0.9 - (slack - 1.0) * 0.3
 
 
+@pytest.mark.slow
 def test_known_covariance_of_correlated_noise() -> None:
     rng = np.random.default_rng(8)
     noise = gaussian_filter(rng.standard_normal((60, 33, 65)), (0, 0.8, 0.8))

@@ -97,7 +97,7 @@ def bursts(draw: st.DrawFn) -> Burst:
 
 @given(burst=bursts())
 @settings(
-    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_every_field_comes_back_exactly(burst: Burst, tmp_path: Path) -> None:
     save_burst(burst, tmp_path / "burst.nc")

@@ -190,7 +190,7 @@ def test_file_that_another_program_writes(good: Path, tmp_path: Path) -> None:
 
 @given(keep=st.floats(0, 1, exclude_max=True))
 @settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_truncated_anywhere(good: Path, tmp_path: Path, keep: float) -> None:
     whole = good.read_bytes()
@@ -201,7 +201,7 @@ def test_truncated_anywhere(good: Path, tmp_path: Path, keep: float) -> None:
 
 @given(position=st.floats(0, 1, exclude_max=True), mask=st.integers(1, 255))
 @settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_damaged_byte_is_noticed_or_harmless(
     good: Path, tmp_path: Path, position: float, mask: int

@@ -351,7 +351,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     flips=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), max_size=3),
 )
 @settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_damaged_images_give_a_data_error_or_an_image(
     files: list[Path], tmp_path: Path, number: int, keep: float, flips: list[tuple[float, int]]

@@ -15,7 +15,7 @@ finite = st.floats(-1e6, 1e6, allow_nan=False)
 
 @given(pairs=st.lists(st.tuples(finite, finite), min_size=1, max_size=9), data=st.data())
 @settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_csv_and_json_say_the_same(
     pairs: list[tuple[float, float]], data: st.DataObject, tmp_path: Path
@@ -110,7 +110,7 @@ def test_bad_bytes_and_names(tmp_path: Path) -> None:
     content=st.binary(max_size=60) | st.text(alphabet='{}[]",:0123456789.row,col\n').map(str.encode)
 )
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @pytest.mark.parametrize("suffix", [".csv", ".json"])
 def test_anything_else_is_a_data_error(suffix: str, content: bytes, tmp_path: Path) -> None:

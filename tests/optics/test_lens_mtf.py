@@ -63,6 +63,7 @@ def test_diffraction_mtf_is_the_overlap_of_two_discs() -> None:
     assert limit.modulation == pytest.approx([0.992, 0.985, 0.970], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_defocus_follows_the_integral_over_two_sheared_discs() -> None:
     # Hopkins, Proc. Roy. Soc. A 231 (1955) 91: OTF = 4/pi times the integral of
     # sqrt(1 - (x + v)^2) cos(2 pi f slope defocus x) over x from 0 to 1 - v.

@@ -46,6 +46,7 @@ def test_auto_predicts_the_held_out_frames_of_the_chart(reference_dir: Path) -> 
     assert np.sqrt(np.mean(np.square(residuals))) <= 7.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "frames", [range(0, 20, 3), pytest.param(range(20), marks=pytest.mark.slow)]
 )
