@@ -1,6 +1,7 @@
 """The phasor channel: closed forms, a card before a wall, and what it refuses."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,12 @@ from numpy.typing import NDArray
 
 from lensshift import Burst, reconstruct
 from lensshift.core.types import Reconstruction
-from lensshift.core.units import distance_to_phase, phase_to_distance, unambiguous_range_m
+from lensshift.core.units import (
+    SPEED_OF_LIGHT_MPS,
+    distance_to_phase,
+    phase_to_distance,
+    unambiguous_range_m,
+)
 from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
 from lensshift.reconstruction.phasor.frames import polar_frames
 
@@ -288,3 +294,14 @@ def test_phasors_go_into_a_burst_with_their_variance() -> None:
 def test_phases_of_another_kind_are_refused(difference: Array, variance: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         phasor_from_phases(difference, variance)
+
+
+def test_phasor_case_of_the_reference_data(reference_dir: Path) -> None:
+    with np.load(reference_dir / "irwsr" / "tofphasor_x2_4f_input.npz") as given:
+        y, true, shifts = np.moveaxis(given["LR"], -1, 0), given["gt"], given["shifts"]
+    hz = SPEED_OF_LIGHT_MPS / 2.5  # phases come back after 1.25 m
+    burst = Burst.from_arrays(y, offset_px=-shifts[:, ::-1], pitch_mm=0.1, modulation_hz=hz)
+    found_m = images(reconstruct(burst, channel="phasor", std=False))[1]
+    error_m = (found_m - phase_to_distance(np.angle(true), hz))[4:-4, 4:-4]
+    assert np.sqrt(np.mean(error_m**2)) < 0.021
+    assert np.median(np.abs(error_m)) < 0.002

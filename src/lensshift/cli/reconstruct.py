@@ -207,6 +207,7 @@ def _reconstruct(
         "shape": shape,
         "seconds": seconds,
         "channels": {name: describe(part) for name, part in channels_of(result).items()},
+        "flying_share": None if result.flying is None else float(result.flying.mean()),
         "settings": dict(result.settings),
         "files": files.all,
     }
@@ -217,6 +218,8 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
     from lensshift.io.preview import write_preview
 
     same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
+    if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
+        same["channel"] = "auto"
     bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
     channel, estimate = next(iter(channels_of(result).items()))
     panels = {
