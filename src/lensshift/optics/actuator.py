@@ -22,15 +22,15 @@ Array = NDArray[np.float64]
 # (noise of a pixel as a share of full scale, shift error in px): (PSNR in dB, share of MTF50).
 _MEASURED: dict[tuple[float, float], tuple[float, float]] = {
     (0.005, 0.0): (0.00, 0.000),
-    (0.005, 0.01): (0.13, 0.000),  # 0.05, 0.001
-    (0.005, 0.02): (0.70, 0.003),  # 0.18, 0.002
-    (0.005, 0.05): (1.15, 0.122),  # 0.28, 0.013
-    (0.005, 0.1): (4.25, 0.303),  # 0.29, 0.009
+    (0.005, 0.01): (0.17, 0.000),  # 0.02, 0.001
+    (0.005, 0.02): (0.77, 0.003),  # 0.10, 0.002
+    (0.005, 0.05): (1.35, 0.122),  # 0.23, 0.013
+    (0.005, 0.1): (4.13, 0.303),  # 0.14, 0.009
     (0.02, 0.0): (0.00, 0.000),
-    (0.02, 0.01): (0.25, -0.001),  # 0.09, 0.004
-    (0.02, 0.02): (0.52, -0.004),  # 0.12, 0.006
-    (0.02, 0.05): (0.25, 0.085),  # 0.18, 0.009
-    (0.02, 0.1): (2.29, 0.272),  # 0.22, 0.011
+    (0.02, 0.01): (0.18, -0.001),  # 0.04, 0.004
+    (0.02, 0.02): (0.52, -0.004),  # 0.07, 0.006
+    (0.02, 0.05): (0.18, 0.085),  # 0.12, 0.009
+    (0.02, 0.1): (2.31, 0.272),  # 0.13, 0.011
 }
 
 
@@ -157,7 +157,8 @@ def reconstruction_loss(shift_error_px: float, noise: float) -> tuple[float, flo
     """Return the PSNR lost, in dB, and the share of MTF50 lost to errors of the shifts.
 
     Linear between the errors that were simulated, and between the logarithms of the noises; the
-    ends beyond.
+    ends beyond. Means of 18 (PSNR) and 6 (MTF50) bursts with standard errors of up to 0.23 dB and
+    0.013. They are as measured: at noise 0.02 the PSNR loses less at 0.05 px than at 0.02 px.
 
     Parameters
     ----------
