@@ -68,6 +68,7 @@ LOST = Estimate(image=np.full((10, 14), np.nan), status=Status.NOT_FINITE)
         {"amplitude": BARE},
         {"amplitude": COMPLEX},
         {"amplitude": LOST},
+        {"flying": np.random.default_rng(3).random((10, 14)) < 0.3},
     ],
 )
 def test_every_field_comes_back_exactly(tmp_path: Path, fields: dict[str, Any]) -> None:
@@ -76,6 +77,9 @@ def test_every_field_comes_back_exactly(tmp_path: Path, fields: dict[str, Any]) 
     loaded = load_reconstruction(tmp_path / "result.nc")
     assert_same_estimate(loaded.amplitude, saved.amplitude)
     assert_same_estimate(loaded.distance_m, saved.distance_m)
+    assert (loaded.flying is None) == (saved.flying is None)
+    if saved.flying is not None:
+        np.testing.assert_array_equal(loaded.flying, saved.flying)
     assert loaded.grid == saved.grid
     assert (loaded.scale, loaded.method) == (2, "irwsr")
     assert loaded.settings == {"psf_sigma_px": 0.3, "frames": [0, 2]}
@@ -157,6 +161,7 @@ def damage(path: Path, name: str, values: Any, attributes: dict[str, Any] | None
         ("distance", np.ones((11, 14)), {}, "distance: expected shape (10, 14)"),
         ("amplitude_confidence", np.ones((5, 7)), {}, "amplitude_confidence: "),
         ("amplitude_std", np.ones((10, 14), int), {}, "amplitude_std: "),
+        ("flags", np.zeros((10, 13), "u1"), {}, "flags: expected shape (10, 14)"),
     ],
 )
 def test_file_that_contradicts_itself(

@@ -8,7 +8,7 @@ import pytest
 from lensshift.camera import LensOptics, camera_preset, named_pattern_px
 from lensshift.core.errors import DataError
 from lensshift.pipeline import default_experiment, load_experiment, named_scene
-from lensshift.pipeline.experiment_file import SCENES
+from lensshift.pipeline.experiment_file import SCENES, default_text
 from lensshift.scene import save_scene, slanted_depth_step
 
 EVERYTHING = """
@@ -43,6 +43,16 @@ def write(folder: Path, text: str) -> Path:
     file = folder / "mine.toml"
     file.write_text(text, encoding="utf-8")
     return file
+
+
+def test_the_example_says_what_the_package_does_without_a_file() -> None:
+    example = Path(__file__).parents[2] / "examples" / "four_boxes.toml"
+    settings = [
+        [line for line in text.splitlines() if not line.startswith("# ")]
+        for text in (example.read_text(encoding="utf-8"), default_text())
+    ]
+    assert settings[0] == settings[1]
+    assert load_experiment(example).camera == default_experiment().camera
 
 
 def test_everything_that_a_file_can_say(tmp_path: Path) -> None:

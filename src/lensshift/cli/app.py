@@ -11,6 +11,7 @@ from lensshift.cli.evaluate import evaluate
 from lensshift.cli.info import info
 from lensshift.cli.lens import lens_verbs
 from lensshift.cli.reconstruct import reconstruct
+from lensshift.cli.reproduce import reproduce
 from lensshift.cli.run import run
 from lensshift.cli.simulate import simulate
 
@@ -48,6 +49,7 @@ def root(
 
 app.command()(run)
 app.command()(simulate)
+app.command()(reproduce)
 app.command()(reconstruct)
 app.command()(convert)
 app.command()(info)

@@ -7,6 +7,7 @@ each channel `c`, which is `amplitude` or `distance`:
     c_std            [row col]               standard deviation, in the units of c
     c_confidence     [frame lr_row lr_col]   weight of each LR pixel, 0 .. 1
     c_objective      [c_iteration]
+    flags            [row col]               CF flags, bit 0: flying, between two surfaces
     attributes: pitch_mm (row, col) of the HR grid, scale, method, settings (JSON)
 """
 
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
@@ -36,6 +38,7 @@ _CHANNELS = {
     "amplitude": ("amplitude", "1", "amplitude"),
     "distance_m": ("distance", "m", "radial distance, camera frame"),
 }
+_FLYING = np.uint8(1)
 _KEPT = ("prior_weight", "noise_sigma")
 _NUMBERS = (*_KEPT, "noise_gain")
 
@@ -55,6 +58,8 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
         estimate = getattr(reconstruction, field)
         if estimate is not None:
             variables |= _channel_variables(field, estimate)
+    if reconstruction.flying is not None:
+        variables["flags"] = _flags(reconstruction.flying)
     try:
         if not variables:
             raise DataError("there is neither an amplitude nor a distance channel")
@@ -107,6 +112,7 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
             scale=int(scale),
             method=container.text("method"),
             settings=container.mapping("settings"),
+            flying=_read_flying(container, images[0].shape),
         )
 
 
@@ -137,6 +143,24 @@ def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
             {"units": "1", "long_name": f"objective of {label} after each iteration"},
         )
     return variables
+
+
+def _flags(flying: NDArray[np.bool_]) -> Variable:
+    attributes = {
+        "long_name": "quality flags",
+        "flag_masks": np.asarray([_FLYING]),
+        "flag_meanings": "flying",
+    }
+    return Variable(_AXES, np.where(flying, _FLYING, np.uint8(0)), attributes)
+
+
+def _read_flying(container: Container, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    if not container.has("flags"):
+        return None
+    flags = container.array("flags", kinds="ui")
+    if flags.shape != shape:
+        raise DataError(f"expected shape {shape}, got {flags.shape}", field="flags")
+    return np.asarray((flags & _FLYING) != 0)
 
 
 def _read_channel(container: Container, field: str) -> Estimate:

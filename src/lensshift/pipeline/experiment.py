@@ -14,7 +14,8 @@ from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth, named_
 from lensshift.camera import simulate_tof as take
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
-from lensshift.reconstruction.reconstruct import Channel, reconstruct
+from lensshift.reconstruction.phasor.choice import Channel
+from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.scene import Scene
 
 YARDSTICKS = ("nearest", "bicubic")

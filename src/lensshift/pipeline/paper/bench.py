@@ -1,0 +1,88 @@
+"""The bench of the paper, simulated: camera, lens and targets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from lensshift.camera import (
+    Illumination,
+    LensOptics,
+    PlainOptics,
+    Readout,
+    TofCamera,
+    Validity,
+    camera_preset,
+)
+from lensshift.camera.radiometry import active_electrons_per_s
+from lensshift.core.grid import Grid
+from lensshift.optics.lens_file import load_lens
+
+PITCH_MM = 0.155
+GRID = Grid((16, 64), (PITCH_MM, PITCH_MM))
+SHIFT_ERROR_PX = 0.02
+CARD_LIGHT = 0.8 / 3.5**2  # of the bright side of the edge card, reflectance / distance^2
+WALL_LIGHT = 0.04 / 4.0**2  # of the fabric behind the boxes
+_READ_NOISE = 20.0
+_SPOT_PX = 0.05  # of the plain lens, about that of the traced one
+
+Optics = Literal["plain", "petzval_a", "petzval_b"]
+
+
+def paper_camera(
+    snr: float,
+    light: float,
+    brightest: float,
+    *,
+    optics: Optics = "plain",
+    element: int | None = 0,
+    grid: Grid = GRID,
+    output: Literal["o3m", "float"] = "o3m",
+) -> TofCamera:
+    """Return the camera of the paper at a given signal to noise ratio.
+
+        snr = c E / sqrt(E / 2 + read noise^2),    E = electrons of both taps
+
+    of the amplitude of one pixel: the exposure is what gives it. Whole centimetres and twelve
+    bits, no sunlight, no scattered light: the paper's booth is dark.
+
+    Parameters
+    ----------
+    snr : amplitude over its standard deviation
+    light : reflectance x cos / distance^2 of the surface that has it
+    brightest : the same of the brightest surface, which stays below a full tap
+    optics, element : a lens without aberrations, or the traced one, and what of it moves: an
+        element from 0, or None for the sensor
+    grid : of the sensor
+    output : "float" leaves the rounding out
+    """
+    preset = camera_preset("o3m151")
+    lens: PlainOptics | LensOptics
+    if optics == "plain":
+        lens = PlainOptics(focal_length_mm=42.7, f_number=2.1, blur_sigma_px=_SPOT_PX)
+    else:
+        lens = LensOptics(load_lens(optics), element=element)
+    pixels = replace(preset.pixels, fill_factor=1.0)
+    camera = replace(
+        preset, grid=grid, optics=lens, pixels=pixels, illumination=Illumination((15e6,)),
+        scatter=None, validity=Validity(), output=output, name="paper",
+    )  # fmt: skip
+    contrast = pixels.contrast
+    half = snr**2 / (4.0 * contrast**2)
+    electrons = half + np.sqrt(half**2 + (snr * _READ_NOISE / contrast) ** 2)
+    exposure_s = electrons / (active_electrons_per_s(camera) * light)
+    most = electrons * brightest / light
+    readout = Readout(
+        exposure_s=(float(exposure_s),),
+        full_well_electrons=float(1.25 * most),
+        read_noise_electrons=_READ_NOISE,
+        bits=12,
+    )
+    return replace(camera, readout=readout)
+
+
+def px_to_m(count_px: float, distance_m: float) -> float:
+    """Return how wide so many pixels are in the scene, seen from the plain lens."""
+    return count_px * PITCH_MM / 42.7 * distance_m

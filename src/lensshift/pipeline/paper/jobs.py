@@ -1,0 +1,68 @@
+"""Independent pieces of work, side by side."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One call.
+
+    Parameters
+    ----------
+    kind : what its result is filed under
+    function : of a module, so that another process finds it
+    arguments : of the call
+    """
+
+    kind: str
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+    def __call__(self) -> Any:
+        """Do it."""
+        return self.function(*self.arguments)
+
+
+def carry_out_jobs(
+    jobs: Sequence[Job], processes: int, on_step: Callable[[int, int], None] | None = None
+) -> list[tuple[str, Any]]:
+    """Return kind and result of each job, in their order.
+
+    Parameters
+    ----------
+    processes : that work side by side; 1 stays in this one
+    on_step : called with the number of finished jobs and of all
+
+    Raises
+    ------
+    ValueError
+        If there is not at least one process; whatever a job raises.
+    """
+    if processes < 1:
+        raise ValueError(f"expected at least one process, got {processes}")
+    if processes == 1:
+        results = []
+        for number, job in enumerate(jobs):
+            results.append(job())
+            if on_step is not None:
+                on_step(number + 1, len(jobs))
+        return [(job.kind, result) for job, result in zip(jobs, results, strict=True)]
+    # Fresh processes: a forked one may inherit locks of numerical libraries.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        futures = [pool.submit(job) for job in jobs]
+        try:
+            for number, future in enumerate(as_completed(futures)):
+                future.result()
+                if on_step is not None:
+                    on_step(number + 1, len(jobs))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        return [(job.kind, future.result()) for job, future in zip(jobs, futures, strict=True)]

@@ -1,0 +1,130 @@
+"""Figures of the reproduction of the paper, from plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.report.style import GREY, INK, SMALL_PT, colour_of, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+_DASHES = ("-", "--", ":", "-.")
+_MOST_GAIN = 6.0
+
+
+def curves_figure(
+    frequency_lpmm: ArrayLike,
+    curves: Mapping[str, ArrayLike],
+    limits: Mapping[str, ArrayLike],
+    title: str,
+    *,
+    bands: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
+) -> Figure:
+    """Draw MTF curves in colours and limits in grey dashes, all at the same frequencies.
+
+    Parameters
+    ----------
+    frequency_lpmm : [f]
+    curves, limits : label -> [f]
+    title : above the figure
+    bands : label -> lowest and highest [f]
+    """
+    frequency = np.asarray(frequency_lpmm, dtype=np.float64)
+    with styled():
+        figure = new_figure(8.2, 4.6)
+        axes = figure.subplots()
+        for number, (label, values) in enumerate(curves.items()):
+            colour = colour_of(number)
+            if bands and label in bands:
+                axes.fill_between(frequency, *bands[label], color=colour, alpha=0.18, linewidth=0)
+            axes.plot(frequency, np.asarray(values), color=colour, label=label)
+        for number, (label, values) in enumerate(limits.items()):
+            axes.plot(
+                frequency, np.asarray(values), _DASHES[1 + number % 3], color=INK, linewidth=1.0,
+                label=label,
+            )  # fmt: skip
+        axes.set_xlim(0.0, float(frequency[-1]))
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("spatial frequency on the sensor (LP/mm)")
+        axes.set_ylabel("modulation")
+        axes.legend(ncols=2)
+        axes.set_title(title)
+    return figure
+
+
+def profiles_figure(
+    profiles: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]], title: str
+) -> Figure:
+    """Draw line profiles: one panel per channel.
+
+    Parameters
+    ----------
+    profiles : name of the axis -> label -> (place in LR pixels, values)
+    title : above the figure
+    """
+    with styled():
+        figure = new_figure(9.0, 3.8)
+        panels = figure.subplots(1, len(profiles), squeeze=False)[0]
+        for axes, (name, lines) in zip(panels, profiles.items(), strict=True):
+            for number, (label, (place, values)) in enumerate(lines.items()):
+                style = "--" if label == "truth" else "-"
+                colour = GREY if label == "truth" else colour_of(number)
+                axes.plot(
+                    np.asarray(place), np.asarray(values), style, color=colour, marker=".",
+                    markersize=5.0, linewidth=1.3, label=label,
+                )  # fmt: skip
+            axes.set_xlabel("column (LR px)")
+            axes.set_ylabel(name)
+            axes.legend()
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    return figure
+
+
+def gains_figure(rows: Sequence[Mapping[str, Any]], branches: Sequence[str], title: str) -> Figure:
+    """Draw the gain of each branch for each strip: mean with interval, and all that one line shows.
+
+    Parameters
+    ----------
+    rows : contrast, width_px, snr and, by branch, mean, interval, least and most
+    branches : names in the rows
+    title : above the figure
+    """
+    with styled():
+        figure = new_figure(9.0, 1.6 + 0.34 * len(rows))
+        axes = figure.subplots()
+        for number, branch in enumerate(branches):
+            _draw_gains(axes, rows, branch, number, len(branches))
+        names = [
+            f"{row['contrast']:g} : 1, {row['width_px']:g} px, SNR {row['snr']:g}" for row in rows
+        ]
+        axes.set_yticks(range(len(rows)), names)
+        axes.invert_yaxis()
+        axes.axvline(2.0, color=GREY, linewidth=0.9)
+        axes.axvline(3.0, color=INK, linewidth=0.9, linestyle="--")
+        axes.set_xlim(0.0, _MOST_GAIN)
+        axes.set_xlabel("gradient against one frame (thick: 95 % of the mean; thin: single lines)")
+        axes.legend(loc="lower right", fontsize=SMALL_PT)
+        axes.set_title(title)
+    return figure
+
+
+def _draw_gains(
+    axes: Axes, rows: Sequence[Mapping[str, Any]], branch: str, number: int, count: int
+) -> None:
+    colour = colour_of(number)
+    for place, row in enumerate(rows):
+        gain = row[branch]
+        at = place + 0.24 * (number - 0.5 * (count - 1))
+        axes.plot([gain["least"], gain["most"]], [at, at], color=colour, linewidth=0.8, alpha=0.6)
+        axes.plot(gain["interval"], [at, at], color=colour, linewidth=3.2, alpha=0.6)
+        axes.plot(
+            gain["mean"], at, "o", color=colour, markersize=4.5,
+            label=branch if place == 0 else None,
+        )  # fmt: skip

@@ -1,0 +1,165 @@
+"""The reproduction of the paper: its bench, its statistics, its page."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensshift.camera import LensOptics, simulate_tof
+from lensshift.core.grid import Grid
+from lensshift.optics.which import Mover
+from lensshift.pipeline.paper.bench import CARD_LIGHT, PITCH_MM, paper_camera, px_to_m
+from lensshift.pipeline.paper.box_claims import steepness
+from lensshift.pipeline.paper.claims import mean_interval, pooled_interval
+from lensshift.pipeline.paper.gradient_question import PHASES, Strip, study_strip
+from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
+from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims
+from lensshift.report.page import Page
+from lensshift.scene import Plane, Scene
+
+SMALL = Grid((15, 41), (PITCH_MM, PITCH_MM))
+
+
+@pytest.mark.parametrize("snr", [15.0, 50.0])
+def test_the_camera_has_the_noise_that_is_asked_for(snr: float) -> None:
+    wall = Scene((Plane(centre_m=(0.0, 0.0, 3.5), reflectance=0.8),))
+    camera = paper_camera(snr, CARD_LIGHT, CARD_LIGHT, grid=SMALL, output="float")
+    burst = simulate_tof(wall, camera, np.zeros((6, 2)), shift_error_px=0.0).burst
+    # The wall darkens a little towards the corners; frames do not differ in that.
+    noise = burst.amplitude.std(axis=0, ddof=1)
+    measured = burst.amplitude.mean() / np.sqrt(np.mean(noise**2))
+    assert measured == pytest.approx(snr, rel=0.05)
+    assert burst.valid is None or burst.valid.all()
+
+
+def test_the_lens_of_the_camera_is_traced_or_plain() -> None:
+    traced = paper_camera(50.0, CARD_LIGHT, CARD_LIGHT, optics="petzval_a", element=None)
+    assert isinstance(traced.optics, LensOptics)
+    assert traced.optics.element is None
+    assert px_to_m(1.0, 42.7) == pytest.approx(PITCH_MM)
+
+
+def test_interval_of_a_mean_covers_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(3)
+    for count in (3, 12):
+        inside = 0
+        for _ in range(300):
+            mean, (low, high) = mean_interval(rng.normal(2.0, 0.5, count).tolist())
+            assert low <= mean <= high
+            inside += low <= 2.0 <= high
+        assert 0.86 <= inside / 300 <= 0.99
+    assert np.isnan(mean_interval([1.0])[1]).all()
+
+
+def test_few_measurements_are_pooled_by_their_own_intervals() -> None:
+    mean, interval = pooled_interval([(1.0, 0.8, 1.3), (3.0, 2.6, 3.1)])
+    assert mean == pytest.approx(2.0)
+    assert interval == pytest.approx((1.7, 2.2))
+    many = [(value, -99.0, 99.0) for value in (1.0, 2.0, 3.0, 2.0, 2.0)]
+    assert pooled_interval(many)[1][0] >= 1.0
+
+
+def test_steepness_is_that_of_a_ramp() -> None:
+    ramp = np.tile(np.clip(0.25 * (np.arange(17) - 5.0), 0.0, 2.0), (3, 1))
+    found = steepness(ramp, [0, 2], slice(0, 17), 0.5, 0.1)
+    np.testing.assert_allclose(found, 0.5)
+    assert np.isnan(steepness(np.zeros((3, 9)), [1], slice(0, 9), 1.0, 0.1)).all()
+
+
+def mover(element: int, loss: float, error_px: float) -> Mover:
+    return Mover(element, f"lens {element}", 0.04, 0.86, 0.0056, error_px, 0.95, 0.95 - loss, loss)
+
+
+def test_verdicts_on_the_lens_follow_from_the_curves() -> None:
+    frequency = np.linspace(0.0, 1 / PITCH_MM, 9)
+    rest = np.tile(1.0 - 0.02 * frequency, (2, 1))
+    movers = (mover(0, 0.02, 0.016), mover(1, 0.03, 0.003), mover(2, 0.08, 0.08))
+    good = LensResult("good", frequency, rest, rest - 0.01, (0.04, 0.04), movers)
+    beyond, keeps, first = optics_claims([good])
+    assert (beyond.verdict, keeps.verdict, first.verdict) == (
+        "confirmed", "confirmed", "qualified",
+    )  # fmt: skip
+    assert keeps.ours == pytest.approx(0.01)
+    blurred = replace(good, moved=np.abs(np.sinc(PITCH_MM * frequency)) * rest * 0.99)
+    beyond, keeps, _ = optics_claims([good, blurred])
+    assert (beyond.verdict, keeps.verdict) == ("refuted", "qualified")
+    alone = replace(good, movers=(mover(0, 0.01, 0.001), *movers[1:]))
+    assert optics_claims([alone])[2].verdict == "confirmed"
+
+
+def half(number: int) -> float:
+    if number < 0:
+        raise ArithmeticError(f"no half of {number}")
+    return number / 2
+
+
+@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_jobs_come_back_in_order_and_fail_aloud(processes: int) -> None:
+    seen: list[tuple[int, int]] = []
+    jobs = [Job("even" if n % 2 == 0 else "odd", half, (n,)) for n in range(4)]
+    done = carry_out_jobs(jobs, processes, lambda *step: seen.append(step))
+    assert done == [("even", 0.0), ("odd", 0.5), ("even", 1.0), ("odd", 1.5)]
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    with pytest.raises(ArithmeticError, match="no half of -1"):
+        carry_out_jobs([Job("bad", half, (-1,))], processes)
+    with pytest.raises(ValueError, match="at least one process"):
+        carry_out_jobs(jobs, 0)
+
+
+def test_a_page_is_one_file_that_needs_nothing_else(tmp_path: Path) -> None:
+    from lensshift.report.claims import gains_figure
+
+    gain = {"mean": 2.0, "interval": (1.8, 2.2), "least": 1.0, "most": 3.5}
+    row = {"contrast": 3.0, "width_px": 2.0, "snr": 50.0, "amplitude": gain, "phasor": gain}
+    page = Page("A <b> title")
+    page.heading("One & two")
+    page.text("x < y")
+    page.table([{"a": 1.23456, "b": (0.5, float("nan")), "verdict": "refuted"}])
+    page.table([])
+    page.figure(gains_figure([row], ("amplitude", "phasor"), "gains"), "what it shows")
+    page.save(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "A &lt;b&gt; title" in text
+    assert "x &lt; y" in text
+    assert '<td class="number">1.23</td>' in text
+    assert '<td class="refuted">refuted</td>' in text
+    assert re.findall(r'(?:src|href)="(?!data:)', text) == []
+    assert text.count("<img") == 1
+
+
+@pytest.mark.slow
+def test_a_strip_sees_every_phase() -> None:
+    gains = study_strip(Strip(3.0, 12.0, 400.0))
+    for branch in ("amplitude", "distance", "phasor"):
+        gain = gains[branch]
+        assert gain.lines == PHASES
+        assert gain.least <= gain.interval[0] <= gain.mean <= gain.interval[1] <= gain.most
+        assert 1.2 < gain.mean < 4.0
+    assert gains["amplitude"].reach == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_the_quick_reproduction_says_what_the_paper_claimed(tmp_path: Path) -> None:
+    from lensshift.pipeline.paper import reproduce
+
+    steps: list[tuple[int, int]] = []
+    found = reproduce(tmp_path, quick=True, processes=2, on_step=lambda *one: steps.append(one))
+    assert steps[-1][0] == steps[-1][1] == len(steps)
+    results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    keys = {"id", "statement", "paper", "ours", "interval", "verdict", "why"}
+    assert all(keys == set(claim) for claim in results["claims"])
+    verdict = {claim["id"]: claim["verdict"] for claim in results["claims"]}
+    assert set(verdict.values()) <= {"confirmed", "qualified", "refuted"}
+    for name in ("optics-beyond-sensor", "bicubic-below-frame", "lens-shift-equals-sensor-shift"):
+        assert verdict[name] == "confirmed"
+    claims = {claim.id: claim for claim in found.claims}
+    assert claims["lens-shift-equals-sensor-shift"].ours < 0.02
+    assert claims["resolution-nearly-doubles"].interval[0] > 1.9
+    assert claims["near-half-pixel-limit"].interval[0] > 0
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert all(f"Figure {number}:" in text for number in range(2, 8))
+    for one in found.depth:
+        assert one["phasor"]["edge_rmse_m"] < one["distance"]["edge_rmse_m"]
