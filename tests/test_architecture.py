@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,7 @@ DIMENSIONLESS = {
 }  # fmt: skip
 
 
+@cache
 def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -62,16 +64,22 @@ def test_imports_go_one_way(monkeypatch: pytest.MonkeyPatch) -> None:
     assert api.lint_imports(config_filename="pyproject.toml", cache_dir=None) == 0
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_modules_and_functions_are_short(path: Path) -> None:
-    assert path.read_text(encoding="utf-8").count("\n") <= MAX_MODULE_LINES
-    long = {f.name: code_lines(f) for f in functions(parsed(path))}
-    assert {name: n for name, n in long.items() if n > MAX_FUNCTION_LINES} == {}
+def test_modules_are_short() -> None:
+    lines = {named(path): path.read_text(encoding="utf-8").count("\n") for path in MODULES}
+    assert {name: n for name, n in lines.items() if n > MAX_MODULE_LINES} == {}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_names_of_modules_say_something(path: Path) -> None:
-    assert not EMPTY_NAMES & {path.stem, path.parent.name}
+def test_functions_are_short() -> None:
+    lines = {
+        f"{named(path)}: {f.name}": code_lines(f)
+        for path in MODULES
+        for f in functions(parsed(path))
+    }
+    assert {name: n for name, n in lines.items() if n > MAX_FUNCTION_LINES} == {}
+
+
+def test_names_of_modules_say_something() -> None:
+    assert [named(one) for one in MODULES if EMPTY_NAMES & {one.stem, one.parent.name}] == []
 
 
 def forbidden(tree: ast.Module) -> list[str]:
@@ -90,9 +98,9 @@ def forbidden(tree: ast.Module) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_library_code_neither_prints_nor_asserts_nor_swallows(path: Path) -> None:
-    assert forbidden(parsed(path)) == []
+def test_library_code_neither_prints_nor_asserts_nor_swallows() -> None:
+    found = {named(path): forbidden(parsed(path)) for path in MODULES}
+    assert {name: lines for name, lines in found.items() if lines} == {}
 
 
 def test_the_search_finds_what_it_looks_for() -> None:
@@ -148,6 +156,6 @@ def without_unit(tree: ast.Module) -> Iterator[str]:
                 yield f"{line}: {label.format(name)}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_floats_with_a_dimension_say_their_unit(path: Path) -> None:
-    assert list(without_unit(parsed(path))) == []
+def test_floats_with_a_dimension_say_their_unit() -> None:
+    found = {named(path): list(without_unit(parsed(path))) for path in MODULES}
+    assert {name: lines for name, lines in found.items() if lines} == {}

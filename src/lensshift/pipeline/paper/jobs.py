@@ -62,7 +62,6 @@ def carry_out_jobs(
                 future.result()
                 if on_step is not None:
                     on_step(number + 1, len(jobs))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        finally:
+            pool.shutdown(cancel_futures=True)  # after a failure the rest is not wanted
         return [(job.kind, future.result()) for job, future in zip(jobs, futures, strict=True)]
