@@ -18,6 +18,7 @@ from lensshift.core.units import (
 )
 from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
 from lensshift.reconstruction.phasor.frames import polar_frames
+from lensshift.reconstruction.phasor.noise import relative_variance
 
 Array = NDArray[Any]
 
@@ -305,3 +306,19 @@ def test_phasor_case_of_the_reference_data(reference_dir: Path) -> None:
     error_m = (found_m - phase_to_distance(np.angle(true), hz))[4:-4, 4:-4]
     assert np.sqrt(np.mean(error_m**2)) < 0.021
     assert np.median(np.abs(error_m)) < 0.002
+
+
+@pytest.mark.parametrize("slope", [0.0, 30.0])
+def test_noise_that_grows_with_the_light_is_noticed(slope: float) -> None:
+    rng = np.random.default_rng(2)
+    amplitude = np.repeat(np.geomspace(0.05, 1.0, 5), 13)[None, None, :] * np.ones((4, 31, 1))
+    sigma = 0.004 * np.sqrt(1.0 + slope * amplitude)
+    noise = rng.standard_normal((2, *amplitude.shape))
+    phasor = amplitude * np.exp(0.7j) + sigma * (noise[0] + 1j * noise[1])
+    weight = (rng.random(amplitude.shape) > 0.02).astype(float)
+    phasor[weight == 0] = np.nan
+    found = relative_variance(phasor, weight)
+    expected = (sigma / np.median(sigma)) ** 2
+    np.testing.assert_allclose(found[weight > 0], expected[weight > 0], rtol=0.35)
+    small = relative_variance(phasor[:, :5, :5], weight[:, :5, :5])
+    np.testing.assert_array_equal(small, 1.0)

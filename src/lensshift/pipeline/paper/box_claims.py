@@ -14,7 +14,7 @@ from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.optics.shift import decenter_for_shift, shift_map
 from lensshift.pipeline.experiment import depth_numbers
 from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, WALL_LIGHT, paper_camera
-from lensshift.pipeline.paper.claims import Claim, Pair, mean_interval
+from lensshift.pipeline.paper.claims import Claim, Pair, Verdict, mean_interval
 from lensshift.pipeline.paper.measure import reconstructed
 from lensshift.scene import four_boxes
 
@@ -120,11 +120,7 @@ def box_claims(runs: list[BoxRun]) -> list[Claim]:
             paper="more than 3",
             ours=distance[0],
             interval=distance[1],
-            verdict="confirmed"
-            if distance[1][0] > 3
-            else "refuted"
-            if distance[1][1] < 3
-            else "qualified",
+            verdict=_triples(runs, distance[1]),
             why=f"On average it is {distance[0]:.2f} times steeper (phasor branch "
             f"{phasor[0]:.2f}), single profiles range over {_extremes(runs, 'distance')}: more "
             "than 3 is a matter of where the edge falls on the pixels.",
@@ -141,6 +137,14 @@ def box_claims(runs: list[BoxRun]) -> list[Claim]:
             f"{distance[0]:.2f}: the shift map does not decide it.",
         ),
     ]
+
+
+def _triples(runs: list[BoxRun], interval: Pair) -> Verdict:
+    """Judge by the mean; if single lines show more than three, the paper's may have been one."""
+    if interval[0] > 3:
+        return "confirmed"
+    most = max(float(np.nanmax(run.gains["distance"])) for run in runs)
+    return "qualified" if interval[1] > 3 or most > 3 else "refuted"
 
 
 def _field(optics: object, burst: Any) -> ShiftField:

@@ -29,13 +29,14 @@ def reconstructed(
     scale: int = 2,
     method: str = "auto",
     shift_field: ShiftField | None = None,
+    prior_weight: float | None = None,
 ) -> dict[str, Floats]:
     """Return the images of a burst by channel; doubts about the shifts are part of the study."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)
         result = reconstruct(
             burst, scale, method, channel=channel, std=False, shift_field=shift_field,
-            fill_factor=_FILL_FACTOR, psf_sigma_px=_SPOT_PX,
+            prior_weight=prior_weight, fill_factor=_FILL_FACTOR, psf_sigma_px=_SPOT_PX,
         )  # fmt: skip
     return images_of(result)
 

@@ -28,7 +28,8 @@ _TABLES = {
     "patterns": "Finer patterns, every frame exposed alike",
     "equal_light": "More, shorter frames at scale 2, with the same light in all",
     "errors": "Shifts that are not where they were planned",
-    "shift_map": "A zone plate through build B: one shift per frame, or the traced map",
+    "shift_map": "A zone plate through build B, each lens moved in turn: one shift per frame, or "
+    "the traced map",
 }
 
 

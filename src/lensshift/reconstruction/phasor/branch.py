@@ -16,6 +16,7 @@ from lensshift.reconstruction.adaptive import SparseGradient
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PhaseScale, PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.joint import JointPhasor, PolarImage
+from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
 from lensshift.reconstruction.request import Request
 from lensshift.reconstruction.sparse import tikhonov, total_variation
@@ -91,6 +92,11 @@ def reconstruct_phasor(
 
     problem = prepare(frames.phasor)
     noise = _noise(problem, noise_sigma, pixel_variance)
+    if noise_sigma is None and pixel_variance is None:
+        variance = relative_variance(problem.y, problem.weight)
+        best = float(variance[problem.weight > 0].min())
+        noise *= best**0.5
+        problem = replace(problem, weight=problem.weight * best / variance)
     problem = replace(problem, noise_sigma=noise)
     if method == "auto":
         fit = _joint(problem, _apart(prepare, frames), noise, request)
