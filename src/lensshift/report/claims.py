@@ -110,7 +110,9 @@ def gains_figure(rows: Sequence[Mapping[str, Any]], branches: Sequence[str], tit
         axes.axvline(3.0, color=INK, linewidth=0.9, linestyle="--")
         axes.set_xlim(0.0, _MOST_GAIN)
         axes.set_xlabel("gradient against one frame (thick: 95 % of the mean; thin: single lines)")
-        axes.legend(loc="lower right", fontsize=SMALL_PT)
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(branches), fontsize=SMALL_PT
+        )
         axes.set_title(title)
     return figure
 

@@ -93,7 +93,8 @@ def reconstruct_phasor(
     problem = prepare(frames.phasor)
     noise = _noise(problem, noise_sigma, pixel_variance)
     if noise_sigma is None and pixel_variance is None:
-        variance = relative_variance(problem.y, problem.weight)
+        # The root: a bright mixed pixel has much noise, and tells most of where the edge is.
+        variance = np.sqrt(relative_variance(problem.y, problem.weight))
         best = float(variance[problem.weight > 0].min())
         noise *= best**0.5
         problem = replace(problem, weight=problem.weight * best / variance)
