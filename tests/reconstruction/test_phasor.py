@@ -319,6 +319,8 @@ def test_noise_that_grows_with_the_light_is_noticed(slope: float) -> None:
     phasor[weight == 0] = np.nan
     found = relative_variance(phasor, weight)
     expected = (sigma / np.median(sigma)) ** 2
-    np.testing.assert_allclose(found[weight > 0], expected[weight > 0], rtol=0.35)
+    known = np.where(weight > 0, found, np.nan).reshape(4, 31, 5, 13)
+    of_steps = np.nanmean(known, axis=(0, 1, 3))
+    np.testing.assert_allclose(of_steps, expected[0, 0, ::13], rtol=0.25)
     small = relative_variance(phasor[:, :5, :5], weight[:, :5, :5])
     np.testing.assert_array_equal(small, 1.0)
