@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth, named_pattern_px
+from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth
 from lensshift.camera import simulate_tof as take
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
@@ -155,20 +155,29 @@ def simulate(experiment: Experiment) -> TofCapture:
 
 def told(experiment: Experiment, capture: TofCapture) -> tuple[Burst, ShiftField | None]:
     """Return the burst with the shifts that the reconstruction is told, and their field."""
-    from dataclasses import replace
-
     burst = capture.burst
     if experiment.shifts == "true":
         return replace(burst, offset_px=capture.truth.offset_px), None
     if experiment.shifts == "planned":
         return burst, None
+    return burst, traced_field(experiment.camera, burst)
+
+
+def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
+    """Return the offset of every pixel when the lens makes the offsets of the burst in the middle.
+
+    Raises
+    ------
+    ValueError
+        If the camera has no traced lens that moves.
+    """
     from lensshift.optics.shift import decenter_for_shift, shift_map
 
-    optics = experiment.camera.optics
+    optics = camera.optics
     if not isinstance(optics, LensOptics) or optics.element is None:
-        raise TypeError(f"expected a traced lens that moves, got {type(optics).__name__}")
+        raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
     decenter_mm = decenter_for_shift(optics.lens, optics.element, burst.offset_px, burst.grid)
-    return burst, shift_map(optics.lens, optics.element, decenter_mm, burst.grid)
+    return shift_map(optics.lens, optics.element, decenter_mm, burst.grid)
 
 
 def images_of(result: Reconstruction) -> dict[str, NDArray[Any]]:
@@ -181,8 +190,3 @@ def depth_numbers(distance_m: NDArray[Any], truth: TofTruth, scale: int) -> dict
     """Return the errors of a distance image against the truth."""
     found = asdict(depth_error(distance_m, truth.distance_m, truth_valid=truth.valid, scale=scale))
     return {name: float(value) for name, value in found.items()}
-
-
-def still_pattern_px() -> NDArray[np.float64]:
-    """Return the pattern of one frame at rest."""
-    return named_pattern_px("still")

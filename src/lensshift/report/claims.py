@@ -26,6 +26,7 @@ def curves_figure(
     title: str,
     *,
     bands: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
+    paired: bool = False,
 ) -> Figure:
     """Draw MTF curves in colours and limits in grey dashes, all at the same frequencies.
 
@@ -35,16 +36,18 @@ def curves_figure(
     curves, limits : label -> [f]
     title : above the figure
     bands : label -> lowest and highest [f]
+    paired : whether every second curve belongs to the one before: same colour, dashed
     """
     frequency = np.asarray(frequency_lpmm, dtype=np.float64)
     with styled():
         figure = new_figure(8.2, 4.6)
         axes = figure.subplots()
         for number, (label, values) in enumerate(curves.items()):
-            colour = colour_of(number)
+            colour = colour_of(number // 2 if paired else number)
+            style = "--" if paired and number % 2 else "-"
             if bands and label in bands:
                 axes.fill_between(frequency, *bands[label], color=colour, alpha=0.18, linewidth=0)
-            axes.plot(frequency, np.asarray(values), color=colour, label=label)
+            axes.plot(frequency, np.asarray(values), style, color=colour, label=label)
         for number, (label, values) in enumerate(limits.items()):
             axes.plot(
                 frequency, np.asarray(values), _DASHES[1 + number % 3], color=INK, linewidth=1.0,

@@ -34,20 +34,20 @@ _RADIUS_M, _FINEST_M, _PRIOR_WEIGHT = 0.41, 0.0155, 0.01
 
 def pattern_row(pattern: str, scale: int, seed: int = 0) -> Row:
     """Return what a finer pattern resolves, every frame exposed as one of four."""
-    fine, coarse = _edges(pattern, scale, SNR, SHIFT_ERROR_PX, seed)
+    fine, coarse = _edges(pattern, scale, SHIFT_ERROR_PX, seed)
     return {"pattern": pattern, "scale": scale} | _numbers(fine, coarse)
 
 
 def light_row(pattern: str, seed: int = 0) -> Row:
     """Return what more, shorter frames are worth at scale 2, with the light of four in all."""
     count = len(named_pattern_px(pattern))
-    fine, coarse = _edges(pattern, 2, SNR * (4.0 / count) ** 0.5, SHIFT_ERROR_PX, seed)
+    fine, coarse = _edges(pattern, 2, SHIFT_ERROR_PX, seed, exposure=4.0 / count)
     return {"frames": count, "exposure": 4.0 / count} | _numbers(fine, coarse)
 
 
 def error_row(shift_error_px: float, seed: int = 0) -> Row:
     """Return what wrong shifts leave of the resolution."""
-    fine, coarse = _edges("square", 2, SNR, shift_error_px, seed)
+    fine, coarse = _edges("square", 2, shift_error_px, seed)
     return {"shift_error_px": shift_error_px} | _numbers(fine, coarse)
 
 
@@ -89,10 +89,22 @@ def _zone_plate() -> Scene:
 
 
 def _edges(
-    pattern: str, scale: int, snr: float, shift_error_px: float, seed: int
+    pattern: str, scale: int, shift_error_px: float, seed: int, *, exposure: float = 1.0
 ) -> tuple[EdgeResult, EdgeResult]:
-    """Return the edge of the card as reconstructed, and as one frame of a square shows it."""
-    camera = paper_camera(snr, CARD_LIGHT, CARD_LIGHT)
+    """Return the edge of the card as reconstructed, and as one of the frames shows it.
+
+    Parameters
+    ----------
+    exposure : of a frame, over that with the usual SNR; the range of the converter follows
+    """
+    camera = paper_camera(SNR, CARD_LIGHT, CARD_LIGHT)
+    readout = camera.readout
+    readout = replace(
+        readout,
+        exposure_s=(exposure * readout.exposure_s[0],),
+        full_well_electrons=exposure * readout.full_well_electrons,
+    )
+    camera = replace(camera, readout=readout)
     capture = simulate_tof(
         slanted_edge_card(), camera, named_pattern_px(pattern), scale=scale,
         shift_error_px=shift_error_px, seed=seed,

@@ -10,6 +10,7 @@ import numpy as np
 from lensshift.camera import named_pattern_px
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.optics.lens_file import load_lens
+from lensshift.optics.mtf import diffraction_limit
 from lensshift.pipeline.paper.bench import PITCH_MM
 from lensshift.pipeline.paper.box_claims import BRANCHES
 from lensshift.pipeline.paper.edge_claims import FREQUENCY_LPMM, KINDS, limit, mean_curve
@@ -77,6 +78,7 @@ def _lens_section(page: Page, found: Reproduction) -> None:
         "Figure 2: the lens with its first element at rest and moved, rays at 0 and 6.5 degrees.",
     )
     for lens in found.lenses:
+        diffraction = diffraction_limit(load_lens(lens.name), lens.frequency_lpmm)
         curves = {
             f"{place} {state}": values[number]
             for number, place in enumerate(("centre,", "6.5/1.6 degrees,"))
@@ -85,9 +87,10 @@ def _lens_section(page: Page, found: Reproduction) -> None:
         limits = {
             "|sinc| of a pixel": pixel_aperture_mtf(lens.frequency_lpmm, PITCH_MM),
             "|sinc| of half a pixel": pixel_aperture_mtf(lens.frequency_lpmm, PITCH_MM / 2),
+            "diffraction": diffraction.modulation,
         }
         page.figure(
-            curves_figure(lens.frequency_lpmm, curves, limits, f"MTF of {lens.name}"),
+            curves_figure(lens.frequency_lpmm, curves, limits, f"MTF of {lens.name}", paired=True),
             f"Figure 3: MTF along columns of {lens.name}, first element at rest and a quarter "
             "pixel away in rows and columns, exact from the traced wavefront.",
         )
