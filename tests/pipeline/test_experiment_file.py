@@ -96,6 +96,8 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[camera.lens]\nelement = -1", "expected a whole camera.lens.element of at least 0"),
         ("[burst]\npattern = 'star'", "expected a pattern of square, 3x3, 4x4, still"),
         ("[burst]\nseed = 1.5", "expected a whole seed"),
+        ("[reconstruction]\nmethod = 'magic'", "mine.toml: "),
+        ("[reconstruction]\nchannel = 'colour'", "expected a channel of auto, amplitude"),
         ("[reconstruction]\nshifts = 'guessed'", "expected shifts planned, true, traced"),
         ("[reconstruction]\nshifts = 'traced'", "a camera whose lens is traced and moves"),
         ("= 3", "mine.toml: is not TOML"),

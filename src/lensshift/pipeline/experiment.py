@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth
 from lensshift.camera import simulate_tof as take
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
+from lensshift.reconstruction.methods import find_method
 from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.scene import Scene
@@ -54,6 +55,10 @@ class Experiment:
     name: str = ""
 
     def __post_init__(self) -> None:
+        find_method(self.method)
+        if self.channel not in get_args(Channel):
+            expected = ", ".join(get_args(Channel))
+            raise ValueError(f"expected a channel of {expected}, got {self.channel!r}")
         if self.shifts not in SHIFTS:
             raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
         if self.shifts == "traced" and not self._moves_a_lens:
