@@ -28,3 +28,36 @@ class DataError(ValueError):
 
 class QualityWarning(UserWarning):
     """The data are poor but usable; the message says by how much."""
+
+
+class DeviceError(RuntimeError):
+    """A device of the rig refuses, fails, or has gone.
+
+    Parameters
+    ----------
+    problem : what happened and what to do, in one line
+    device : its name, as the user knows it
+    command : what it was asked to do
+    position_mm : where the stage was last known to be
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        device: str = "",
+        command: str = "",
+        position_mm: tuple[float, ...] | None = None,
+    ) -> None:
+        self.problem = " ".join(problem.split())
+        self.device = device
+        self.command = command
+        self.position_mm = position_mm
+        parts = [part for part in (device, command, self.problem) if part]
+        if position_mm is not None:
+            parts[-1] += f" (last position {', '.join(f'{x:.4f}' for x in position_mm)} mm)"
+        super().__init__(": ".join(parts))
+
+
+class DeviceTimeout(DeviceError):  # noqa: N818 - as TimeoutError's relatives are named
+    """A device did not answer, move or send in time."""
