@@ -1,0 +1,102 @@
+"""What a rig has been found to do: image shift per stage travel, play, drift, blur."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.motion import ShiftField, StageMap
+
+Array = NDArray[np.float64]
+
+
+def _zeros() -> Array:
+    return np.zeros(2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """From stage positions to image offsets and back, with what else a scan says of the rig.
+
+        offset_px = px_per_mm (stage_mm - rest_mm)
+
+    Parameters
+    ----------
+    stage_map : image shift (row, col) over stage travel (row, col), also over the sensor
+    rest_mm : [2] where the offset is zero
+    source : "nominal" (computed from the optics) or "measured" (by a scan)
+    px_per_mm_sigma : [2 2] standard deviation of the map
+    play_mm, play_sigma_mm : [2] of each axis: what is lost when it turns round
+    psf_sigma_px, psf_sigma_sigma_px : width of the blur in LR pixels, None if not measured
+    drift_px_per_s, drift_sigma_px_per_s : [2] of the image while the stage stands still
+    notes : text and numbers: date, devices, number of frames
+    """
+
+    stage_map: StageMap
+    rest_mm: Array
+    source: Literal["nominal", "measured"] = "nominal"
+    px_per_mm_sigma: Array | None = None
+    play_mm: Array = field(default_factory=_zeros)
+    play_sigma_mm: Array = field(default_factory=_zeros)
+    psf_sigma_px: float | None = None
+    psf_sigma_sigma_px: float | None = None
+    drift_px_per_s: Array = field(default_factory=_zeros)
+    drift_sigma_px_per_s: Array = field(default_factory=_zeros)
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in (
+            "rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s",
+        ):  # fmt: skip
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if value.shape != (2,) or not np.all(np.isfinite(value)):
+                raise ValueError(f"expected two finite numbers {name} (row, col), got {value}")
+            object.__setattr__(self, name, value)
+        if abs(np.linalg.det(self.stage_map.px_per_mm)) < 1e-12:
+            raise ValueError("expected a px_per_mm whose axes are not parallel")
+
+    @property
+    def offset_source(self) -> Literal["planned", "calibrated"]:
+        """What offsets by this map are called in a burst."""
+        return "calibrated" if self.source == "measured" else "planned"
+
+    @property
+    def rotation_rad(self) -> float:
+        """Turn of the stage axes against the image axes: of the rotation nearest to the map."""
+        u, _, v = np.linalg.svd(self.stage_map.px_per_mm)
+        turn = u @ v
+        return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+
+    @property
+    def cross_talk(self) -> Array:
+        """[2] shift across over shift along, for a move of the row and of the col axis."""
+        m = self.stage_map.px_per_mm
+        return np.array([m[1, 0] / m[0, 0], m[0, 1] / m[1, 1]])
+
+    def offset_px(self, stage_mm: ArrayLike) -> Array:
+        """Return image offsets [... 2] in the middle of the sensor for positions [... 2]."""
+        away_mm = np.asarray(stage_mm, dtype=np.float64) - self.rest_mm
+        return np.asarray(away_mm @ self.stage_map.px_per_mm.T)
+
+    def stage_mm(self, offset_px: ArrayLike) -> Array:
+        """Return the stage positions [... 2] that make image offsets [... 2]."""
+        wanted = np.asarray(offset_px, dtype=np.float64)
+        return np.asarray(wanted @ np.linalg.inv(self.stage_map.px_per_mm).T + self.rest_mm)
+
+    def shift_field(self, stage_mm: ArrayLike) -> ShiftField:
+        """Return the offset of every pixel for positions [frame 2].
+
+        Raises
+        ------
+        ValueError
+            If the map is one number for the whole sensor.
+        """
+        per_mm = self.stage_map.field_px_per_mm
+        if per_mm is None:
+            raise ValueError("expected a calibration over the sensor, this one has a single map")
+        away_mm = np.atleast_2d(np.asarray(stage_mm, dtype=np.float64)) - self.rest_mm
+        return ShiftField(np.einsum("rcij,fj->frci", per_mm, away_mm))
