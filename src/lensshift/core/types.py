@@ -73,6 +73,7 @@ class Burst:
     stage_mm, stage_commanded_mm : [frame 2] lens position read back and asked for, or None
     time_s : [frame] or None
     modulation_hz : modulation frequency, or None
+    raw : name -> [frame ...] what the camera sent, as it sent it
     meta : anything else worth keeping, text and numbers
 
     Raises
@@ -92,6 +93,7 @@ class Burst:
     stage_commanded_mm: NDArray[np.float64] | None = None
     time_s: NDArray[np.float64] | None = None
     modulation_hz: float | None = None
+    raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -125,6 +127,11 @@ class Burst:
             raise DataError(
                 f"expected a positive frequency, got {self.modulation_hz}", field="modulation_hz"
             )
+        for name, values in self.raw.items():
+            if np.ndim(values) < 1 or len(values) != count:
+                raise DataError(
+                    f"expected one entry a frame, got shape {np.shape(values)}", field=f"raw_{name}"
+                )
         for name, value in settle.items():
             object.__setattr__(self, name, value)
 
@@ -200,6 +207,7 @@ class Burst:
             stage_commanded_mm=pick(self.stage_commanded_mm),
             time_s=pick(self.time_s),
             modulation_hz=self.modulation_hz,
+            raw={name: values[index] for name, values in self.raw.items()},
             meta=self.meta,
         )
 

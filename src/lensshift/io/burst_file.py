@@ -7,6 +7,7 @@ Schema `lensshift-burst/1`, group `entry/data`, dimensions (frame, row, col):
     offset_row, offset_col, offset_sigma_row, offset_sigma_col   [frame]  pixel
     stage_row, stage_col, stage_commanded_row, stage_commanded_col   [frame]  mm
     time                  [frame]           s
+    raw_NAME              [frame ...]       as the camera sent it
     attributes: pitch_mm (row, col), modulation_hz, offset_source, meta (JSON)
 """
 
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
+from lensshift.io.capture_file import burst_of_capture, is_capture, read_capture
 from lensshift.io.container_reader import open_container
 from lensshift.io.container_writer import (
     Variable,
@@ -32,6 +34,7 @@ from lensshift.io.container_writer import (
 SCHEMA = "lensshift-burst/1"
 _AXES = ("frame", "row", "col")
 _INVALID = np.uint8(1)
+_RAW = "raw_"
 # Field of `Burst` -> (name in the file, unit, what it is)
 _PAIRS = {
     "offset_px": ("offset", "pixel", "image offset; positive: content moved down / right"),
@@ -68,7 +71,7 @@ def save_burst(burst: Burst, path: str | Path) -> None:
 
 
 def load_burst(path: str | Path) -> Burst:
-    """Read a burst that `save_burst` wrote.
+    """Read a burst that `save_burst` wrote, or the frames so far of an unfinished capture.
 
     Raises
     ------
@@ -76,6 +79,8 @@ def load_burst(path: str | Path) -> Burst:
         If the file is missing, damaged, of another schema, or contradicts itself; the message
         names the file and the field.
     """
+    if is_capture(path):
+        return burst_of_capture(*read_capture(path), Path(path))
     with open_container(path, SCHEMA) as container:
         fields: dict[str, Any] = {
             field: container.pairs(name)
@@ -86,6 +91,11 @@ def load_burst(path: str | Path) -> Burst:
             fields["distance_m"] = container.array("distance")
         if container.has("time"):
             fields["time_s"] = container.array("time", kinds="uif")
+        fields["raw"] = {
+            name.removeprefix(_RAW): container.array(name)
+            for name in container.names()
+            if name.startswith(_RAW)
+        }
         flags = container.array("flags", kinds="ui")
         return Burst.from_arrays(
             container.array("amplitude"),
@@ -113,10 +123,19 @@ def _variables(burst: Burst) -> dict[str, Variable]:
     if burst.time_s is not None:
         described = {"units": "s", "long_name": "time of the frame"}
         variables["time"] = Variable(("frame",), burst.time_s, described)
+    for name, values in burst.raw.items():
+        variables[f"{_RAW}{name}"] = Variable(_raw_axes(burst, name, values), values)
     variables["frame"] = Variable(
         ("frame",), np.arange(burst.frame_count, dtype=np.int32), {"long_name": "frame number"}
     )
     return variables | pixel_centres(burst.grid.shape)
+
+
+def _raw_axes(burst: Burst, name: str, values: NDArray[Any]) -> tuple[str, ...]:
+    """Return the dimensions of what a camera sent: those of the images, or its own."""
+    if values.shape == burst.amplitude.shape:
+        return _AXES
+    return ("frame", *(f"{name}_{axis}" for axis in range(1, values.ndim)))
 
 
 def _flags(burst: Burst) -> NDArray[np.uint8]:

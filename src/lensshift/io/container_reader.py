@@ -32,6 +32,11 @@ class Container:
         with reading(self.path, name):
             return name in self.group
 
+    def names(self) -> list[str]:
+        """Return the names of all variables, those of dimensions included."""
+        with reading(self.path):
+            return sorted(self.group)
+
     def array(self, name: str, *, kinds: str = "uifc") -> NDArray[Any]:
         """Read a variable whose dtype is of one of the given kinds."""
         import h5py

@@ -1,0 +1,382 @@
+"""Take a burst: move, settle, prove that a frame began afterwards, keep it, come back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.capture.plan import shortest_order
+from lensshift.capture.rig import Camera, CameraFrame, Stage
+from lensshift.core.calibration import Calibration
+from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
+from lensshift.core.motion import ShiftPlan
+from lensshift.core.types import Burst
+from lensshift.io import save_burst
+from lensshift.io.capture_file import CaptureWriter, Record, burst_of_capture, is_capture
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Acquisition:
+    """How frames are taken at a position.
+
+    Parameters
+    ----------
+    frames : that are kept at each position
+    average : keep their mean instead, as one frame
+    discard : frames after the one that arrives as the stage settles which may have begun before:
+        those that are being exposed or wait to be sent
+    frame_timeout_s : how long to wait for a frame
+    hold_mm : how far the stage may stray from its place while frames are taken
+    reorder : visit the positions so that the stage moves least
+    approach_mm : how far the stage overruns when it goes back, for the order
+    """
+
+    frames: int = 1
+    average: bool = False
+    discard: int = 2
+    frame_timeout_s: float = 3.0
+    hold_mm: float = 0.005
+    reorder: bool = True
+    approach_mm: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.frames < 1:
+            raise ValueError(f"expected at least one frame a position, got {self.frames}")
+        if self.discard < 0:
+            raise ValueError(f"expected discard of at least 0, got {self.discard}")
+        for name in ("frame_timeout_s", "hold_mm"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"expected a positive {name}, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Progress:
+    """Where an acquisition is.
+
+    Parameters
+    ----------
+    step, steps : positions done, and all of them
+    position_mm : [2] of the stage, read back
+    rate_hz : frames per second that the camera gives, 0 before the second one
+    counts : what the camera got and lost
+    """
+
+    step: int
+    steps: int
+    position_mm: NDArray[np.float64]
+    rate_hz: float
+    counts: Mapping[str, int]
+
+
+OnStep = Callable[[Progress], None]
+
+
+def acquire(
+    stage: Stage,
+    camera: Camera,
+    plan: ShiftPlan,
+    calibration: Calibration,
+    path: str | Path,
+    settings: Acquisition | None = None,
+    *,
+    resume: bool = False,
+    on_step: OnStep | None = None,
+) -> Burst:
+    """Take the burst of a plan; every frame is in the file as soon as it is taken.
+
+    The lens returns to its rest position however this ends; after a fault of the stage itself it
+    stands still where it is.
+
+    Parameters
+    ----------
+    calibration : from image offsets to stage positions and back
+    path : burst file; until the plan is done a journal of the same name, which `load_burst`
+        reads as well
+    resume : go on with an unfinished capture of the same plan
+
+    Raises
+    ------
+    ValueError
+        If the plan leads out of the travel of the stage.
+    DataError
+        If the file cannot be written, exists already, or holds another plan.
+    DeviceError
+        If stage or camera fail; all frames until then are in the file.
+    """
+    position_mm = calibration.stage_mm(plan.target_px)
+    return acquire_at(
+        stage,
+        camera,
+        position_mm,
+        calibration,
+        path,
+        settings,
+        plan_name=plan.name,
+        resume=resume,
+        on_step=on_step,
+    )
+
+
+def acquire_at(
+    stage: Stage,
+    camera: Camera,
+    position_mm: ArrayLike,
+    calibration: Calibration,
+    path: str | Path,
+    settings: Acquisition | None = None,
+    *,
+    plan_name: str = "",
+    resume: bool = False,
+    on_step: OnStep | None = None,
+) -> Burst:
+    """Take frames at stage positions [frame 2]; otherwise as `acquire`."""
+    settings = settings or Acquisition()
+    positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
+    check_travel(stage, positions)
+    if settings.reorder:
+        order = shortest_order(positions, settings.approach_mm, stage.position_mm())
+        positions = positions[order]
+    header = _header(stage, camera, positions, calibration, settings, plan_name)
+    with _opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
+        positions = np.asarray(file.header["position_mm"])
+        taken = [int(one["step"]) for one in file.frames]
+        for step, target in enumerate(positions):
+            wanted = 1 if settings.average else settings.frames
+            missing = wanted - taken.count(step)
+            if missing <= 0:
+                continue
+            for record in _at_position(stage, camera, target, settings, missing):
+                file.append({"step": step, **record, **_offsets(record, calibration)})
+            if on_step is not None:
+                on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
+    burst = burst_of_capture(file.header, file.frames, file.path)
+    save_burst(burst, file.path)
+    return burst
+
+
+def bursts(
+    stage: Stage,
+    camera: Camera,
+    plan: ShiftPlan,
+    calibration: Calibration,
+    settings: Acquisition | None = None,
+) -> Iterator[Burst]:
+    """Yield one burst of the plan after another until the caller stops; then the lens returns.
+
+    Raises
+    ------
+    ValueError, DeviceError
+        As `acquire`.
+    """
+    settings = settings or Acquisition()
+    positions = calibration.stage_mm(plan.target_px)
+    check_travel(stage, positions)
+    if settings.reorder:
+        positions = positions[shortest_order(positions, settings.approach_mm, positions[-1])]
+    header = _header(stage, camera, positions, calibration, settings, plan.name)
+    with returning(stage, calibration.rest_mm):
+        while True:
+            records: list[Record] = []
+            for step, target in enumerate(positions):
+                for record in _at_position(stage, camera, target, settings, settings.frames):
+                    whole = {"step": step, **record, **_offsets(record, calibration)}
+                    records.append({name: np.asarray(value) for name, value in whole.items()})
+            yield burst_of_capture(header, records, Path(plan.name or "burst"))
+
+
+@contextmanager
+def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
+    """Bring the lens back to rest when the block ends, or stop it where the stage has failed."""
+    finished = failed = False
+    try:
+        yield
+        finished = True
+    except DeviceError as error:
+        failed = error.device == stage.name
+        raise
+    finally:
+        if not finished:
+            stage.stop()
+        if not failed:
+            try:
+                stage.move_to(rest_mm)
+            except DeviceError:
+                stage.stop()
+                if finished:
+                    raise
+
+
+def check_travel(stage: Stage, position_mm: ArrayLike) -> None:
+    """Refuse positions [frame 2] out of the reach of the stage before anything moves.
+
+    Raises
+    ------
+    ValueError
+        With the first one that is out of reach.
+    """
+    low, high = np.asarray(stage.travel_mm).T
+    for number, place in enumerate(np.atleast_2d(np.asarray(position_mm, dtype=np.float64))):
+        if not np.all((place >= low) & (place <= high)):
+            reach = " and ".join(f"{a:g} to {b:g}" for a, b in zip(low, high, strict=True))
+            at = ", ".join(f"{x:.4f}" for x in place)
+            raise ValueError(f"position {number} at {at} mm is out of travel ({reach} mm)")
+
+
+def _opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> CaptureWriter:
+    if not resume:
+        return CaptureWriter.create(path, header)
+    if not Path(path).exists():
+        return CaptureWriter.create(path, header)
+    if not is_capture(path):
+        raise DataError("nothing to resume: this is no unfinished capture", source=path)
+    file = CaptureWriter.resume(path)
+    for name in ("plan", "frames", "average", "pitch_mm", "shape"):
+        if file.header.get(name) != _as_stored(header[name]):
+            file.close()
+            problem = f"the capture was begun with {name} {file.header.get(name)!s:.60}"
+            raise DataError(f"{problem}, not {header[name]!s:.60}", field=name, source=path)
+    if np.asarray(file.header["position_mm"]).shape != np.shape(header["position_mm"]):
+        file.close()
+        raise DataError("the capture was begun with another number of positions", source=path)
+    return file
+
+
+def _as_stored(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _header(
+    stage: Stage,
+    camera: Camera,
+    position_mm: Array,
+    calibration: Calibration,
+    settings: Acquisition,
+    plan_name: str,
+) -> dict[str, Any]:
+    return {
+        "plan": plan_name,
+        "frames": settings.frames,
+        "average": settings.average,
+        "shape": camera.grid.shape,
+        "pitch_mm": camera.grid.pitch_mm,
+        "modulation_hz": camera.modulation_hz,
+        "position_mm": position_mm.tolist(),
+        "offset_source": calibration.offset_source,
+        "meta": {
+            "plan": plan_name,
+            "stage": {"name": stage.name, **stage.describe()},
+            "camera": {"name": camera.name, **camera.describe()},
+            "acquisition": asdict(settings),
+            "rest_mm": np.asarray(calibration.rest_mm).tolist(),
+            "px_per_mm": np.asarray(calibration.stage_map.px_per_mm).tolist(),
+        },
+    }
+
+
+def _at_position(
+    stage: Stage, camera: Camera, target_mm: Array, settings: Acquisition, count: int
+) -> Iterator[dict[str, Any]]:
+    """Go there and yield the records of the frames that are kept."""
+    stage.move_to(target_mm)
+    settled_cycle = camera.newest_cycle()
+    shots: list[CameraFrame] = []
+    places_mm: list[Array] = []
+    for _ in range(settings.frames if settings.average else count):
+        shot = _begun_after(camera, settled_cycle + settings.discard, settings.frame_timeout_s)
+        here_mm = stage.position_mm()
+        strayed_mm = float(np.max(np.abs(here_mm - target_mm)))
+        if strayed_mm > settings.hold_mm:
+            raise DeviceError(
+                f"strayed {1e3 * strayed_mm:.1f} um from its place while a frame was taken",
+                device=stage.name,
+                command="hold",
+                position_mm=tuple(here_mm),
+            )
+        settled_cycle = max(settled_cycle, shot.cycle - settings.discard)
+        shots.append(shot)
+        places_mm.append(here_mm)
+        if not settings.average:
+            yield _record(shot, here_mm, target_mm)
+    if settings.average:
+        yield _record(_mean(shots), np.mean(places_mm, axis=0), target_mm)
+
+
+def _begun_after(camera: Camera, cycle: int, timeout_s: float) -> CameraFrame:
+    """Return the next frame with a later cycle: it began after the stage had settled."""
+    end_s = time.monotonic() + timeout_s
+    while True:
+        frame = camera.next_frame(max(end_s - time.monotonic(), 0.0))
+        if frame.cycle > cycle:
+            return frame
+        if time.monotonic() > end_s:
+            raise DeviceTimeout(
+                f"frames come, but none after cycle {cycle} within {timeout_s:g} s",
+                device=camera.name,
+                command="wait for a frame",
+            )
+
+
+def _record(shot: CameraFrame, here_mm: Array, target_mm: Array) -> dict[str, Any]:
+    frame = shot.frame
+    record = {
+        "amplitude": frame.amplitude,
+        "valid": frame.valid,
+        "time_s": frame.time_s,
+        "arrived_s": shot.arrived_s,
+        "cycle": shot.cycle,
+        "stage_mm": here_mm,
+        "stage_commanded_mm": target_mm,
+        **{f"raw_{name}": values for name, values in shot.raw.items()},
+    }
+    if frame.distance_m is not None:
+        record["distance_m"] = frame.distance_m
+    return record
+
+
+def _offsets(record: Mapping[str, Any], calibration: Calibration) -> dict[str, Array]:
+    """Return where the image lies, from the position read back."""
+    return {
+        "offset_px": calibration.offset_px(record["stage_mm"]),
+        "offset_sigma_px": np.full(2, calibration.stage_map.sigma_px),
+    }
+
+
+def _mean(shots: list[CameraFrame]) -> CameraFrame:
+    """Return the mean of frames: of each pixel over those in which it is valid."""
+    first, last = shots[0], shots[-1]
+    valid = np.stack([shot.frame.valid for shot in shots])
+    count = np.maximum(valid.sum(axis=0), 1)
+
+    def mean(frames: list[Array]) -> Array:
+        total = np.where(valid, np.stack(frames), 0.0).sum(axis=0)
+        return np.asarray(np.where(valid.any(axis=0), total / count, frames[0]))
+
+    distances = [shot.frame.distance_m for shot in shots if shot.frame.distance_m is not None]
+    frame = replace(
+        first.frame,
+        amplitude=mean([shot.frame.amplitude for shot in shots]),
+        distance_m=mean(distances) if len(distances) == len(shots) else None,
+        valid=np.asarray(valid.any(axis=0)),
+        time_s=0.5 * (first.frame.time_s + last.frame.time_s),
+    )
+    return CameraFrame(frame, last.cycle, last.arrived_s)
+
+
+def _progress(
+    step: int, steps: int, stage: Stage, camera: Camera, frames: list[Record]
+) -> Progress:
+    cycles = [float(one["cycle"]) for one in frames[-2:]]
+    times = [float(one["arrived_s"]) for one in frames[-2:]]
+    rate_hz = 0.0
+    if len(times) == 2 and times[1] > times[0]:
+        rate_hz = (cycles[1] - cycles[0]) / (times[1] - times[0])
+    return Progress(step, steps, stage.position_mm(), rate_hz, camera.counts())

@@ -1,0 +1,133 @@
+"""Where to send the image, and in which order the lens goes there."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.motion import ShiftPlan
+
+PLANS = ("square", "3x3", "4x4", "quincunx", "spiral", "still")
+_PER_SIDE = {"still": 1, "square": 2, "3x3": 3, "4x4": 4}
+
+
+def named_plan(name: str) -> ShiftPlan:
+    """Return a plan by its name.
+
+    square, 3x3, 4x4 : n x n places (i + 1/2) / n - 1/2 px, which sample every pixel evenly
+    quincunx : two places on a diagonal, the least that gains resolution both ways
+    spiral : 3x3 from the middle outwards, so that every first part of it is a useful burst
+    still : one place
+
+    Raises
+    ------
+    ValueError
+        If there is no such plan.
+    """
+    if name in _PER_SIDE:
+        return ShiftPlan(_grid_px(_PER_SIDE[name]), name=name)
+    if name == "quincunx":
+        return ShiftPlan(np.array([[-0.25, -0.25], [0.25, 0.25]]), name=name)
+    if name == "spiral":
+        turn = [(0, 0), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1)]
+        return ShiftPlan(np.array(turn) / 3.0, reference=0, name=name)
+    raise ValueError(f"expected a plan of {', '.join(PLANS)}, got {name!r}")
+
+
+def load_plan(path: str | Path) -> ShiftPlan:
+    """Read a plan of the user's own: a table of image offsets in px, as CSV or JSON.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or holds no offsets.
+    """
+    from lensshift.io import load_offsets
+
+    table = load_offsets(path)
+    if not len(table.offset_px):
+        raise DataError("expected at least one offset", source=path)
+    return ShiftPlan(table.offset_px, name=Path(path).stem)
+
+
+def shortest_order(position_mm: ArrayLike, approach_mm: float, start_mm: ArrayLike) -> list[int]:
+    """Return the order [frame] in which the stage visits its positions with the least way.
+
+        way a -> b = max over axes of |b - a|, + 2 approach where an axis goes back
+
+    A move against the direction of approach goes beyond its target and returns. Up to eight
+    positions: the best of all orders; more: nearest neighbours, then bettered by reversing
+    parts (2-opt) until nothing gains.
+
+    Parameters
+    ----------
+    position_mm : [frame 2]
+    approach_mm : how far the stage overruns
+    start_mm : [2] where it stands before
+    """
+    places = np.concatenate([np.atleast_2d(start_mm), np.atleast_2d(position_mm)]).astype(float)
+    step = places[None] - places[:, None]
+    way = np.max(np.abs(step) + 2.0 * approach_mm * (step < 0), axis=-1)
+    count = len(places) - 1
+    if count <= 8:
+        return _best_of_all(way, count)
+    order, left = [], set(range(1, count + 1))
+    here = 0
+    while left:
+        here = min(left, key=lambda place: (way[here, place], place))
+        left.remove(here)
+        order.append(here)
+    return [place - 1 for place in _bettered(order, way)]
+
+
+def _grid_px(per_side: int) -> NDArray[np.float64]:
+    places = (np.arange(per_side) + 0.5) / per_side - 0.5
+    return np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _length(order: list[int], way: NDArray[np.float64]) -> float:
+    return float(sum(way[a, b] for a, b in pairwise([0, *order])))
+
+
+def _best_of_all(way: NDArray[np.float64], count: int) -> list[int]:
+    """Return the shortest of all orders, part by part (Held and Karp)."""
+    best: dict[tuple[int, int], tuple[float, int]] = {
+        (1 << last, last): (float(way[0, last + 1]), -1) for last in range(count)
+    }
+    for visited in range(1, 1 << count):
+        for last in range(count):
+            if (visited, last) not in best:
+                continue
+            so_far = best[visited, last][0]
+            for place in range(count):
+                if visited >> place & 1:
+                    continue
+                reached = so_far + float(way[last + 1, place + 1])
+                key = (visited | 1 << place, place)
+                if key not in best or reached < best[key][0] - 1e-12:
+                    best[key] = (reached, last)
+    visited = (1 << count) - 1
+    last = min(range(count), key=lambda place: best[visited, place][0])
+    order = []
+    while last >= 0:
+        order.append(last)
+        visited, last = visited & ~(1 << last), best[visited, last][1]
+    return order[::-1]
+
+
+def _bettered(order: list[int], way: NDArray[np.float64]) -> list[int]:
+    length = _length(order, way)
+    gained = True
+    while gained:
+        gained = False
+        for i in range(len(order) - 1):
+            for j in range(i + 2, len(order) + 1):
+                tried = order[:i] + order[i:j][::-1] + order[j:]
+                new = _length(tried, way)
+                if new < length - 1e-12:
+                    order, length, gained = tried, new, True
+    return order
