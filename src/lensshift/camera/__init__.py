@@ -11,6 +11,7 @@ from lensshift.camera.flat import (
     pixel_means,
     simulate_burst,
 )
+from lensshift.camera.moving import RunningCamera
 from lensshift.camera.output import O3mImages
 from lensshift.camera.pattern import PATTERNS, grid_pattern_px, named_pattern_px
 from lensshift.camera.presets import camera_preset, preset_names
@@ -49,6 +50,7 @@ __all__ = [
     "PlainOptics",
     "RawPhases",
     "Readout",
+    "RunningCamera",
     "Scatter",
     "Sensor",
     "TofCamera",

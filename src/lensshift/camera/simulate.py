@@ -169,7 +169,7 @@ def simulate_tof(
     if camera.multipath is not None:
         (ideal,) = see(scene, replace(camera, multipath=None), tones, looks[-1:], samples)
     readings = [
-        read(_rates(seen, camera, number), camera.pixels, camera.readout, rng)
+        read(rates_of(seen, camera, number), camera.pixels, camera.readout, rng)
         for number, seen in enumerate(frames)
     ]
     images = [image_of(reading, camera) for reading in readings]
@@ -205,7 +205,7 @@ def _samples(scale: int, samples_per_px: int | None) -> int:
     return int(samples_per_px)
 
 
-def _rates(seen: Seen, camera: TofCamera, frame: int) -> Rates:
+def rates_of(seen: Seen, camera: TofCamera, frame: int) -> Rates:
     """Return electrons per second of one frame: scattered light, drift, sunlight, dark current."""
     if camera.scatter is not None:
         seen = Seen(_scattered(seen.values, camera.scatter), seen.tones)
@@ -238,18 +238,25 @@ def _truth(
     offset_px: Array,
     field: ShiftField | None,
 ) -> TofTruth:
-    hz = camera.illumination.modulation_hz[0]
-    phasor = ideal.phasor[0, 0]
-    full = camera.readout.exposure_s[-1] * active_electrons_per_s(camera) * camera.pixels.contrast
+    amplitude, distance_m = true_images(ideal, camera)
     return TofTruth(
-        amplitude=np.abs(phasor) * full / camera.readout.full_well_electrons,
-        distance_m=_nearest_turn(phasor, ideal.distances()[0], hz),
+        amplitude=amplitude,
+        distance_m=distance_m,
         valid=ideal.light > 0,
         flying=_flying(ideal, camera),
         flying_in_frames=flying_in_frames,
         offset_px=offset_px,
         offset_field=field,
     )
+
+
+def true_images(ideal: Seen, camera: TofCamera) -> tuple[Array, Array]:
+    """Return amplitude and distance as `TofTruth` has them."""
+    phasor = ideal.phasor[0, 0]
+    full = camera.readout.exposure_s[-1] * active_electrons_per_s(camera) * camera.pixels.contrast
+    amplitude = np.abs(phasor) * full / camera.readout.full_well_electrons
+    hz = camera.illumination.modulation_hz[0]
+    return amplitude, _nearest_turn(phasor, ideal.distances()[0], hz)
 
 
 def _nearest_turn(phasor: Array, mean_m: Array, modulation_hz: float) -> NDArray[np.float64]:

@@ -209,7 +209,7 @@ def burst_of_capture(header: Mapping[str, Any], frames: Sequence[Record], source
                 if name.startswith("raw_")
             },
             meta={**header.get("meta", {}), "step": stacked["step"].tolist()},
-            **{name: stacked.get(name) for name in (*FRAME_FIELDS[1:], "offset_sigma_px")},
+            **per_frame,
         )
     except DataError as error:
         raise error.in_file(source) from error
