@@ -196,7 +196,10 @@ def burst_of_capture(header: Mapping[str, Any], frames: Sequence[Record], source
     if missing:
         raise DataError("a frame lacks this field", field=missing[0], source=source)
     try:
-        stacked: dict[str, Any] = {name: np.stack([one[name] for one in frames]) for name in names}
+        stacked = {name: np.stack([one[name] for one in frames]) for name in names}
+        per_frame: dict[str, Any] = {
+            name: stacked.get(name) for name in (*FRAME_FIELDS[1:], "offset_sigma_px")
+        }
         return Burst.from_arrays(
             stacked["amplitude"],
             stacked.get("distance_m"),
