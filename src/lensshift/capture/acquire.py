@@ -344,10 +344,10 @@ def _record(shot: CameraFrame, here_mm: Array, target_mm: Array) -> dict[str, An
 
 def _offsets(record: Mapping[str, Any], calibration: Calibration) -> dict[str, Array]:
     """Return where the image lies, from the position read back."""
-    return {
-        "offset_px": calibration.offset_px(record["stage_mm"]),
-        "offset_sigma_px": np.full(2, calibration.stage_map.sigma_px),
-    }
+    offsets = {"offset_px": calibration.offset_px(record["stage_mm"])}
+    if calibration.stage_map.sigma_px > 0:  # 0: nobody knows it
+        offsets["offset_sigma_px"] = np.full(2, calibration.stage_map.sigma_px)
+    return offsets
 
 
 def _mean(shots: list[CameraFrame]) -> CameraFrame:
