@@ -1,0 +1,171 @@
+"""Driver of two Z806 actuators on Thorlabs TDC001 or KDC101 controllers, as a stage.
+
+Written against the protocol and an emulator of it, not yet run on the real devices.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.capture.drivers.apt_axis import AptAxis
+from lensshift.capture.drivers.apt_cube import POLL_S
+from lensshift.capture.drivers.apt_link import find_port
+from lensshift.capture.drivers.apt_settings import AptSettings
+from lensshift.core.errors import DeviceError
+
+__all__ = ["AptAxis", "AptSettings", "AptStage", "open_apt_stage"]
+
+
+def open_apt_stage(row: str, col: str, settings: AptSettings | None = None) -> AptStage:
+    """Connect both controllers, write their parameters, enable and home them.
+
+    Parameters
+    ----------
+    row, col : port of the axis: a USB serial number ("83000001"), a device path, or any URL of
+        pyserial ("socket://host:port")
+    settings : see `AptSettings`; the default ones if None
+
+    Raises
+    ------
+    ValueError
+        If both axes are one device.
+    DeviceError
+        If a device cannot be found, opened, set up or homed; nothing stays open.
+    """
+    settings = settings or AptSettings()
+    ports = find_port(row), find_port(col)
+    if os.path.realpath(ports[0]) == os.path.realpath(ports[1]):
+        raise ValueError(f"expected two devices, got {row!r} and {col!r}, which are one")
+    with ExitStack() as opened:
+        axes = []
+        for axis, port in enumerate(ports):
+            axes.append(AptAxis(port, settings, axis))
+            opened.callback(axes[-1].close)
+        if axes[0].name == axes[1].name:
+            raise DeviceError("both axes are this device", device=axes[0].name, command="open")
+        stage = AptStage(axes[0], axes[1], settings)
+        stage.prepare()
+        opened.pop_all()
+    return stage
+
+
+class AptStage:
+    """Two axes that move at once; see `open_apt_stage` and the protocol `Stage`.
+
+    Every position is reached by a forward move of both axes. Whatever ends a move before it is
+    done, an error or Ctrl-C, stops both.
+    """
+
+    def __init__(self, row: AptAxis, col: AptAxis, settings: AptSettings) -> None:
+        self.settings = settings
+        self.axes = row, col
+        self.name = f"{row.name}, {col.name}"
+
+    @property
+    def travel_mm(self) -> NDArray[np.float64]:
+        """[2 2] (axis; lowest, highest) position that leaves room for the approach."""
+        return np.array([self.settings.reachable_mm] * 2)
+
+    def prepare(self) -> None:
+        """Write all parameters and read them back, enable, and home if the settings say so."""
+        for axis in self.axes:
+            axis.prepare()
+        wanted = self.settings.home
+        if wanted == "always" or (wanted == "if_needed" and not all(a.homed for a in self.axes)):
+            self.home()
+
+    def home(self) -> NDArray[np.float64]:
+        """Let both axes look for their zero at once, return the position [2].
+
+        Raises
+        ------
+        DeviceError
+            If an axis fails; both have been stopped. `DeviceTimeout` if it takes too long.
+        """
+        return self._together([axis.homing() for axis in self.axes])
+
+    def position_mm(self) -> NDArray[np.float64]:
+        """Return the position [2] read back, also while it moves and from another thread."""
+        return np.array([axis.position_mm() for axis in self.axes])
+
+    def move_to(self, position_mm: ArrayLike) -> NDArray[np.float64]:
+        """Move both axes at once, wait until settled, return the position [2] read back.
+
+        Raises
+        ------
+        ValueError
+            If the position is not two numbers within `travel_mm`.
+        DeviceError
+            If an axis fails or does not arrive; both have been stopped. `DeviceTimeout` if it
+            takes longer than its speed and acceleration allow.
+        """
+        goal_mm = np.asarray(position_mm, dtype=np.float64)
+        low_mm, high_mm = self.settings.reachable_mm
+        if goal_mm.shape != (2,) or not np.all((goal_mm >= low_mm) & (goal_mm <= high_mm)):
+            raise ValueError(
+                f"expected a position [2] within {low_mm:g} .. {high_mm:g} mm, "
+                f"got {goal_mm.tolist()}"
+            )
+        return self._together(
+            [axis.moves(float(goal)) for axis, goal in zip(self.axes, goal_mm, strict=True)]
+        )
+
+    def stop(self) -> None:
+        """Stand still at once. Never raises for a stage that is gone."""
+        self._halt()
+        for axis in self.axes:
+            axis.stop()
+
+    def close(self) -> None:
+        """Stop and let go of both ports; a second call does nothing."""
+        self._halt()
+        for axis in self.axes:
+            axis.close()
+
+    def _halt(self) -> None:
+        # Both are told before one is waited for: it may not answer.
+        for axis in self.axes:
+            axis.halt()
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return the settings, and of each axis model, serial, firmware and state of the line."""
+        row, col = (axis.describe() for axis in self.axes)
+        return {"name": self.name, "row": row, "col": col, "settings": asdict(self.settings)}
+
+    def _together(self, moves: list[Generator[None, None, float]]) -> NDArray[np.float64]:
+        """Step all moves until each has its result; stop both axes if that is cut short."""
+        reached_mm = np.full(len(moves), np.nan)
+        under_way = dict(enumerate(moves))
+        try:
+            while under_way:
+                for axis, move in list(under_way.items()):
+                    try:
+                        next(move)
+                    except StopIteration as done:
+                        reached_mm[axis] = done.value
+                        del under_way[axis]
+                time.sleep(POLL_S)
+        finally:
+            if under_way:
+                self.stop()
+        return reached_mm
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

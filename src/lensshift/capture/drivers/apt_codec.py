@@ -1,0 +1,348 @@
+"""Thorlabs APT messages: records to bytes and back.
+
+A message has six bytes of header, little endian:
+
+    id (2), parameters (2), destination, source                 short
+    id (2), length of the data (2), destination | 0x80, source  long, then the data
+
+There is no checksum: a message that lost a byte and took one from the next looks whole. So records
+are checked where they are redundant, and nobody acts on a single reply (`apt_axis`).
+
+Source: Thorlabs APT communications protocol; layouts checked against thorlabs-apt-protocol.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Self
+
+HOST, CONTROLLER = 0x01, 0x50  # a cube on its own USB port
+CHANNEL = 1  # the only one of a cube
+LONG = 0x80
+HEADER_BYTES = 6
+SAMPLE_S = 2048 / 6e6  # servo cycle of TDC001 and KDC101: the unit of time of their speeds
+
+
+class Id(IntEnum):
+    """Messages in use; SET, REQUEST and MOVE go to the controller, the others come from it."""
+
+    DISCONNECT = 0x0002
+    REQUEST_INFO = 0x0005
+    INFO = 0x0006
+    STOP_UPDATES = 0x0012
+    RESPONSE = 0x0080
+    RICH_RESPONSE = 0x0081
+    SET_ENABLED = 0x0210
+    REQUEST_ENABLED = 0x0211
+    ENABLED = 0x0212
+    SET_VELOCITY = 0x0413
+    REQUEST_VELOCITY = 0x0414
+    VELOCITY = 0x0415
+    SET_LIMITS = 0x0423
+    REQUEST_LIMITS = 0x0424
+    LIMITS = 0x0425
+    REQUEST_BITS = 0x0429
+    BITS = 0x042A
+    SET_BACKLASH = 0x043A
+    REQUEST_BACKLASH = 0x043B
+    BACKLASH = 0x043C
+    SET_HOME = 0x0440
+    REQUEST_HOME = 0x0441
+    HOME = 0x0442
+    MOVE_HOME = 0x0443
+    HOMED = 0x0444
+    MOVE_ABSOLUTE = 0x0453
+    COMPLETED = 0x0464
+    MOVE_STOP = 0x0465
+    STOPPED = 0x0466
+    REQUEST_STATUS = 0x0490
+    STATUS = 0x0491
+
+
+STOP_AT_ONCE, STOP_PROFILED = 1, 2
+
+# Bytes of data by message; 0 is the short form. Other messages count as damaged.
+TO_HOST: Mapping[int, tuple[int, ...]] = {
+    Id.DISCONNECT: (0,),
+    Id.INFO: (84,),
+    Id.RESPONSE: (0,),
+    Id.RICH_RESPONSE: (68,),
+    Id.ENABLED: (0,),
+    Id.VELOCITY: (14,),
+    Id.LIMITS: (16,),
+    Id.BITS: (6,),
+    Id.BACKLASH: (6,),
+    Id.HOME: (14,),
+    Id.HOMED: (0,),
+    Id.COMPLETED: (0, 14),
+    Id.STOPPED: (0, 14),
+    Id.STATUS: (14,),
+}
+TO_CONTROLLER: Mapping[int, tuple[int, ...]] = {
+    Id.REQUEST_INFO: (0,),
+    Id.STOP_UPDATES: (0,),
+    Id.SET_ENABLED: (0,),
+    Id.REQUEST_ENABLED: (0,),
+    Id.SET_VELOCITY: (14,),
+    Id.REQUEST_VELOCITY: (0,),
+    Id.SET_LIMITS: (16,),
+    Id.REQUEST_LIMITS: (0,),
+    Id.REQUEST_BITS: (0,),
+    Id.SET_BACKLASH: (6,),
+    Id.REQUEST_BACKLASH: (0,),
+    Id.SET_HOME: (14,),
+    Id.REQUEST_HOME: (0,),
+    Id.MOVE_HOME: (0,),
+    Id.MOVE_ABSOLUTE: (6,),
+    Id.MOVE_STOP: (0,),
+    Id.REQUEST_STATUS: (0,),
+}
+
+
+class DamagedMessage(ValueError):  # noqa: N818 - what it is says more than Error
+    """A message whose content contradicts itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message: either two parameters or data."""
+
+    id: int
+    parameters: tuple[int, int] = (0, 0)
+    data: bytes = b""
+
+    def to_bytes(self, destination: int = CONTROLLER, source: int = HOST) -> bytes:
+        """Return the bytes for the wire, from the host to a controller unless told."""
+        if not self.data:
+            return struct.pack("<HBBBB", self.id, *self.parameters, destination, source)
+        header = struct.pack("<HHBB", self.id, len(self.data), destination | LONG, source)
+        return header + self.data
+
+
+class Bits(IntFlag):
+    """Status of the motor.
+
+    Forward and backward are as the protocol has them; other programs turn them round.
+    """
+
+    FORWARD_LIMIT = 0x1
+    BACKWARD_LIMIT = 0x2
+    FORWARD_SOFT_LIMIT = 0x4
+    BACKWARD_SOFT_LIMIT = 0x8
+    MOVING_FORWARD = 0x10
+    MOVING_BACKWARD = 0x20
+    JOGGING_FORWARD = 0x40
+    JOGGING_BACKWARD = 0x80
+    CONNECTED = 0x100
+    HOMING = 0x200
+    HOMED = 0x400
+    TRACKING = 0x1000
+    SETTLED = 0x2000
+    MOTION_ERROR = 0x4000
+    CURRENT_LIMIT = 0x01000000
+    ENCODER_FAULT = 0x02000000
+    ENABLED = 0x80000000
+
+
+LIMITS = Bits.FORWARD_LIMIT | Bits.BACKWARD_LIMIT
+MOVING = (
+    Bits.MOVING_FORWARD
+    | Bits.MOVING_BACKWARD
+    | Bits.JOGGING_FORWARD
+    | Bits.JOGGING_BACKWARD
+    | Bits.HOMING
+)
+# What may differ between two replies of a motor that is well.
+CHANGING = (
+    MOVING
+    | LIMITS
+    | Bits.FORWARD_SOFT_LIMIT
+    | Bits.BACKWARD_SOFT_LIMIT
+    | Bits.TRACKING
+    | Bits.SETTLED
+)
+FAULTS = Bits.MOTION_ERROR | Bits.CURRENT_LIMIT | Bits.ENCODER_FAULT
+_BOTH_WAYS = (
+    LIMITS,
+    Bits.MOVING_FORWARD | Bits.MOVING_BACKWARD,
+    Bits.JOGGING_FORWARD | Bits.JOGGING_BACKWARD,
+)
+
+
+class Record:
+    """Fields that follow the channel number in the data of a message."""
+
+    FORMAT: ClassVar[str]
+
+    def pack(self) -> bytes:
+        """Return the data of the message."""
+        return struct.pack(self.FORMAT, CHANNEL, *astuple(self))  # type: ignore[call-overload]
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Return the record in the data.
+
+        Raises
+        ------
+        DamagedMessage
+            If the length or the channel is wrong.
+        """
+        if len(data) != struct.calcsize(cls.FORMAT):
+            raise DamagedMessage(f"expected {struct.calcsize(cls.FORMAT)} bytes, got {len(data)}")
+        channel, *fields = struct.unpack(cls.FORMAT, data)
+        if channel != CHANNEL:
+            raise DamagedMessage(f"expected channel {CHANNEL}, got {channel}")
+        return cls(*fields)
+
+
+@dataclass(frozen=True, slots=True)
+class Target(Record):
+    """Where an absolute move goes, in counts of the encoder."""
+
+    counts: int
+
+    FORMAT: ClassVar[str] = "<Hl"
+
+
+@dataclass(frozen=True, slots=True)
+class Velocity(Record):
+    """Speed and acceleration in units of the servo, see `servo_velocity`."""
+
+    lowest: int
+    acceleration: int
+    highest: int
+
+    FORMAT: ClassVar[str] = "<Hlll"
+
+
+@dataclass(frozen=True, slots=True)
+class Home(Record):
+    """How to find the zero: direction (2: backward), switch (1: backward), speed, way back."""
+
+    direction: int
+    switch: int
+    velocity: int
+    offset: int
+
+    FORMAT: ClassVar[str] = "<HHHll"
+
+
+@dataclass(frozen=True, slots=True)
+class Backlash(Record):
+    """How far the firmware overruns after a backward move, in counts."""
+
+    counts: int
+
+    FORMAT: ClassVar[str] = "<Hl"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits(Record):
+    """Sense of the two switches, soft limits in counts, what happens at these (1: nothing)."""
+
+    forward_switch: int
+    backward_switch: int
+    forward: int
+    backward: int
+    mode: int
+
+    FORMAT: ClassVar[str] = "<HHHllH"
+
+
+@dataclass(frozen=True, slots=True)
+class Status(Record):
+    """Where the motor is: counts, speed, current (or nothing), `Bits`."""
+
+    counts: int
+    velocity: int
+    current: int
+    bits: int
+
+    FORMAT: ClassVar[str] = "<HlhhL"
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Return the status in the data; see `Record.unpack`.
+
+        Raises
+        ------
+        DamagedMessage
+            Also if the motor moves, or stands at its limits, both ways at once.
+        """
+        status = super(Status, cls).unpack(data)
+        if any(status.bits & both == both for both in _BOTH_WAYS):
+            raise DamagedMessage(f"impossible status {status.bits:#010x}")
+        return status
+
+    @property
+    def moving(self) -> bool:
+        """Whether it moves, jogs or looks for its zero."""
+        return bool(self.bits & MOVING)
+
+
+@dataclass(frozen=True, slots=True)
+class StatusBits(Record):
+    """`Bits` alone."""
+
+    bits: int
+
+    FORMAT: ClassVar[str] = "<HL"
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """What a controller says of itself; stage 11 is the Z806."""
+
+    serial_number: int
+    model: str
+    firmware: str
+    notes: str
+    stage_id: int
+
+    FORMAT: ClassVar[str] = "<L8sH4B48s10sHHHH"
+
+    def pack(self) -> bytes:
+        """Return the data of the message."""
+        firmware = [int(part) for part in self.firmware.split(".")]
+        texts = self.model.encode("ascii"), self.notes.encode("ascii")
+        return struct.pack(
+            self.FORMAT, self.serial_number, texts[0], 16, *reversed(firmware), 0, texts[1], b"",
+            self.stage_id, 1, 0, 1,
+        )  # fmt: skip
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Return what is in the data.
+
+        Raises
+        ------
+        DamagedMessage
+            If the length is wrong or the model is no text.
+        """
+        if len(data) != struct.calcsize(cls.FORMAT):
+            raise DamagedMessage(f"expected {struct.calcsize(cls.FORMAT)} bytes, got {len(data)}")
+        fields = struct.unpack(cls.FORMAT, data)
+        serial_number, model, _, minor, interim, major, _, notes = fields[:8]
+        text = model.split(b"\0")[0].decode("ascii", "replace").strip()
+        if not text.isalnum():
+            raise DamagedMessage(f"impossible model {text!r}")
+        return cls(
+            serial_number=serial_number,
+            model=text,
+            firmware=f"{major}.{interim}.{minor}",
+            notes=notes.split(b"\0")[0].decode("ascii", "replace").strip(),
+            stage_id=fields[9],
+        )
+
+
+def servo_velocity(counts_per_s: float) -> int:
+    """Return a speed in units of the servo: counts per cycle, times 65536."""
+    return round(counts_per_s * SAMPLE_S * 65536)
+
+
+def servo_acceleration(counts_per_s2: float) -> int:
+    """Return an acceleration in units of the servo: counts per cycle squared, times 65536."""
+    return round(counts_per_s2 * SAMPLE_S**2 * 65536)

@@ -1,0 +1,97 @@
+"""How a pair of Z806 actuators is to be moved: units, speeds, limits, patience."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+# Z8 actuators: 512 counts per turn of the motor, a gear of 67.49:1, 1 mm per turn of the screw; so
+# the APT protocol since 2022. Older papers round the gear to 67:1, which gives 34304 (0.73 % less).
+Z8_COUNTS_PER_MM = 34554.96
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AptSettings:
+    """What is written to both controllers, and when a position counts as reached.
+
+    Parameters
+    ----------
+    counts_per_mm : encoder counts, for both axes or (row, col)
+    velocity_mmps, acceleration_mmps2 : speed and acceleration of every move (mm/s, mm/s^2)
+    home_velocity_mmps : speed while looking for the zero
+    home_offset_mm : from the switch to the zero
+    home : look for the zero on opening if the controller does not know it, always, or never
+    approach_mm : every position is reached by a forward move of at least this length, so that the
+        play behind the encoder always lies on one side; longer than the play
+    travel_mm : (lowest, highest) position the motor may go to
+    tolerance_mm : a position is reached within this
+    settle_polls : replies in a row that must say so; also before anything else is done about them
+    max_retries : how often a message or a move that went wrong is repeated
+    reply_timeout_s : how long a reply may take
+    enable_wait_s : wait after enabling; the TDC001 locks up if it is sent home sooner
+    timeout_margin_s : a move may last half as long again as it should, and this
+    """
+
+    counts_per_mm: float | tuple[float, float] = Z8_COUNTS_PER_MM
+    velocity_mmps: float = 2.3
+    acceleration_mmps2: float = 4.0
+    home_velocity_mmps: float = 1.0
+    home_offset_mm: float = 0.3
+    home: Literal["if_needed", "always", "never"] = "if_needed"
+    approach_mm: float = 0.02
+    travel_mm: tuple[float, float] = (0.0, 6.0)
+    tolerance_mm: float = 0.001
+    settle_polls: int = 3
+    max_retries: int = 10
+    reply_timeout_s: float = 0.1
+    enable_wait_s: float = 1.0
+    timeout_margin_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        positive = {
+            "velocity_mmps": self.velocity_mmps,
+            "acceleration_mmps2": self.acceleration_mmps2,
+            "home_velocity_mmps": self.home_velocity_mmps,
+            "tolerance_mm": self.tolerance_mm,
+            "reply_timeout_s": self.reply_timeout_s,
+            **{f"counts_per_mm[{axis}]": self.scale(axis) for axis in (0, 1)},
+        }
+        for name, value in positive.items():
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"expected a positive {name}, got {value}")
+        for name in ("home_offset_mm", "approach_mm", "enable_wait_s", "timeout_margin_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"expected {name} of 0 or more, got {value}")
+        if self.settle_polls < 2 or self.max_retries < 1:
+            raise ValueError(
+                "expected settle_polls >= 2 and max_retries >= 1, "
+                f"got {self.settle_polls} and {self.max_retries}"
+            )
+        if self.home not in ("if_needed", "always", "never"):
+            raise ValueError(f"expected home 'if_needed', 'always' or 'never', got {self.home!r}")
+        low, high = self.travel_mm
+        if not (math.isfinite(low) and math.isfinite(high) and high - low > self.approach_mm):
+            raise ValueError(f"expected travel_mm longer than the approach, got {self.travel_mm}")
+
+    def scale(self, axis: int) -> float:
+        """Return the counts per millimetre of axis 0 (row) or 1 (col)."""
+        both = self.counts_per_mm
+        return both[axis] if isinstance(both, tuple) else both
+
+    @property
+    def reachable_mm(self) -> tuple[float, float]:
+        """Lowest and highest position that leaves room for the approach."""
+        return self.travel_mm[0] + self.approach_mm, self.travel_mm[1]
+
+
+def travel_time_s(distance_mm: float, velocity_mmps: float, acceleration_mmps2: float) -> float:
+    """Return how long a move from rest to rest takes.
+
+    t = d / v + v / a        if it comes to full speed, d >= v^2 / a
+    t = 2 sqrt(d / a)        else
+    """
+    if distance_mm >= velocity_mmps**2 / acceleration_mmps2:
+        return distance_mm / velocity_mmps + velocity_mmps / acceleration_mmps2
+    return 2.0 * math.sqrt(distance_mm / acceleration_mmps2)

@@ -1,0 +1,309 @@
+"""An emulated TDC001 or KDC101 with a Z806: bytes in, bytes out, and a lens that has moved."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TypeVar
+
+from lensshift.capture.drivers import apt_codec as apt
+from lensshift.capture.drivers.apt_codec import Bits, Id, Message
+from lensshift.capture.drivers.apt_framer import Framer
+from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM
+from lensshift.capture.emulators.apt_motion import Motion
+
+_ZERO_MM = 0.3  # from the backward switch to the zero of `lens_mm`
+_TRAVEL_MM = 6.5  # from switch to switch
+_HISTORY_S = 20.0  # how long ago `lens_mm` still knows
+_LOCKS_UP_S = 0.8  # home sooner after enabling, and the controller hangs
+_KEPT_MESSAGES = 1000
+
+R = TypeVar("R", bound=apt.Record)
+
+
+class AptController:
+    """What sits at the other end of the cable.
+
+    It keeps the rules of the devices: parameters are lost at power off, the zero is found anew,
+    home right after enable hangs, backward moves overrun by the firmware's backlash until that is
+    set to 0. Times of the caller are those of `time.monotonic()`.
+
+    Parameters
+    ----------
+    model : "TDC001" or "KDC101"
+    serial_number, stage_id : as reported; stage 11 is the Z806
+    play_mm : how far the lens lags behind the encoder after going backward
+    encoder_noise_mm : standard deviation of the reported position
+    loss, loss_in : probability that a message out, or a block of bytes in, loses one byte
+    speed : how much faster than real time it runs
+    seed : of noise and losses
+    start_mm : where the lens is at power on
+    counts_per_mm : true scale of the actuator
+    """
+
+    def __init__(
+        self,
+        *,
+        model: str = "KDC101",
+        serial_number: int = 27000001,
+        stage_id: int = 11,
+        play_mm: float = 0.0,
+        encoder_noise_mm: float = 0.0,
+        loss: float = 0.0,
+        loss_in: float = 0.0,
+        speed: float = 1.0,
+        seed: int = 0,
+        start_mm: float = 2.0,
+        counts_per_mm: float = Z8_COUNTS_PER_MM,
+    ) -> None:
+        if model not in ("TDC001", "KDC101"):
+            raise ValueError(f"expected model 'TDC001' or 'KDC101', got {model!r}")
+        if not speed > 0:
+            raise ValueError(f"expected a positive speed, got {speed}")
+        self.info = apt.Info(serial_number, model, "2.0.4", "lensshift emulator", stage_id)
+        self.plugged = True
+        self.received: deque[Message] = deque(maxlen=_KEPT_MESSAGES)
+        self.motion_s = 0.0  # real time that its moves took by themselves
+        self._noise_mm, self._loss, self._loss_in, self._speed = (
+            encoder_noise_mm, loss, loss_in, speed,
+        )  # fmt: skip
+        self._counts_per_mm = counts_per_mm
+        self._random = random.Random(seed)
+        self._lock = threading.RLock()
+        self._began_s = time.monotonic()
+        self._motion = Motion(self._counts(start_mm), self._counts(play_mm))
+        self._answers: dict[int, Callable[[Message], bytes]] = {
+            Id.REQUEST_INFO: lambda _: self._say(Id.INFO, self.info.pack()),
+            Id.SET_ENABLED: self._set_enabled,
+            Id.REQUEST_ENABLED: lambda _: self._say(
+                Id.ENABLED, second=1 if self._flags & Bits.ENABLED else 2
+            ),
+            Id.REQUEST_BITS: lambda _: self._say(Id.BITS, apt.StatusBits(self._bits()).pack()),
+            Id.REQUEST_STATUS: lambda _: self._say(Id.STATUS, self._status().pack()),
+            Id.MOVE_ABSOLUTE: self._move,
+            Id.MOVE_HOME: self._home,
+            Id.MOVE_STOP: self._stop,
+        }
+        self.reboot()
+
+    # ---- for the bench ------------------------------------------------------------------------
+
+    def lens_mm(self, now_s: float | None = None) -> float:
+        """Return the true position of the lens, from the zero of an offset of 0.3 mm.
+
+        Parameters
+        ----------
+        now_s : `time.monotonic()`, also some seconds ago; now if None
+        """
+        with self._lock:
+            return self._motion.lens(self._time(now_s)) / self._counts_per_mm
+
+    def motor_mm(self, now_s: float | None = None) -> float:
+        """Return where the encoder, without noise, is; else as `lens_mm`."""
+        with self._lock:
+            return self._motion.motor(self._time(now_s)) / self._counts_per_mm
+
+    def unplug(self) -> None:
+        """Pull the cable: the link drops, the motor goes on."""
+        self.plugged = False
+
+    def fail_motion(self) -> None:
+        """Block the motor: it stands, and reports a motion error until it is enabled anew."""
+        with self._lock:
+            self._motion.halt(self._time())
+            self._arrival = None
+            self._flags = self._flags & ~Bits.HOMING | Bits.MOTION_ERROR
+
+    def reboot(self) -> None:
+        """Switch off and on: parameters, zero and everything under way are lost."""
+        with self._lock:
+            now_s = self._time()
+            self._motion.halt(now_s)
+            self._zero = self._motion.motor(now_s)  # counts that the encoder calls 0
+            self._flags = Bits.CONNECTED
+            self._enabled_s = 0.0
+            self._hung = False
+            self._arrival: Id | None = None  # what to say when the motor stands
+            self._framer = Framer(apt.TO_CONTROLLER, destination=apt.CONTROLLER, source=apt.HOST)
+            slow = apt.servo_velocity(self._counts(1.0))
+            acceleration = apt.servo_acceleration(self._counts(1.0))
+            self._records: dict[int, apt.Record] = {
+                Id.VELOCITY: apt.Velocity(0, acceleration, slow),
+                Id.HOME: apt.Home(2, 1, slow, 0),
+                Id.BACKLASH: apt.Backlash(self._counts(0.1)),
+                Id.LIMITS: apt.Limits(3, 3, self._counts(6.0), 0, 3),
+            }
+
+    # ---- for the link -------------------------------------------------------------------------
+
+    def receive(self, data: bytes) -> bytes:
+        """Return what it answers to bytes from the host."""
+        with self._lock:
+            answers = self.due()
+            for message in self._framer.feed(self._damaged(data, self._loss_in), time.monotonic()):
+                self.received.append(message)
+                answers += self._handle(message)
+            return answers
+
+    def due(self) -> bytes:
+        """Return what it says unasked by now: that a move has come to its end."""
+        with self._lock:
+            now_s = self._time()
+            self._motion.forget(now_s - _HISTORY_S * self._speed)
+            if self._arrival is None or now_s < self._motion.end_s:
+                return b""
+            arrival, self._arrival = self._arrival, None
+            if arrival == Id.HOMED:
+                self._zero = self._motion.motor(now_s)
+                self._flags = self._flags & ~Bits.HOMING | Bits.HOMED
+                return self._say(Id.HOMED)
+            return self._say_end(arrival)
+
+    @property
+    def quiet_s(self) -> float:
+        """How long it will say nothing unasked."""
+        with self._lock:
+            if self._arrival is None:
+                return 1.0
+            return max(self._motion.end_s - self._time(), 0.0) / self._speed
+
+    # ---- messages -----------------------------------------------------------------------------
+
+    def _handle(self, message: Message) -> bytes:
+        if message.id in self._answers:
+            return self._answers[message.id](message)
+        kept = message.id + 2  # SET, REQUEST and the answer follow each other
+        if kept in self._records:
+            with suppress(apt.DamagedMessage):
+                self._records[kept] = type(self._records[kept]).unpack(message.data)
+        elif kept - 1 in self._records:
+            return self._say(kept - 1, self._records[kept - 1].pack())
+        return b""
+
+    def _set_enabled(self, message: Message) -> bytes:
+        if message.parameters == (apt.CHANNEL, 1):
+            self._flags = self._flags & ~Bits.MOTION_ERROR | Bits.ENABLED
+            self._enabled_s = self._time()
+        elif message.parameters == (apt.CHANNEL, 2):
+            self._motion.halt(self._time())
+            self._flags &= ~Bits.ENABLED
+        return b""
+
+    def _move(self, message: Message) -> bytes:
+        try:
+            goal = self._zero + apt.Target.unpack(message.data).counts
+        except apt.DamagedMessage:
+            return b""
+        ready = self._flags & Bits.ENABLED and not self._flags & (Bits.MOTION_ERROR | Bits.HOMING)
+        if not ready:
+            return b""
+        velocity = self._record(apt.Velocity, Id.VELOCITY)
+        acceleration = max(velocity.acceleration / (apt.SAMPLE_S**2 * 65536), 1.0)
+        speed = max(velocity.highest / (apt.SAMPLE_S * 65536), 1.0)
+        overrun = self._record(apt.Backlash, Id.BACKLASH).counts
+        now_s = self._time()
+        self._motion.brake(now_s, acceleration)
+        backward = overrun > 0 and goal < self._motion.motor(now_s)
+        for end in [goal - overrun, goal] if backward else [goal]:
+            low, high = self._switches
+            stop = min(max(end, low), high)
+            self._motion.go(max(now_s, self._motion.end_s), stop, speed, acceleration)
+            if stop != end:
+                break
+        self._sets_out(Id.COMPLETED, now_s)
+        return b""
+
+    def _home(self, message: Message) -> bytes:
+        ready = self._flags & Bits.ENABLED and not self._flags & Bits.MOTION_ERROR
+        if not ready or message.parameters[0] != apt.CHANNEL or self._hung:
+            return b""
+        now_s = self._time()
+        self._flags = self._flags & ~Bits.HOMED | Bits.HOMING
+        if now_s - self._enabled_s < _LOCKS_UP_S:
+            self._hung = True
+            return b""
+        home = self._record(apt.Home, Id.HOME)
+        speed = max(home.velocity / (apt.SAMPLE_S * 65536), 1.0)
+        servo = self._record(apt.Velocity, Id.VELOCITY).acceleration
+        acceleration = max(servo / (apt.SAMPLE_S**2 * 65536), 1.0)
+        self._motion.brake(now_s, acceleration)
+        for end in (self._switches[0], self._switches[0] + home.offset):
+            self._motion.go(max(now_s, self._motion.end_s), end, speed, acceleration)
+        self._sets_out(Id.HOMED, now_s)
+        return b""
+
+    def _sets_out(self, arrival: Id, now_s: float) -> None:
+        self._arrival = arrival
+        self.motion_s += max(self._motion.end_s - now_s, 0.0) / self._speed
+
+    def _stop(self, message: Message) -> bytes:
+        if message.parameters[0] != apt.CHANNEL or self._hung:
+            return b""
+        self._flags &= ~Bits.HOMING
+        if message.parameters[1] == apt.STOP_PROFILED:
+            servo = self._record(apt.Velocity, Id.VELOCITY).acceleration
+            self._motion.brake(self._time(), max(servo / (apt.SAMPLE_S**2 * 65536), 1.0))
+            self._arrival = Id.STOPPED
+            return b""
+        self._motion.halt(self._time())
+        self._arrival = None
+        return self._say_end(Id.STOPPED)
+
+    # ---- small parts --------------------------------------------------------------------------
+
+    def _say(self, message_id: int, data: bytes = b"", second: int = 0) -> bytes:
+        message = Message(message_id, (0, 0) if data else (apt.CHANNEL, second), data)
+        return self._damaged(message.to_bytes(apt.HOST, apt.CONTROLLER), self._loss)
+
+    def _say_end(self, message_id: int) -> bytes:
+        """Return the end of a move: the older model says only that, the newer one where it is."""
+        long = self.info.model == "KDC101"
+        return self._say(message_id, self._status().pack() if long else b"")
+
+    def _status(self) -> apt.Status:
+        now_s = self._time()
+        motor, velocity = self._motion.motor(now_s), self._motion.velocity(now_s)
+        noise = self._random.gauss(0.0, self._noise_mm) * self._counts_per_mm
+        per_cycle = min(max(round(velocity * apt.SAMPLE_S), -(2**15)), 2**15 - 1)
+        return apt.Status(round(motor - self._zero + noise), per_cycle, 0, self._bits())
+
+    def _bits(self) -> int:
+        now_s = self._time()
+        motor, velocity = self._motion.motor(now_s), self._motion.velocity(now_s)
+        bits = self._flags
+        if now_s < self._motion.end_s:
+            bits |= Bits.MOVING_FORWARD if velocity >= 0 else Bits.MOVING_BACKWARD
+        else:
+            bits |= Bits.SETTLED
+        low, high = self._switches
+        bits |= Bits.BACKWARD_LIMIT if motor <= low + 0.5 else 0
+        bits |= Bits.FORWARD_LIMIT if motor >= high - 0.5 else 0
+        return bits
+
+    @property
+    def _switches(self) -> tuple[float, float]:
+        return -_ZERO_MM * self._counts_per_mm, (_TRAVEL_MM - _ZERO_MM) * self._counts_per_mm
+
+    def _record(self, kind: type[R], key: Id) -> R:
+        record = self._records[key]
+        if not isinstance(record, kind):
+            raise TypeError(f"expected {kind.__name__}, got {record}")
+        return record
+
+    def _damaged(self, data: bytes, loss: float) -> bytes:
+        """Return the bytes, sometimes without one of them."""
+        if not data or self._random.random() >= loss:
+            return data
+        lost = self._random.randrange(len(data))
+        return data[:lost] + data[lost + 1 :]
+
+    def _counts(self, length_mm: float) -> int:
+        return round(length_mm * self._counts_per_mm)
+
+    def _time(self, now_s: float | None = None) -> float:
+        """Return the controller's own time, which may run faster."""
+        return ((time.monotonic() if now_s is None else now_s) - self._began_s) * self._speed
