@@ -1,0 +1,198 @@
+"""Any camera that Python can read: a function that returns a picture becomes a `Camera`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.capture.drivers.receiver import Receiver
+from lensshift.capture.rig import CameraFrame
+from lensshift.core.errors import DeviceError
+from lensshift.core.grid import Grid
+from lensshift.core.types import Frame
+
+_OWN_KEYS = ("amplitude", "distance_m", "valid", "time_s")
+
+
+def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, NDArray[Any]]]:
+    """Turn what a function returned into a frame and the arrays to keep beside it.
+
+    Parameters
+    ----------
+    grabbed : amplitude [row col]; or (amplitude, distance_m); or a mapping with `amplitude` and
+        as you like `distance_m`, `valid`, `time_s`; its other entries are kept as they are
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is nothing of this kind. Pixels that are not finite are marked invalid.
+    """
+    fields: dict[str, Any]
+    if isinstance(grabbed, Mapping):
+        fields = dict(grabbed)
+    elif isinstance(grabbed, tuple) and len(grabbed) == 2:
+        fields = {"amplitude": grabbed[0], "distance_m": grabbed[1]}
+    else:
+        fields = {"amplitude": grabbed}
+    if fields.get("amplitude") is None:
+        raise ValueError(f"expected an entry 'amplitude', got {sorted(map(str, fields))}")
+    amplitude = np.array(fields["amplitude"])  # a copy: the function may use its buffer again
+    if amplitude.dtype.kind not in "buif" or amplitude.ndim != 2 or amplitude.size == 0:
+        raise TypeError(
+            f"expected an amplitude [row col] of numbers, got {amplitude.dtype} of shape "
+            f"{amplitude.shape}"
+        )
+    valid = np.isfinite(amplitude)
+    distance_m = None
+    if fields.get("distance_m") is not None:
+        distance_m = np.array(fields["distance_m"], dtype=np.float64)
+        _check_shape(distance_m, amplitude, "distance_m")
+        valid &= np.isfinite(distance_m)
+    if fields.get("valid") is not None:
+        told = np.asarray(fields["valid"], dtype=np.bool_)
+        _check_shape(told, amplitude, "valid")
+        valid &= told
+    time_s = float(fields.get("time_s", time.time()))
+    raw = {str(name): np.array(one) for name, one in fields.items() if name not in _OWN_KEYS}
+    return Frame(amplitude, distance_m, valid, time_s), raw
+
+
+def _check_shape(values: NDArray[Any], amplitude: NDArray[Any], name: str) -> None:
+    if values.shape != amplitude.shape:
+        raise ValueError(f"expected {name} of shape {amplitude.shape}, got {values.shape}")
+
+
+class CallableCamera:
+    """Makes a camera of a function that waits for a picture and returns it.
+
+    The function runs in a thread of its own. The exposure must begin after the call: a function
+    that returns the last picture of a running camera may return one from before the lens moved.
+
+    Parameters
+    ----------
+    grab : returns one picture, see `frame_from`; whatever it raises ends the camera
+    pitch_mm : pixel pitch, one number or (row, col)
+    name : for messages and for the file
+    rate_hz : how often it is called at most
+    modulation_hz : modulation frequency, if known
+    about : what to keep beside the frames: model, settings
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lensshift.capture.drivers.from_callable import CallableCamera
+    >>> def grab():
+    ...     return {"amplitude": np.ones((3, 5)), "distance_m": np.full((3, 5), 2.0)}
+    >>> camera = CallableCamera(grab, pitch_mm=0.01, name="my camera")
+    >>> camera.open()
+    >>> frame = camera.next_frame(timeout_s=60.0).frame
+    >>> camera.close()
+    >>> frame.distance_m.mean(), camera.grid.shape
+    (np.float64(2.0), (3, 5))
+    """
+
+    def __init__(
+        self,
+        grab: Callable[[], Any],
+        *,
+        pitch_mm: float | tuple[float, float],
+        name: str = "camera",
+        rate_hz: float = 50.0,
+        modulation_hz: float | None = None,
+        about: Mapping[str, Any] | None = None,
+    ) -> None:
+        if not callable(grab):
+            raise TypeError(f"expected a function that returns a picture, got {grab!r}")
+        if not rate_hz > 0:
+            raise ValueError(f"expected a positive rate, got {rate_hz}")
+        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
+        self.name = name
+        self._pitch_mm = Grid((1, 1), (row_mm, col_mm)).pitch_mm
+        self._grab = grab
+        self._period_s = 1.0 / rate_hz
+        self._modulation_hz = modulation_hz
+        self._about = dict(about or {})
+        self._grid: Grid | None = None
+        self._cycle = -1
+        self._receiver: Receiver | None = None
+
+    @property
+    def grid(self) -> Grid:
+        """Shape and pitch of the frames; known once it is open."""
+        if self._grid is None:
+            raise DeviceError("the shape is not known before open()", device=self.name)
+        return self._grid
+
+    @property
+    def modulation_hz(self) -> float | None:
+        """Modulation frequency of the distance, if it is known."""
+        return self._modulation_hz
+
+    def open(self) -> None:
+        """Grab one picture, which tells the shape, and go on grabbing in the background.
+
+        Raises
+        ------
+        DeviceError
+            If it is open already. What the function raises comes through as it is.
+        """
+        if self._receiver is not None:
+            raise DeviceError("is open already", device=self.name)
+        frame, _ = frame_from(self._grab())
+        rows, cols = frame.amplitude.shape
+        self._grid = Grid((int(rows), int(cols)), self._pitch_mm)
+        self._cycle = -1
+        self._receiver = Receiver(self.name)
+        self._receiver.start(self._receive)
+
+    def _receive(self, stop: threading.Event) -> None:
+        receiver = self._receiver
+        while receiver is not None and not stop.is_set():
+            begin_s = time.monotonic()
+            self._cycle += 1
+            frame, raw = frame_from(self._grab())
+            if frame.amplitude.shape != self.grid.shape:
+                raise DeviceError(
+                    f"the picture has become {frame.amplitude.shape}, was {self.grid.shape}"
+                )
+            receiver.put(CameraFrame(frame, self._cycle, time.monotonic(), raw))
+            stop.wait(max(0.0, begin_s + self._period_s - time.monotonic()))
+
+    def newest_cycle(self) -> int:
+        """Return the number of the newest call that has begun, -1 before the first."""
+        return self._cycle
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        """Return the oldest whole frame not yet fetched; wait for one if there is none.
+
+        Raises
+        ------
+        DeviceTimeout
+            If none came in time.
+        DeviceError
+            If the function has raised, or the shape has changed.
+        """
+        if self._receiver is None:
+            raise DeviceError("not open: call open() first", device=self.name)
+        return self._receiver.take(timeout_s, lambda: "the function has not returned a picture")
+
+    def counts(self) -> Mapping[str, int]:
+        """Return what came and what was dropped since `open`."""
+        if self._receiver is None:
+            return {"frames": 0, "dropped_frames": 0}
+        return {"frames": self._receiver.frames, "dropped_frames": self._receiver.dropped}
+
+    def close(self) -> None:
+        """Stop grabbing; a second call does nothing."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return what to keep beside the frames."""
+        return {"model": self.name, **self._about}

@@ -1,0 +1,158 @@
+"""The ifm O3M151: 64 x 16 pixels over UDP, at up to 50 frames a second."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lensshift.capture.drivers.o3m_layout import SHAPE
+from lensshift.capture.drivers.o3m_packets import MAX_PACKET_BYTES
+from lensshift.capture.drivers.o3m_stream import O3MStream
+from lensshift.capture.drivers.receiver import Receiver
+from lensshift.capture.rig import CameraFrame
+from lensshift.core.errors import DeviceError
+from lensshift.core.grid import Grid
+
+DATA_PORT = 42000
+PITCH_MM = 0.155
+_SOCKET_BYTES = 4 << 20  # about four seconds at 50 Hz, if the system grants it
+_LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
+
+
+class O3MCamera:
+    """Receives what an O3M sends; nothing is ever sent to the camera.
+
+    Parameters
+    ----------
+    port : UDP port that the camera is set to, 42000 as delivered; 0 takes a free one
+    host : own address to listen at. The default is all of them, because the camera may send to
+        the broadcast address, which arrives at no single one.
+    source : address of the camera, "192.168.1.1" or with ":port", if several send to this port
+    pitch_mm : pixel pitch, one number or (row, col)
+    modulation_hz : modulation frequency; the camera does not tell it
+    """
+
+    def __init__(
+        self,
+        port: int = DATA_PORT,
+        *,
+        host: str = "0.0.0.0",
+        source: str | None = None,
+        pitch_mm: float | tuple[float, float] = PITCH_MM,
+        modulation_hz: float | None = None,
+    ) -> None:
+        if not 0 <= port <= 65535:
+            raise ValueError(f"expected a UDP port from 0 to 65535, got {port}")
+        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
+        self._grid = Grid(SHAPE, (row_mm, col_mm))
+        self._modulation_hz = modulation_hz
+        self._host = host
+        self._port = port
+        self._stream = O3MStream(source)
+        self._receiver = Receiver(self.name)
+        self._socket: socket.socket | None = None
+
+    @property
+    def name(self) -> str:
+        """What the camera is called in messages."""
+        return f"O3M on UDP port {self.port}"
+
+    @property
+    def port(self) -> int:
+        """UDP port listened at; known also for port 0 once it is open."""
+        return self._port
+
+    @property
+    def grid(self) -> Grid:
+        """Shape and pitch of the frames."""
+        return self._grid
+
+    @property
+    def modulation_hz(self) -> float | None:
+        """Modulation frequency of the distance, if it is known."""
+        return self._modulation_hz
+
+    def open(self) -> None:
+        """Begin to receive.
+
+        Raises
+        ------
+        DeviceError
+            If it is open already, or another program has the port.
+        """
+        if self._socket is not None:
+            raise DeviceError("is open already", device=self.name)
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+            udp.bind((self._host, self._port))
+        except OSError as error:
+            udp.close()
+            raise DeviceError(
+                f"cannot listen at {self._host}: {error.strerror}; close other programs that "
+                "receive from the camera",
+                device=self.name,
+            ) from error
+        udp.settimeout(_LOOK_S)
+        self._port = udp.getsockname()[1]
+        self._socket = udp
+        self._stream = O3MStream(self._stream.source)
+        self._receiver = Receiver(self.name)
+        self._receiver.start(self._receive)
+
+    def _receive(self, stop: threading.Event) -> None:
+        udp, stream, receiver = self._socket, self._stream, self._receiver
+        if udp is None:
+            return
+        buffer = bytearray(MAX_PACKET_BYTES + 1)  # one more shows a datagram that is too long
+        view = memoryview(buffer)
+        while not stop.is_set():
+            try:
+                size, address = udp.recvfrom_into(buffer)
+            except TimeoutError:
+                continue
+            try:
+                frame = stream.push(view[:size], address, time.monotonic())
+            except DeviceError as error:
+                receiver.interrupt(error.problem)
+                continue
+            if frame is not None:
+                receiver.put(frame)
+
+    def newest_cycle(self) -> int:
+        """Return the counter of the newest frame that has begun to arrive, -1 before the first."""
+        return self._stream.newest_cycle()
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        """Return the oldest whole frame not yet fetched; wait for one if there is none.
+
+        Raises
+        ------
+        DeviceTimeout
+            If none came in time; the message says why.
+        DeviceError
+            If the camera has started anew, or two cameras send to the port.
+        """
+        before = self._stream.snapshot()
+        return self._receiver.take(timeout_s, lambda: self._stream.explain(before))
+
+    def counts(self) -> Mapping[str, int]:
+        """Return what came and what was lost since `open`."""
+        frames = {"frames": self._receiver.frames, "dropped_frames": self._receiver.dropped}
+        return {**frames, **self._stream.totals()}
+
+    def close(self) -> None:
+        """Stop receiving and let go of the port; a second call does nothing."""
+        self._receiver.close()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return what to keep beside the frames: layout, temperatures, parameters, factors."""
+        return {**self._stream.describe(), "port": self.port}

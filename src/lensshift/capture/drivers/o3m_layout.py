@@ -1,0 +1,202 @@
+"""Messages of an ifm O3M: pixel data in all known layouts, diagnosis. No sockets.
+
+Written from public descriptions of the format; no recording of a real camera was at hand.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+
+PIXEL_CHANNEL = 8
+PARAMETER_CHANNEL = 14
+RESULT_CHANNEL = 20  # objects without pixels
+DIAGNOSIS_CHANNEL = 256
+CHANNELS = frozenset({PIXEL_CHANNEL, PARAMETER_CHANNEL, DIAGNOSIS_CHANNEL})
+
+SHAPE = (16, 64)
+INVALID = 1  # bits of the confidence
+LOW_SIGNAL = 4096
+
+MODES = {
+    0x12: "initialising",
+    0x15: "booting",
+    0x21: "limited run",
+    0x22: "run",
+    0x31: "emergency",
+}
+RUN_MODE = 0x22
+
+_MAGIC = b"O3M!"
+_MAGIC_BYTES = 12  # magic, name, major, minor, two bytes of padding
+_SIZES = {(1, 0): 18900, (1, 1): 19036, (1, 2): 19044, (1, 3): 19224, (1, 4): 19224}
+_PIXELS = np.dtype(
+    [
+        ("width", "<u2"),
+        ("height", "<u2"),
+        ("distance_cm", "<u2", SHAPE),
+        ("x_m", "<f4", SHAPE),
+        ("y_m", "<f4", SHAPE),
+        ("z_m", "<f4", SHAPE),
+        ("confidence", "<u2", SHAPE),
+        ("amplitude", "<u2", SHAPE),
+        ("normalization", "<f4", (4,)),
+        ("timestamp_us", "<u4"),
+        ("frame_counter", "<u4"),
+        ("available", "<u4"),
+        ("calibration", "<f4", (6,)),
+        ("field_of_view", "<f4", (4, 3)),
+    ]
+)
+_COARSE_M = 0.01  # step of `distance_cm`
+
+_DIAGNOSIS_BYTES = 153
+_MAIN_TEMPERATURE_AT = 12
+_LIGHT_TEMPERATURE_AT = 148
+_MODE_AT = 152
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class O3MImage:
+    """One cycle of the camera.
+
+    Parameters
+    ----------
+    layout : "DIA1 1.4" and so on
+    amplitude : [16 64] what a pixel would have read without its choice of exposure and gain
+    distance_m : [16 64] radial, from the optical centre
+    valid : [16 64] False where the camera calls the pixel invalid or too weak
+    timestamp_us : master clock of the camera, wraps at 2^32
+    coarse_pixels : pixels whose distance is that in whole centimetres, because the coordinates
+        contradict it
+    raw : distance_cm, amplitude, confidence, x_m, y_m, z_m, normalization, timestamp_us,
+        frame_counter, available, calibration (x, y, z in m, three angles in rad), field_of_view
+    """
+
+    layout: str
+    amplitude: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    timestamp_us: int
+    coarse_pixels: int
+    raw: Mapping[str, NDArray[np.generic]]
+
+
+@dataclass(frozen=True, slots=True)
+class O3MDiagnosis:
+    """How the camera is.
+
+    Parameters
+    ----------
+    main_celsius, light_celsius : temperatures of the camera and of its illumination
+    mode : key of `MODES` if it is known
+    """
+
+    main_celsius: float
+    light_celsius: float
+    mode: int
+
+    @property
+    def mode_name(self) -> str:
+        """The mode in words."""
+        return MODES.get(self.mode, f"unknown mode 0x{self.mode:02x}")
+
+
+def layout_of(message: bytes) -> tuple[str, int]:
+    """Return the layout of a message of channel 8 in words, and where its pixels begin.
+
+    Raises
+    ------
+    DataError
+        If magic, version and size are not those of a known layout.
+    """
+    if not message.startswith(_MAGIC):
+        if len(message) == _SIZES[1, 0]:
+            return "DI 1.0", 0
+        raise DataError(
+            f"expected {_SIZES[1, 0]} bytes or the letters O3M! in front, got {len(message)} bytes",
+            field="pixel data",
+        )
+    name = message[4:8].decode("ascii", "replace")
+    version = (message[8], message[9]) if len(message) >= _MAGIC_BYTES else (0, 0)
+    layout = f"{name} {version[0]}.{version[1]}"
+    fits = len(message) == _SIZES.get(version) if name == "DIA1" else name == "ODA1"
+    if not fits or len(message) < _MAGIC_BYTES + _PIXELS.itemsize:
+        raise DataError(
+            f"expected layout DIA1 1.0 to 1.4 or ODA1, got {layout!r} with {len(message)} bytes",
+            field="pixel data",
+        )
+    return layout, _MAGIC_BYTES
+
+
+def read_image(message: bytes) -> O3MImage:
+    """Read a message of channel 8.
+
+        amplitude = raw amplitude * normalization[(confidence >> 1) & 3]
+        distance_m = |(x, y, z) - (x, y, z) of the camera|
+
+    Exposure and gain are chosen per pixel, so raw amplitudes of neighbours cannot be compared.
+    The coordinates are finer than the distance in whole centimetres; where the two differ by more
+    than 1 cm, or a coordinate is not finite, the centimetres count.
+
+    Raises
+    ------
+    DataError
+        If this is no known layout or not of 64 x 16 pixels.
+    """
+    layout, start = layout_of(message)
+    pixels = np.frombuffer(message, _PIXELS, count=1, offset=start)[0]
+    if (pixels["height"], pixels["width"]) != SHAPE:
+        raise DataError(
+            f"expected 64 x 16 pixels, got {pixels['width']} x {pixels['height']}",
+            field="pixel data",
+        )
+    confidence = pixels["confidence"]
+    with np.errstate(invalid="ignore"):  # numbers that are not finite
+        factor = pixels["normalization"].astype(np.float64)[(confidence >> 1) & 3]
+        amplitude = pixels["amplitude"] * factor
+        distance_m, coarse = _distance_m(pixels)
+    return O3MImage(
+        layout=layout,
+        amplitude=amplitude,
+        distance_m=distance_m,
+        valid=((confidence & (INVALID | LOW_SIGNAL)) == 0) & np.isfinite(amplitude),
+        timestamp_us=int(pixels["timestamp_us"]),
+        coarse_pixels=coarse,
+        raw={name: np.asarray(pixels[name]) for name in _PIXELS.fields or ()},
+    )
+
+
+def _distance_m(pixels: np.void) -> tuple[NDArray[np.float64], int]:
+    """Return radial distances and how many of them are in whole centimetres."""
+    coarse_m = pixels["distance_cm"] * _COARSE_M
+    camera_m = pixels["calibration"].astype(np.float64)
+    squares = sum(
+        (pixels[axis] - camera_m[index]) ** 2 for index, axis in enumerate(("x_m", "y_m", "z_m"))
+    )
+    fine_m = np.sqrt(squares)
+    agree = np.abs(fine_m - coarse_m) <= _COARSE_M
+    return np.where(agree, fine_m, coarse_m), int(np.count_nonzero(~agree))
+
+
+def read_diagnosis(message: bytes) -> O3MDiagnosis:
+    """Read a message of channel 256; unlike all others it is big-endian.
+
+    Raises
+    ------
+    DataError
+        If it is too short.
+    """
+    if len(message) < _DIAGNOSIS_BYTES:
+        raise DataError(
+            f"expected at least {_DIAGNOSIS_BYTES} bytes, got {len(message)}", field="diagnosis"
+        )
+    (main,) = struct.unpack_from(">f", message, _MAIN_TEMPERATURE_AT)
+    (light,) = struct.unpack_from(">f", message, _LIGHT_TEMPERATURE_AT)
+    return O3MDiagnosis(main, light, message[_MODE_AT])

@@ -1,0 +1,244 @@
+"""From datagrams on the port of an ifm O3M to frames, and why none came. No sockets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lensshift.capture.drivers.o3m_layout import (
+    CHANNELS,
+    DIAGNOSIS_CHANNEL,
+    PARAMETER_CHANNEL,
+    PIXEL_CHANNEL,
+    RUN_MODE,
+    O3MDiagnosis,
+    O3MImage,
+    read_diagnosis,
+    read_image,
+)
+from lensshift.capture.drivers.o3m_packets import ChannelMessage, Reassembler, read_header
+from lensshift.capture.drivers.receiver import counter_steps
+from lensshift.capture.rig import CameraFrame
+from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.types import Frame
+
+Address = tuple[str, int]
+_MAX_SENDERS = 8  # more are not told apart: their packets count as foreign
+_MAX_NOTED = 16  # channels named in a message
+
+
+@dataclass(slots=True)
+class StreamCounts:
+    """What came to the port.
+
+    Parameters
+    ----------
+    datagrams : all of them
+    foreign : no O3M packets
+    other : O3M packets of a sender that was not asked for
+    wrong : whole messages of an unknown layout, version or size
+    """
+
+    datagrams: int = 0
+    foreign: int = 0
+    other: int = 0
+    wrong: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Counts at one moment: datagrams, everything else, and the packets of each channel."""
+
+    datagrams: int
+    totals: dict[str, int]
+    channels: dict[int, int]
+
+
+class O3MStream:
+    """Takes datagrams, returns frames of one camera.
+
+    Parameters
+    ----------
+    source : address of the camera, "192.168.1.1" or "192.168.1.1:50000"; None: whoever sends
+    """
+
+    def __init__(self, source: str | None = None) -> None:
+        self.source = source
+        self.counts = StreamCounts()
+        self.diagnosis: O3MDiagnosis | None = None
+        self.parameters = b""
+        self.image: O3MImage | None = None
+        self._senders: dict[Address, Reassembler] = {}
+        self._chosen: Address | None = None
+        self._channels: dict[int, int] = {}  # packets of each channel
+        self._stranger = ""
+        self._wrong = ""
+        self._time_us = 0
+
+    @property
+    def address(self) -> str:
+        """Address of the camera that the frames come from, empty before the first."""
+        return "" if self._chosen is None else _named(self._chosen)
+
+    def newest_cycle(self) -> int:
+        """Return the unwrapped counter of the newest image that has begun to arrive, or -1."""
+        address = self._chosen or next(iter(self._senders), None)
+        return -1 if address is None else self._senders[address].newest_cycle(PIXEL_CHANNEL)
+
+    def push(
+        self, datagram: bytes | bytearray | memoryview, address: Address, arrived_s: float
+    ) -> CameraFrame | None:
+        """Take a datagram in; return the frame that it completes, if it does.
+
+        Raises
+        ------
+        DeviceError
+            If the camera has started anew, or a second one sends to the same port. Later
+            datagrams may be pushed all the same.
+        """
+        self.counts.datagrams += 1
+        header = read_header(datagram)
+        if header is None:
+            self._refuse(address)
+            return None
+        if not self._is_wanted(address):
+            self.counts.other += 1
+            self._stranger = _named(address)
+            return None
+        sender = self._senders.get(address)
+        if sender is None:
+            if len(self._senders) >= _MAX_SENDERS:
+                self._refuse(address)
+                return None
+            sender = self._senders[address] = Reassembler(CHANNELS)
+        if header.channel in self._channels or len(self._channels) < _MAX_NOTED:
+            self._channels[header.channel] = self._channels.get(header.channel, 0) + 1
+        restarts = sender.restarts(PIXEL_CHANNEL)
+        message = sender.push(header, datagram, arrived_s)
+        if sender.restarts(PIXEL_CHANNEL) != restarts:
+            raise DeviceError(
+                "the camera has started anew: its cycle counter jumped back to "
+                f"{header.cycle_counter}"
+            )
+        return None if message is None else self._take(message, address, arrived_s)
+
+    def _refuse(self, address: Address) -> None:
+        self.counts.foreign += 1
+        self._stranger = _named(address)
+
+    def _is_wanted(self, address: Address) -> bool:
+        return self.source is None or self.source in (address[0], _named(address))
+
+    def _take(
+        self, message: ChannelMessage, address: Address, arrived_s: float
+    ) -> CameraFrame | None:
+        """Read a whole message."""
+        if self._chosen is None:
+            self._chosen = address
+        if address != self._chosen:
+            raise DeviceError(
+                f"two cameras send to this port, {_named(self._chosen)} and {_named(address)}: "
+                "name one of them as source (if there is one only, it has changed its port: "
+                "close and open again)"
+            )
+        try:
+            if message.channel == DIAGNOSIS_CHANNEL:
+                self.diagnosis = read_diagnosis(message.content)
+            elif message.channel == PARAMETER_CHANNEL:
+                self.parameters = message.content
+            else:
+                return self._frame(read_image(message.content), message.cycle, arrived_s)
+        except DataError as error:
+            self.counts.wrong += 1
+            self._wrong = str(error)
+        return None
+
+    def _frame(self, image: O3MImage, cycle: int, arrived_s: float) -> CameraFrame:
+        if self.image is None:
+            self._time_us = image.timestamp_us
+        else:
+            self._time_us += counter_steps(image.timestamp_us, self.image.timestamp_us)
+        self.image = image
+        frame = Frame(image.amplitude, image.distance_m, image.valid, self._time_us * 1e-6)
+        return CameraFrame(frame, cycle, arrived_s, image.raw)
+
+    def totals(self) -> dict[str, int]:
+        """Return everything counted, over all senders that are wanted."""
+        each = [sender.counts for sender in list(self._senders.values())]
+        return {
+            "packets": sum(one.packets for one in each),
+            "foreign_packets": self.counts.foreign,
+            "other_cameras_packets": self.counts.other,
+            "lost_packets": sum(one.lost for one in each),
+            "duplicate_packets": sum(one.duplicate for one in each),
+            "reordered_packets": sum(one.reordered for one in each),
+            "partial_cycles": sum(one.partial for one in each),
+            "wrong_size_or_version": self.counts.wrong + sum(one.oversize for one in each),
+            "restarts": sum(one.restarts for one in each),
+        }
+
+    def snapshot(self) -> Snapshot:
+        """Return all counts as they are now, for `explain`."""
+        return Snapshot(self.counts.datagrams, self.totals(), dict(self._channels))
+
+    def explain(self, before: Snapshot) -> str:
+        """Tell in words for the bench why no image came since a snapshot."""
+        came = {name: count - before.totals[name] for name, count in self.totals().items()}
+        if self.counts.datagrams == before.datagrams:
+            return (
+                f"nothing arrives{' any more' if before.datagrams else ''}; check power and cable, "
+                "that the camera sends to this computer and this port, and the firewall"
+            )
+        if not came["packets"]:
+            if came["other_cameras_packets"]:
+                return f"packets come only from {self._stranger}, none from {self.source}"
+            return f"{came['foreign_packets']} datagrams came from {self._stranger}, none an O3M's"
+        if came["wrong_size_or_version"]:
+            return f"{came['wrong_size_or_version']} messages of an unknown version or size" + (
+                f" ({self._wrong})" if self._wrong else ""
+            )
+        seen = [one for one, n in dict(self._channels).items() if n > before.channels.get(one, 0)]
+        if PIXEL_CHANNEL not in seen:
+            return (
+                f"channel {', '.join(map(str, sorted(seen)))} arrives, but not channel "
+                f"{PIXEL_CHANNEL} with the pixels{self._mode()}; choose pixel data in the camera's "
+                "Ethernet settings"
+            )
+        sent = max(1, came["packets"] + came["lost_packets"])
+        return (
+            f"only parts of cycles arrive: {came['partial_cycles']} were given up, "
+            f"{100 * came['lost_packets'] / sent:.0f} % of the packets are lost; check network "
+            f"card, switch and cable{self._mode()}"
+        )
+
+    def _mode(self) -> str:
+        if self.diagnosis is None or self.diagnosis.mode == RUN_MODE:
+            return ""
+        return f" (the camera is in mode: {self.diagnosis.mode_name})"
+
+    def describe(self) -> dict[str, Any]:
+        """Return layout, temperatures, parameters and factors, as far as they have come."""
+        known: dict[str, Any] = {"model": "ifm O3M", "address": self.address}
+        image, diagnosis = self.image, self.diagnosis
+        if image is not None:
+            known["layout"] = image.layout
+            known["normalization"] = [float(one) for one in _numbers(image, "normalization")]
+            known["calibration"] = [float(one) for one in _numbers(image, "calibration")]
+            known["coarse_pixels"] = image.coarse_pixels
+        if diagnosis is not None:
+            known["main_celsius"] = diagnosis.main_celsius
+            known["light_celsius"] = diagnosis.light_celsius
+            known["mode"] = diagnosis.mode_name
+        if self.parameters:
+            known["parameters_hex"] = self.parameters.hex()
+        return known
+
+
+def _numbers(image: O3MImage, name: str) -> np.ndarray[Any, Any]:
+    return image.raw[name].astype(np.float64)
+
+
+def _named(address: Address) -> str:
+    return f"{address[0]}:{address[1]}"

@@ -1,0 +1,292 @@
+"""ifm O3D, O3X and O3R over TCP: asks for results and turns them into frames."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from lensshift.capture.drivers.pcic_protocol import (
+    RESULT_TICKET,
+    Message,
+    PcicImage,
+    PcicParser,
+    read_result,
+    write_message,
+)
+from lensshift.capture.drivers.receiver import Receiver, counter_steps
+from lensshift.capture.rig import CameraFrame
+from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
+from lensshift.core.grid import Grid
+from lensshift.core.types import Frame
+
+RESULT_PORT = 50010
+_LOOK_S = 0.2
+_RECEIVE_BYTES = 1 << 16
+_FRAME_COUNT_AT = 4 + 32  # in a result: after `star`, in the first chunk
+
+
+class PcicCamera:
+    """A client of a camera's process interface. A lost connection is not made again.
+
+    Parameters
+    ----------
+    host : address of the camera
+    port : 50010; of an O3R 50010 + number of the camera's port
+    pitch_mm : pixel pitch, one number or (row, col)
+    schema : JSON that says what a result shall hold, or None to leave the camera as it is; it
+        must ask for an amplitude
+    modulation_hz : modulation frequency, if known
+    timeout_s : for the connection, each answer, and the first frame, which tells the shape
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int = RESULT_PORT,
+        *,
+        pitch_mm: float | tuple[float, float],
+        schema: str | None = None,
+        modulation_hz: float | None = None,
+        timeout_s: float = 5.0,
+    ) -> None:
+        self.name = f"PCIC camera {host}:{port}"
+        self._address = (host, port)
+        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
+        self._pitch_mm = Grid((1, 1), (row_mm, col_mm)).pitch_mm
+        self._schema = schema
+        self._modulation_hz = modulation_hz
+        self._timeout_s = timeout_s
+        self._socket: socket.socket | None = None
+        self._reset()
+
+    def _reset(self) -> None:
+        self._receiver = Receiver(self.name)
+        self._parser = PcicParser()
+        self._changed = threading.Condition()
+        self._answers: dict[bytes, bytes] = {}
+        self._ticket = 1000
+        self._grid: Grid | None = None
+        self._image: PcicImage | None = None
+        self._newest = -1
+        self._raw_count = 0
+        self._time_us = 0
+        self._bytes = 0  # of results
+        self._wrong = 0
+        self._problem = ""
+
+    @property
+    def grid(self) -> Grid:
+        """Shape and pitch of the frames; known once it is open."""
+        if self._grid is None:
+            raise DeviceError("the shape is not known before open()", device=self.name)
+        return self._grid
+
+    @property
+    def modulation_hz(self) -> float | None:
+        """Modulation frequency of the distance, if it is known."""
+        return self._modulation_hz
+
+    def open(self) -> None:
+        """Connect, set the schema, ask for results and wait for the first one.
+
+        Raises
+        ------
+        DeviceError
+            If it is open already, there is no connection, or the camera refuses.
+            `DeviceTimeout` if no answer or no result comes.
+        """
+        if self._socket is not None:
+            raise DeviceError("is open already", device=self.name)
+        try:
+            self._socket = socket.create_connection(self._address, self._timeout_s)
+        except OSError as error:
+            raise DeviceError(f"cannot connect: {error}", device=self.name) from error
+        self._reset()
+        self._socket.settimeout(_LOOK_S)
+        self._receiver.start(self._receive)
+        opened = False
+        try:
+            if self._schema is not None:
+                text = self._schema.encode()
+                self._command(b"c%09d%s" % (len(text), text))
+            self._command(b"p1")
+            self._await_shape()
+            opened = True
+        finally:
+            if not opened:
+                self.close()
+
+    def _await_shape(self) -> None:
+        with self._changed:
+            known = self._changed.wait_for(lambda: self._grid is not None, self._timeout_s)
+        if not known:
+            raise DeviceTimeout(
+                f"no result in {self._timeout_s:g} s: {self._explain(0, 0)}", device=self.name
+            )
+
+    def _command(self, command: bytes) -> bytes:
+        """Send a command and return its answer; raise if the camera refuses it."""
+        what = command[:20].decode("ascii", "replace")
+        with self._changed:
+            self._ticket += 1
+            ticket = b"%04d" % self._ticket
+        self._send(write_message(ticket, command), what)
+        with self._changed:
+            if not self._changed.wait_for(lambda: ticket in self._answers, self._timeout_s):
+                raise DeviceTimeout(
+                    f"no answer in {self._timeout_s:g} s", device=self.name, command=what
+                )
+            answer = self._answers.pop(ticket)
+        if answer[:1] in (b"!", b"?"):
+            raise DeviceError(f"refused with {answer!r}", device=self.name, command=what)
+        return answer
+
+    def _send(self, data: bytes, what: str) -> None:
+        if self._socket is None:
+            raise DeviceError("not open: call open() first", device=self.name)
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise DeviceError(
+                f"the connection is lost: {error}", device=self.name, command=what
+            ) from error
+
+    def _receive(self, stop: threading.Event) -> None:
+        connection, parser = self._socket, self._parser
+        while connection is not None and not stop.is_set():
+            try:
+                data = connection.recv(_RECEIVE_BYTES)
+            except TimeoutError:
+                continue
+            except OSError as error:
+                self._receiver.end(f"the connection is lost: {error}; open it again")
+                return
+            if not data:
+                self._receiver.end("the camera has closed the connection; open it again")
+                return
+            self._bytes += len(data)
+            for message in parser.feed(data):
+                self._take(message)
+            self._notice_begun(parser.begun())
+
+    def _notice_begun(self, begun: bytes) -> None:
+        """Follow the counter of a result of which only the first bytes have come."""
+        if self._image is not None and len(begun) >= _FRAME_COUNT_AT + 4:
+            (count,) = struct.unpack_from("<I", begun, _FRAME_COUNT_AT)
+            self._newest += max(0, counter_steps(count, self._raw_count))
+            self._raw_count = count
+
+    def _take(self, message: Message) -> None:
+        if message.ticket != RESULT_TICKET:
+            self._bytes -= len(write_message(*message))
+            with self._changed:
+                if len(self._answers) < 16:  # nobody waits for more
+                    self._answers[message.ticket] = message.content
+                self._changed.notify_all()
+            return
+        try:
+            image = read_result(message.content)
+        except DataError as error:
+            self._wrong += 1
+            self._problem = str(error)
+            return
+        self._put(image)
+
+    def _put(self, image: PcicImage) -> None:
+        rows, cols = image.amplitude.shape
+        if self._grid is not None and self._grid.shape != (rows, cols):
+            self._wrong += 1
+            self._problem = f"the image has become {cols} x {rows} pixels; open it again"
+            return
+        if self._image is None:
+            self._newest, self._time_us = image.frame_count, image.time_us
+        else:
+            step = counter_steps(image.frame_count, self._raw_count)
+            if step < 0:
+                self._receiver.interrupt(
+                    f"the camera has started anew: its frame count went back by {-step}"
+                )
+                step = 1
+            self._newest += step
+            self._time_us += counter_steps(image.time_us, self._image.time_us)
+        self._raw_count = image.frame_count
+        self._image = image
+        time_s = self._time_us * 1e-6 if image.time_s is None else image.time_s
+        frame = Frame(image.amplitude, image.distance_m, image.valid, time_s)
+        self._receiver.put(CameraFrame(frame, self._newest, time.monotonic(), image.raw))
+        if self._grid is None:
+            with self._changed:
+                self._grid = Grid((int(rows), int(cols)), self._pitch_mm)
+                self._changed.notify_all()
+
+    def _explain(self, bytes_before: int, wrong_before: int) -> str:
+        """Tell why no frame came since so many bytes and wrong results."""
+        if self._wrong > wrong_before:
+            return f"{self._wrong - wrong_before} results could not be used ({self._problem})"
+        if self._bytes > bytes_before:
+            return (
+                f"{self._bytes - bytes_before} bytes came, but no whole result "
+                f"({self._parser.skipped_bytes} bytes skipped, {self._parser.oversize} messages "
+                "too long)"
+            )
+        return "the camera sends no results; is it running, or waiting for a trigger?"
+
+    def newest_cycle(self) -> int:
+        """Return the counter of the newest frame that has begun to arrive, -1 before the first."""
+        return self._newest
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        """Return the oldest whole frame not yet fetched; wait for one if there is none.
+
+        Raises
+        ------
+        DeviceTimeout
+            If none came in time; the message says why.
+        DeviceError
+            If the connection is lost or the camera has started anew.
+        """
+        seen, wrong = self._bytes, self._wrong
+        return self._receiver.take(timeout_s, lambda: self._explain(seen, wrong))
+
+    def counts(self) -> Mapping[str, int]:
+        """Return what came and what was lost since `open`."""
+        return {
+            "frames": self._receiver.frames,
+            "dropped_frames": self._receiver.dropped,
+            "wrong_results": self._wrong,
+            "skipped_bytes": self._parser.skipped_bytes,
+            "oversize_messages": self._parser.oversize,
+        }
+
+    def close(self) -> None:
+        """Ask for silence, stop receiving, disconnect; a second call does nothing."""
+        if self._socket is None:
+            return
+        with suppress(OSError):  # it may be gone already
+            self._socket.sendall(write_message(b"9999", b"p0"))
+        self._receiver.close()
+        self._socket.close()
+        self._socket = None
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return what to keep beside the frames: address and what the camera told."""
+        known: dict[str, Any] = {
+            "model": "ifm, PCIC",
+            "address": f"{self._address[0]}:{self._address[1]}",
+        }
+        if self._schema is not None:
+            known["schema"] = self._schema
+        info = None if self._image is None else self._image.info
+        if info is not None:
+            known["distance_resolution_m"] = info.distance_resolution_m
+            known["amplitude_resolution"] = info.amplitude_resolution
+            known["amplitude_factors"] = list(info.amplitude_factors)
+            known["extrinsic"] = list(info.extrinsic)
+        return known

@@ -1,0 +1,374 @@
+"""PCIC, the protocol of ifm's O3D, O3X and O3R cameras: messages, chunks, images. No sockets."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+
+MAX_MESSAGE_BYTES = 4 << 20  # an O3R result with everything is a tenth of it
+RESULT_TICKET = b"0000"
+
+_HEAD = re.compile(rb"(\d{4})L(\d{9})\r\n")
+_HEAD_BYTES = 16
+_TICKET_BYTES = 4
+_CHUNK = struct.Struct("<9I")
+_CHUNK_TIME = struct.Struct("<3I")  # from header version 2 on
+_METADATA_AT = 48  # from header version 3 on
+_INFO = struct.Struct("<I2f3f6fI32fI32f")
+_FORMATS: Mapping[int, tuple[str, tuple[int, ...]]] = {
+    0: ("<u1", ()),
+    1: ("<i1", ()),
+    2: ("<u2", ()),
+    3: ("<i2", ()),
+    4: ("<u4", ()),
+    5: ("<i4", ()),
+    6: ("<f4", ()),
+    7: ("<u8", ()),
+    8: ("<f8", ()),
+    10: ("<f4", (3,)),
+}
+_IMAGES = {
+    100: "distance",
+    101: "normalised_amplitude",
+    103: "amplitude",
+    105: "distance_noise",
+    300: "confidence",
+}
+_INVALID = 1  # bit of the confidence
+_MILLIMETRE_M = 1e-3
+
+
+class ChunkKind(IntEnum):
+    """What a chunk holds."""
+
+    DISTANCE = 100
+    NORMALISED_AMPLITUDE = 101
+    AMPLITUDE = 103
+    GRAYSCALE = 104
+    DISTANCE_NOISE = 105
+    REFLECTIVITY = 107
+    X = 200
+    Y = 201
+    Z = 202
+    POINTS = 203
+    UNIT_VECTORS = 223
+    CONFIDENCE = 300
+    DIAGNOSTIC = 302
+    JSON_DIAGNOSTIC = 305
+    EXTRINSIC = 400
+    INTRINSIC = 401
+    INVERSE_INTRINSIC = 402
+    TOF_INFO = 420
+    RGB_INFO = 421
+
+
+class Message(NamedTuple):
+    """An answer, or with ticket 0000 a result that nobody asked for."""
+
+    ticket: bytes
+    content: bytes
+
+
+def write_message(ticket: bytes, content: bytes) -> bytes:
+    """Return `<ticket>L<length>CRLF<ticket><content>CRLF`."""
+    return b"%sL%09d\r\n%s%s\r\n" % (ticket, len(content) + 6, ticket, content)
+
+
+class PcicParser:
+    """Cuts the stream of bytes into messages.
+
+    What is no message is skipped up to the next that may be one, and counted.
+
+    Parameters
+    ----------
+    max_bytes : a message that claims to be longer is none, so memory is bounded
+    """
+
+    def __init__(self, max_bytes: int = MAX_MESSAGE_BYTES) -> None:
+        self.skipped_bytes = 0
+        self.oversize = 0
+        self._buffer = bytearray()
+        self._max_bytes = max_bytes
+
+    def feed(self, data: bytes | bytearray | memoryview) -> list[Message]:
+        """Take bytes in; return the messages that are whole now."""
+        buffer = self._buffer
+        buffer += data
+        messages = []
+        at = 0
+        while (start := self._next_head(at)) is not None:
+            self.skipped_bytes += start - at
+            at = start
+            end = self._end(at)
+            if end is None:
+                at += 1
+                self.skipped_bytes += 1
+            elif end > len(buffer):
+                break
+            else:
+                ticket = bytes(buffer[at : at + _TICKET_BYTES])
+                content = bytes(buffer[at + _HEAD_BYTES + _TICKET_BYTES : end - 2])
+                messages.append(Message(ticket, content))
+                at = end
+        else:
+            kept = max(at, len(buffer) - _HEAD_BYTES + 1)
+            self.skipped_bytes += kept - at
+            at = kept
+        del buffer[:at]
+        return messages
+
+    def begun(self) -> bytes:
+        """Return the first bytes of a result that is under way, empty if there is none."""
+        buffer = self._buffer
+        if not (_HEAD.match(buffer) and buffer.startswith(RESULT_TICKET)):
+            return b""
+        at = _HEAD_BYTES + _TICKET_BYTES
+        return bytes(buffer[at : at + 4 + _CHUNK.size])
+
+    def _next_head(self, at: int) -> int | None:
+        found = _HEAD.search(self._buffer, at)
+        return None if found is None else found.start()
+
+    def _end(self, at: int) -> int | None:
+        """Return where the message ends that may begin here, None if it is none."""
+        buffer = self._buffer
+        length = int(buffer[at + 5 : at + 14])
+        if length > self._max_bytes:
+            self.oversize += 1
+            return None
+        if length < _TICKET_BYTES + 2:
+            return None
+        body = at + _HEAD_BYTES
+        ticket = buffer[at : at + _TICKET_BYTES]
+        if not ticket.startswith(buffer[body : body + _TICKET_BYTES]):
+            return None
+        end = body + length
+        if len(buffer) >= end and buffer[end - 2 : end] != b"\r\n":
+            return None
+        return end
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chunk:
+    """One part of a result.
+
+    Parameters
+    ----------
+    kind : a `ChunkKind`, or a number that is not listed there
+    shape : (rows, cols) as the header says; chunks without pixels say it too
+    pixel_format : number of the type of a pixel
+    time_us : time stamp, wraps at 2^32
+    frame_count : counter of the frames, wraps at 2^32
+    time_s : time of the camera's clock, None before header version 2
+    metadata : from header version 3 on
+    data : everything after the header
+    """
+
+    kind: int
+    shape: tuple[int, int]
+    pixel_format: int
+    time_us: int
+    frame_count: int
+    time_s: float | None
+    metadata: Mapping[str, Any]
+    data: bytes
+
+    def image(self) -> NDArray[Any]:
+        """Return the pixels [row col] or [row col 3].
+
+        Raises
+        ------
+        DataError
+            If the type is not known or the data are too short.
+        """
+        if self.pixel_format not in _FORMATS:
+            raise DataError(
+                f"expected a known pixel format, got {self.pixel_format}",
+                field=f"chunk {self.kind}",
+            )
+        name, tail = _FORMATS[self.pixel_format]
+        pixel = np.dtype((name, tail))
+        count = self.shape[0] * self.shape[1]
+        if not 0 < count * pixel.itemsize <= len(self.data):
+            raise DataError(
+                f"{len(self.data)} bytes do not hold {self.shape[1]} x {self.shape[0]} pixels",
+                field=f"chunk {self.kind}",
+            )
+        return np.frombuffer(self.data, pixel, count).reshape(self.shape + tail)
+
+
+def read_chunks(content: bytes) -> list[Chunk]:
+    """Cut the content of a result, `star` to `stop`, into its chunks.
+
+    Raises
+    ------
+    DataError
+        If the frame is missing or a size leads out of it.
+    """
+    if len(content) < 8 or not (content.startswith(b"star") and content.endswith(b"stop")):
+        raise DataError(f"expected 'star' ... 'stop', got {content[:8]!r}", field="result")
+    chunks = []
+    at, end = 4, len(content) - 4
+    while at < end:
+        size = int.from_bytes(content[at + 4 : at + 8], "little")
+        if not _CHUNK.size <= size <= end - at:
+            raise DataError(
+                f"expected a chunk of {_CHUNK.size} to {end - at} bytes, got {size}", field="result"
+            )
+        chunks.append(_read_chunk(content[at : at + size]))
+        at += size
+    return chunks
+
+
+def _read_chunk(data: bytes) -> Chunk:
+    kind, size, header, version, width, height, pixel, time_us, count = _CHUNK.unpack_from(data)
+    if not _CHUNK.size <= header <= size:
+        raise DataError(
+            f"expected a header of {_CHUNK.size} to {size} bytes, got {header}",
+            field=f"chunk {kind}",
+        )
+    time_s = None
+    if version >= 2 and header >= _METADATA_AT:
+        _, seconds, nanoseconds = _CHUNK_TIME.unpack_from(data, _CHUNK.size)
+        time_s = seconds + nanoseconds * 1e-9
+    metadata = _metadata(data[_METADATA_AT:header]) if version >= 3 else {}
+    return Chunk(kind, (height, width), pixel, time_us, count, time_s, metadata, data[header:])
+
+
+def _metadata(text: bytes) -> Mapping[str, Any]:
+    try:
+        found = json.loads(text.rstrip(b"\0 ") or b"{}")
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+@dataclass(frozen=True, slots=True)
+class TofInfo:
+    """What an O3R tells of itself with each frame.
+
+    Parameters
+    ----------
+    version : of this information
+    distance_resolution_m, amplitude_resolution : value of one count
+    amplitude_factors : of the three exposures
+    extrinsic : place (x, y, z) in m and three angles in rad
+    intrinsic_model, intrinsic : pixel to ray
+    inverse_model, inverse : ray to pixel
+    """
+
+    version: int
+    distance_resolution_m: float
+    amplitude_resolution: float
+    amplitude_factors: tuple[float, ...]
+    extrinsic: tuple[float, ...]
+    intrinsic_model: int
+    intrinsic: tuple[float, ...]
+    inverse_model: int
+    inverse: tuple[float, ...]
+
+
+def read_tof_info(chunk: Chunk) -> TofInfo:
+    """Read the chunk TOF_INFO; what versions above 1 add is left out.
+
+    Raises
+    ------
+    DataError
+        If it is too short.
+    """
+    if len(chunk.data) < _INFO.size:
+        raise DataError(
+            f"expected at least {_INFO.size} bytes, got {len(chunk.data)}", field="TOF_INFO"
+        )
+    v = _INFO.unpack_from(chunk.data)
+    return TofInfo(v[0], v[1], v[2], v[3:6], v[6:12], v[12], v[13:45], v[45], v[46:78])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PcicImage:
+    """One result as arrays.
+
+    Parameters
+    ----------
+    amplitude : [row col] normalised where the camera offers it
+    distance_m : [row col] radial, or None
+    valid : [row col] False where the confidence or a distance of zero says so
+    frame_count, time_us : as the camera counts, both wrap at 2^32
+    time_s : the camera's clock, or None
+    info : of an O3R, or None
+    raw : the pixels as they came, by the name of their chunk
+    """
+
+    amplitude: NDArray[np.float64]
+    distance_m: NDArray[np.float64] | None
+    valid: NDArray[np.bool_]
+    frame_count: int
+    time_us: int
+    time_s: float | None
+    info: TofInfo | None
+    raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+
+def read_result(content: bytes) -> PcicImage:
+    """Read a result of an O3D (counts of 1 mm) or O3R (counts times the resolution it tells).
+
+    Raises
+    ------
+    DataError
+        If it is damaged, holds no amplitude, or its images differ in size.
+    """
+    chunks = read_chunks(content)
+    images = {one.kind: one for one in chunks if one.kind in _IMAGES}
+    info = next((read_tof_info(one) for one in chunks if one.kind == ChunkKind.TOF_INFO), None)
+    raw = {_IMAGES[kind]: one.image() for kind, one in images.items()}
+    name = next((one for one in ("normalised_amplitude", "amplitude") if one in raw), None)
+    if name is None:
+        raise DataError(
+            f"holds no amplitude, only chunks {[one.kind for one in chunks]}", field="result"
+        )
+    counts = raw[name]
+    if counts.ndim != 2 or any(pixels.shape != counts.shape for pixels in raw.values()):
+        raise DataError(
+            f"images differ in size: {[pixels.shape for pixels in raw.values()]}", field="result"
+        )
+    with np.errstate(invalid="ignore", over="ignore"):  # numbers that are not finite
+        amplitude = counts.astype(np.float64)
+        if info is not None and counts.dtype.kind == "u":
+            amplitude *= info.amplitude_resolution
+        valid = np.isfinite(amplitude)
+        if "confidence" in raw:
+            valid &= _is_valid(raw["confidence"])
+        distance_m = None
+        if "distance" in raw:
+            distance_m = _distance_m(images[ChunkKind.DISTANCE], raw["distance"], info)
+            valid &= np.isfinite(distance_m) & (distance_m > 0)
+    first = chunks[0]
+    return PcicImage(
+        amplitude, distance_m, valid, first.frame_count, first.time_us, first.time_s, info, raw
+    )
+
+
+def _is_valid(confidence: NDArray[Any]) -> NDArray[np.bool_]:
+    if confidence.dtype.kind not in "ui":
+        raise DataError(f"expected whole numbers, got {confidence.dtype}", field="confidence")
+    return np.asarray((confidence & _INVALID) == 0)
+
+
+def _distance_m(chunk: Chunk, counts: NDArray[Any], info: TofInfo | None) -> NDArray[np.float64]:
+    """Return metres: floats are metres, counts have the resolution told, else millimetres."""
+    if counts.dtype.kind == "f":
+        return counts.astype(np.float64)
+    told = chunk.metadata.get("DistanceResolution")
+    if isinstance(told, float):
+        return counts * told
+    return counts * (_MILLIMETRE_M if info is None else info.distance_resolution_m)

@@ -1,0 +1,144 @@
+"""Between the thread that receives and the one that asks: a bounded queue of frames."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from types import TracebackType
+
+from lensshift.capture.rig import CameraFrame
+from lensshift.core.errors import DeviceError, DeviceTimeout
+
+QUEUE_FRAMES = 64
+_JOIN_S = 10.0  # loops look at their stop event several times a second
+
+
+def counter_steps(newer: int, older: int) -> int:
+    """Return how far a 32-bit counter has gone from one reading to another.
+
+    Negative: it has gone back. Right for distances up to 2^31 either way, wrapped or not.
+    """
+    return ((newer - older + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+
+
+class Receiver:
+    """Runs a camera's receiving loop in a thread and holds the frames nobody has fetched yet.
+
+    Parameters
+    ----------
+    device : name of the camera, for the messages
+    depth : frames held; beyond that the oldest is dropped and counted
+    """
+
+    def __init__(self, device: str, *, depth: int = QUEUE_FRAMES) -> None:
+        self.device = device
+        self.frames = 0
+        self.dropped = 0
+        self._held: deque[CameraFrame] = deque()
+        self._depth = depth
+        self._changed = threading.Condition()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._notice = ""
+        self._ended = ""
+
+    def start(self, loop: Callable[[threading.Event], None]) -> None:
+        """Run `loop` in a thread until `close`; it must return soon after its event is set."""
+        self._thread = threading.Thread(target=self._run, args=(loop,), daemon=True)
+        self._thread.start()
+
+    def _run(self, loop: Callable[[threading.Event], None]) -> None:
+        with _Relay(self):
+            loop(self._stop)
+
+    def put(self, frame: CameraFrame, *, wait: bool = False) -> None:
+        """Add a frame; if the queue is full drop the oldest, or wait for room."""
+        with self._changed:
+            if wait:
+                self._changed.wait_for(lambda: len(self._held) < self._depth or self._stop.is_set())
+            if len(self._held) >= self._depth:
+                self._held.popleft()
+                self.dropped += 1
+            self._held.append(frame)
+            self.frames += 1
+            self._changed.notify_all()
+
+    def interrupt(self, problem: str, *, wait: bool = False) -> None:
+        """Forget the frames held, or wait until they are fetched; raise `problem` once."""
+        with self._changed:
+            if wait:
+                self._changed.wait_for(lambda: not self._held or self._stop.is_set())
+            self.dropped += len(self._held)
+            self._held.clear()
+            self._notice = problem
+            self._changed.notify_all()
+
+    def end(self, problem: str) -> None:
+        """Let `take` hand out what is held, then raise `problem` for ever."""
+        with self._changed:
+            self._ended = problem
+            self._changed.notify_all()
+
+    def take(self, timeout_s: float, explain: Callable[[], str]) -> CameraFrame:
+        """Return the oldest frame held; wait for one if there is none.
+
+        Parameters
+        ----------
+        timeout_s : how long to wait
+        explain : tells why none came
+
+        Raises
+        ------
+        DeviceTimeout
+            If none came in time.
+        DeviceError
+            If the camera was interrupted or has ended, or nobody opened it.
+        """
+        if not (math.isfinite(timeout_s) and timeout_s >= 0):
+            raise ValueError(f"expected a time to wait of at least 0 s, got {timeout_s}")
+        with self._changed:
+            if self._thread is None:
+                raise DeviceError("not open: call open() first", device=self.device)
+            self._changed.wait_for(
+                lambda: bool(self._held or self._notice or self._ended), timeout=timeout_s
+            )
+            if self._notice:
+                problem, self._notice = self._notice, ""
+                raise DeviceError(problem, device=self.device)
+            if self._held:
+                self._changed.notify_all()
+                return self._held.popleft()
+            if self._ended:
+                raise DeviceError(self._ended, device=self.device)
+        raise DeviceTimeout(f"no frame in {timeout_s:g} s: {explain()}", device=self.device)
+
+    def close(self) -> None:
+        """Stop the loop and wait for its thread; a second call does nothing."""
+        self._stop.set()
+        with self._changed:
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(_JOIN_S)
+            self._thread = None
+
+
+class _Relay(AbstractContextManager["_Relay"]):
+    """Hands whatever stops the thread over to the one that asks for frames."""
+
+    def __init__(self, receiver: Receiver) -> None:
+        self._receiver = receiver
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool:
+        if error is None:
+            return False
+        problem = error.problem if isinstance(error, DeviceError) else repr(error)
+        self._receiver.end(f"receiving has stopped: {problem}")
+        return isinstance(error, Exception)

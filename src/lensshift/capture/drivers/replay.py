@@ -1,0 +1,251 @@
+"""A recording that plays as if it were the camera: O3M packets, or images of a ROS bag."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensshift.capture.drivers.o3m_layout import SHAPE
+from lensshift.capture.drivers.o3m_stream import O3MStream
+from lensshift.capture.drivers.receiver import Receiver
+from lensshift.capture.rig import CameraFrame
+from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.grid import Grid
+from lensshift.core.types import Frame
+from lensshift.io.recordings import BagImage, is_udp_recording, read_bag, read_udp
+
+_TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the same stamp
+_MILLIMETRE_M = 1e-3
+
+
+class ReplayCamera:
+    """Plays a recording once, from `open` on.
+
+    A pcap or pcapng file holds packets of an O3M; anything else is read as a ROS bag.
+
+    Parameters
+    ----------
+    path : file, or folder of a ROS 2 bag
+    speed : 1: as fast as recorded; infinity: as fast as frames are fetched, and none is dropped
+    pitch_mm : pixel pitch, one number or (row, col)
+    modulation_hz : modulation frequency, if known
+    source : of an O3M recording: which of several cameras, as in `O3MCamera`
+    port : of an O3M recording: only datagrams to this port; None: to all
+    amplitude_topic, distance_topic : of a bag; distances are radial, floats in m, counts in mm
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        pitch_mm: float | tuple[float, float],
+        speed: float = 1.0,
+        modulation_hz: float | None = None,
+        source: str | None = None,
+        port: int | None = None,
+        amplitude_topic: str = "",
+        distance_topic: str | None = None,
+    ) -> None:
+        if not speed > 0:
+            raise ValueError(f"expected a positive speed, got {speed}")
+        self.name = f"recording {path}"
+        self._path = Path(path)
+        self._is_o3m = is_udp_recording(path)
+        if not (self._is_o3m or amplitude_topic):
+            raise ValueError(f"expected the topic of the amplitude for the bag {path}, got none")
+        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
+        self._pitch_mm = Grid((1, 1), (row_mm, col_mm)).pitch_mm
+        self._speed = speed
+        self._modulation_hz = modulation_hz
+        self._source = source
+        self._port = port
+        self._amplitude_topic = amplitude_topic
+        self._distance_topic = distance_topic
+        self._stream = O3MStream(source)
+        self._grid: Grid | None = None
+        self._cycle = -1
+        self._fetched = -1
+        self._unpaired = 0
+        self._receiver: Receiver | None = None
+
+    @property
+    def grid(self) -> Grid:
+        """Shape and pitch of the frames; of a bag they are known once it is open."""
+        if self._grid is None:
+            shape = SHAPE if self._is_o3m else self._first_shape()
+            self._grid = Grid(shape, self._pitch_mm)
+        return self._grid
+
+    def _first_shape(self) -> tuple[int, int]:
+        first = next(iter(read_bag(self._path, [self._amplitude_topic])), None)
+        if first is None:
+            raise DataError(f"holds no images of topic {self._amplitude_topic}", source=self._path)
+        return int(first.image.shape[0]), int(first.image.shape[1])
+
+    def _topics(self) -> list[str]:
+        distance = [] if self._distance_topic is None else [self._distance_topic]
+        return [self._amplitude_topic, *distance]
+
+    @property
+    def modulation_hz(self) -> float | None:
+        """Modulation frequency of the distance, if it is known."""
+        return self._modulation_hz
+
+    def open(self) -> None:
+        """Begin to play.
+
+        Raises
+        ------
+        DeviceError
+            If it is open already, or the recording cannot be read.
+        """
+        if self._receiver is not None:
+            raise DeviceError("is open already", device=self.name)
+        try:
+            self.grid  # noqa: B018 - reads the shape out of the recording
+        except DataError as error:
+            raise DeviceError(str(error), device=self.name) from error
+        self._stream = O3MStream(self._source)
+        self._cycle, self._fetched, self._unpaired = -1, -1, 0
+        self._receiver = Receiver(self.name)
+        self._receiver.start(self._play)
+
+    def _play(self, stop: threading.Event) -> None:
+        receiver = self._receiver
+        if receiver is None:
+            return
+        fast = math.isinf(self._speed)
+        pace = _Pace(self._speed, stop)
+        for one in self._o3m(pace) if self._is_o3m else self._bag(pace):
+            if stop.is_set():
+                return
+            if isinstance(one, str):
+                receiver.interrupt(one, wait=fast)
+            else:
+                self._cycle = one.cycle
+                receiver.put(replace(one, arrived_s=time.monotonic()), wait=fast)
+        ended = f"the recording has ended after {receiver.frames} frames"
+        if self._is_o3m and not receiver.frames:
+            ended += f": {self._stream.explain(O3MStream().snapshot())}"
+        receiver.end(ended)
+
+    def _o3m(self, pace: _Pace) -> Iterator[CameraFrame | str]:
+        """Yield frames, and in words what interrupted them."""
+        for time_s, source, port, payload in read_udp(self._path):
+            if self._port not in (None, port):
+                continue
+            pace.wait(time_s)
+            try:
+                frame = self._stream.push(payload, source, time_s)
+            except DeviceError as error:
+                yield error.problem
+                continue
+            if frame is not None:
+                yield frame
+
+    def _bag(self, pace: _Pace) -> Iterator[CameraFrame]:
+        """Yield frames of one amplitude image and the distance image of the same time."""
+        amplitude_topic, distance_topic = self._amplitude_topic, self._distance_topic
+        wanted = self._topics()
+        waiting: dict[str, BagImage] = {}
+        cycle = 0
+        for image in read_bag(self._path, wanted):
+            pace.wait(image.time_s)
+            self._unpaired += image.topic in waiting
+            waiting[image.topic] = image
+            if len(waiting) < len(wanted):
+                continue
+            amplitude = waiting[amplitude_topic]
+            distance = None if distance_topic is None else waiting[distance_topic]
+            if distance is not None and abs(distance.time_s - amplitude.time_s) > _TOGETHER_S:
+                older = min(amplitude, distance, key=lambda one: one.time_s)
+                del waiting[older.topic]
+                self._unpaired += 1
+                continue
+            waiting.clear()
+            yield CameraFrame(_frame(amplitude, distance), cycle, 0.0)
+            cycle += 1
+
+    def newest_cycle(self) -> int:
+        """Return the counter of the newest frame that has begun to arrive, -1 before the first.
+
+        At infinite speed the recording waits for the one that fetches, so the newest frame is the
+        last one fetched.
+        """
+        return self._fetched if math.isinf(self._speed) else self._cycle
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        """Return the oldest frame not yet fetched; wait for one if there is none.
+
+        Raises
+        ------
+        DeviceTimeout
+            If none came in time.
+        DeviceError
+            If the recording has ended, is damaged, or the camera started anew in it.
+        """
+        if self._receiver is None:
+            raise DeviceError("not open: call open() first", device=self.name)
+        frame = self._receiver.take(timeout_s, lambda: "the recording has a gap here")
+        self._fetched = frame.cycle
+        return frame
+
+    def counts(self) -> Mapping[str, int]:
+        """Return what came and what was lost since `open`."""
+        receiver = self._receiver
+        frames = {
+            "frames": 0 if receiver is None else receiver.frames,
+            "dropped_frames": 0 if receiver is None else receiver.dropped,
+        }
+        lost = self._stream.totals() if self._is_o3m else {"unpaired_images": self._unpaired}
+        return {**frames, **lost}
+
+    def close(self) -> None:
+        """Stop playing; a second call does nothing."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return what to keep beside the frames."""
+        about = self._stream.describe() if self._is_o3m else {"topics": self._topics()}
+        return {**about, "recording": self._path.name, "speed": self._speed}
+
+
+class _Pace:
+    """Waits until recorded time has come, `speed` times as fast as it was."""
+
+    def __init__(self, speed: float, stop: threading.Event) -> None:
+        self._speed = speed
+        self._stop = stop
+        self._start: tuple[float, float] | None = None
+
+    def wait(self, recorded_s: float) -> None:
+        if math.isinf(self._speed):
+            return
+        if self._start is None:
+            self._start = (recorded_s, time.monotonic())
+        due_s = self._start[1] + (recorded_s - self._start[0]) / self._speed
+        self._stop.wait(max(0.0, due_s - time.monotonic()))
+
+
+def _frame(amplitude: BagImage, distance: BagImage | None) -> Frame:
+    valid = np.isfinite(amplitude.image)
+    distance_m = None
+    if distance is not None:
+        if distance.image.shape != amplitude.image.shape:
+            raise DataError(
+                f"expected images of one size, got {amplitude.image.shape} and "
+                f"{distance.image.shape}"
+            )
+        step_m = 1.0 if distance.image.dtype.kind == "f" else _MILLIMETRE_M
+        distance_m = distance.image.astype(np.float64) * step_m
+        valid &= np.isfinite(distance_m) & (distance_m > 0)
+    return Frame(amplitude.image, distance_m, valid, amplitude.time_s)

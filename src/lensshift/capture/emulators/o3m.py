@@ -1,0 +1,334 @@
+"""An ifm O3M that is not there: sends what it sees as the real one does, to this computer."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping
+from functools import cache
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.types import Frame
+
+Look = Callable[[float, float], Frame]
+
+ROWS, COLS = 16, 64
+LAYOUTS: Mapping[str, int] = {
+    "1.0": 18900,
+    "1.1": 19036,
+    "1.2": 19044,
+    "1.3": 19224,
+    "1.4": 19224,
+}
+MODES = {"run": 0x22, "init": 0x12, "boot": 0x15, "limited": 0x21, "emergency": 0x31}
+
+PACKET_BYTES = 1460  # header and payload
+_DIAGNOSIS_BYTES = 468
+_PARAMETER_BYTES = 256
+_LONG_EXPOSURE, _HIGH_GAIN = 10.0, 4.0  # how much more a pixel reads
+_FULL_COUNT = 60000  # above it a pixel takes the next weaker setting
+_HALF_FIELD_RAD = (math.radians(1.6), math.radians(6.5))  # (row, col)
+_CAMERA_M = (1.5, 0.2, 0.8)  # where it stands in the coordinates of the vehicle
+_FIRST_CYCLE = 1000  # it has been running for a while
+_LOOK_S = 0.05
+
+
+def packetise(
+    channels: Mapping[int, bytes],
+    cycle: int,
+    first_packet: int,
+    *,
+    packet_bytes: int = PACKET_BYTES,
+) -> list[bytes]:
+    """Cut the messages of one cycle into packets as the camera does.
+
+    Parameters
+    ----------
+    channels : channel -> message, in the order of sending
+    cycle, first_packet : counters; both wrap at 2^32
+    packet_bytes : longest packet, header and all
+    """
+    room = packet_bytes - 32
+    cut: list[tuple[int, int, list[bytes]]] = []
+    for channel, message in channels.items():
+        whole = struct.pack("<I24x", 0xFFFFFFFF) + message
+        chunks = [whole[at : at + room] for at in range(0, len(whole), room)]
+        if len(chunks[-1]) + 4 > room:  # the end delimiter is never torn apart
+            chunks.append(b"")
+        chunks[-1] += struct.pack("<I", 0xAAAAAAAA)
+        cut.append((channel, len(message) + 32, chunks))
+    total = sum(len(chunks) for _, _, chunks in cut)
+    packets: list[bytes] = []
+    for channel, length, chunks in cut:
+        for index, chunk in enumerate(chunks):
+            number = len(packets)
+            header = struct.pack(
+                "<HHIIHHHHIII",
+                1,
+                1,
+                (first_packet + number) % 2**32,
+                cycle % 2**32,
+                total,
+                number,
+                len(chunks),
+                index,
+                channel,
+                length,
+                len(chunk),
+            )
+            packets.append(header + chunk)
+    return packets
+
+
+def pixel_message(
+    frame: Frame, *, layout: str = "1.4", full_scale: float = 4.0, timestamp_us: int = 0
+) -> bytes:
+    """Write a frame of 64 x 16 pixels as the camera's pixel data.
+
+    Each pixel takes the most sensitive of four settings (exposure 1 or 10, gain 1 or 4) that does
+    not saturate it, and says so in its confidence; the factors that undo it stand beside.
+
+    Parameters
+    ----------
+    frame : what the camera sees
+    layout : a key of `LAYOUTS`
+    full_scale : amplitude that the weakest setting can just read
+    timestamp_us : master clock
+    """
+    if frame.amplitude.shape != (ROWS, COLS):
+        raise ValueError(f"expected a frame of shape ({ROWS}, {COLS}), got {frame.amplitude.shape}")
+    amplitude = np.where(frame.valid, np.nan_to_num(frame.amplitude, nan=0.0), 0.0)
+    sensitivity = np.array([1.0, _LONG_EXPOSURE, _HIGH_GAIN, _LONG_EXPOSURE * _HIGH_GAIN])
+    factors = (full_scale / _FULL_COUNT / sensitivity).astype("<f4")
+    setting = np.zeros((ROWS, COLS), dtype=np.uint16)
+    for choice in (2, 1, 3):  # from weak to sensitive
+        setting[amplitude <= _FULL_COUNT * factors[choice]] = choice
+    counts = np.clip(np.rint(amplitude / factors[setting]), 0, 65535)
+    confidence = (setting << 1) | ~frame.valid
+    distance_m, coarse_cm = _distances(frame)
+    place_m = np.asarray(_CAMERA_M)[:, None, None] + _directions() * distance_m
+    body = b"".join(
+        [
+            struct.pack("<HH", COLS, ROWS),
+            coarse_cm.astype("<u2").tobytes(),
+            place_m.astype("<f4").tobytes(),
+            confidence.astype("<u2").tobytes(),
+            counts.astype("<u2").tobytes(),
+            factors.tobytes(),
+            struct.pack("<III", timestamp_us % 2**32, 0, 0),
+            struct.pack("<6f", *_CAMERA_M, 0.0, 0.0, 0.0),
+            _directions()[:, [0, 0, -1, -1], [0, -1, 0, -1]].T.astype("<f4").tobytes(),
+        ]
+    )
+    major, minor = (int(part) for part in layout.split("."))
+    magic = b"" if layout == "1.0" else b"O3M!DIA1" + bytes([major, minor, 0, 0])
+    return (magic + body).ljust(LAYOUTS[layout], b"\0")
+
+
+def _distances(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return distances in metres and in whole centimetres; an invalid pixel reads 1 cm."""
+    seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
+    distance_m = np.where(frame.valid & np.isfinite(seen_m), seen_m, 0.01)
+    return distance_m, np.clip(np.rint(distance_m * 100.0), 0, 15000)
+
+
+@cache
+def _directions() -> NDArray[np.float64]:
+    """Return unit vectors [3 row col]: x forward, y left, z up; row 0 is the top."""
+    up = np.tan(_HALF_FIELD_RAD[0]) * np.linspace(1, -1, ROWS)[:, None]
+    left = np.tan(_HALF_FIELD_RAD[1]) * np.linspace(1, -1, COLS)[None, :]
+    forward = np.ones((ROWS, COLS))
+    vector = np.stack([forward, np.broadcast_to(left, forward.shape), up * forward])
+    return np.asarray(vector / np.linalg.norm(vector, axis=0))
+
+
+def diagnosis_message(mode: int, main_celsius: float = 41.5, light_celsius: float = 48.25) -> bytes:
+    """Write the diagnosis; unlike all else it is big-endian."""
+    message = bytearray(_DIAGNOSIS_BYTES)
+    struct.pack_into(">f", message, 12, main_celsius)
+    struct.pack_into(">f", message, 148, light_celsius)
+    message[152] = mode
+    return bytes(message)
+
+
+class O3MSender:
+    """Sends what `look` sees, cycle by cycle; a context manager with a thread.
+
+    Parameters
+    ----------
+    look : called with begin and end of an exposure (`time.monotonic`), after its end; returns a
+        frame of 64 x 16 pixels
+    port : UDP port of the receiver
+    rate_hz : cycles a second
+    host : address of the receiver; other computers only with `allow_remote`
+    layout : of the pixel data, "1.0" to "1.4"
+    loss, reorder, duplicate : probability that a packet gets lost, changes places with the next,
+        comes twice
+    exposure_s, delay_s : length of an exposure; from its end to the first packet
+    full_scale : amplitude that saturates the weakest setting
+    first_cycle : cycle counter at the beginning
+    seed : of the faults
+    """
+
+    def __init__(
+        self,
+        look: Look,
+        *,
+        port: int,
+        rate_hz: float = 25.0,
+        host: str = "127.0.0.1",
+        layout: str = "1.4",
+        loss: float = 0.0,
+        reorder: float = 0.0,
+        duplicate: float = 0.0,
+        exposure_s: float = 0.005,
+        delay_s: float = 0.002,
+        full_scale: float = 4.0,
+        first_cycle: int = _FIRST_CYCLE,
+        seed: int = 0,
+        allow_remote: bool = False,
+    ) -> None:
+        if not allow_remote and host != "localhost" and not ipaddress.ip_address(host).is_loopback:
+            raise ValueError(f"expected an address of this computer, got {host}")
+        if not 0 < port <= 65535:
+            raise ValueError(f"expected the UDP port of the receiver, got {port}")
+        if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz and delay_s >= 0):
+            raise ValueError(
+                "expected a positive rate, an exposure within its period and a delay of at least "
+                f"0 s, got {rate_hz} Hz, {exposure_s} s and {delay_s} s"
+            )
+        self.sent = 0
+        self.frames_dropped = 0
+        self._look = look
+        self._target = (host, port)
+        self._period_s = 1.0 / rate_hz
+        self._faults = (loss, reorder, duplicate)
+        self._exposure_s = exposure_s
+        self._delay_s = delay_s
+        self._full_scale = full_scale
+        self._rng = np.random.default_rng(seed)
+        self._mode = MODES["run"]
+        self._paused = False
+        self._cycle = first_cycle
+        self._packet = first_cycle * 15
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self.set_layout(layout)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("" if allow_remote else "127.0.0.1", 0))
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address that the packets come from."""
+        host, port = self._socket.getsockname()[:2]
+        return str(host), int(port)
+
+    def __enter__(self) -> O3MSender:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+
+    def pause(self) -> None:
+        """Fall silent; the cycles go on."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Send again."""
+        self._paused = False
+
+    def reboot(self) -> None:
+        """Begin to count anew, as after a loss of power."""
+        with self._lock:
+            self._cycle = 0
+            self._packet = 0
+
+    def set_layout(self, layout: str) -> None:
+        """Send another layout from now on."""
+        if layout not in LAYOUTS:
+            raise ValueError(f"expected a layout of {', '.join(LAYOUTS)}, got {layout!r}")
+        self._layout = layout
+
+    def set_mode(self, mode: str) -> None:
+        """Go to another mode; but in "run" only diagnosis is sent."""
+        self._mode = MODES[mode]
+
+    def _run(self) -> None:
+        begin_s = time.monotonic()
+        told_s = -math.inf
+        while self._wait(begin_s + self._exposure_s):
+            end_s = begin_s + self._exposure_s
+            channels = {}
+            if self._mode == MODES["run"]:
+                frame = self._look(begin_s, end_s)
+                channels[8] = pixel_message(
+                    frame,
+                    layout=self._layout,
+                    full_scale=self._full_scale,
+                    timestamp_us=int(begin_s * 1e6),
+                )
+            if end_s - told_s >= 1.0:
+                told_s = end_s
+                channels[256] = diagnosis_message(self._mode)
+                channels[14] = bytes(range(_PARAMETER_BYTES))
+            self._wait(end_s + self._delay_s)
+            self._send(channels)
+            begin_s = self._next_begin_s(begin_s)
+
+    def _next_begin_s(self, begin_s: float) -> float:
+        """Return when the next exposure begins; drop those that have passed unseen."""
+        late_s = time.monotonic() - (begin_s + self._period_s + self._exposure_s)
+        missed = max(0, math.floor(late_s / self._period_s))
+        self.frames_dropped += missed
+        with self._lock:
+            self._cycle += 1 + missed
+        return begin_s + (1 + missed) * self._period_s
+
+    def _wait(self, until_s: float) -> bool:
+        """Wait for an instant; return False if all is over."""
+        return not self._stop.wait(max(0.0, until_s - time.monotonic()))
+
+    def _send(self, channels: Mapping[int, bytes]) -> None:
+        with self._lock:
+            packets = packetise(channels, self._cycle, self._packet)
+            self._packet += len(packets)
+        if self._paused or not packets:
+            return
+        damaged = _with_faults(packets, self._faults, self._rng)
+        for packet in damaged:
+            self._socket.sendto(packet, self._target)
+        self.sent += 8 in channels and set(packets) <= set(damaged)
+
+
+def _with_faults(
+    packets: list[bytes], faults: tuple[float, float, float], rng: np.random.Generator
+) -> list[bytes]:
+    """Lose, double and swap packets by chance."""
+    loss, reorder, duplicate = faults
+    if not any(faults):
+        return packets
+    chance = rng.random((3, len(packets)))
+    out: list[bytes] = []
+    for index, packet in enumerate(packets):
+        if chance[0, index] >= loss:
+            out += [packet, packet] if chance[1, index] < duplicate else [packet]
+    for index in range(len(out) - 1):
+        if chance[2, index % len(packets)] < reorder:
+            out[index], out[index + 1] = out[index + 1], out[index]
+    return out

@@ -1,0 +1,138 @@
+"""Recordings of what a camera sent: UDP from pcap and pcapng files, images from ROS bags."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.io.reading import reading, require_file
+from lensshift.io.recordings_ip import Datagram as Datagram
+from lensshift.io.recordings_ip import UdpReader
+from lensshift.io.recordings_pcap import is_capture, read_packets
+
+_ENCODINGS = {"32FC1": "f4", "16UC1": "u2", "mono16": "u2", "mono8": "u1"}
+
+
+def read_udp(path: str | Path) -> Iterator[Datagram]:
+    """Read the UDP datagrams of a pcap or pcapng file, as Wireshark and tcpdump write them.
+
+    Yields (time in s, (source address, source port), destination port, payload). Both byte
+    orders, micro- and nanoseconds, Ethernet with VLAN tags, Linux cooked, raw IP and loopback;
+    IPv4 with fragments put together. The file is read as it goes, so it may be long.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, no such file, or damaged. A file cut off at its end and datagrams
+        that were recorded in part give a `QualityWarning`.
+
+    Source: IETF drafts draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng.
+    """
+    require_file(path)
+    udp = UdpReader()
+    with reading(path), Path(path).open("rb") as file:
+        for packet in read_packets(file, str(path)):
+            datagram = udp.read(packet)
+            if datagram is not None:
+                yield datagram
+    if udp.cut or udp.incomplete:
+        warnings.warn(
+            f"{path}: {udp.cut} datagrams were recorded in part and {udp.incomplete} lack a "
+            "fragment; they are left out",
+            QualityWarning,
+            stacklevel=2,
+        )
+
+
+def is_udp_recording(path: str | Path) -> bool:
+    """Tell whether this is a pcap or pcapng file, by its first bytes."""
+    if not Path(path).is_file():
+        return False
+    with reading(path), Path(path).open("rb") as file:
+        return is_capture(file.read(4))
+
+
+class BagImage(NamedTuple):
+    """One image of a bag.
+
+    Parameters
+    ----------
+    time_s : stamp of the image, or of the recording if the image has none
+    topic : where it was published
+    image : [row col] in the units of the topic
+    """
+
+    time_s: float
+    topic: str
+    image: NDArray[Any]
+
+
+def read_bag(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagImage]:
+    """Read the images of a ROS 1 bag, a ROS 2 bag (its folder) or an MCAP file.
+
+    Images are `sensor_msgs/Image` of encoding 32FC1, 16UC1, mono16 or mono8; others are skipped.
+
+    Parameters
+    ----------
+    path : file or folder
+    topics : those to read; none: all
+
+    Raises
+    ------
+    ImportError
+        If the extra `recordings` is not installed.
+    DataError
+        If the bag cannot be read.
+    """
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise ImportError(
+            "reading bags needs rosbags: pip install 'lensshift[recordings]'"
+        ) from error
+    if not Path(path).is_dir():
+        require_file(path)
+    try:
+        with (
+            reading(path),
+            AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag,
+        ):
+            wanted = [
+                one
+                for one in bag.connections
+                if one.msgtype == "sensor_msgs/msg/Image" and (not topics or one.topic in topics)
+            ]
+            for connection, stamp_ns, data in bag.messages(wanted) if wanted else ():
+                message = bag.deserialize(data, connection.msgtype)
+                image = _image(message)
+                if image is not None:
+                    yield BagImage(_time_s(message, stamp_ns), connection.topic, image)
+    except AnyReaderError as error:
+        raise DataError(f"cannot read this bag: {error}", source=path) from error
+
+
+def _time_s(message: Any, recorded_ns: int) -> float:
+    stamp = message.header.stamp
+    return float(stamp.sec + stamp.nanosec * 1e-9) or recorded_ns * 1e-9
+
+
+def _image(message: Any) -> NDArray[Any] | None:
+    """Return the pixels of a message, None if they are of another kind."""
+    name = _ENCODINGS.get(message.encoding)
+    if name is None:
+        return None
+    pixel = np.dtype(name).newbyteorder(">" if message.is_bigendian else "<")
+    rows, cols, step = int(message.height), int(message.width), int(message.step)
+    data = np.asarray(message.data, dtype=np.uint8)
+    if rows < 1 or cols < 1 or step < cols * pixel.itemsize or data.size < rows * step:
+        raise DataError(f"{data.size} bytes do not hold {rows} rows of {step}", field="image")
+    lines = data[: rows * step].reshape(rows, step)[:, : cols * pixel.itemsize]
+    image = np.ascontiguousarray(lines).view(pixel)
+    return image.astype(pixel.newbyteorder("="))

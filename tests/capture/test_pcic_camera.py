@@ -1,0 +1,184 @@
+"""The PCIC driver against the emulator, over the loopback of this computer."""
+
+import itertools
+import socket
+
+import numpy as np
+import pytest
+
+from lensshift.capture.drivers.pcic import PcicCamera
+from lensshift.capture.emulators.pcic import PcicServer
+from lensshift.core.errors import DeviceError, DeviceTimeout
+from lensshift.core.types import Frame
+
+WAIT_S = 30.0
+
+
+def seen(number: int) -> Frame:
+    amplitude = np.full((13, 17), 0.001 * (number + 1))
+    return Frame(amplitude, 1.0 + amplitude, np.ones((13, 17), dtype=bool), 0.0)
+
+
+def server(**settings: object) -> PcicServer:
+    numbers = itertools.count()
+    return PcicServer(
+        lambda begin_s, end_s: seen(next(numbers)),
+        rate_hz=30.0,
+        **settings,  # type: ignore[arg-type]
+    )
+
+
+def client(emulator: PcicServer, **settings: object) -> PcicCamera:
+    return PcicCamera(
+        "127.0.0.1",
+        emulator.port,
+        pitch_mm=(0.1, 0.2),
+        timeout_s=WAIT_S,
+        **settings,  # type: ignore[arg-type]
+    )
+
+
+def fetch_many(camera: PcicCamera) -> None:
+    for _ in range(1000):
+        camera.next_frame(WAIT_S)
+
+
+@pytest.mark.parametrize("model", ["O3D", "O3R"])
+def test_results_become_frames(model: str) -> None:
+    with server(model=model, first_count=2**32 - 3) as emulator:
+        camera = client(emulator, schema='{"layouter": "flexible"}', modulation_hz=30e6)
+        with pytest.raises(DeviceError, match="open"):
+            _ = camera.grid
+        camera.open()
+        assert camera.grid.shape == (13, 17)
+        assert camera.grid.pitch_mm == (0.1, 0.2)
+        assert emulator.schema == b'{"layouter": "flexible"}'
+        frames = [camera.next_frame(WAIT_S) for _ in range(8)]
+        unit = 1000.0 if model == "O3D" else 1.0  # an O3D sends counts
+        for number, one in enumerate(frames):
+            np.testing.assert_allclose(one.frame.amplitude, unit * seen(number).amplitude)
+            assert one.frame.distance_m is not None
+            np.testing.assert_allclose(one.frame.distance_m, 1.001 + 0.001 * number, atol=8e-5)
+        cycles = [one.cycle for one in frames]
+        assert all(np.diff(cycles) >= 1)  # also where the counter wraps
+        assert camera.newest_cycle() >= cycles[-1]
+        assert all(np.diff([one.frame.time_s for one in frames]) > 0)
+        assert camera.counts()["frames"] >= 8
+        assert camera.counts()["wrong_results"] == 0
+        about = camera.describe()
+        assert about["schema"] == '{"layouter": "flexible"}'
+        assert ("distance_resolution_m" in about) == (model == "O3R")
+        camera.close()
+        camera.close()
+
+
+def test_a_lost_connection_is_told_after_the_last_frame() -> None:
+    with server() as emulator:
+        camera = client(emulator)
+        camera.open()
+        camera.next_frame(WAIT_S)
+        emulator.hang_up()
+        for _ in range(2):
+            with pytest.raises(DeviceError, match=r"closed the connection|lost"):
+                fetch_many(camera)
+        camera.close()
+        camera.open()  # by hand it is made again
+        camera.next_frame(WAIT_S)
+        camera.close()
+
+
+def test_garbage_between_results_is_skipped() -> None:
+    with server() as emulator:
+        camera = client(emulator)
+        camera.open()
+        emulator.inject(b"0000L999999999\r\n0000" + bytes(100))
+        while not camera.counts()["oversize_messages"]:
+            camera.next_frame(WAIT_S)
+        assert camera.next_frame(WAIT_S).frame.valid.all()
+        assert camera.counts()["skipped_bytes"] == 120
+        camera.close()
+
+
+def test_a_camera_that_starts_anew_is_told() -> None:
+    with server() as emulator:
+        camera = client(emulator)
+        camera.open()
+        before = camera.next_frame(WAIT_S)
+        emulator.reboot()
+        with pytest.raises(DeviceError, match="started anew"):
+            fetch_many(camera)
+        assert camera.next_frame(WAIT_S).cycle > before.cycle
+        camera.close()
+
+
+def test_no_camera_at_the_address() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    camera = PcicCamera("127.0.0.1", port, pitch_mm=0.1)
+    with pytest.raises(DeviceError, match="cannot connect"):
+        camera.open()
+    with pytest.raises(DeviceError, match="not open"):
+        camera.next_frame(0.0)
+    camera.close()
+
+
+def test_a_server_that_does_not_answer() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        camera = PcicCamera("127.0.0.1", listener.getsockname()[1], pitch_mm=0.1, timeout_s=0.2)
+        with pytest.raises(DeviceTimeout, match="p1: no answer"):
+            camera.open()
+
+
+def test_a_camera_that_waits_for_a_trigger() -> None:
+    class Silent(PcicServer):
+        def _send_result(self, client: socket.socket, begin_s: float, end_s: float) -> None:
+            pass
+
+    with Silent(lambda begin_s, end_s: seen(0)) as emulator:
+        camera = PcicCamera("127.0.0.1", emulator.port, pitch_mm=0.1, timeout_s=2.0)
+        with pytest.raises(DeviceTimeout, match="trigger"):
+            camera.open()
+
+
+def test_a_refused_schema() -> None:
+    class Strict(PcicServer):
+        def _answer(self, command: bytes) -> bytes:
+            return b"!" if command[:1] == b"c" else super()._answer(command)
+
+    with Strict(lambda begin_s, end_s: seen(0)) as emulator:
+        camera = client(emulator, schema="{}")
+        with pytest.raises(DeviceError, match="refused"):
+            camera.open()
+
+
+def test_commands_are_answered_as_the_manual_says() -> None:
+    def ask(connection: socket.socket, command: bytes) -> bytes:
+        connection.sendall(b"1234L%09d\r\n1234%s\r\n" % (len(command) + 6, command))
+        answer = b""
+        while not answer.endswith(b"\r\n") or len(answer) < 22:
+            answer += connection.recv(4096)
+        assert answer.startswith(b"1234L%09d\r\n1234" % (len(answer) - 16))
+        return answer[20:-2]
+
+    with (
+        server() as emulator,
+        socket.create_connection(("127.0.0.1", emulator.port), WAIT_S) as connection,
+    ):
+        assert ask(connection, b"V?") == b"03 01 04"
+        assert b"EMULATOR" in ask(connection, b"G?")
+        assert ask(connection, b"C?").endswith(emulator.schema)
+        assert ask(connection, b"c000000002{}") == b"*"
+        assert ask(connection, b"C?") == b"000000002{}"
+        assert ask(connection, b"p0") == b"*"
+        assert ask(connection, b"nonsense") == b"?"
+
+
+def test_wrong_arguments() -> None:
+    with pytest.raises(ValueError, match="this computer"):
+        PcicServer(lambda a, b: seen(0), host="0.0.0.0")
+    with pytest.raises(ValueError, match="model"):
+        PcicServer(lambda a, b: seen(0), model="O3M")
+    with pytest.raises(ValueError, match="exposure"):
+        PcicServer(lambda a, b: seen(0), rate_hz=1000.0)
+    with pytest.raises(ValueError, match="pitch"):
+        PcicCamera("127.0.0.1", pitch_mm=0.0)
