@@ -164,6 +164,7 @@ class AptAxis:
     def _home_once(self, deadline_s: float) -> Generator[None, None, bool]:
         """Send home; tell whether the controller went, and came, home."""
         was_homed = self.homed
+        heard = self._cube.link.heard[Id.HOMED]
         self._cube.link.send(Message(Id.MOVE_HOME, (CHANNEL, 0)))
         sent_s = time.monotonic()
         went = still = late = 0
@@ -177,7 +178,8 @@ class AptAxis:
             went += status.moving or homed != was_homed
             if status.bits & apt.FAULTS and (bits := self._cube.status().bits) & apt.FAULTS:
                 raise self._error(_why(bits))
-        return self.homed and went >= 2
+        came = self._cube.link.heard[Id.HOMED] > heard
+        return self.homed and (came or went >= 2)
 
     def moves(self, goal_mm: float) -> Generator[None, None, float]:
         """Go to a position step by step, at last forward; the result is the position (mm)."""

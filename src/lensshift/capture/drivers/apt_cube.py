@@ -18,7 +18,7 @@ from lensshift.capture.drivers.apt_link import AptLink
 from lensshift.core.errors import DeviceError, DeviceTimeout
 
 _MOST_COUNTS = 1_040_000  # 30 mm, and no Z8 actuator is longer than 25 mm
-_STOP_S = 1.0  # the longest a motor told to stop is watched
+_STOP_S = 0.5  # the longest a motor told to stop is watched
 POLL_S = 0.001
 
 R = TypeVar("R", apt.Info, apt.Limits)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
@@ -65,6 +66,7 @@ class AptLink:
     def __init__(self, port: str, *, reply_timeout_s: float, attempts: int) -> None:
         self.device = port  # how errors name it; the model, once it is known
         self.repeated = 0  # requests that had to be sent again
+        self.heard: Counter[int] = Counter()  # messages that came, by id
         self._timeout_s = reply_timeout_s
         self._attempts = attempts
         self._framer = Framer(TO_HOST)
@@ -166,7 +168,9 @@ class AptLink:
     def _read(self) -> list[Message]:
         # Never more than is wanted: the port waits for all it is asked for.
         data = self._use(lambda: self._port.read(self._framer.wanted))
-        return self._framer.feed(data, time.monotonic())
+        messages = self._framer.feed(data, time.monotonic())
+        self.heard.update(message.id for message in messages)
+        return messages
 
     def _write(self, messages: tuple[Message, ...]) -> None:
         data = b"".join(message.to_bytes() for message in messages)

@@ -49,6 +49,8 @@ class AptSettings:
     timeout_margin_s: float = 2.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.counts_per_mm, int | float) and len(self.counts_per_mm) != 2:
+            raise ValueError(f"expected counts_per_mm or two of them, got {self.counts_per_mm}")
         positive = {
             "velocity_mmps": self.velocity_mmps,
             "acceleration_mmps2": self.acceleration_mmps2,
@@ -78,7 +80,7 @@ class AptSettings:
     def scale(self, axis: int) -> float:
         """Return the counts per millimetre of axis 0 (row) or 1 (col)."""
         both = self.counts_per_mm
-        return both[axis] if isinstance(both, tuple) else both
+        return float(both) if isinstance(both, int | float) else both[axis]
 
     @property
     def reachable_mm(self) -> tuple[float, float]:
