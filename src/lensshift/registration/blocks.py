@@ -1,0 +1,65 @@
+"""Standard errors made honest: what parts of the sensor say, each on its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Shifts = NDArray[np.float64]
+# Frames and validity of a part of the sensor -> offsets and their standard errors.
+Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]
+
+LEAST_BLOCK_PX = 12
+_LEAST_VALID = 0.5
+
+
+def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """Return four parts of a sensor, along its longer side if it is long; [] if it is small."""
+    rows, cols = shape
+    split = (2, 2)
+    if cols >= 3 * rows:
+        split = (1, 4)
+    elif rows >= 3 * cols:
+        split = (4, 1)
+    if rows // split[0] < LEAST_BLOCK_PX or cols // split[1] < LEAST_BLOCK_PX:
+        return []
+    edges = [
+        np.linspace(0, size, parts + 1).astype(int)
+        for size, parts in zip(shape, split, strict=True)
+    ]
+    return [
+        (slice(edges[0][i], edges[0][i + 1]), slice(edges[1][j], edges[1][j + 1]))
+        for i in range(split[0])
+        for j in range(split[1])
+    ]
+
+
+def scatter_over_blocks(
+    estimate: Estimate, frames: Array, valid: NDArray[np.bool_], offset_px: Shifts
+) -> float:
+    """Return by what factor the parts of the sensor scatter more than their errors say, 1 or more.
+
+        factor^2 = n / (n - 1) mean over blocks, frames, axes of ((d_block - d) / sigma_block)^2
+
+    A model that does not fit the scene (edges are no random field, line pairs have lines in
+    their spectrum) makes estimates scatter more than noise does; the parts show by how much.
+    Parts without texture are left out.
+    """
+    square, blocks = [], 0
+    for rows, cols in blocks_of(frames.shape[1:]):
+        part = valid[:, rows, cols]
+        if part.mean(axis=(1, 2)).min() < _LEAST_VALID:
+            continue
+        found_px, sigma_px = estimate(frames[:, rows, cols], part)
+        known = (sigma_px > 0) & (sigma_px < 0.2)
+        if np.any(known):
+            blocks += 1
+            square.append((found_px - offset_px)[known] ** 2 / sigma_px[known] ** 2)
+    if blocks < 2:
+        return 1.0
+    mean = float(np.mean(np.concatenate(square)))
+    return max(1.0, float(np.sqrt(mean * blocks / (blocks - 1))))

@@ -1,0 +1,198 @@
+"""Shifts of all frames at once by maximum likelihood: aliasing and noise are in the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.registration.spectrum import Frequencies, Spectrum, first_spectrum
+from lensshift.registration.taper import Tapered, taper_frames
+
+Array = NDArray[Any]
+Shifts = NDArray[np.float64]
+
+MAX_STEP_PX = 0.2
+CONVERGED_PX, CONVERGED_SIGMAS = 1e-3, 0.03
+_SPECTRUM_PASSES = 6
+# The image power is freed from the power law in this many rounds, once the shifts are near.
+_FREE_ROUNDS = 3
+_FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShiftFit:
+    """Offsets of a burst and what is known of them.
+
+    Parameters
+    ----------
+    offset_px : [frame 2] (row, col)
+    covariance_px2 : [2 frame, 2 frame] of the offsets, frame by frame; zero at the reference
+    gain : [frame] amplitude against the reference
+    noise_sigma : of an LR pixel, as far as the model does not explain the frames
+    converged : whether the last step was small
+    """
+
+    offset_px: Shifts
+    covariance_px2: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    noise_sigma: float
+    converged: bool
+
+    @property
+    def sigma_px(self) -> Shifts:
+        """Standard errors [frame 2], against the reference."""
+        variance = np.diag(self.covariance_px2)
+        return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 2)
+
+
+@dataclass(slots=True)
+class _State:
+    """Where the search stands."""
+
+    offset_px: Shifts
+    log_gain: NDArray[np.float64]
+    spectrum: Spectrum
+
+
+def likely_shifts(
+    frames: Array,
+    valid: NDArray[np.bool_],
+    start_px: Shifts,
+    *,
+    reference: int = 0,
+    photometric: bool = False,
+    given_sigma_px: Shifts | None = None,
+    max_iterations: int = 40,
+) -> ShiftFit:
+    """Estimate the offsets of all frames by maximum likelihood.
+
+        Y_k(f) = g_k sum_m X(f + m) exp(-2 pi i (f + m) . d_k) + N_k(f),   m in {-1, 0, 1}^2
+        S(f) = sum_m P(f + m) a_m a_m^H + sigma^2 I,   a_m = g exp(-2 pi i (f + m) . d)
+        maximise  - sum_f [ log det S(f) + Y^H S^-1 Y ]
+
+    X is a random image of power P: a power law behind the blur of a pixel at first, then
+    whatever power the frames show. The aliases m != 0 and the noise are part of the model, so
+    neither biases the shifts; that the same scene is behind all frames is what tells them
+    apart. Fisher scoring; standard errors from the Fisher information, widened for the taper.
+    Invalid pixels are filled with what the model expects of them, again in each iteration.
+
+    Parameters
+    ----------
+    frames, valid : [frame row col]
+    start_px : [frame 2], right to about half a pixel
+    reference : frame whose offset stays as it is
+    photometric : whether the frames may differ by a factor and an additive constant
+    given_sigma_px : [frame 2] standard deviations of `start_px` if it counts as a measurement
+
+    Source: Whittle (1953); Gaussian Fisher scoring as in Kay, Estimation Theory (1993) ch. 3.
+    """
+    frequencies = Frequencies.of(frames.shape[1:], whole_plane=frames.dtype.kind == "c")
+    tapered = taper_frames(frames, valid, start_px, own_mean=photometric)
+    state = _State(
+        start_px.copy(), np.zeros(len(frames)), first_spectrum(frequencies, tapered.spectra)
+    )
+    kinds = 3 if photometric else 2
+    free = np.setdiff1d(np.arange(kinds * len(frames)), kinds * reference + np.arange(kinds))
+    prior = _prior_weight(given_sigma_px, kinds, len(frames))
+    freed, converged = 0, False
+    for iteration in range(max_iterations):
+        tapered = taper_frames(
+            frames, valid, state.offset_px, own_mean=photometric, expected=tapered.expected
+        )
+        passes = _SPECTRUM_PASSES if iteration == 0 else 1
+        _fit_spectrum(state, tapered, passes, whole=freed == 0)
+        score, information = _score(state, tapered, kinds)
+        score -= prior * _against(start_px, state.offset_px, kinds)
+        information = information + np.diag(prior)
+        spread = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-9, hermitian=True)
+        change = np.zeros(score.size)
+        change[free] = spread @ score[free]
+        step = change.reshape(-1, kinds)
+        largest_px = float(np.abs(step[:, :2]).max())
+        # Where the frames say little, a step means little.
+        told = float(np.max(np.abs(change[free]) / np.sqrt(np.diag(spread) + 1e-30)))
+        step *= min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))
+        state.offset_px = state.offset_px + step[:, :2]
+        if photometric:
+            state.log_gain = state.log_gain + step[:, 2]
+        if freed < _FREE_ROUNDS and (largest_px < _FREE_BELOW_PX or told < _FREE_BELOW_SIGMAS):
+            state.spectrum = state.spectrum.freed(
+                tapered.spectra, state.offset_px, np.exp(state.log_gain)
+            )
+            freed += 1
+        elif largest_px < CONVERGED_PX or told < CONVERGED_SIGMAS:
+            converged = True
+            break
+        tapered = tapered.with_expected(state.spectrum, state.offset_px, np.exp(state.log_gain))
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)])
+    places = np.flatnonzero(np.arange(covariance.shape[0]) % kinds < 2)
+    return ShiftFit(
+        offset_px=state.offset_px,
+        covariance_px2=covariance[np.ix_(places, places)] * tapered.inflation,
+        gain=np.exp(state.log_gain),
+        noise_sigma=float(np.sqrt(state.spectrum.noise_power)),
+        converged=converged,
+    )
+
+
+def _prior_weight(sigma_px: Shifts | None, kinds: int, count: int) -> NDArray[np.float64]:
+    weight = np.zeros((count, kinds))
+    if sigma_px is not None:
+        weight[:, :2] = 1.0 / np.maximum(sigma_px, 1e-6) ** 2
+    return weight.ravel()
+
+
+def _against(start_px: Shifts, offset_px: Shifts, kinds: int) -> NDArray[np.float64]:
+    away = np.zeros((len(offset_px), kinds))
+    away[:, :2] = offset_px - start_px
+    return away.ravel()
+
+
+def _fit_spectrum(state: _State, tapered: Tapered, passes: int, *, whole: bool) -> None:
+    """Fit level, exponent and noise of the spectrum; only the noise once it has been freed."""
+    for _ in range(passes):
+        gain = np.exp(state.log_gain)
+        state.spectrum, step = state.spectrum.scored(
+            tapered.spectra, state.offset_px, gain, whole=whole
+        )
+        if step < 0.02:
+            break
+
+
+def _score(state: _State, tapered: Tapered, kinds: int) -> tuple[Array, Array]:
+    """Return the gradient of the log likelihood by the shifts and its Fisher information.
+
+    dS / dp = e_k v^T + conj(v) e_k^T touches one row and one column of S only:
+    v = sum_m P_m q_m a_m[k] conj(a_m), q = -2 pi i (f + m) for a shift, 1 for the log gain.
+    """
+    spectrum, frequencies = state.spectrum, state.spectrum.frequencies
+    count = len(state.offset_px)
+    frame = np.repeat(np.arange(count), kinds)
+    every = np.arange(kinds * count)
+    score = np.zeros(kinds * count)
+    information = np.zeros((kinds * count, kinds * count))
+    for part in frequencies.parts(count, kinds):
+        steering = spectrum.steering(part, state.offset_px, np.exp(state.log_gain))
+        power = spectrum.power[part]
+        inverse = np.linalg.inv(spectrum.covariance(power, steering))
+        seen = (inverse @ tapered.spectra[part][..., None])[..., 0]
+        turns = frequencies.turns(part)[..., :kinds]
+        by_kind = np.empty((len(power), count, kinds, count), np.complex128)
+        for kind in range(kinds):
+            weighted = (power * turns[..., kind])[..., None] * steering
+            by_kind[:, :, kind] = np.swapaxes(weighted, 1, 2) @ np.conj(steering)
+        v = by_kind.reshape(len(power), kinds * count, count)
+        v_inverse = v @ inverse
+        slope = np.conj(seen)[:, frame] * (v @ seen[..., None])[..., 0]
+        weight = 2.0 * frequencies.weight[part]
+        score += weight @ np.real(slope - v_inverse[:, every, frame])
+        crossed = v_inverse[:, :, frame]
+        mixed = v_inverse @ np.conj(np.swapaxes(v, 1, 2))
+        square = crossed * np.swapaxes(crossed, 1, 2)
+        square += mixed * np.swapaxes(inverse[:, frame][:, :, frame], 1, 2)
+        information += np.tensordot(weight, np.real(square), 1)
+    return score, 0.5 * (information + information.T)

@@ -1,0 +1,227 @@
+"""One call: a burst goes in, the same burst with its shifts found from the frames comes out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst
+from lensshift.registration.blocks import scatter_over_blocks
+from lensshift.registration.gradient import gradient_shifts, texture_covariance
+from lensshift.registration.likelihood import ShiftFit, likely_shifts
+from lensshift.registration.phase import phase_shifts
+
+Array = NDArray[Any]
+Shifts = NDArray[np.float64]
+Method = Literal["auto", "gradient", "phase"]
+METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
+Channel = Literal["amplitude", "distance"]
+Run = Callable[..., ShiftFit]
+
+POOR_SIGMA_PX = 0.05
+# The least error that phase correlation is believed to have.
+PHASE_SIGMA_PX = 0.005
+# Aliases tell of a shift as well; with them an estimate may be so much better than without.
+BETTER_THAN_GRADIENTS = 3.0
+# Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
+_AGREES_PX = 0.5
+_CLEARLY_BETTER = 0.7
+
+
+def register(
+    burst: Burst,
+    *,
+    method: Method = "auto",
+    reference: int = 0,
+    channel: Channel = "amplitude",
+    photometric: bool = False,
+    use_given: bool = False,
+) -> Burst:
+    """Return the burst with its offsets found from the frames themselves.
+
+    Parameters
+    ----------
+    burst : frames of one scene, moved by up to a few pixels. Its own offsets are one of the
+        starting points
+    method : "auto": maximum likelihood with aliases and noise in the model (`likely_shifts`);
+        "gradient": least squares on low-passed frames (`gradient_shifts`), faster; "phase": phase
+        correlation with one frame, roughest
+    reference : number of the frame whose offset is kept; the others are relative to it, and so
+        are the standard errors, which are 0 there
+    channel : "amplitude" (complex phasors are used whole) or "distance"
+    photometric : whether frames may differ by a factor and an additive constant
+    use_given : whether the burst's own offsets count as measurements with `offset_sigma_px`
+        (method "auto" only)
+
+    Returns
+    -------
+    Burst
+        with `offset_px`, `offset_sigma_px` and offset_source "registered"
+
+    Raises
+    ------
+    ValueError
+        If an argument is unknown or out of range, or the burst lacks what was asked for.
+
+    Warns
+    -----
+    QualityWarning
+        If a shift has a standard error above 0.05 px, or the search did not settle.
+    """
+    frames = _frames(burst, channel)
+    _check(burst, method, reference, use_given)
+    valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
+    filled = _filled(frames, valid)
+    given_px = burst.offset_px - burst.offset_px[reference]
+    phase_px = phase_shifts(filled, reference)
+    if method == "phase":
+        fit = _phase_fit(filled, valid, phase_px, reference)
+    else:
+        run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
+        if method == "auto":
+            measured_px = burst.offset_sigma_px if use_given else None
+            run = partial(
+                likely_shifts,
+                reference=reference,
+                photometric=photometric,
+                given_sigma_px=_against_reference(measured_px, reference),
+            )
+        elif np.iscomplexobj(frames):
+            frames = np.abs(frames)
+        fit = _from_best_start(run, frames, valid, given_px, phase_px, keep_given=use_given)
+        fit = _widened(run, frames, valid, fit)
+    sigma_px = fit.sigma_px
+    if use_given:
+        sigma_px = np.minimum(sigma_px, _against_reference(burst.offset_sigma_px, reference))
+    _warn_if_poor(sigma_px, fit.converged)
+    return replace(
+        burst,
+        offset_px=fit.offset_px + burst.offset_px[reference],
+        offset_sigma_px=sigma_px,
+        offset_source="registered",
+    )
+
+
+def _frames(burst: Burst, channel: str) -> Array:
+    if channel == "amplitude":
+        frames = burst.amplitude
+    elif channel != "distance":
+        raise ValueError(f'expected channel "amplitude" or "distance", got {channel!r}')
+    elif burst.distance_m is None:
+        raise ValueError("the burst has no distance_m; expected channel amplitude")
+    else:
+        frames = burst.distance_m
+    kind = np.complex128 if frames.dtype.kind == "c" else np.float64
+    return frames.astype(kind)
+
+
+def _check(burst: Burst, method: str, reference: int, use_given: bool) -> None:
+    if method not in METHODS:
+        raise ValueError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
+    if burst.frame_count < 2:
+        raise ValueError(f"expected at least 2 frames to register, got {burst.frame_count}")
+    if not 0 <= reference < burst.frame_count:
+        raise ValueError(f"expected a reference from 0 to {burst.frame_count - 1}, got {reference}")
+    if use_given and burst.offset_sigma_px is None:
+        raise ValueError("the burst has no offset_sigma_px that its offsets could be weighed by")
+    if use_given and method != "auto":
+        raise ValueError(f'expected method "auto" with use_given, got {method!r}')
+
+
+def _filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
+    """Return the frames with invalid pixels taken from the mean of the others, or their mean."""
+    good = np.where(valid, frames, 0)
+    number = valid.sum(axis=0)
+    overall = good.sum() / max(int(number.sum()), 1)
+    mean = np.where(number > 0, good.sum(axis=0) / np.maximum(number, 1), overall)
+    return np.where(valid, frames, mean)
+
+
+def _against_reference(sigma_px: Shifts | None, reference: int) -> Any:
+    """Return standard deviations of differences from the reference, None if not known."""
+    if sigma_px is None:
+        return None
+    return np.asarray(np.hypot(sigma_px, sigma_px[reference]))
+
+
+def _from_best_start(
+    run: Run,
+    frames: Array,
+    valid: NDArray[np.bool_],
+    given_px: Shifts,
+    phase_px: Shifts,
+    *,
+    keep_given: bool,
+) -> ShiftFit:
+    """Fit from the given offsets; where phase correlation says otherwise, from both.
+
+    Patterns that repeat have several shifts that fit; the given ones win unless others fit
+    clearly better.
+    """
+    said = bool(np.any(given_px != 0.0))
+    if keep_given or (said and float(np.abs(phase_px - given_px).max()) < _AGREES_PX):
+        return run(frames, valid, given_px)
+    if not said:
+        return run(frames, valid, phase_px)
+    first, second = run(frames, valid, given_px), run(frames, valid, phase_px)
+    return second if second.noise_sigma < _CLEARLY_BETTER * first.noise_sigma else first
+
+
+def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -> ShiftFit:
+    """Return the fit with errors that the scatter over the sensor and the texture bear out."""
+
+    def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+        found = run(part, part_valid, fit.offset_px, max_iterations=8)
+        return found.offset_px, found.sigma_px
+
+    factor = scatter_over_blocks(estimate, frames, valid, fit.offset_px)
+    count = len(frames)
+    texture = texture_covariance(frames, valid, fit.offset_px, fit.noise_sigma)
+    apart = (fit.sigma_px > 0).astype(np.float64)
+    floor = np.kron(np.eye(count), texture / BETTER_THAN_GRADIENTS**2) * np.outer(
+        apart.ravel(), apart.ravel()
+    )
+    return replace(fit, covariance_px2=fit.covariance_px2 * factor**2 + floor)
+
+
+def _phase_fit(
+    frames: Array, valid: NDArray[np.bool_], phase_px: Shifts, reference: int
+) -> ShiftFit:
+    """Return phase correlation with one standard error for all, from parts of the sensor."""
+    count = len(frames)
+    unit_px = np.ones((count, 2))
+    unit_px[reference] = 0.0
+
+    # Four parts scatter twice as much as the whole.
+    def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+        return phase_shifts(part, reference), 2.0 * PHASE_SIGMA_PX * unit_px
+
+    sigma_px = PHASE_SIGMA_PX * scatter_over_blocks(estimate, frames, valid, phase_px) * unit_px
+    covariance = np.diag(sigma_px.ravel() ** 2)
+    return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
+
+
+def _warn_if_poor(sigma_px: Shifts, converged: bool) -> None:
+    if not converged:
+        warnings.warn(
+            "the search for the shifts did not settle; are these frames of one still scene?",
+            QualityWarning,
+            stacklevel=3,
+        )
+    worst = np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)
+    worst_px = float(sigma_px[worst])
+    if not worst_px <= POOR_SIGMA_PX:
+        along = ("row", "col")[int(worst[1])]
+        warnings.warn(
+            f"too little texture along {along}: the shift of frame {worst[0]} is known to "
+            f"{worst_px:.2f} px only (want {POOR_SIGMA_PX} px)",
+            QualityWarning,
+            stacklevel=3,
+        )

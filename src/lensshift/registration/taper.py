@@ -1,0 +1,116 @@
+"""Frames cut softly to the part of the scene that all of them see, and their spectra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from lensshift.registration.spectrum import Spectrum
+
+Array = NDArray[Any]
+Shifts = NDArray[np.float64]
+
+# Share of the common length over which the taper rises at each end: enough that borders leak
+# little, and short enough that 16 rows keep their weight.
+TAPER_SHARE = 0.25
+LEAST_COMMON_PX = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tapered:
+    """Spectra of tapered frames.
+
+    Parameters
+    ----------
+    spectra : [frequency frame] scaled so that white noise keeps its variance; without f = 0
+    window : [frame row col]
+    scale : [frame] root of the energy of the windows
+    expected : [frame row col] what the model expects of the tapered frames, or None
+    inflation : by how much the taper and invalid pixels widen a variance
+    """
+
+    spectra: Array
+    window: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    expected: Array | None
+    inflation: float
+
+    def with_expected(
+        self, spectrum: Spectrum, offset_px: Shifts, gain: NDArray[np.float64]
+    ) -> Tapered:
+        """Return it with what the model expects of the frames, to fill invalid pixels with."""
+        count, rows, cols = self.window.shape
+        whole = spectrum.frequencies.whole_plane
+        columns = cols if whole else cols // 2 + 1
+        padded = np.zeros((rows * columns, count), np.complex128)
+        padded[1:] = spectrum.expected(self.spectra, offset_px, gain)
+        shaped = padded.T.reshape(count, rows, columns) * self.scale[:, None, None]
+        expected = np.fft.ifft2(shaped) if whole else np.fft.irfft2(shaped, s=(rows, cols))
+        return replace(self, expected=expected)
+
+
+def taper_frames(
+    frames: Array,
+    valid: NDArray[np.bool_],
+    offset_px: Shifts,
+    *,
+    own_mean: bool,
+    expected: Array | None = None,
+) -> Tapered:
+    """Taper the frames where the scene is, not where the pixels are, and transform them.
+
+        w_k(u) = w(u - offset_k),   w: cosine flanks, zero outside what every frame sees
+
+    The window moves with the content, so that a tapered frame is still a shifted copy of one
+    tapered scene.
+
+    Parameters
+    ----------
+    frames, valid : [frame row col]
+    own_mean : whether each frame has its own mean taken off, or all the same
+    expected : [frame row col] tapered values for invalid pixels; by default 0, the mean
+
+    Raises
+    ------
+    ValueError
+        If the frames have less than 4 pixels of the scene in common along an axis.
+    """
+    rows, cols = frames.shape[1:]
+    window = (
+        _axis_window(rows, offset_px[:, 0])[:, :, None]
+        * _axis_window(cols, offset_px[:, 1])[:, None, :]
+    )
+    used = window * valid
+    total, weight = (used * np.where(valid, frames, 0)).sum(axis=(1, 2)), used.sum(axis=(1, 2))
+    if own_mean:
+        mean = total / np.maximum(weight, 1e-12)
+    else:
+        mean = np.full(len(frames), total.sum() / max(weight.sum(), 1e-12))
+    filling = 0.0 if expected is None else expected
+    values = np.where(valid, window * (frames - mean[:, None, None]), filling)
+    energy = np.sum(window**2, axis=(1, 2))
+    scale = np.sqrt(energy)
+    transform = np.fft.fft2 if frames.dtype.kind == "c" else np.fft.rfft2
+    spectra = (transform(values) / scale[:, None, None]).reshape(len(frames), -1).T[1:]
+    # Variance of an estimate from tapered data (Dahlhaus 1988).
+    inflation = rows * cols * np.sum(window**4) / len(frames) / energy.mean() ** 2
+    share = float(np.sum(used**2) / np.sum(window**2))
+    return Tapered(spectra, window, scale, expected, float(inflation) / max(share, 1e-12))
+
+
+def _axis_window(size: int, offset_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the taper [frame size] of one axis."""
+    low_px, high_px = float((-0.5 - offset_px).max()), float((size - 0.5 - offset_px).min())
+    if high_px - low_px < LEAST_COMMON_PX:
+        raise ValueError(
+            f"expected frames that share at least {LEAST_COMMON_PX:g} px of the scene, got shifts "
+            f"from {offset_px.min():.1f} to {offset_px.max():.1f} px on {size} px"
+        )
+    place_px = np.arange(size) - offset_px[:, None]
+    inside_px = np.minimum(place_px - low_px, high_px - place_px)
+    rise = np.clip(inside_px / (TAPER_SHARE * (high_px - low_px)), 0.0, 1.0)
+    return np.asarray(np.sin(0.5 * np.pi * rise) ** 2)

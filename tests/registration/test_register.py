@@ -1,0 +1,179 @@
+"""Shifts found from the frames: accuracy, honesty, bad input."""
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import PITCH_MM, checker, scene, taken, waves
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst
+from lensshift.registration import likely_shifts, phase_correlation, register
+
+OFFSETS = np.array([[0.0, 0.0], [0.31, -0.42], [-1.27, 0.66], [2.4, 3.1], [-0.2, 0.9]])
+
+
+def burst_of(frames: np.ndarray, offset_px: np.ndarray | None = None, **fields: object) -> Burst:
+    given = np.zeros((len(frames), 2)) if offset_px is None else offset_px
+    return Burst.from_arrays(frames, offset_px=given, pitch_mm=PITCH_MM, **fields)
+
+
+@pytest.mark.parametrize(
+    ("method", "within_px"), [("auto", 1e-3), ("gradient", 5e-3), ("phase", 0.06)]
+)
+def test_waves_without_noise_are_found_from_nothing(method: str, within_px: float) -> None:
+    found = register(burst_of(waves(OFFSETS)), method=method)
+    np.testing.assert_allclose(found.offset_px, OFFSETS, atol=within_px)
+    assert found.offset_source == "registered"
+
+
+def test_the_offset_of_the_reference_is_kept() -> None:
+    given = OFFSETS + np.array([0.5, -0.25])
+    found = register(burst_of(waves(OFFSETS), given), reference=2)
+    np.testing.assert_allclose(found.offset_px, given, atol=1e-3)
+    np.testing.assert_array_equal(found.offset_px[2], given[2])
+    assert np.all(found.offset_sigma_px[2] == 0.0)
+    assert np.all(found.offset_sigma_px[[0, 1, 3, 4]] > 0.0)
+
+
+def test_phase_correlation_has_the_sign_of_offsets() -> None:
+    frames = waves(np.array([[0.0, 0.0], [2.0, -5.0]]), (24, 41))
+    np.testing.assert_allclose(phase_correlation(*frames), [2.0, -5.0], atol=0.06)
+
+
+@pytest.mark.parametrize("name", ["demo", "four boxes", "checker", "random"])
+def test_aliased_noisy_frames_to_a_fiftieth_of_a_pixel(name: str) -> None:
+    error = []
+    for seed in (0, 1):
+        burst, true_px = taken(scene(name), seed=seed)
+        error.append(register(burst).offset_px - true_px)
+    assert np.sqrt(np.mean(np.square(error))) < 0.02
+
+
+def test_planned_offsets_decide_between_repeats_of_a_pattern() -> None:
+    burst, true_px = taken(checker)
+    np.testing.assert_allclose(register(burst, method="gradient").offset_px, true_px, atol=0.05)
+
+
+def test_standard_errors_are_as_large_as_errors() -> None:
+    error, told = [], []
+    for name in ("four boxes", "random", "demo"):
+        for seed in (0, 1):
+            burst, true_px = taken(scene(name), seed=seed)
+            found = register(burst)
+            error.append((found.offset_px - true_px)[1:])
+            told.append(found.offset_sigma_px[1:])
+    ratio = np.sqrt(np.mean(np.square(error)) / np.mean(np.square(told)))
+    assert 0.5 < ratio < 1.5  # 36 errors, six of each burst
+
+
+def test_fisher_information_agrees_with_monte_carlo() -> None:
+    """Random fields as the model assumes them: errors of many draws against one promise."""
+    rng = np.random.default_rng(3)
+    true_px = np.array([[0.0, 0.0], [0.4, 0.3], [-0.35, 0.55]])
+    row, col = np.meshgrid(np.fft.fftfreq(128), np.fft.fftfreq(160), indexing="ij")
+    error, told = [], []
+    for _ in range(12):
+        field = np.fft.fft2(rng.standard_normal((128, 160)))
+        power = (1e-4 + row**2 + col**2) ** -0.75 * np.exp(
+            -0.5 * (4 * np.pi * 0.4) ** 2 * (row**2 + col**2)
+        )
+        frames = []
+        for down, right in 2.0 * true_px:  # 2 fine pixels per pixel
+            moved = field * power * np.exp(-2j * np.pi * (row * down + col * right))
+            frames.append(np.fft.ifft2(moved).real[32:96:2, 32:128:2])
+        y = np.array(frames)
+        y = 0.5 + 0.1 * y / y.std() + 0.004 * rng.standard_normal(y.shape)
+        fit = likely_shifts(y, np.ones(y.shape, np.bool_), np.zeros((3, 2)))
+        error.append((fit.offset_px - true_px)[1:])
+        told.append(fit.sigma_px[1:])
+    ratio = np.sqrt(np.mean(np.square(error)) / np.mean(np.square(told)))
+    assert 0.7 < ratio < 1.4
+
+
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
+def test_invalid_pixels_count_for_nothing() -> None:
+    burst, true_px = taken(scene("random"))
+    rng = np.random.default_rng(1)
+    valid = rng.random(burst.amplitude.shape) > 0.05
+    valid[1, 4:7, 20:25] = False
+    spoiled = np.where(valid, burst.amplitude, np.nan)
+    for method, within_px in (("auto", 0.025), ("gradient", 0.05)):
+        found = register(replace(burst, amplitude=spoiled, valid=valid), method=method)
+        assert np.sqrt(np.mean((found.offset_px - true_px) ** 2)) < within_px
+
+
+@pytest.mark.parametrize(("method", "within_px"), [("auto", 0.02), ("gradient", 0.05)])
+def test_frames_of_other_brightness(method: str, within_px: float) -> None:
+    burst, true_px = taken(scene("four boxes"))
+    gain, bias = np.array([1.0, 0.9, 1.15, 1.05]), np.array([0.0, 0.05, -0.03, 0.02])
+    changed = gain[:, None, None] * burst.amplitude + bias[:, None, None]
+    found = register(replace(burst, amplitude=changed), method=method, photometric=True)
+    np.testing.assert_allclose(found.offset_px, true_px, atol=3 * within_px)
+    assert np.sqrt(np.mean((found.offset_px - true_px) ** 2)) < within_px
+
+
+def test_phasors_and_distances() -> None:
+    frames = waves(OFFSETS[:3])
+    found = register(burst_of(frames * np.exp(1j * (1.0 + frames))))
+    np.testing.assert_allclose(found.offset_px, OFFSETS[:3], atol=2e-3)
+    flat = np.full(frames.shape, 0.5)
+    found = register(burst_of(flat, distance_m=frames), channel="distance")
+    np.testing.assert_allclose(found.offset_px, OFFSETS[:3], atol=1e-3)
+
+
+def test_too_little_texture_is_said_with_its_direction() -> None:
+    rng = np.random.default_rng(0)
+    stripes = np.broadcast_to(waves(np.zeros((1, 2)), (18, 40))[0][:1], (3, 18, 40))
+    burst = burst_of(stripes + 0.002 * rng.standard_normal((3, 18, 40)))
+    with pytest.warns(QualityWarning, match=r"along row: .* known to \d"):
+        found = register(burst)
+    assert found.offset_sigma_px[1, 0] > 0.05 > found.offset_sigma_px[1, 1]
+
+
+def test_given_offsets_help_where_the_frames_say_nothing() -> None:
+    rng = np.random.default_rng(0)
+    given = np.array([[0.0, 0.0], [0.25, 0.1], [0.4, -0.2]])
+    wide = waves(given * (0, 1), (18, 40))[:, :1]
+    noise = 0.002 * rng.standard_normal((3, 18, 40))
+    told = np.full((3, 2), 0.02)
+    burst = burst_of(np.broadcast_to(wide, (3, 18, 40)) + noise, given, offset_sigma_px=told)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", QualityWarning)
+        found = register(burst, use_given=True)
+    np.testing.assert_allclose(found.offset_px, given, atol=0.05)
+
+
+def test_the_eia_chart_lies_on_its_grid_of_quarter_pixels(reference_dir: Path) -> None:
+    frames = np.load(reference_dir / "real_sequences" / "mdsp_eia.npz")["frames"][[0, 2, 8, 10]]
+    found = register(burst_of(frames))
+    nominal = -np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.5, 0.5]])
+    np.testing.assert_allclose(found.offset_px, nominal, atol=0.04)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"method": "magic"}, "auto, gradient, phase"),
+        ({"reference": 5}, "reference from 0 to 4"),
+        ({"channel": "distance"}, "no distance_m"),
+        ({"channel": "colour"}, "amplitude"),
+        ({"use_given": True}, "offset_sigma_px"),
+    ],
+)
+def test_mistakes_are_named(change: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        register(burst_of(waves(OFFSETS)), **change)  # type: ignore[arg-type]
+
+
+def test_bursts_that_cannot_be_registered() -> None:
+    with pytest.raises(ValueError, match="at least 2 frames"):
+        register(burst_of(waves(OFFSETS[:1])))
+    with pytest.raises(ValueError, match="share at least 4 px"):
+        likely_shifts(
+            waves(OFFSETS[:2]), np.ones((2, 21, 34), np.bool_), np.array([[0, 0], [18, 0]])
+        )
+    with pytest.raises(ValueError, match="4 x 4"):
+        phase_correlation(np.zeros((3, 9)), np.zeros((3, 9)))
