@@ -8,14 +8,14 @@
                       |
                     report                      figures of results
                       |
-          reconstruction   evaluation           stages, strangers to each other
-                |
-       camera . | no entry . forward            what the world does | what we assume
-          |
+    capture  registration  reconstruction  evaluation    stages, strangers to each other
+       |                        |
+    camera . . no entry . . forward             what the world does | what we assume
+       |
     scene  optics         io                    files and foreign formats <-> core types
          \\_________ core _________/             nouns, grid, units, errors
 
-Data, in order: ``Burst -> Reconstruction (Estimates) -> EdgeResult, Fidelity -> figures``.
+Data, in order: ``Lens, Scene -> Burst -> Shifts -> Reconstruction -> EdgeResult -> page``.
 
 Names are loaded when they are first used, so that ``import lensshift`` stays quick.
 """
@@ -27,7 +27,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lensshift.camera import simulate_burst as simulate_burst
+    from lensshift.capture.opening import open_rig as open_rig
+    from lensshift.core.calibration import Calibration as Calibration
     from lensshift.core.errors import DataError as DataError
+    from lensshift.core.errors import DeviceError as DeviceError
+    from lensshift.core.errors import DeviceTimeout as DeviceTimeout
     from lensshift.core.errors import QualityWarning as QualityWarning
     from lensshift.core.grid import Grid as Grid
     from lensshift.core.types import Burst as Burst
@@ -58,7 +62,11 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "open_rig": "capture.opening",
+    "Calibration": "core.calibration",
     "DataError": "core.errors",
+    "DeviceError": "core.errors",
+    "DeviceTimeout": "core.errors",
     "QualityWarning": "core.errors",
     "Grid": "core.grid",
     "Burst": "core.types",

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift import load_burst
-from lensshift.capture.acquire import Acquisition, Progress, acquire, bursts
+from lensshift.capture.acquire import Acquisition, Progress, acquire, acquire_at, bursts
 from lensshift.capture.plan import PLANS, load_plan, named_plan, shortest_order
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.calibration import Calibration
@@ -32,6 +32,7 @@ class MemoryStage:
     name: str = "stage"
     place_mm: NDArray[Any] = field(default_factory=lambda: np.array([3.0, 2.5]))
     visited: list[NDArray[Any]] = field(default_factory=list)
+    direct: list[bool] = field(default_factory=list)
     stops: int = 0
     fails_at: int | None = None
     drifts_mm: float = 0.0
@@ -41,11 +42,12 @@ class MemoryStage:
         self.place_mm = self.place_mm + self.drifts_mm
         return self.place_mm.copy()
 
-    def move_to(self, position_mm: ArrayLike) -> NDArray[Any]:
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[Any]:
         if self.fails_at == len(self.visited):
             raise DeviceError("motion error", device=self.name, command="move")
         self.place_mm = np.array(position_mm, dtype=float)
         self.visited.append(self.place_mm)
+        self.direct.append(direct)
         return self.place_mm.copy()
 
     def stop(self) -> None:
@@ -233,6 +235,39 @@ def test_places_out_of_reach_are_refused_before_anything_moves(tmp_path: Path) -
         acquire(stage, camera, plan, CALIBRATION, tmp_path / "a.nc")
     assert not stage.visited
     assert not (tmp_path / "a.nc").exists()
+
+
+SCAN = np.column_stack([np.arange(2.0, 4.0, 0.25), np.full(8, 3.0)])
+SHOT = np.array([False, True, False, False, True, True, False, True])
+
+
+def test_a_scan_passes_all_its_positions_in_order(tmp_path: Path) -> None:
+    stage, camera = devices()
+    burst = acquire_at(
+        stage, camera, SCAN, CALIBRATION, tmp_path / "a.nc", photographed=SHOT, direct=True
+    )
+    np.testing.assert_array_equal(burst.stage_commanded_mm, SCAN[SHOT])
+    np.testing.assert_array_equal(stage.visited[:-1], SCAN)
+    assert stage.direct == [True] * 8 + [False]
+
+
+@pytest.mark.parametrize(("after", "passed"), [(6, [1, 2, 3]), (9, [4]), (12, [5, 6])])
+def test_a_resumed_scan_comes_from_where_the_scan_came_from(
+    after: int, passed: list[int], tmp_path: Path
+) -> None:
+    stage, camera = devices(silent_after=after)
+    path = tmp_path / "a.nc"
+    with pytest.raises(DeviceTimeout):
+        acquire_at(stage, camera, SCAN, CALIBRATION, path, photographed=SHOT, direct=True)
+    done = load_burst(path).meta["step"]
+    assert max(done) == passed[0]
+    stage.visited.clear()
+    burst = acquire_at(
+        stage, MemoryCamera(stage), SCAN, CALIBRATION, path, photographed=SHOT, direct=True,
+        resume=True,
+    )  # fmt: skip
+    np.testing.assert_array_equal(burst.stage_commanded_mm, SCAN[SHOT])
+    np.testing.assert_array_equal(stage.visited[: len(passed)], SCAN[passed])
 
 
 def test_an_endless_stream_ends_with_the_lens_at_rest() -> None:

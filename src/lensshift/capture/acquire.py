@@ -134,30 +134,48 @@ def acquire_at(
     path: str | Path,
     settings: Acquisition | None = None,
     *,
+    photographed: ArrayLike | None = None,
+    direct: bool = False,
     plan_name: str = "",
     resume: bool = False,
     on_step: OnStep | None = None,
 ) -> Burst:
-    """Take frames at stage positions [frame 2]; otherwise as `acquire`."""
+    """Take frames at stage positions [step 2]; otherwise as `acquire`.
+
+    Parameters
+    ----------
+    photographed : [step] False at positions that are only passed; then the order stays
+    direct : go straight from one position to the next, see `Stage.move_to`; then the order stays
+    """
     settings = settings or Acquisition()
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)
-    if settings.reorder:
+    wanted = np.ones(len(positions), dtype=np.bool_)
+    if photographed is not None:
+        wanted &= np.asarray(photographed, dtype=np.bool_)
+    elif settings.reorder and not direct:
         order = shortest_order(positions, settings.approach_mm, stage.position_mm())
         positions = positions[order]
     header = _header(stage, camera, positions, calibration, settings, plan_name)
     with _opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
         positions = np.asarray(file.header["position_mm"])
+        each = 1 if settings.average else settings.frames
         taken = [int(one["step"]) for one in file.frames]
-        for step, target in enumerate(positions):
-            wanted = 1 if settings.average else settings.frames
-            missing = wanted - taken.count(step)
-            if missing <= 0:
-                continue
-            for record in _at_position(stage, camera, target, settings, missing):
-                file.append({"step": step, **record, **_offsets(record, calibration)})
-            if on_step is not None:
-                on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
+        here = before = -1
+        for number, step in enumerate(np.flatnonzero(wanted).tolist(), start=1):
+            missing = each - taken.count(step)
+            if missing > 0:
+                if direct:  # a direct move must come from where the scan comes from
+                    for passed in positions[max(before + (before == here), 0) : step]:
+                        stage.move_to(passed, direct=True)
+                for record in _at_position(
+                    stage, camera, positions[step], settings, missing, direct=direct
+                ):
+                    file.append({"step": step, **record, **_offsets(record, calibration)})
+                here = step
+                if on_step is not None:
+                    on_step(_progress(number, int(wanted.sum()), stage, camera, file.frames))
+            before = step
     burst = burst_of_capture(file.header, file.frames, file.path)
     save_burst(burst, file.path)
     return burst
@@ -283,10 +301,16 @@ def _header(
 
 
 def _at_position(
-    stage: Stage, camera: Camera, target_mm: Array, settings: Acquisition, count: int
+    stage: Stage,
+    camera: Camera,
+    target_mm: Array,
+    settings: Acquisition,
+    count: int,
+    *,
+    direct: bool = False,
 ) -> Iterator[dict[str, Any]]:
     """Go there and yield the records of the frames that are kept."""
-    stage.move_to(target_mm)
+    stage.move_to(target_mm, direct=direct)
     settled_cycle = camera.newest_cycle()
     shots: list[CameraFrame] = []
     places_mm: list[Array] = []

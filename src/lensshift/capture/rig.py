@@ -49,8 +49,11 @@ class Stage(Protocol):
         """Return the position [2] read back from the device, also while it moves."""
         ...
 
-    def move_to(self, position_mm: ArrayLike) -> NDArray[np.float64]:
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
         """Move both axes at once, wait until settled, return the position read back.
+
+        Every move ends in the same direction, so that play lies on one side; with `direct` it goes
+        straight there, as a calibration that measures the play needs it.
 
         Raises
         ------

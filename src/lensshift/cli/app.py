@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
+from lensshift.cli.capture import capture
 from lensshift.cli.convert import convert
+from lensshift.cli.emulate import emulate
 from lensshift.cli.evaluate import evaluate
 from lensshift.cli.info import info
 from lensshift.cli.lens import lens_verbs
@@ -50,8 +52,10 @@ def root(
 app.command()(run)
 app.command()(simulate)
 app.command()(reproduce)
+app.command()(capture)
 app.command()(reconstruct)
 app.command()(convert)
 app.command()(info)
 app.add_typer(evaluate, name="evaluate")
+app.add_typer(emulate, name="emulate")
 app.add_typer(lens_verbs, name="lens")

@@ -29,26 +29,47 @@ if TYPE_CHECKING:
 
 
 def info(
-    file: Annotated[Path, typer.Argument(help="Burst file, reconstruction or image stack.")],
+    file: Annotated[
+        Path | None,
+        typer.Argument(help="Burst file, reconstruction, image stack, or rig file (.toml)."),
+    ] = None,
     offsets: OffsetsOption = None,
     pitch_mm: PitchOption = None,
     key: KeyOption = None,
     frame_axis: FrameAxisOption = FrameAxis.FIRST,
     modulation_hz: ModulationOption = None,
+    devices: Annotated[
+        bool, typer.Option("--devices", help="List the serial ports of this computer.")
+    ] = False,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
-    """Say what is in a burst file, a reconstruction or an image stack.
+    """Say what is in a file, what a rig answers, or which devices there are.
 
     \b
-    Example:
+    Examples:
       lensshift info burst.nc
+      lensshift info rig.toml
+      lensshift info --devices
     """
     from lensshift.io import load_reconstruction
     from lensshift.io.container_reader import read_schema
 
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
     with session(as_json=as_json, debug=debug) as current:
+        if devices:
+            from lensshift.cli.devices import say_ports
+
+            say_ports(current)
+        if file is None:
+            if not devices:
+                raise typer.BadParameter("expected a file, or --devices")
+            return
+        if file.suffix.lower() == ".toml":
+            from lensshift.cli.devices import say_rig
+
+            say_rig(current, file)
+            return
         kind = kind_of(file)
         schema = None if kind is Kind.STACK else read_schema(file)
         current.result |= {"file": file, "kind": kind.value, "schema": schema}

@@ -1,0 +1,152 @@
+"""A whole rig that is not there: stages and camera over the real protocols, one world behind."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.camera import RunningCamera, TofCamera, camera_preset
+from lensshift.capture.emulators.apt import EmulatedStagePair
+from lensshift.capture.emulators.o3m import O3MSender
+from lensshift.core.types import Frame
+from lensshift.scene import Scene, four_boxes
+
+Array = NDArray[Any]
+
+REACH_PX = 1.25
+_INSTANTS = 4  # of the lens during an exposure
+_STILL_MM = 1e-6
+
+
+def _turned() -> Array:
+    """Return image shift over lens travel of a rig that nobody built perfectly.
+
+    A quarter of a pixel of 0.155 mm takes 44.4 um of the first lens; the stages stand turned by
+    half a degree, and one of them is 2 % off.
+    """
+    per_mm = 0.25 / 0.0444
+    turn = np.deg2rad(0.5)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return np.asarray(rotation @ np.diag([per_mm, 1.02 * per_mm]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigSettings:
+    """What an emulated rig is like.
+
+    Parameters
+    ----------
+    scene, camera : the world
+    px_per_mm : [2 2] image shift over lens travel in the middle of the sensor
+    field_share : how much more the image shifts at the ends of the sensor than in the middle
+    rest_mm : [2] lens position of no shift
+    play_mm, encoder_noise_mm : of the stages
+    stage_loss : share of the messages of the stages that lose a byte
+    packet_loss, reorder : share of the packets of the camera
+    rate_hz : frames per second
+    speed : of the stages, times their own
+    seed : of all of it
+    """
+
+    scene: Scene = field(default_factory=four_boxes)
+    camera: TofCamera = field(default_factory=lambda: camera_preset("o3m151"))
+    px_per_mm: Array = field(default_factory=_turned)
+    field_share: float = 0.02
+    rest_mm: Array = field(default_factory=lambda: np.array([3.0, 3.0]))
+    play_mm: float = 0.006
+    encoder_noise_mm: float = 0.001
+    stage_loss: float = 0.02
+    packet_loss: float = 0.01
+    reorder: float = 0.01
+    rate_hz: float = 25.0
+    speed: float = 1.0
+    seed: int = 0
+
+
+class EmulatedWorld:
+    """The scene as the emulated camera sees it through the emulated lens.
+
+    Parameters
+    ----------
+    settings : of the rig
+    lens_mm : instant (`time.monotonic()`) -> true position [2] of the lens
+    """
+
+    def __init__(self, settings: RigSettings, lens_mm: Any) -> None:
+        self._settings, self._lens_mm = settings, lens_mm
+        self._rng = np.random.default_rng(settings.seed)
+        self.running = RunningCamera(settings.scene, settings.camera, reach_px=REACH_PX)
+        rows, cols = (np.linspace(-1.0, 1.0, count) for count in settings.camera.grid.shape)
+        radius = np.hypot(*np.meshgrid(rows * len(rows) / len(cols), cols, indexing="ij"))
+        self._share = (1.0 + settings.field_share * radius**2)[..., None]
+
+    def offset_px(self, lens_mm: Array) -> Array:
+        """Return the true image offset [row col 2] for a lens position [2]."""
+        middle = self._settings.px_per_mm @ (lens_mm - self._settings.rest_mm)
+        return np.asarray(self._share * middle)
+
+    def look(self, begin_s: float, end_s: float) -> Frame:
+        """Expose a frame while the lens does what it did then."""
+        instants = np.linspace(begin_s, end_s, _INSTANTS)
+        places = np.stack([self._lens_mm(float(instant)) for instant in instants])
+        if np.ptp(places, axis=0).max() < _STILL_MM:
+            places = places[:1]
+        # Far from rest, as on the way home, the image has left the scene that was cast.
+        offsets = [np.clip(self.offset_px(place), -REACH_PX, REACH_PX) for place in places]
+        image = self.running.frame(np.stack(offsets), self._rng)
+        return Frame(image.amplitude, image.distance_m, image.valid, end_s)
+
+
+class EmulatedRig:
+    """Two APT controllers on loopback TCP and an O3M on UDP; use it in a `with` block.
+
+    Parameters
+    ----------
+    settings : what it is like
+    camera_port : UDP port that the camera sends to
+    """
+
+    def __init__(self, settings: RigSettings | None = None, *, camera_port: int) -> None:
+        self.settings = settings or RigSettings()
+        one = self.settings
+        self.stages = EmulatedStagePair(
+            play_mm=one.play_mm,
+            encoder_noise_mm=one.encoder_noise_mm,
+            loss=one.stage_loss,
+            speed=one.speed,
+            seed=one.seed,
+        )
+        self.world = EmulatedWorld(one, self.stages.lens_mm)
+        self.camera = O3MSender(
+            self.world.look,
+            rate_hz=one.rate_hz,
+            port=camera_port,
+            loss=one.packet_loss,
+            reorder=one.reorder,
+            seed=one.seed,
+        )
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opening:
+            opening.enter_context(self.stages)
+            opening.enter_context(self.camera)
+            self._open = opening.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._open.close()
+
+    def true_offset_px(self, lens_mm: Array) -> Array:
+        """Return where the image really is: [row col 2] for a lens position [2]."""
+        return self.world.offset_px(lens_mm)

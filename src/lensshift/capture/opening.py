@@ -1,0 +1,272 @@
+"""Open a rig that a TOML file describes; the only place that knows every device."""
+
+from __future__ import annotations
+
+import inspect
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lensshift.capture.acquire import Acquisition, OnStep, acquire, acquire_at, bursts
+from lensshift.capture.plan import named_plan
+from lensshift.capture.rig import Camera, Stage
+from lensshift.core.calibration import Calibration
+from lensshift.core.errors import DataError
+from lensshift.core.motion import ShiftPlan, StageMap
+from lensshift.core.types import Burst
+
+# Lens travel of a quarter pixel of 0.155 mm, with the first lens of the reference design.
+QUARTER_PIXEL_MM = 0.0444
+CAMERAS = ("o3m", "pcic", "replay", "genicam")
+EXAMPLE = """\
+# A rig: two Thorlabs actuators that move the lens, and a camera.
+
+[stage]
+row = "83000001"                # USB serial number, device path, or socket://host:port
+col = "83000002"                # "row" moves the image up and down, "col" sideways
+# counts_per_mm = 34554.96
+
+[camera]
+kind = "o3m"                    # o3m, pcic, replay or genicam
+port = 42000
+pitch_mm = 0.155
+
+[calibration]
+px_per_mm = 5.63                # image shift over lens travel: a number, or [[.., ..], [.., ..]]
+rest_mm = [3.0, 3.0]            # where the lens is centred
+# file = "calibration.json"     # instead of the two lines above, from `lensshift calibrate`
+
+[acquisition]
+frames = 1                      # kept at each position
+average = false
+discard = 2                     # frames that may have begun before the stage had settled
+"""
+
+_Table = Mapping[str, Any]
+T = TypeVar("T")
+
+
+@dataclass(slots=True, eq=False)
+class Rig:
+    """An open rig: `with open_rig("rig.toml") as rig: burst = rig.capture("square", "burst.nc")`.
+
+    On any exit the stage stands still and devices are let go.
+
+    Parameters
+    ----------
+    stage, camera : open devices
+    calibration : from image offsets to stage positions
+    acquisition : how frames are taken
+    """
+
+    stage: Stage
+    camera: Camera
+    calibration: Calibration
+    acquisition: Acquisition = field(default_factory=Acquisition)
+    _beside: ExitStack = field(default_factory=ExitStack)
+
+    def capture(
+        self,
+        plan: ShiftPlan | str,
+        path: str | Path,
+        *,
+        resume: bool = False,
+        on_step: OnStep | None = None,
+    ) -> Burst:
+        """Take the burst of a plan, see `lensshift.capture.acquire.acquire`."""
+        wanted = named_plan(plan) if isinstance(plan, str) else plan
+        return acquire(
+            self.stage,
+            self.camera,
+            wanted,
+            self.calibration,
+            path,
+            self.acquisition,
+            resume=resume,
+            on_step=on_step,
+        )
+
+    def scan(
+        self,
+        position_mm: ArrayLike,
+        photographed: ArrayLike,
+        path: str | Path,
+        *,
+        resume: bool = False,
+        on_step: OnStep | None = None,
+    ) -> Burst:
+        """Take the positions of `lensshift.registration.calibration_scan_mm`, for `calibrate`.
+
+        The stage goes straight from one to the next, so that the scan shows its play.
+        """
+        return acquire_at(
+            self.stage,
+            self.camera,
+            position_mm,
+            self.calibration,
+            path,
+            self.acquisition,
+            photographed=photographed,
+            direct=True,
+            plan_name="scan",
+            resume=resume,
+            on_step=on_step,
+        )
+
+    def bursts(self, plan: ShiftPlan | str) -> Iterator[Burst]:
+        """Yield one burst after another until the caller stops."""
+        wanted = named_plan(plan) if isinstance(plan, str) else plan
+        return bursts(self.stage, self.camera, wanted, self.calibration, self.acquisition)
+
+    def close(self) -> None:
+        """Stop and let go of everything; a second call does nothing."""
+        self._beside.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def open_rig(config: str | Path | _Table) -> Rig:
+    """Open the devices that a rig file describes; `opening.EXAMPLE` shows one.
+
+    Parameters
+    ----------
+    config : TOML file, or what is in one
+
+    Raises
+    ------
+    DataError
+        If the file is missing, no TOML, or describes no rig: with file and field.
+    DeviceError
+        If a device is not there or fails.
+    """
+    if isinstance(config, Mapping):
+        table, source, folder = config, "rig", Path()
+    else:
+        table, source, folder = _loaded(Path(config)), str(config), Path(config).parent
+    parts = ("stage", "camera", "calibration", "acquisition")
+    _only(table, parts, "", source)
+    for name in parts:
+        if not isinstance(table.get(name, {}), Mapping):
+            raise DataError("expected a table", field=name, source=source)
+    calibration = _calibration(table.get("calibration", {}), source, folder)
+    acquisition = _build(Acquisition, table.get("acquisition", {}), "acquisition", source)
+    with ExitStack() as opening:
+        camera = _camera(table.get("camera", {}), source, folder)
+        opening.callback(camera.close)
+        camera.open()
+        stage = _stage(table.get("stage", {}), source)
+        opening.callback(stage.close)
+        return Rig(stage, camera, calibration, acquisition, opening.pop_all())
+
+
+def nominal_calibration(
+    px_per_mm: float | ArrayLike = 0.25 / QUARTER_PIXEL_MM,
+    rest_mm: ArrayLike = (3.0, 3.0),
+    *,
+    sigma_px: float = 0.0,
+) -> Calibration:
+    """Return the calibration that follows from the optics, before anything is measured.
+
+    Parameters
+    ----------
+    px_per_mm : image shift over lens travel, one number or [2 2]
+    rest_mm : [2] where the lens is centred
+    """
+    per_mm = np.asarray(px_per_mm, dtype=np.float64)
+    square = per_mm * np.eye(2) if per_mm.ndim == 0 else per_mm
+    return Calibration(StageMap(square, sigma_px=sigma_px), np.asarray(rest_mm))
+
+
+def _loaded(path: Path) -> _Table:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"cannot be read: {error.strerror}", source=path) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise DataError(f"is not TOML: {error}", source=path) from error
+
+
+def _stage(table: _Table, source: str) -> Stage:
+    from lensshift.capture.drivers.apt import AptSettings, open_apt_stage
+
+    missing = [axis for axis in ("row", "col") if axis not in table]
+    if missing:
+        raise DataError(
+            "expected a port or serial number", field=f"stage.{missing[0]}", source=source
+        )
+    rest = {name: value for name, value in table.items() if name not in ("row", "col", "kind")}
+    if table.get("kind", "apt") != "apt":
+        raise DataError(f"expected apt, got {table['kind']!r}", field="stage.kind", source=source)
+    settings = _build(AptSettings, rest, "stage", source)
+    return open_apt_stage(str(table["row"]), str(table["col"]), settings)
+
+
+def _camera(table: _Table, source: str, folder: Path) -> Camera:
+    kind = table.get("kind", "o3m")
+    rest = {name: value for name, value in table.items() if name != "kind"}
+    if kind == "o3m":
+        from lensshift.capture.drivers.o3m import O3MCamera
+
+        return _build(O3MCamera, rest, "camera", source)
+    if kind == "pcic":
+        from lensshift.capture.drivers.pcic import PcicCamera
+
+        return _build(PcicCamera, rest, "camera", source)
+    if kind == "replay":
+        from lensshift.capture.drivers.replay import ReplayCamera
+
+        if "path" in rest:
+            rest["path"] = folder / str(rest["path"])
+        return _build(ReplayCamera, rest, "camera", source)
+    if kind == "genicam":
+        from lensshift.capture.drivers.genicam import GenicamCamera
+
+        return _build(GenicamCamera, rest, "camera", source)
+    expected = ", ".join(CAMERAS)
+    raise DataError(f"expected {expected}, got {kind!r}", field="camera.kind", source=source)
+
+
+def _calibration(table: _Table, source: str, folder: Path) -> Calibration:
+    _only(table, ("file", "px_per_mm", "rest_mm", "sigma_px"), "calibration", source)
+    if "file" in table:
+        from lensshift.io.calibration_file import load_calibration
+
+        return load_calibration(folder / str(table["file"]))
+    return _build(nominal_calibration, table, "calibration", source)
+
+
+def _build(make: Callable[..., T], table: _Table, name: str, source: str) -> T:
+    """Call with the entries of a table; say which one is wrong."""
+    known = [parameter for parameter in inspect.signature(make).parameters if parameter[0] != "_"]
+    _only(table, known, name, source)
+    given = {
+        key: tuple(value) if isinstance(value, list) and key != "px_per_mm" else value
+        for key, value in table.items()
+    }
+    try:
+        return make(**given)
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), field=name, source=source) from error
+
+
+def _only(table: _Table, known: tuple[str, ...] | list[str], name: str, source: str) -> None:
+    for key in table:
+        if key not in known:
+            place = f"{name}.{key}" if name else key
+            raise DataError(f"expected one of {', '.join(known)}", field=place, source=source)

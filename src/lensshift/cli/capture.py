@@ -1,0 +1,214 @@
+"""`lensshift capture`: move the lens, grab the frames, keep them."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.session import DebugOption, JsonOption, Session, session
+
+if TYPE_CHECKING:
+    from lensshift.capture.acquire import Progress
+    from lensshift.capture.opening import Rig
+    from lensshift.core.motion import ShiftPlan
+    from lensshift.core.types import Burst
+
+RigArgument = Annotated[
+    Path | None, typer.Argument(help="Rig file (TOML); --print-rig shows one to begin with.")
+]
+OutOption = Annotated[
+    Path, typer.Option("--out", "-o", help="Burst file; readable from the first frame on.")
+]
+PlanOption = Annotated[
+    str, typer.Option("--plan", help="square, 3x3, 4x4, quincunx, spiral, still, or a CSV/JSON.")
+]
+FramesOption = Annotated[
+    int | None, typer.Option("--frames", min=1, help="Frames at each position, else the rig's.")
+]
+AverageOption = Annotated[
+    bool | None, typer.Option("--average/--keep", help="Keep their mean, or each of them.")
+]
+DiscardOption = Annotated[
+    int | None, typer.Option(min=0, help="Frames that may have begun before the stage settled.")
+]
+CalibrationOption = Annotated[
+    Path | None, typer.Option("--calibration", help="From `calibrate`; instead of the rig file's.")
+]
+ScanOption = Annotated[
+    bool, typer.Option("--scan", help="Scan the stage range for `calibrate` instead of a plan.")
+]
+SpanOption = Annotated[float, typer.Option("--span-um", min=1.0, help="Width of the scan.")]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with an unfinished capture.")]
+ContinuousOption = Annotated[
+    bool, typer.Option("--continuous", help="One burst after another, OUT-0001.nc and so on.")
+]
+CountOption = Annotated[
+    int | None, typer.Option("--bursts", min=1, help="End --continuous after so many bursts.")
+]
+PrintOption = Annotated[bool, typer.Option("--print-rig", help="Print a rig file and stop.")]
+
+
+def capture(
+    rig: RigArgument = None,
+    out: OutOption = Path("burst.nc"),
+    plan: PlanOption = "square",
+    frames: FramesOption = None,
+    average: AverageOption = None,
+    discard: DiscardOption = None,
+    calibration: CalibrationOption = None,
+    scan: ScanOption = False,
+    span_um: SpanOption = 160.0,
+    resume: ResumeOption = False,
+    continuous: ContinuousOption = False,
+    burst_count: CountOption = None,
+    print_rig: PrintOption = False,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Take a burst with a rig: every frame is in the file as soon as it is taken.
+
+    The lens returns to its rest position however this ends. After Ctrl-C, a pulled cable or a
+    kill, the frames so far are in the file, and --resume takes the missing ones.
+
+    \b
+    Examples:
+      lensshift capture --print-rig > rig.toml
+      lensshift capture rig.toml --plan square --frames 8 --average -o burst.nc
+      lensshift capture rig.toml --scan --frames 4 --average -o scan.nc
+      lensshift capture rig.toml -o burst.nc --resume
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        if print_rig:
+            from lensshift.capture.opening import EXAMPLE
+
+            typer.echo(EXAMPLE, nl=False)
+            raise typer.Exit
+        if rig is None:
+            raise typer.BadParameter("expected a rig file; --print-rig shows one")
+        if continuous and (scan or resume):
+            raise typer.BadParameter("--continuous goes with neither --scan nor --resume")
+        from lensshift.capture.opening import open_rig
+
+        wanted = None if scan else _plan(plan)
+        given = {"frames": frames, "average": average, "discard": discard}
+        with open_rig(rig) as opened:
+            _adjust(opened, given, calibration)
+            if continuous and wanted is not None:
+                _stream(current, opened, wanted, out, burst_count)
+                return
+            show = Show(current)
+            start_s = time.monotonic()
+            try:
+                burst = _take(opened, wanted, out, span_um, resume=resume, show=show)
+            finally:
+                show.close()
+            counts = dict(opened.camera.counts())
+        seconds = time.monotonic() - start_s
+        current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
+        current.say(f"wrote {out}")
+        current.result |= _summary(burst, counts) | {"seconds": seconds, "files": [out]}
+
+
+def _plan(text: str) -> ShiftPlan:
+    from lensshift.capture.plan import PLANS, load_plan, named_plan
+
+    if text in PLANS:
+        return named_plan(text)
+    if not Path(text).exists():
+        expected = ", ".join(PLANS)
+        raise typer.BadParameter(f"expected a plan of {expected}, or a file, got {text!r}")
+    return load_plan(text)
+
+
+def _adjust(rig: Rig, given: dict[str, Any], calibration: Path | None) -> None:
+    from dataclasses import replace
+
+    changes = {name: value for name, value in given.items() if value is not None}
+    rig.acquisition = replace(rig.acquisition, **changes)
+    if calibration is not None:
+        from lensshift.io.calibration_file import load_calibration
+
+        rig.calibration = load_calibration(calibration)
+
+
+def _take(
+    rig: Rig, plan: ShiftPlan | None, out: Path, span_um: float, *, resume: bool, show: Show
+) -> Burst:
+    if plan is not None:
+        return rig.capture(plan, out, resume=resume, on_step=show)
+    from lensshift.registration import calibration_scan_mm
+
+    places, photographed = calibration_scan_mm(rig.calibration.rest_mm, 1e-3 * span_um)
+    return rig.scan(places, photographed, out, resume=resume, on_step=show)
+
+
+def _stream(
+    current: Session, rig: Rig, plan: ShiftPlan, out: Path, burst_count: int | None
+) -> None:
+    from lensshift.io import save_burst
+
+    files: list[Path] = []
+    stream = rig.bursts(plan)
+    try:
+        for number, burst in enumerate(stream, start=1):
+            file = out.with_stem(f"{out.stem}-{number:04d}")
+            save_burst(burst, file)
+            files.append(file)
+            current.say(f"wrote {file}: {burst.frame_count} frames")
+            if number == burst_count:
+                break
+    finally:
+        stream.close()  # type: ignore[attr-defined]  # it is a generator: the lens returns
+    current.result |= {"files": files, "counts": dict(rig.camera.counts())}
+
+
+class Show:
+    """Say where an acquisition is, on stderr: one line on a terminal, else one a position."""
+
+    def __init__(self, current: Session) -> None:
+        self._quiet = current.as_json
+        self._terminal = sys.stderr.isatty()
+        self._name = ""
+
+    def __call__(self, now: Progress) -> None:
+        """Take note of a position that is done."""
+        if self._quiet:
+            return
+        row, col = now.position_mm
+        rate = f"{now.rate_hz:.1f} Hz, " if now.rate_hz else ""
+        text = (
+            f"{self._name}position {now.step} of {now.steps}: stage at {row:.4f}, {col:.4f} mm, "
+            f"{rate}{_losses(now.counts)}"
+        )
+        typer.echo(f"\r{text:<100}" if self._terminal else text, err=True, nl=not self._terminal)
+
+    def named(self, name: str, now: Progress) -> None:
+        """Take note of a position of one of several acquisitions."""
+        self._name = f"{name}, "
+        self(now)
+
+    def close(self) -> None:
+        """End the line on a terminal."""
+        if self._terminal and not self._quiet:
+            typer.echo("", err=True)
+
+
+def _losses(counts: Any) -> str:
+    lost = {name: n for name, n in counts.items() if n and name not in ("frames", "packets")}
+    told = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in lost.items())
+    return f"camera sent {counts.get('frames', 0)} frames" + (f" ({told})" if told else "")
+
+
+def _summary(burst: Burst, counts: dict[str, int]) -> dict[str, Any]:
+    return {
+        "frame_count": burst.frame_count,
+        "shape": burst.grid.shape,
+        "offset_px": burst.offset_px,
+        "offset_source": burst.offset_source,
+        "stage_mm": burst.stage_mm,
+        "counts": counts,
+    }

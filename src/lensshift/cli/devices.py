@@ -1,0 +1,79 @@
+"""What `lensshift info` says of devices."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lensshift.cli.session import Session
+from lensshift.core.errors import DeviceTimeout
+
+_FIRST_FRAME_S = 2.0
+_COUNTED = 10  # frames, for the rate
+
+
+def say_ports(current: Session) -> None:
+    """List the serial ports with their USB serial numbers."""
+    from serial.tools import list_ports
+
+    ports = [
+        {"port": one.device, "serial": one.serial_number, "description": one.description}
+        for one in list_ports.comports()
+    ]
+    for one in ports:
+        current.say(f"{one['port']}  serial {one['serial'] or 'none'}  {one['description']}")
+    if not ports:
+        current.say("no serial ports")
+    current.result["ports"] = ports
+
+
+def say_rig(current: Session, file: Path) -> None:
+    """Open a rig, say what its devices answer, and count the frames that come."""
+    from lensshift.capture.opening import open_rig
+
+    with open_rig(file) as rig:
+        row, col = rig.stage.position_mm()
+        current.say(f"stage       {rig.stage.name}, at {row:.4f}, {col:.4f} mm (row, col)")
+        _say_mapping(current, rig.stage.describe())
+        rows, cols = rig.camera.grid.shape
+        current.say(f"camera      {rig.camera.name}, {rows} x {cols} px")
+        rate_hz = _rate_hz(rig.camera)
+        current.say(f"frames      {rate_hz:.1f} per second")
+        _say_mapping(current, rig.camera.describe())
+        for name, count in rig.camera.counts().items():
+            current.say(f"  {name:<22} {count}")
+        per_mm = rig.calibration.stage_map.px_per_mm
+        current.say(f"image       {rig.calibration.source} map, px per mm:")
+        for line in per_mm:
+            current.say(f"            {line[0]:+9.4f} {line[1]:+9.4f}")
+        current.result |= {
+            "stage": {"name": rig.stage.name, "position_mm": [row, col], **rig.stage.describe()},
+            "camera": {
+                "name": rig.camera.name,
+                "shape": rig.camera.grid.shape,
+                "rate_hz": rate_hz,
+                "counts": dict(rig.camera.counts()),
+                **rig.camera.describe(),
+            },
+            "calibration": {"source": rig.calibration.source, "px_per_mm": per_mm},
+        }
+
+
+def _rate_hz(camera: Any) -> float:
+    """Return frames per second by the camera's own counter; 0 if a second one does not come."""
+    first = camera.next_frame(_FIRST_FRAME_S)
+    last, end_s = first, time.monotonic() + _FIRST_FRAME_S
+    try:
+        while last.cycle < first.cycle + _COUNTED and time.monotonic() < end_s:
+            last = camera.next_frame(_FIRST_FRAME_S)
+    except DeviceTimeout:
+        return 0.0
+    seconds = last.arrived_s - first.arrived_s
+    return (last.cycle - first.cycle) / seconds if seconds > 0 else 0.0
+
+
+def _say_mapping(current: Session, known: Mapping[str, Any]) -> None:
+    for name, value in known.items():
+        current.say(f"  {name:<22} {value!s:.80}")

@@ -1,0 +1,161 @@
+"""`capture`, `info` and `emulate`: what they write, what they say, what they refuse."""
+
+import json
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensshift import load_burst, open_rig
+from lensshift.capture.emulators.apt import EmulatedStagePair
+from lensshift.capture.emulators.o3m import O3MSender
+from lensshift.capture.opening import EXAMPLE
+from lensshift.core.errors import DataError
+from lensshift.core.types import Frame
+
+Call = Callable[..., Any]
+SHAPE = (16, 64)
+
+
+def look(begin_s: float, end_s: float) -> Frame:
+    return Frame(np.full(SHAPE, 0.5), np.full(SHAPE, 2.0), np.ones(SHAPE, dtype=bool), end_s)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        return int(udp.getsockname()[1])
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Iterator[Path]:
+    port = free_port()
+    with EmulatedStagePair(speed=20.0) as pair, O3MSender(look, port=port, rate_hz=40.0):
+        file = tmp_path / "rig.toml"
+        file.write_text(
+            f'[stage]\nrow = "{pair.urls[0]}"\ncol = "{pair.urls[1]}"\nenable_wait_s = 0.05\n'
+            f'[camera]\nkind = "o3m"\nport = {port}\nhost = "127.0.0.1"\n'
+        )
+        yield file
+
+
+def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "burst.nc"
+    done = call("capture", rig_file, "-o", out, "--frames", 2, "--average", "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["frame_count"] == 4
+    assert said["counts"]["frames"] >= 8
+    assert load_burst(out).frame_count == 4
+    again = call("capture", rig_file, "-o", out)
+    assert again.exit_code == 1
+    assert "there is a file of this name" in again.stderr
+
+
+def test_progress_position_and_losses_are_shown(call: Call, rig_file: Path, tmp_path: Path) -> None:
+    done = call("capture", rig_file, "-o", tmp_path / "a.nc", "--plan", "quincunx")
+    assert done.exit_code == 0, done.output
+    assert "position 2 of 2: stage at 3.0" in done.stderr
+    assert "camera sent" in done.stdout
+
+
+def test_one_burst_after_another(call: Call, rig_file: Path, tmp_path: Path) -> None:
+    done = call(
+        "capture", rig_file, "-o", tmp_path / "a.nc", "--plan", "quincunx", "--continuous",
+        "--bursts", 2,
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    for name in ("a-0001.nc", "a-0002.nc"):
+        assert load_burst(tmp_path / name).frame_count == 2
+
+
+def test_what_a_rig_answers(call: Call, rig_file: Path) -> None:
+    done = call("info", rig_file, "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["stage"]["row"]["counts_per_mm"] == 34554.96
+    assert said["camera"]["shape"] == [16, 64]
+    assert 10 < said["camera"]["rate_hz"] < 60
+    shown = call("info", rig_file)
+    assert "px per mm" in shown.stdout
+
+
+def test_ports_are_listed(call: Call) -> None:
+    done = call("info", "--devices", "--json")
+    assert done.exit_code == 0
+    assert isinstance(json.loads(done.stdout)["ports"], list)
+    assert call("info").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "expected a rig file"),
+        (("RIG", "--plan", "round"), "expected a plan of square"),
+        (("RIG", "--continuous", "--resume"), "goes with neither"),
+    ],
+)
+def test_wrong_use(call: Call, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(EXAMPLE)
+    done = call("capture", *(rig if one == "RIG" else one for one in arguments))
+    assert done.exit_code == 2
+    assert message in done.stderr
+
+
+def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
+    done = call("capture", "--print-rig")
+    assert done.stdout == EXAMPLE
+    file = tmp_path / "rig.toml"
+    file.write_text(done.stdout.replace("port = 42000", f"port = {free_port()}"))
+    missing = call("capture", file, "-o", tmp_path / "a.nc")
+    assert missing.exit_code == 1
+    assert "83000001" in missing.stderr
+    assert not (tmp_path / "a.nc").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[stage", "is not TOML"),
+        ("[lens]\n", r"lens: expected one of stage, camera"),
+        ("[camera]\nkind = 'film'\n", r"camera\.kind: expected o3m, pcic"),
+        ("[camera]\nexposure = 1\n", r"camera\.exposure: expected one of"),
+        ("[camera]\nport = -1\n", r"camera: .*port"),
+        ("[acquisition]\nframes = 0\n", "acquisition: expected at least one frame"),
+        ("[calibration]\nrest_mm = [1, 2, 3]\n", "calibration: expected two finite numbers"),
+        ("[calibration]\nfile = 'none.json'\n", r"none\.json"),
+        ("[camera]\nport = 0\n[stage]\nrow = 'a'\n", r"stage\.col: expected a port"),
+        ("stage = 3\n[camera]\nport = 0\n", "stage: expected a table"),
+    ],
+)
+def test_rig_files_that_describe_none(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(text)
+    with pytest.raises(DataError, match=message) as raised:
+        open_rig(file)
+    assert "rig.toml" in str(raised.value) or "none.json" in str(raised.value)
+
+
+def test_a_rig_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="cannot be read"):
+        open_rig(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("stage",), ("stage", "--link", "pty"), ("pcic", "--port", 0), ("o3m",), ("rig",)],
+)
+def test_devices_are_emulated_until_told(call: Call, arguments: tuple[object, ...]) -> None:
+    port = ("--port", free_port()) if arguments[0] in ("o3m", "rig") else ()
+    done = call("emulate", *arguments, *port, "--seconds", 0.3, "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said.get("stage") or said["camera_port"]
+
+
+def test_emulated_links_that_do_not_exist(call: Call) -> None:
+    assert call("emulate", "stage", "--link", "wire").exit_code == 2
