@@ -332,6 +332,25 @@ def test_motion_error_stops_both_axes() -> None:
             stage.move_to([5.0, 5.0])
 
 
+def test_opening_anew_clears_a_motion_error() -> None:
+    row, col = pair_of()
+    with served(row, col) as urls:
+        open_apt_stage(*urls, PATIENT).close()
+        row.fail_motion()
+        with open_apt_stage(*urls, PATIENT) as stage:
+            stage.move_to([0.5, 0.5])
+    assert row.lens_mm() == pytest.approx(0.5, abs=2 * COUNT_MM)
+
+
+def test_motor_that_cannot_be_enabled() -> None:
+    settings = replace(PATIENT, max_retries=3)
+    with (
+        served(*pair_of(_Stubborn(Id.SET_ENABLED))) as urls,
+        pytest.raises(DeviceError, match=r"KDC101 27000001: cannot be enabled"),
+    ):
+        open_apt_stage(*urls, settings)
+
+
 def test_pulled_cable_stops_the_other_axis() -> None:
     with moving_slowly() as (row, col, stage, under_way):
         during(under_way, row.unplug)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.capture.drivers.apt_axis import AptAxis
-from lensshift.capture.drivers.apt_cube import POLL_S
 from lensshift.capture.drivers.apt_link import find_port
 from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.core.errors import DeviceError
@@ -97,8 +96,10 @@ class AptStage:
         """Return the position [2] read back, also while it moves and from another thread."""
         return np.array([axis.position_mm() for axis in self.axes])
 
-    def move_to(self, position_mm: ArrayLike) -> NDArray[np.float64]:
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
         """Move both axes at once, wait until settled, return the position [2] read back.
+
+        With `direct` straight there, without the run-up that keeps play on one side.
 
         Raises
         ------
@@ -116,7 +117,10 @@ class AptStage:
                 f"got {goal_mm.tolist()}"
             )
         return self._together(
-            [axis.moves(float(goal)) for axis, goal in zip(self.axes, goal_mm, strict=True)]
+            [
+                axis.moves(float(goal), direct=direct)
+                for axis, goal in zip(self.axes, goal_mm, strict=True)
+            ]
         )
 
     def stop(self) -> None:
@@ -141,19 +145,20 @@ class AptStage:
         row, col = (axis.describe() for axis in self.axes)
         return {"name": self.name, "row": row, "col": col, "settings": asdict(self.settings)}
 
-    def _together(self, moves: list[Generator[None, None, float]]) -> NDArray[np.float64]:
+    def _together(self, moves: list[Generator[float, None, float]]) -> NDArray[np.float64]:
         """Step all moves until each has its result; stop both axes if that is cut short."""
         reached_mm = np.full(len(moves), np.nan)
         under_way = dict(enumerate(moves))
         try:
             while under_way:
+                waits_s = []
                 for axis, move in list(under_way.items()):
                     try:
-                        next(move)
+                        waits_s.append(next(move))
                     except StopIteration as done:
                         reached_mm[axis] = done.value
                         del under_way[axis]
-                time.sleep(POLL_S)
+                time.sleep(min(waits_s, default=0.0))
         finally:
             if under_way:
                 self.stop()

@@ -21,6 +21,7 @@ from lensshift.capture.drivers.apt_cube import AptCube
 from lensshift.capture.drivers.apt_settings import AptSettings, travel_time_s
 from lensshift.core.errors import DeviceError, DeviceTimeout
 
+_POLL_S = 0.004  # between two looks at a motor under way
 _START_S = 0.1  # a controller that stands still for longer has not taken the command
 _ASTRAY_MM = 0.02  # leaving the way between start and goal by this is no overshoot
 _BEYOND_MM = 1.0  # from the lowest position to the switch, at most
@@ -46,18 +47,18 @@ class _Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """A move in one direction, in counts; limit switches closed at its start are no fault."""
+    """A move in one direction, in counts; faults are judged against the status before it."""
 
     start: float
     goal: int
-    closed: int
+    bits: int
 
 
 class AptAxis:
     """One controller with its actuator; `prepare` it before the first move.
 
     `homing` and `moves` are generators, so that one thread can move several axes at once: each
-    step exchanges one message, and the value at the end is the result.
+    step looks once, yields how long (s) to wait before the next, and returns the result at last.
 
     Parameters
     ----------
@@ -141,14 +142,19 @@ class AptAxis:
         self._enable()
 
     def _enable(self) -> None:
+        """Enable the motor unless it is; that also clears an old motion error."""
+        request = Message(Id.REQUEST_ENABLED, (CHANNEL, 0))
         for _ in range(self.settings.max_retries):
-            if self._cube.status().bits & Bits.ENABLED:
+            enabled = self._cube.link.ask(request, answer=Id.ENABLED, read=_is_enabled)
+            if enabled and not self._cube.status().bits & apt.FAULTS:
                 return
             self._cube.link.send(Message(Id.SET_ENABLED, (CHANNEL, 1)))
             time.sleep(self.settings.enable_wait_s)
-        raise self._error("the motor cannot be enabled")
+        bits = self._cube.status().bits
+        why = f" ({_why(bits)})" if bits & apt.FAULTS else ""
+        raise self._error(f"cannot be enabled{why}")
 
-    def homing(self) -> Generator[None, None, float]:
+    def homing(self) -> Generator[float, None, float]:
         """Look for the zero step by step; the result is the position (mm)."""
         wanted = self.settings
         way_mm = max(abs(end_mm) for end_mm in wanted.travel_mm)
@@ -161,7 +167,7 @@ class AptAxis:
                 self.repeated_moves += 1
             raise self._error("it does not take the command")
 
-    def _home_once(self, deadline_s: float) -> Generator[None, None, bool]:
+    def _home_once(self, deadline_s: float) -> Generator[float, None, bool]:
         """Send home; tell whether the controller went, and came, home."""
         was_homed = self.homed
         heard = self._cube.link.heard[Id.HOMED]
@@ -169,7 +175,7 @@ class AptAxis:
         sent_s = time.monotonic()
         went = still = late = 0
         while still < self.settings.settle_polls or time.monotonic() < sent_s + _START_S:
-            yield
+            yield _POLL_S
             late += time.monotonic() > deadline_s
             self._check(late)
             status = self._cube.poll()
@@ -181,39 +187,42 @@ class AptAxis:
         came = self._cube.link.heard[Id.HOMED] > heard
         return self.homed and (came or went >= 2)
 
-    def moves(self, goal_mm: float) -> Generator[None, None, float]:
-        """Go to a position step by step, at last forward; the result is the position (mm)."""
+    def moves(self, goal_mm: float, *, direct: bool = False) -> Generator[float, None, float]:
+        """Go to a position step by step, at last forward; the result is the position (mm).
+
+        With `direct` straight there: for a calibration that measures the play.
+        """
         with self._doing(f"move to {goal_mm:.4f} mm"):
             for _ in range(self.settings.max_retries):
-                arrived = yield from self._approach(self._counts(goal_mm))
+                arrived = yield from self._approach(self._counts(goal_mm), direct=direct)
                 if arrived is not None:
                     return arrived / self._counts_per_mm
                 self.repeated_moves += 1
             raise self._error(f"stands elsewhere after {self.settings.max_retries} attempts")
 
-    def _approach(self, goal: int) -> Generator[None, None, float | None]:
+    def _approach(self, goal: int, *, direct: bool) -> Generator[float, None, float | None]:
         """Go to `goal`, with a run-up if need be; return where it stands, None if not there."""
         run_up = self._counts(self.settings.approach_mm)
         start = self._cube.status()
         if not start.bits & Bits.HOMED:
             raise self._error("it does not know its zero; home it first")
-        legs = [goal] if goal - start.counts >= run_up else [goal - run_up, goal]
+        legs = [goal] if direct or goal - start.counts >= run_up else [goal - run_up, goal]
         at: float | None = start.counts
         for end in legs:
             if at is not None:
-                at = yield from self._go(_Leg(at, end, start.bits & apt.LIMITS))
+                at = yield from self._go(_Leg(at, end, start.bits))
         return at
 
-    def _go(self, leg: _Leg) -> Generator[None, None, float | None]:
+    def _go(self, leg: _Leg) -> Generator[float, None, float | None]:
         """Send to the end of `leg` and watch; return where it stands, None if not there."""
         way_mm = abs(leg.goal - leg.start) / self._counts_per_mm
         self._cube.link.send(Message(Id.MOVE_ABSOLUTE, data=apt.Target(leg.goal).pack()))
         sent_s = time.monotonic()
         deadline_s = sent_s + self._limit_s(way_mm, self.settings.velocity_mmps)
         agreeing: list[tuple[_Verdict, Status]] = []
-        late = 0
+        verdict, late = _Verdict.UNDER_WAY, 0
         while True:
-            yield
+            yield _POLL_S if verdict is _Verdict.UNDER_WAY else 0.0
             self._check(late)
             early = time.monotonic() < sent_s + _START_S
             late += time.monotonic() > deadline_s
@@ -237,9 +246,9 @@ class AptAxis:
     def _judge(self, status: Status, leg: _Leg) -> _Verdict:
         """Return what `status` says of a move along `leg`."""
         tolerance = self._counts(self.settings.tolerance_mm)
-        well = Bits.HOMED | Bits.ENABLED
-        limit = status.bits & apt.LIMITS & ~leg.closed
-        if limit or status.bits & apt.FAULTS or status.bits & well != well:
+        lost = leg.bits & ~status.bits & (Bits.HOMED | Bits.ENABLED)
+        limit = status.bits & ~leg.bits & apt.LIMITS
+        if limit or lost or status.bits & apt.FAULTS:
             return _Verdict.FAULT
         if not status.moving and abs(status.counts - leg.goal) <= tolerance:
             return _Verdict.ARRIVED
@@ -311,11 +320,15 @@ class AptAxis:
         )
 
 
+def _is_enabled(reply: Message) -> bool:
+    return reply.parameters == (CHANNEL, 1)
+
+
 def _why(bits: int) -> str:
     """Return what `bits` say went wrong."""
     named = [name for bit, name in _FAULT_NAMES.items() if bits & bit]
+    if named:
+        return ", ".join(named)
     if not bits & Bits.HOMED:
-        named.append("its zero is lost, it has been restarted: open it anew")
-    elif not bits & Bits.ENABLED:
-        named.append("the motor has been disabled: open it anew")
-    return ", ".join(named)
+        return "its zero is lost, it has been restarted: open it anew"
+    return "the motor is disabled: open it anew"

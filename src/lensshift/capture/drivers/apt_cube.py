@@ -19,7 +19,7 @@ from lensshift.core.errors import DeviceError, DeviceTimeout
 
 _MOST_COUNTS = 1_040_000  # 30 mm, and no Z8 actuator is longer than 25 mm
 _STOP_S = 0.5  # the longest a motor told to stop is watched
-POLL_S = 0.001
+_POLL_S = 0.002
 
 R = TypeVar("R", apt.Info, apt.Limits)
 
@@ -32,7 +32,7 @@ class AptCube:
     port : any URL of pyserial, or a device path
     tolerance : counts by which two replies of a motor at rest may differ
     reply_timeout_s : how long a reply may take
-    attempts : how often a request is sent, or replies may disagree
+    attempts : how often a request is sent; replies may disagree four times as often
 
     Raises
     ------
@@ -71,20 +71,27 @@ class AptCube:
         """Return a status that other replies confirm.
 
         Two replies in a row agree if the motor stands; while it moves, the middle one of three.
+        After a reply that took a byte of the next message, the rest of that is no message: so
+        replies with such a stretch between them do not count as in a row.
         """
         replies: list[Status] = []
-        for _ in range(self._attempts + 2):
-            replies.append(self.poll())
+        resyncs = self.link.resyncs
+        for _ in range(4 * self._attempts):
+            last = self.poll()
+            if self.link.resyncs != resyncs:
+                resyncs = self.link.resyncs
+                replies.clear()
+            replies.append(last)
             if _agree(replies[-2:], 2) and self._at_rest(replies[-2:]):
-                return replies[-1]
-            if _agree(replies[-3:], 3) and replies[-1].moving:
+                return last
+            if _agree(replies[-3:], 3) and last.moving:
                 return sorted(replies[-3:], key=lambda one: one.counts)[1]
         raise self._contradiction()
 
     def confirmed(self, request: Id, kind: type[R]) -> R:
         """Return a record that two replies in a row give; the answer has the id after `request`."""
         before = None
-        for _ in range(self._attempts + 2):
+        for _ in range(4 * self._attempts):
             last = self.link.ask(
                 Message(request, (CHANNEL, 0)),
                 answer=request + 1,
@@ -126,7 +133,7 @@ class AptCube:
         while still < 2 and time.monotonic() < deadline_s:
             with suppress(DeviceTimeout):
                 still = 0 if self.poll(stop, attempts=1).moving else still + 1
-            time.sleep(POLL_S)
+            time.sleep(_POLL_S)
 
     def _at_rest(self, replies: list[Status]) -> bool:
         counts = [one.counts for one in replies]
