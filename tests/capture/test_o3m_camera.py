@@ -204,6 +204,18 @@ def test_wrong_arguments() -> None:
         O3MSender(lambda a, b: seen(), port=1, layout="2.0")
 
 
+def test_the_clock_of_the_camera_goes_on_where_its_counter_wraps() -> None:
+    stream = O3MStream()
+    times_s = []
+    for cycle in range(4):
+        message = pixel_message(seen(), timestamp_us=2**32 - 30_000 + cycle * 20_000)
+        for packet in packetise({8: message}, cycle, 14 * cycle):
+            frame = stream.push(packet, CAMERA, 0.02 * cycle)
+        assert frame is not None
+        times_s.append(frame.frame.time_s)
+    np.testing.assert_allclose(np.diff(times_s), 0.02, atol=1e-9)
+
+
 # Why no frame came, without sockets: datagrams are given to the stream by hand.
 
 

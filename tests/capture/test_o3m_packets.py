@@ -127,10 +127,11 @@ def test_neighbours_that_change_places_do_no_harm_and_are_counted() -> None:
 
 
 def test_a_message_comes_once_although_its_packets_come_twice() -> None:
-    packets = [one for packet in packets_of(1, [1, 2]) for one in (packet, packet)]
+    once = packets_of(1, [1, 2])
+    packets = [one for packet in once for one in (packet, packet)] + once + once
     reassembler = Reassembler(CHANNELS)
     assert [one.cycle for one in push_all(reassembler, packets)] == [1, 2]
-    assert reassembler.counts.duplicate == len(packets) // 2
+    assert reassembler.counts.duplicate == 3 * len(once)
 
 
 def test_a_late_cycle_never_comes_after_a_newer_one() -> None:
@@ -152,6 +153,34 @@ def test_packets_from_before_and_after_a_silence_are_not_joined() -> None:
     assert push_all(reassembler, before[:3], start_s=0.0) == []
     assert push_all(reassembler, after[3:], start_s=5.0) == []
     assert reassembler.counts.partial == 1
+
+
+def test_a_small_step_back_after_a_silence_is_a_restart_too() -> None:
+    reassembler = Reassembler(CHANNELS)
+    push_all(reassembler, packets_of(1, [2]), start_s=0.0)
+    got = push_all(reassembler, packets_of(1, [1]), start_s=5.0)
+    assert reassembler.restarts(8) == 1
+    assert [one.cycle for one in got] == [3]
+
+
+def test_a_cycle_is_given_up_when_the_third_after_it_begins() -> None:
+    first, second, third = (packets_of(1, [cycle], 20 * cycle) for cycle in (1, 2, 4))
+    reassembler = Reassembler(CHANNELS)
+    push_all(reassembler, [*first[:-1], second[0]])
+    assert reassembler.counts.partial == 0
+    push_all(reassembler, third[:1])
+    assert reassembler.counts.partial == 1
+
+
+def test_the_oldest_of_many_messages_under_way_is_given_up() -> None:
+    reassembler = Reassembler(CHANNELS)
+    # Four that differ in their number of packets, and then a fifth of the cycle after.
+    many = [packetise({8: bytes(100 * n)}, 1, 0, packet_bytes=SMALL_PACKET) for n in (2, 3, 4, 5)]
+    fifth = packetise({8: b"whole" * 30}, 2, 50, packet_bytes=SMALL_PACKET)
+    push_all(reassembler, [*(packets[0] for packets in many), fifth[0]])
+    assert reassembler.counts.partial == 1
+    got = push_all(reassembler, [*many[0][1:], *many[3][1:], *fifth[1:]])
+    assert [one.content for one in got] == [bytes(500), b"whole" * 30]
 
 
 def test_packets_that_disagree_in_their_number_are_not_joined() -> None:

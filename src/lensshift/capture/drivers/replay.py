@@ -179,7 +179,9 @@ class ReplayCamera:
         At infinite speed the recording waits for the one that fetches, so the newest frame is the
         last one fetched.
         """
-        return self._fetched if math.isinf(self._speed) else self._cycle
+        if math.isinf(self._speed):
+            return self._fetched
+        return self._stream.newest_cycle() if self._is_o3m else self._cycle
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
         """Return the oldest frame not yet fetched; wait for one if there is none.
