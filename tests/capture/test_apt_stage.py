@@ -72,7 +72,7 @@ def until_it_fails(action: Callable[[], object]) -> None:
         action()
 
 
-def stands(controller: AptController, seconds_s: float = 0.3) -> bool:
+def stands(controller: AptController, seconds_s: float = 0.15) -> bool:
     before_mm = controller.motor_mm()
     time.sleep(seconds_s)
     return controller.motor_mm() == before_mm
