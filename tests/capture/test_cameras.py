@@ -39,6 +39,8 @@ def test_a_function_becomes_a_camera() -> None:
     camera: Camera = CallableCamera(grab, pitch_mm=0.01, name="mine", about={"gain": 2})
     assert camera.newest_cycle() == -1
     assert camera.counts()["frames"] == 0
+    with pytest.raises(DeviceError, match="open"):
+        _ = camera.grid
     camera.open()
     frames = [camera.next_frame(WAIT_S) for _ in range(5)]
     assert [one.frame.amplitude[0, 0] for one in frames] == [1, 2, 3, 4, 5]
@@ -424,6 +426,8 @@ def test_a_bag_plays_pairs_of_images(tmp_path: Path) -> None:
     for number in range(6):
         time_s = 10.0 + 0.1 * number
         images.append((time_s, "/amplitude", np.full((3, 5), number, np.uint16)))
+        if number == 4:
+            images.pop()  # lost
         if number != 2:  # lost
             distance = np.full((3, 5), 1000 + number, np.uint16)
             distance[0, 0] = 0
@@ -438,18 +442,30 @@ def test_a_bag_plays_pairs_of_images(tmp_path: Path) -> None:
     )
     camera.open()
     assert camera.grid.shape == (3, 5)
-    frames = [camera.next_frame(WAIT_S) for _ in range(5)]
-    assert [one.frame.amplitude[0, 0] for one in frames] == [0, 1, 3, 4, 5]
-    assert [one.cycle for one in frames] == [0, 1, 2, 3, 4]
+    with pytest.raises(DeviceError, match="already"):
+        camera.open()
+    frames = [camera.next_frame(WAIT_S) for _ in range(4)]
+    assert [one.frame.amplitude[0, 0] for one in frames] == [0, 1, 3, 5]
+    assert [one.cycle for one in frames] == [0, 1, 2, 3]
     for one in frames:
         number = one.frame.amplitude[0, 0]
         assert one.frame.distance_m is not None
         assert one.frame.distance_m[1, 1] == pytest.approx(1.0 + 0.001 * number)
         assert one.frame.valid.sum() == 14
         assert one.frame.time_s == pytest.approx(10.0 + 0.1 * number)
-    with pytest.raises(DeviceError, match="has ended after 5 frames"):
+    with pytest.raises(DeviceError, match="has ended after 4 frames"):
         camera.next_frame(WAIT_S)
-    assert camera.counts()["unpaired_images"] == 1
+    assert camera.counts()["unpaired_images"] == 2
+    camera.close()
+
+
+def test_images_of_a_bag_must_have_one_size(tmp_path: Path) -> None:
+    one, two = np.ones((3, 5), np.uint16), np.ones((5, 3), np.uint16)
+    write_bag(tmp_path / "bag", [(1.0, "/a", one), (1.0, "/d", two)])
+    camera = ReplayCamera(tmp_path / "bag", pitch_mm=0.1, amplitude_topic="/a", distance_topic="/d")
+    camera.open()
+    with pytest.raises(DeviceError, match="of one size"):
+        camera.next_frame(WAIT_S)
     camera.close()
 
 

@@ -2,12 +2,17 @@
 
 import itertools
 import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from lensshift.capture.drivers.pcic import PcicCamera
-from lensshift.capture.emulators.pcic import PcicServer
+from lensshift.capture.drivers.pcic_protocol import write_message
+from lensshift.capture.emulators.pcic import PcicServer, result_content
 from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.types import Frame
 
@@ -50,6 +55,8 @@ def test_results_become_frames(model: str) -> None:
         with pytest.raises(DeviceError, match="open"):
             _ = camera.grid
         camera.open()
+        with pytest.raises(DeviceError, match="already"):
+            camera.open()
         assert camera.grid.shape == (13, 17)
         assert camera.grid.pitch_mm == (0.1, 0.2)
         assert emulator.schema == b'{"layouter": "flexible"}'
@@ -109,6 +116,62 @@ def test_a_camera_that_starts_anew_is_told() -> None:
             fetch_many(camera)
         assert camera.next_frame(WAIT_S).cycle > before.cycle
         camera.close()
+
+
+@contextmanager
+def scripted(*script: bytes | threading.Event) -> Iterator[PcicCamera]:
+    """Yield an open camera whose server sends these bytes, and waits for these events."""
+
+    def serve() -> None:
+        connection, _ = listener.accept()
+        with connection:
+            command = connection.recv(100)
+            connection.sendall(write_message(command[:4], b"*"))
+            for one in script:
+                if isinstance(one, bytes):
+                    connection.sendall(one)
+                else:
+                    one.wait(WAIT_S)
+            connection.recv(100)  # until p0, or the client has gone
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=serve)
+        thread.start()
+        port = listener.getsockname()[1]
+        camera = PcicCamera("127.0.0.1", port, pitch_mm=0.1, timeout_s=WAIT_S)
+        camera.open()
+        yield camera
+        camera.close()
+        thread.join()
+
+
+def result(number: int, frame: Frame | None = None) -> bytes:
+    return write_message(b"0000", result_content(frame or seen(number), count=number))
+
+
+def test_a_frame_is_known_to_have_begun_before_it_is_whole() -> None:
+    go_on = threading.Event()
+    with scripted(result(7), result(9)[:200], go_on, result(9)[200:]) as camera:
+        assert camera.next_frame(WAIT_S).cycle == 7
+        while camera.newest_cycle() < 9:
+            time.sleep(0.01)
+        with pytest.raises(DeviceTimeout):
+            camera.next_frame(0.0)
+        go_on.set()
+        assert camera.next_frame(WAIT_S).cycle == 9
+
+
+def test_results_that_cannot_be_used_are_told() -> None:
+    turned = Frame(np.ones((17, 13)), None, np.ones((17, 13), dtype=bool), 0.0)
+    empty = write_message(b"0000", b"starstop")
+    for useless, told in ((empty, "holds no amplitude"), (result(8, turned), "has become 13 x 17")):
+        go_on = threading.Event()
+        with scripted(result(7), go_on, useless, result(9)) as camera:
+            camera.next_frame(WAIT_S)
+            go_on.set()
+            assert camera.next_frame(WAIT_S).cycle == 9
+            assert camera.counts()["wrong_results"] == 1
+            assert told in camera._explain(0, 0)
 
 
 def test_no_camera_at_the_address() -> None:

@@ -218,7 +218,7 @@ class ReplayCamera:
     def describe(self) -> Mapping[str, Any]:
         """Return what to keep beside the frames."""
         about = self._stream.describe() if self._is_o3m else {"topics": self._topics()}
-        return {**about, "recording": self._path.name, "speed": self._speed}
+        return {**about, "recording": self._path.name, "speed": f"{self._speed:g}"}
 
 
 class _Pace:
