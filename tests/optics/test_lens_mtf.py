@@ -22,6 +22,7 @@ from lensshift.optics.mtf import (
     through_focus,
 )
 from lensshift.optics.otf import exact_mtf, exact_otf
+from lensshift.optics.otf_kernel import overlap_sum
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.shift import moving
@@ -105,6 +106,33 @@ def test_exact_otf_equals_the_transform_of_the_point_spread_function() -> None:
     direct = np.abs(spread @ np.exp(-2j * np.pi * np.outer(x_mm, frequency))) / spread.sum()
     exact = exact_mtf(lens, field, frequency, 0.0).modulation
     assert exact == pytest.approx(direct, abs=5e-3)
+
+
+def test_the_sum_over_two_pupils_is_that_of_arrays() -> None:
+    rng = np.random.default_rng(4)
+    sides = rng.uniform(-0.9, 0.9, (2, 8, 7, 11))  # one vignetting surface
+    sides[:, 7] += 0.5
+    step, wave = 0.2, 3.0
+    soft = [
+        np.clip((1.0 - np.stack([s[5] ** 2 + s[6] ** 2, s[7]])) / (2 * step) + 0.5, 0, 1).min(
+            axis=0
+        )
+        for s in sides
+    ]
+    area = [np.abs(np.linalg.det(np.moveaxis(s[1:5].reshape(2, 2, 7, 11), (0, 1), (2, 3))))
+            for s in sides]  # fmt: skip
+    light = np.minimum(*soft) * np.sqrt(area[0] * area[1])
+    assert 0.1 < np.mean(light > 0) < 0.9
+    expected = np.sum(light * np.exp(1j * wave * (sides[0, 0] - sides[1, 0])))
+    assert overlap_sum(sides[0], sides[1], step, wave) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("samples", [100, 129])
+def test_the_exact_otf_settles_with_the_samples(samples: int) -> None:
+    lens = load_lens("petzval_a")
+    field = [VERTICAL, HORIZONTAL]
+    fine = exact_otf(lens, field, STUDIED_LPMM, samples=400)
+    assert exact_otf(lens, field, STUDIED_LPMM, samples=samples) == pytest.approx(fine, abs=1e-3)
 
 
 def test_uneven_brightness_of_the_pupil_counts_in_the_exact_otf() -> None:

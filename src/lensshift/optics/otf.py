@@ -21,6 +21,7 @@ _RINGS, _ARMS = 12, 48
 _DEGREE = 12  # of the polynomials in the direction cosines
 _MARGIN = 1.02  # of the square that holds the pupil
 _SAMPLES = 128
+_BLOCK = 16  # rows of the pupil at once, so that they stay in the cache
 
 
 def exact_mtf(
@@ -102,38 +103,35 @@ def exact_otf(
 class _PupilFit:
     """Polynomials over the pupil in direction cosines.
 
-    centre [2] and radius scale the cosines to the unit square; terms [i j quantity] are Chebyshev
-    coefficients of the path, the two pupil coordinates, and the heights at vignetting surfaces.
+    radius scales the cosines to the unit square; terms [quantity i j] are Chebyshev coefficients
+    of what `overlap_sum` takes: path, derivatives of the two pupil coordinates, the coordinates,
+    the squared heights at vignetting surfaces.
     """
 
-    centre: Array
     radius: float
     terms: Array
 
-    def sample(self, row: Array, col: Array, step: float) -> tuple[Array, Array, Array]:
-        """Return path, aperture and amplitude on the grid of two scaled axes.
+    def overlap(self, axes: tuple[Array, Array], shift: Array, step: float, wave: float) -> complex:
+        """Return the sum over the pupil moved by `shift` one way and the other.
 
-        The aperture is 1 inside and 0 outside, one step soft at its edge.
+        Parameters
+        ----------
+        axes : the scaled grid, rows and columns
+        shift : [2] (row, col), scaled
+        step, wave : as for `overlap_sum`
         """
-        values = _on_grid(row, col, self.terms)
-        aperture = _soft_edge(values[1] ** 2 + values[2] ** 2, step)
-        for height in values[3:]:
-            aperture = np.minimum(aperture, _soft_edge(height, step))
-        per_row = _on_grid(row, col, chebder(self.terms[..., 1:3], axis=0))
-        per_col = _on_grid(row, col, chebder(self.terms[..., 1:3], axis=1))
-        area = np.abs(per_row[0] * per_col[1] - per_row[1] * per_col[0])
-        return values[0], aperture, np.sqrt(area)
+        from lensshift.optics.otf_kernel import overlap_sum
 
-
-def _on_grid(row: Array, col: Array, terms: Array) -> Array:
-    """Return Chebyshev series [i j quantity] on the grid of two axes, [quantity row col]."""
-    rows, cols = (chebvander(x, n - 1) for x, n in zip((row, col), terms.shape[:2], strict=True))
-    return np.asarray(np.einsum("ri,cj,ijq->qrc", rows, cols, terms, optimize=True))
-
-
-def _soft_edge(square: Array, step: float) -> Array:
-    """Return 1 inside the unit circle, 0 outside, over one step in between."""
-    return np.asarray(np.clip((1.0 - square) / (2.0 * step) + 0.5, 0.0, 1.0))
+        sides = [
+            [chebvander(x + sign * s, _DEGREE) for x, s in zip(axes, shift, strict=True)]
+            for sign in (1.0, -1.0)
+        ]
+        total = 0j
+        for first in range(0, len(axes[0]), _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            ahead, behind = (row[rows] @ self.terms @ col.T for row, col in sides)
+            total += overlap_sum(ahead, behind, step, wave)
+        return total
 
 
 def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: Array) -> _PupilFit:
@@ -155,9 +153,12 @@ def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: 
     design = row[:, first[used]] * col[:, second[used]]
     root = np.sqrt(weight[traced])[:, None]
     solved = np.linalg.lstsq(design * root, np.stack(quantities, axis=-1) * root, rcond=None)[0]
-    terms = np.zeros((_DEGREE + 1, _DEGREE + 1, len(quantities)))
-    terms[first[used], second[used]] = solved
-    return _PupilFit(middle, radius, terms)
+    terms = np.zeros((len(quantities), _DEGREE + 1, _DEGREE + 1))
+    terms[:, first[used], second[used]] = solved.T
+    slopes = np.zeros((4, _DEGREE + 1, _DEGREE + 1))
+    slopes[0::2, :-1] = chebder(terms[1:3], axis=1)
+    slopes[1::2, :, :-1] = chebder(terms[1:3], axis=2)
+    return _PupilFit(radius, np.concatenate([terms[:1], slopes, terms[1:]]))
 
 
 def _autocorrelate(
@@ -165,14 +166,7 @@ def _autocorrelate(
 ) -> NDArray[np.complex128]:
     step = 2.0 / samples
     along = (np.arange(samples) + 0.5) * step - 1.0
-    _, aperture, amplitude = pupil.sample(along, along, step)
-    total = float(np.sum(aperture * amplitude**2))
-    otf = np.empty(len(frequency_lpmm), dtype=np.complex128)
-    for number, frequency in enumerate(frequency_lpmm):
-        row, col = 0.5 * wavelength_mm * frequency / pupil.radius * axis
-        path_1, aperture_1, amplitude_1 = pupil.sample(along + row, along + col, step)
-        path_2, aperture_2, amplitude_2 = pupil.sample(along - row, along - col, step)
-        both = np.minimum(aperture_1, aperture_2) * amplitude_1 * amplitude_2
-        phase = (2.0 * np.pi / wavelength_mm) * (path_1 - path_2)
-        otf[number] = np.sum(both * np.exp(1j * phase)) / total
-    return otf
+    axes, wave = (along, along), 2.0 * np.pi / wavelength_mm
+    total = pupil.overlap(axes, np.zeros(2), step, wave).real
+    shifts = np.outer(0.5 * wavelength_mm * frequency_lpmm / pupil.radius, axis)
+    return np.array([pupil.overlap(axes, shift, step, wave) / total for shift in shifts])

@@ -1,4 +1,4 @@
-"""The inner loop of the fast OTF: one sum over rays for each frequency."""
+"""The inner loops of the OTF: sums over rays for the fast one, over the pupil for the exact one."""
 
 from __future__ import annotations
 
@@ -80,3 +80,51 @@ def spot_otf(
                 out[s, a, f] = _sum_rays(
                     landing[s, a], weight[s], along[a], edges, v, -2.0 * np.pi * turns
                 )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _soft_edge(square: float, step: float) -> float:
+    """Return 1 inside the unit circle, 0 outside, over one step in between."""
+    return float(min(max((1.0 - square) / (2.0 * step) + 0.5, 0.0), 1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _aperture(quantities: Array, r: int, c: int, step: float) -> float:
+    """Return how much of the light at a point of the pupil passes, 0 .. 1."""
+    row, col = quantities[5, r, c], quantities[6, r, c]
+    aperture = _soft_edge(row * row + col * col, step)
+    for q in range(7, quantities.shape[0]):
+        aperture = min(aperture, _soft_edge(quantities[q, r, c], step))
+    return aperture
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _area(quantities: Array, r: int, c: int) -> float:
+    """Return the area of the stop per area of direction cosines."""
+    turned = quantities[2, r, c] * quantities[3, r, c]
+    return float(abs(quantities[1, r, c] * quantities[4, r, c] - turned))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def overlap_sum(ahead: Array, behind: Array, step: float, wave: float) -> complex:
+    """Return sum A_1 A_2 exp(i wave (W_1 - W_2)) over two pupils sheared against each other.
+
+    Parameters
+    ----------
+    ahead, behind : [quantity row col] path W, derivatives of the two stop coordinates (row by
+        row, row by col, col by row, col by col), the coordinates, squared relative heights
+    step : from point to point, over which an edge of the pupil is soft
+    wave : 2 pi / wavelength
+    """
+    real, imaginary = 0.0, 0.0
+    for r in range(ahead.shape[1]):
+        for c in range(ahead.shape[2]):
+            both = _aperture(ahead, r, c, step)
+            if both > 0.0:
+                both = min(both, _aperture(behind, r, c, step))
+            if both > 0.0:
+                both *= np.sqrt(_area(ahead, r, c) * _area(behind, r, c))
+                phase = wave * (ahead[0, r, c] - behind[0, r, c])
+                real += both * np.cos(phase)
+                imaginary += both * np.sin(phase)
+    return complex(real, imaginary)
