@@ -394,13 +394,13 @@ def test_recordings_wrong_arguments(tmp_path: Path) -> None:
 def write_bag(folder: Path, images: list[tuple[float, str, NDArray[Any]]]) -> None:
     """Write images into a ROS 2 bag."""
     pytest.importorskip("rosbags")
-    from rosbags.rosbag2 import Writer
+    from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = store.types
     encodings = {"f4": "32FC1", "u2": "16UC1", "u1": "mono8"}
-    with Writer(folder, version=9) as bag:
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         topics = {
             topic: bag.add_connection(topic, "sensor_msgs/msg/Image", typestore=store)
             for topic in dict.fromkeys(topic for _, topic, _ in images)

@@ -165,21 +165,21 @@ def fuzz_pcic(count: int, seed: int) -> None:
 
 
 def test_malformed_packets_of_an_o3m() -> None:
-    fuzz_o3m(20_000, seed=1)
+    fuzz_o3m(10_000, seed=1)
 
 
 def test_malformed_messages() -> None:
-    fuzz_messages(5_000, seed=2)
+    fuzz_messages(3_000, seed=2)
 
 
 def test_malformed_streams_of_pcic() -> None:
-    fuzz_pcic(3_000, seed=3)
+    fuzz_pcic(2_000, seed=3)
 
 
 def test_random_bytes() -> None:
     rng = np.random.default_rng(4)
     parser, stream = PcicParser(), O3MStream()
-    for _ in range(2_000):
+    for _ in range(1_000):
         data = rng.bytes(int(rng.integers(1500)))
         assert stream.push(data, ("10.0.0.1", 1), 0.0) is None
         assert parser.feed(data) == []
