@@ -110,8 +110,8 @@ def _plane(first: Array, second: Array, start_px: Shifts) -> Shifts:
     frames = np.stack([first, second])
     at = Frequencies.of(first.shape, whole_plane=frames.dtype.kind == "c")
     # The bin in the middle of the aliases is the frequency itself.
-    middle = at.row.shape[1] // 2
-    frequency = np.stack([at.row[:, middle], at.col[:, middle]])
+    middle = at.down.shape[1] // 2
+    frequency = np.stack([at.down[:, middle], at.right[:, middle]])
     low = at.weight * _low_pass(*frequency)
     shift_px = start_px.copy()
     for _ in range(_PLANE_PASSES):

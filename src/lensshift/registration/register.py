@@ -75,14 +75,14 @@ def register(
     QualityWarning
         If a shift has a standard error above 0.05 px, or the search did not settle.
     """
-    frames = _frames(burst, channel)
+    frames = frames_of(burst, channel)
     _check(burst, method, reference, use_given)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
-    filled = _filled(frames, valid)
+    whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
-    phase_px = phase_shifts(filled, reference)
+    phase_px = phase_shifts(whole, reference)
     if method == "phase":
-        fit = _phase_fit(filled, valid, phase_px, reference)
+        fit = _phase_fit(whole, valid, phase_px, reference)
     else:
         run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
         if method == "auto":
@@ -109,7 +109,8 @@ def register(
     )
 
 
-def _frames(burst: Burst, channel: str) -> Array:
+def frames_of(burst: Burst, channel: str) -> Array:
+    """Return the frames of a channel in double precision."""
     if channel == "amplitude":
         frames = burst.amplitude
     elif channel != "distance":
@@ -135,7 +136,7 @@ def _check(burst: Burst, method: str, reference: int, use_given: bool) -> None:
         raise ValueError(f'expected method "auto" with use_given, got {method!r}')
 
 
-def _filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
+def filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
     """Return the frames with invalid pixels taken from the mean of the others, or their mean."""
     good = np.where(valid, frames, 0)
     number = valid.sum(axis=0)

@@ -19,7 +19,7 @@ _ALIASES = (-1, 0, 1)
 _LEANING_BINS = 3.0
 _LEAST_FREEDOM = 1e-6
 _NEIGHBOURS = 3
-_NUMBERS_AT_ONCE = 4_000_000
+_NUMBERS_AT_ONCE = 200_000  # a few MB at a time, which stay in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,14 +29,14 @@ class Frequencies:
     Parameters
     ----------
     shape : (rows, cols) of a frame
-    row, col : [frequency alias] in cycles per pixel
+    down, right : [frequency alias] in cycles per pixel
     weight : [frequency] 1, or 1/2 where a real image counts a frequency twice
     whole_plane : whether the frames are complex
     """
 
     shape: tuple[int, int]
-    row: NDArray[np.float64]
-    col: NDArray[np.float64]
+    down: NDArray[np.float64]
+    right: NDArray[np.float64]
     weight: NDArray[np.float64]
     whole_plane: bool
 
@@ -67,12 +67,12 @@ class Frequencies:
     def parts(self, frames: int, kinds: int) -> Iterator[slice]:
         """Yield slices of the frequencies that fit in memory one after another."""
         step = max(1, _NUMBERS_AT_ONCE // max(9 * frames, (kinds * frames) ** 2))
-        for first in range(0, len(self.row), step):
-            yield slice(first, min(first + step, len(self.row)))
+        for first in range(0, len(self.down), step):
+            yield slice(first, min(first + step, len(self.down)))
 
     def turns(self, part: slice) -> Array:
         """Return what a change of row, col and log gain multiplies an alias with, [f alias 3]."""
-        row, col = -2j * np.pi * self.row[part], -2j * np.pi * self.col[part]
+        row, col = -2j * np.pi * self.down[part], -2j * np.pi * self.right[part]
         return np.stack([row, col, np.ones_like(row)], axis=-1)
 
     def smoothed(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -80,8 +80,8 @@ class Frequencies:
         from scipy.ndimage import uniform_filter
 
         rows, cols = (len(_ALIASES) * size for size in self.shape)
-        at_row = np.rint(self.row * self.shape[0]).astype(np.intp)
-        at_col = np.rint(self.col * self.shape[1]).astype(np.intp)
+        at_row = np.rint(self.down * self.shape[0]).astype(np.intp)
+        at_col = np.rint(self.right * self.shape[1]).astype(np.intp)
         total, count = np.zeros((rows, cols)), np.zeros((rows, cols))
         for sign in (1,) if self.whole_plane else (1, -1):
             place = (sign * at_row % rows, sign * at_col % cols)
@@ -121,7 +121,7 @@ class Spectrum:
     def power(self) -> NDArray[np.float64]:
         """Power P [frequency alias]."""
         at = self.frequencies
-        square = at.row**2 + at.col**2
+        square = at.down**2 + at.right**2
         blur = (2.0 * np.pi * PIXEL_SIGMA_PX) ** 2 * square
         law = np.exp(self.log_level - self.exponent * self._log_frequency() - blur)
         return np.asarray(law * self.freedom)
@@ -129,12 +129,14 @@ class Spectrum:
     def _log_frequency(self) -> NDArray[np.float64]:
         at = self.frequencies
         lowest = 1.0 / max(at.shape)
-        return np.asarray(np.log(lowest**2 + at.row**2 + at.col**2))
+        return np.asarray(np.log(lowest**2 + at.down**2 + at.right**2))
 
     def steering(self, part: slice, offset_px: Shifts, gain: Array) -> Array:
         """Return a_m [frequency alias frame], what an alias looks like in each frame."""
         at = self.frequencies
-        turn = at.row[part][..., None] * offset_px[:, 0] + at.col[part][..., None] * offset_px[:, 1]
+        turn = (
+            at.down[part][..., None] * offset_px[:, 0] + at.right[part][..., None] * offset_px[:, 1]
+        )
         return np.asarray(gain * np.exp(-2j * np.pi * turn))
 
     def covariance(self, power: Array, steering: Array) -> Array:
@@ -216,7 +218,7 @@ class Spectrum:
 
 def first_spectrum(frequencies: Frequencies, spectra: Array) -> Spectrum:
     """Return a spectrum to start from: a usual power law that has the power of the frames."""
-    start = Spectrum(frequencies, 0.0, 1.5, 0.0, np.ones_like(frequencies.row))
+    start = Spectrum(frequencies, 0.0, 1.5, 0.0, np.ones_like(frequencies.down))
     weight = frequencies.weight[:, None]
     level = float(np.sum(weight * np.abs(spectra) ** 2) / spectra.shape[1])
     level = max(level, 1e-30)

@@ -1,0 +1,103 @@
+"""`lensshift calibrate`: from a scan to what the stage does to the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.inputs import refuse_overwriting
+from lensshift.cli.session import DebugOption, JsonOption, Session, session
+
+if TYPE_CHECKING:
+    from lensshift.core.calibration import Calibration
+    from lensshift.pipeline.calibrate import RigCalibration
+
+ScanArgument = Annotated[
+    Path, typer.Argument(metavar="SCAN", help="Burst file of a scan, with stage positions.")
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", help="Calibration; default: SCAN_calibration.json beside it."),
+]
+ReportOption = Annotated[Path | None, typer.Option("--report", help="Also write an HTML page.")]
+PhotometricOption = Annotated[
+    bool, typer.Option("--photometric", help="Allow frames to differ by a factor and a constant.")
+]
+NoPsfOption = Annotated[bool, typer.Option("--no-psf", help="Do not measure the blur.")]
+NoiseOption = Annotated[
+    float, typer.Option(min=1e-6, help="Noise of a pixel / full scale, for the loss in dB.")
+]
+
+
+def calibrate(
+    scan: ScanArgument,
+    out: OutOption = None,
+    report: ReportOption = None,
+    photometric: PhotometricOption = False,
+    no_psf: NoPsfOption = False,
+    noise: NoiseOption = 0.005,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Find image shift per stage travel, play, drift and blur from a scan.
+
+    \b
+    Examples:
+      lensshift calibrate scan.nc -o calibration.json
+      lensshift calibrate scan.nc -o calibration.json --report calibration.html
+    """
+    with session(as_json=as_json, debug=debug) as current:
+        target = out if out is not None else scan.with_name(f"{scan.stem}_calibration.json")
+        files = [target] if report is None else [target, report]
+        refuse_overwriting((scan,), files)
+        from lensshift.io import load_burst
+        from lensshift.io.atomic import writable_target
+        from lensshift.io.calibration_file import save_calibration
+        from lensshift.pipeline.calibrate import calibrate_rig
+
+        for path in files:
+            writable_target(path)
+        done = calibrate_rig(
+            load_burst(scan), photometric=photometric, psf=not no_psf, noise=noise, report=report
+        )
+        save_calibration(done.calibration, target)
+        current.result |= {"input": scan, "files": files, **_described(done)}
+        _say(current, done)
+        for path in files:
+            current.say(f"wrote {path}")
+
+
+def _described(done: RigCalibration) -> dict[str, Any]:
+    found: Calibration = done.calibration
+    return {
+        "px_per_mm": found.stage_map.px_per_mm,
+        "px_per_mm_sigma": found.px_per_mm_sigma,
+        "sigma_px": found.stage_map.sigma_px,
+        "rest_mm": found.rest_mm,
+        "play_mm": found.play_mm,
+        "play_sigma_mm": found.play_sigma_mm,
+        "drift_px_per_s": found.drift_px_per_s,
+        "psf_sigma_px": found.psf_sigma_px,
+        "field_order": done.fit.field_order,
+        "psnr_loss_db": done.psnr_loss_db,
+        "mtf50_loss": done.mtf50_loss,
+    }
+
+
+def _say(current: Session, done: RigCalibration) -> None:
+    found = done.calibration
+    matrix = found.stage_map.px_per_mm
+    current.say(f"image row  {matrix[0, 0]:9.4f} {matrix[0, 1]:9.4f} px per mm of stage row, col")
+    current.say(f"image col  {matrix[1, 0]:9.4f} {matrix[1, 1]:9.4f}")
+    current.say(f"play       {1e3 * found.play_mm[0]:9.2f} {1e3 * found.play_mm[1]:9.2f} um")
+    drift = 60.0 * found.drift_px_per_s
+    current.say(f"drift      {drift[0]:9.4f} {drift[1]:9.4f} px per minute")
+    if found.psf_sigma_px is not None:
+        current.say(f"blur       {found.psf_sigma_px:9.3f} px")
+    order = done.fit.field_order
+    current.say(f"over the sensor: {'the same' if order == 0 else f'polynomial of order {order}'}")
+    current.say(
+        f"residual   {found.stage_map.sigma_px:9.4f} px rms, costs {done.psnr_loss_db:.2f} dB PSNR"
+    )

@@ -1,0 +1,128 @@
+"""Calibrations as JSON: readable, with a schema."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensshift.core.calibration import Calibration
+from lensshift.core.errors import DataError
+from lensshift.core.motion import StageMap
+from lensshift.io.atomic import written_whole
+
+SCHEMA = "lensshift-calibration/1"
+_PAIRS = ("rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s")
+_NUMBERS = ("psf_sigma_px", "psf_sigma_sigma_px")
+
+
+def save_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration as JSON, whole or not at all.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+    """
+    stage_map = calibration.stage_map
+    content: dict[str, Any] = {
+        "schema": SCHEMA,
+        "source": calibration.source,
+        "px_per_mm": stage_map.px_per_mm.tolist(),
+        "px_per_mm_sigma": _listed(calibration.px_per_mm_sigma),
+        "sigma_px": stage_map.sigma_px,
+    }
+    content |= {name: getattr(calibration, name).tolist() for name in _PAIRS}
+    content |= {name: getattr(calibration, name) for name in _NUMBERS}
+    content["notes"] = dict(calibration.notes)
+    content["field_px_per_mm"] = _listed(stage_map.field_px_per_mm)
+    with written_whole(path) as part:
+        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a calibration.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, is no calibration, or a field is missing or wrong.
+    """
+    content = _content(path)
+    matrix = _array(content, "px_per_mm", 2, path)
+    if content.get("field_px_per_mm") is None:
+        field = None
+    else:
+        field = _array(content, "field_px_per_mm", 4, path)
+    sigma = content.get("px_per_mm_sigma")
+    others: dict[str, Any] = {name: _array(content, name, 1, path) for name in _PAIRS}
+    others |= {name: _number(content, name, path) for name in _NUMBERS}
+    try:
+        return Calibration(
+            stage_map=StageMap(matrix, field, float(_array(content, "sigma_px", 0, path))),
+            px_per_mm_sigma=None if sigma is None else _array(content, "px_per_mm_sigma", 2, path),
+            source=_source(content, path),
+            **others,
+            notes=_notes(content, path),
+        )
+    except DataError:
+        raise
+    except (ValueError, TypeError) as error:
+        raise DataError(str(error), source=path) from error
+
+
+def _content(path: str | Path) -> dict[str, Any]:
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"cannot read: {error.strerror or error}", source=path) from error
+    except (ValueError, RecursionError) as error:
+        raise DataError("this is no calibration file (JSON)", source=path) from error
+    found = content.get("schema") if isinstance(content, dict) else None
+    if found != SCHEMA:
+        raise DataError(f"expected {SCHEMA}, got {found!r:.60}", field="schema", source=path)
+    return dict(content)
+
+
+def _array(content: dict[str, Any], name: str, axes: int, path: str | Path) -> Any:
+    if name not in content:
+        raise DataError("this field is missing", field=name, source=path)
+    try:
+        values = np.asarray(content[name], dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise DataError("expected numbers", field=name, source=path) from error
+    if values.ndim != axes or not np.all(np.isfinite(values)):
+        raise DataError(
+            f"expected finite numbers with {axes} axes, got shape {values.shape}",
+            field=name,
+            source=path,
+        )
+    return values
+
+
+def _number(content: dict[str, Any], name: str, path: str | Path) -> float | None:
+    if content.get(name) is None:
+        return None
+    return float(_array(content, name, 0, path))
+
+
+def _source(content: dict[str, Any], path: str | Path) -> Any:
+    source = content.get("source")
+    if source not in ("nominal", "measured"):
+        raise DataError(
+            f"expected nominal or measured, got {source!r:.60}", field="source", source=path
+        )
+    return source
+
+
+def _notes(content: dict[str, Any], path: str | Path) -> dict[str, Any]:
+    notes = content.get("notes", {})
+    if not isinstance(notes, dict):
+        raise DataError("expected names and values", field="notes", source=path)
+    return notes
+
+
+def _listed(values: Any) -> Any:
+    return None if values is None else np.asarray(values).tolist()

@@ -1,0 +1,233 @@
+"""What a scan says of a rig: image shift per stage travel, play, drift, shift over the sensor."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.calibration import Calibration
+from lensshift.core.errors import QualityWarning
+from lensshift.core.motion import StageMap
+from lensshift.core.types import Burst
+from lensshift.registration.field import fit_field
+from lensshift.registration.likelihood import likely_shifts
+from lensshift.registration.phase import phase_shifts
+from lensshift.registration.register import filled, frames_of
+
+Array = NDArray[np.float64]
+
+HUBER_SIGMAS = 1.345
+_PASSES = 20
+_LEAST_FRAMES = 9
+BUDGET_PX = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanFit:
+    """A calibration and what it leaves unexplained.
+
+    Parameters
+    ----------
+    calibration : the result
+    burst : the scan with its registered offsets, without frames before the axes first moved
+    residual_px : [frame 2] registered offset less what the calibration says
+    direction : [frame 2] of the last motion of each axis, +1, -1, or 0 if not known
+    field_order : degree of the polynomial over the sensor, 0: the same everywhere
+    """
+
+    calibration: Calibration
+    burst: Burst
+    residual_px: Array
+    direction: Array
+    field_order: int
+
+
+def calibrate(burst: Burst, **options: Any) -> Calibration:
+    """Return the calibration of a scan; see `fit_scan`, which returns more."""
+    return fit_scan(burst, **options).calibration
+
+
+def fit_scan(
+    burst: Burst,
+    *,
+    rest_mm: Array | None = None,
+    photometric: bool = False,
+    registered: bool = False,
+    over_sensor: bool = True,
+) -> ScanFit:
+    """Find how a rig moves the image from a scan over the range of its stage.
+
+        offset_k = M (stage_k - play / 2 direction_k - rest) + v (t_k - t_0) + c
+
+    The shifts of all frames are registered together; the linear model is fitted by robust least
+    squares (Huber). What varies over the sensor comes from all pixels of all frames afterwards.
+
+    Parameters
+    ----------
+    burst : frames at the positions of `calibration_scan_mm`, with `stage_mm` as read back;
+        `stage_commanded_mm` tells the direction of approach (else `stage_mm`), `time_s` the drift
+        (else none is fitted)
+    rest_mm : where the offset is to be 0, by default the middle of the scan
+    photometric : whether frames may differ by a factor and a constant
+    registered : whether the offsets of the burst are registered already
+    over_sensor : whether the shift may vary over the sensor
+
+    Raises
+    ------
+    ValueError
+        If the burst has no stage positions, has fewer than 9 frames, or does not span both axes.
+
+    Warns
+    -----
+    QualityWarning
+        If what is left is more than 0.02 px rms.
+    """
+    stage_mm = _stage(burst)
+    if not registered:
+        burst = _registered(burst, photometric=photometric)
+    rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
+    commanded = burst.stage_commanded_mm if burst.stage_commanded_mm is not None else stage_mm
+    direction = _directions(commanded)
+    # Nobody knows on which side of its play an axis stood before it moved.
+    known = np.all((direction != 0) | ~_turns(direction), axis=1)
+    burst, direction = burst.select(list(np.flatnonzero(known))), direction[known]
+    away_mm = stage_mm[known] - rest
+    time_s = None if burst.time_s is None else burst.time_s - burst.time_s.mean()
+    design = _design(away_mm, direction, time_s)
+    found, covariance, residual = _robust(design, burst.offset_px)
+    turns = _turns(direction)
+    bent, order = None, 0
+    if over_sensor:
+        play_mm, _ = _play(found, covariance, turns)
+        effective_mm = away_mm - 0.5 * play_mm * direction
+        bent, order, better_px = fit_field(burst, design @ found, effective_mm)
+        if bent is not None:
+            burst = replace(burst, offset_px=better_px)
+            found, covariance, residual = _robust(design, better_px)
+    matrix, sigma = found[:2].T, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
+    play, play_sigma = _play(found, covariance, turns)
+    drift, drift_sigma = np.zeros(2), np.zeros(2)
+    if time_s is not None:
+        drift, drift_sigma = found[-2], sigma[-2]
+    scale = len(residual) / max(len(residual) - design.shape[1], 1)
+    sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
+    _warn_of_rest(sigma_px)
+    calibration = Calibration(
+        stage_map=StageMap(matrix, None if bent is None else matrix + bent, sigma_px),
+        rest_mm=rest,
+        source="measured",
+        px_per_mm_sigma=sigma[:2].T,
+        play_mm=play,
+        play_sigma_mm=play_sigma,
+        drift_px_per_s=drift,
+        drift_sigma_px_per_s=drift_sigma,
+        notes={
+            "frames": burst.frame_count,
+            "shape": list(burst.grid.shape),
+            "pitch_mm": list(burst.grid.pitch_mm),
+            "field_order": order,
+        },
+    )
+    return ScanFit(calibration, burst, residual, direction, order)
+
+
+def _registered(burst: Burst, *, photometric: bool) -> Burst:
+    """Return the scan with registered offsets; how good they are, the fit will tell."""
+    frames = frames_of(burst, "amplitude")
+    valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
+    start_px = phase_shifts(filled(frames, valid), 0)
+    found = likely_shifts(frames, valid, start_px, photometric=photometric)
+    return replace(
+        burst,
+        offset_px=found.offset_px,
+        offset_sigma_px=found.sigma_px,
+        offset_source="registered",
+    )
+
+
+def _stage(burst: Burst) -> Array:
+    if burst.stage_mm is None:
+        raise ValueError("the burst has no stage_mm, the positions read back while it was taken")
+    if burst.frame_count < _LEAST_FRAMES:
+        raise ValueError(
+            f"expected a scan of at least {_LEAST_FRAMES} frames, got {burst.frame_count}"
+        )
+    spread = np.linalg.svd(burst.stage_mm - burst.stage_mm.mean(axis=0), compute_uv=False)
+    if spread[1] < 0.05 * spread[0] or spread[0] == 0:
+        raise ValueError("expected a scan along both axes of the stage, got positions on a line")
+    return burst.stage_mm
+
+
+def _directions(commanded_mm: Array) -> Array:
+    """Return the sign of the last motion of each axis at each frame; 0 before it has moved."""
+    direction = np.zeros_like(commanded_mm)
+    least = 1e-3 * np.ptp(commanded_mm, axis=0)
+    for k in range(1, len(commanded_mm)):
+        step = commanded_mm[k] - commanded_mm[k - 1]
+        direction[k] = np.where(np.abs(step) > least, np.sign(step), direction[k - 1])
+    return direction
+
+
+def _turns(direction: Array) -> NDArray[np.bool_]:
+    """Tell which axes were approached from both sides; the play of the others is not known."""
+    return np.asarray((direction.max(axis=0) > 0) & (direction.min(axis=0) < 0))
+
+
+def _design(away_mm: Array, direction: Array, time_s: Array | None) -> Array:
+    """Return the columns: stage, play of axes that turn, drift, constant."""
+    columns = [*away_mm.T, *(direction.T[_turns(direction)])]
+    if time_s is not None:
+        columns.append(time_s)
+    columns.append(np.ones(len(away_mm)))
+    return np.stack(columns, axis=-1)
+
+
+def _robust(design: Array, offset_px: Array) -> tuple[Array, Array, Array]:
+    """Return parameters [column axis], covariance [axis column column], residual [frame axis]."""
+    weight = np.ones(len(design))
+    found: Array = np.zeros((design.shape[1], 2))
+    residual: Array = offset_px
+    for _ in range(_PASSES):
+        root = np.sqrt(weight)[:, None]
+        found = np.linalg.pinv(root * design) @ (root * offset_px)
+        residual = offset_px - design @ found
+        size = np.linalg.norm(residual, axis=1)
+        # Median of the length of a normal 2-vector over its standard deviation.
+        scale = max(float(np.median(size)) / 1.1774, 1e-9)
+        changed = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(size, 1e-12))
+        if np.allclose(changed, weight, atol=1e-4):
+            break
+        weight = changed
+    inverse = np.linalg.pinv((weight[:, None] * design).T @ design)
+    freedom = max(weight.sum() - design.shape[1], 1.0)
+    variance = np.sum(weight[:, None] * residual**2, axis=0) / freedom
+    return found, variance[:, None, None] * inverse, residual
+
+
+def _play(found: Array, covariance: Array, turns: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return play and its standard error of each axis from the shift between the approaches.
+
+    The column of direction holds - M[:, axis] play / 2.
+    """
+    matrix, sigma = found[:2].T, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
+    play, play_sigma = np.zeros(2), np.zeros(2)
+    for column, axis in enumerate(np.flatnonzero(turns), start=2):
+        along = matrix[:, axis]
+        square = float(along @ along)
+        play[axis] = -2.0 * float(along @ found[column]) / square
+        play_sigma[axis] = 2.0 * float(np.sqrt(np.sum((along * sigma[column]) ** 2))) / square
+    return play, play_sigma
+
+
+def _warn_of_rest(sigma_px: float) -> None:
+    if sigma_px > BUDGET_PX:
+        warnings.warn(
+            f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); does "
+            "the stage repeat, did the scene stand still?",
+            QualityWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,135 @@
+"""A finely sampled picture of the scene, from many frames whose shifts are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Knots per pixel, and how stiff the spline is where no pixel says anything.
+KNOTS_PER_PX = 2
+_STIFFNESS = 1e-3
+_PASSES = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceImage:
+    """A cubic spline that all frames sample, and what each frame should look like.
+
+    Parameters
+    ----------
+    seen : [frame row col] what the spline predicts of each frame
+    slope : [axis frame row col] its derivative by the place in the scene, per pixel
+    """
+
+    seen: Array
+    slope: Array
+
+
+def reference_image(
+    frames: Array, weight: Array, offset_px: NDArray[np.float64], slip_px: Array | None = None
+) -> ReferenceImage:
+    """Fit one cubic spline to all frames.
+
+        minimise  sum w_k (y_k - s(u - d_k))^2 + small |second differences|^2
+
+    Parameters
+    ----------
+    frames, weight : [frame row col]; weight 0 at pixels that count for nothing
+    offset_px : [frame 2]
+    slip_px : [axis frame row col] small further shift of each pixel, to first order, or None
+    """
+    rows = [_splines(frames.shape[1], d, offset_px[:, 0]) for d in offset_px[:, 0]]
+    cols = [_splines(frames.shape[2], d, offset_px[:, 1]) for d in offset_px[:, 1]]
+    operators = [(r[0], c[0]) for r, c in zip(rows, cols, strict=True)]
+    shape = (rows[0][0].shape[1], cols[0][0].shape[1])
+    target = frames
+    knots = np.full(shape, float(np.average(frames, weights=weight)))
+    knots = _fitted(target, weight, operators, knots)
+    if slip_px is not None:
+        slope = _slopes(knots, rows, cols)
+        target = frames + np.sum(slope * slip_px, axis=0)
+        knots = _fitted(target, weight, operators, knots)
+    seen = np.stack([_seen(knots, r, c) for r, c in operators])
+    slope = _slopes(knots, rows, cols)
+    if slip_px is not None:
+        seen = seen - np.sum(slope * slip_px, axis=0)
+    return ReferenceImage(seen, slope)
+
+
+def _splines(size: int, offset_px: float, all_px: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Return the cubic B-splines and their derivatives at the pixels of a frame, [pixel knot]."""
+    from scipy.sparse import csr_array
+
+    first = np.floor(KNOTS_PER_PX * -all_px.max()) - 1
+    last = np.ceil(KNOTS_PER_PX * (size - 1 - all_px.min())) + 2
+    at = KNOTS_PER_PX * (np.arange(size) - offset_px) - first
+    whole = np.floor(at).astype(np.intp)
+    p = at - whole
+    values = np.stack(
+        [(1 - p) ** 3, 3 * p**3 - 6 * p**2 + 4, 3 * (1 - p) ** 3 - 6 * (1 - p) ** 2 + 4, p**3], -1
+    )
+    slopes = np.stack(
+        [-((1 - p) ** 2), 3 * p**2 - 4 * p, -3 * (1 - p) ** 2 + 4 * (1 - p), p**2], axis=-1
+    )
+    index = whole[:, None] + np.arange(-1, 3)
+    row = np.broadcast_to(np.arange(size)[:, None], index.shape)
+    shape = (size, int(last - first) + 1)
+    place = (row.ravel(), index.ravel())
+    return (
+        csr_array((values.ravel() / 6.0, place), shape=shape),
+        csr_array((0.5 * KNOTS_PER_PX * slopes.ravel(), place), shape=shape),
+    )
+
+
+def _seen(knots: Array, row: Any, col: Any) -> Array:
+    return np.asarray((col @ (row @ knots).T).T)
+
+
+def _slopes(knots: Array, rows: list[Any], cols: list[Any]) -> Array:
+    pairs = list(zip(rows, cols, strict=True))
+    down = np.stack([_seen(knots, r[1], c[0]) for r, c in pairs])
+    right = np.stack([_seen(knots, r[0], c[1]) for r, c in pairs])
+    return np.stack([down, right])
+
+
+def _fitted(frames: Array, weight: Array, operators: list[Any], start: Array) -> Array:
+    """Return the knots of the penalised least-squares spline (conjugate gradients)."""
+    stiffness = _STIFFNESS * len(frames) * float(weight.mean())
+
+    def normal(knots: Array) -> Array:
+        total = stiffness * _stiff(knots)
+        for w, (row, col) in zip(weight, operators, strict=True):
+            total += _seen(w * _seen(knots, row, col), row.T, col.T)
+        return total
+
+    knots = start.copy()
+    residual = -normal(knots)
+    for y, w, (row, col) in zip(frames, weight, operators, strict=True):
+        residual += _seen(w * y, row.T, col.T)
+    direction = residual.copy()
+    size = first = float(np.sum(residual**2))
+    for _ in range(_PASSES):
+        if size <= 1e-14 * first or size == 0.0:
+            break
+        bent = normal(direction)
+        length = size / float(np.sum(direction * bent))
+        knots += length * direction
+        residual -= length * bent
+        before, size = size, float(np.sum(residual**2))
+        direction = residual + size / before * direction
+    return knots
+
+
+def _stiff(knots: Array) -> Array:
+    """Return the gradient of half the sum of squared second differences along both axes."""
+    total = np.zeros_like(knots)
+    for axis in (0, 1):
+        bent = np.diff(knots, 2, axis=axis)
+        padded = np.pad(bent, [(2, 2) if a == axis else (0, 0) for a in (0, 1)])
+        total += np.diff(padded, 2, axis=axis)
+    return total

@@ -1,0 +1,223 @@
+"""One page on a calibration: what the stage does to the image, and whether that is good enough."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.report.curves import legend_above
+from lensshift.report.page import Page
+from lensshift.report.style import BLUE, GREY, INK, RED, SMALL_PT, new_figure, round_number, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from lensshift.registration.calibrate import ScanFit
+
+Array = NDArray[np.float64]
+
+BUDGET_PX = 0.02
+_MOVE_PX = 0.25
+_MOST_ARROWS = 17
+_NAMES = ("row", "col")
+
+
+def calibration_page(fit: ScanFit, *, psnr_loss_db: float, mtf50_loss: float) -> Page:
+    """Return the page of a calibration.
+
+    Parameters
+    ----------
+    psnr_loss_db, mtf50_loss : what shifts wrong by the rest of this calibration cost
+    """
+    found = fit.calibration
+    sigma_px = found.stage_map.sigma_px
+    page = Page("Calibration of the shift")
+    page.heading("Verdict")
+    good = sigma_px <= BUDGET_PX
+    page.text(
+        f"{'Good enough' if good else 'Not good enough'}: the calibration predicts the shift of a "
+        f"frame to {sigma_px:.4f} px rms along each axis; up to {BUDGET_PX} px is wanted. Shifts "
+        f"wrong by as much cost {psnr_loss_db:.2f} dB PSNR and {100 * mtf50_loss:.1f} % of MTF50."
+    )
+    page.heading("Numbers")
+    page.table(_rows(fit))
+    page.heading("What the calibration does not explain")
+    page.figure(
+        residual_figure(fit),
+        "Registered shift less predicted shift of every frame of the scan: as arrows where the "
+        "stage was, and their spread against the budget.",
+    )
+    page.heading("Time")
+    page.figure(
+        drift_figure(fit),
+        "Shift of the image that the stage did not make, frame after frame; the line is the drift.",
+    )
+    page.heading("Over the sensor")
+    if found.stage_map.field_px_per_mm is None:
+        page.text("The shift is the same everywhere, as far as this scan can tell.")
+    else:
+        page.figure(
+            field_figure(fit),
+            f"How the shift differs from its mean when the stage moves the image by {_MOVE_PX} px "
+            "along one axis.",
+        )
+    return page
+
+
+def residual_figure(fit: ScanFit) -> Figure:
+    """Draw what the calibration leaves: arrows over the stage range, and histograms."""
+    with styled():
+        figure = new_figure(9.0, 3.6)
+        arrows, spread = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+        _draw_arrows(arrows, fit)
+        _draw_spread(spread, fit.residual_px)
+    return figure
+
+
+def drift_figure(fit: ScanFit) -> Figure:
+    """Draw the shift that neither stage nor play explains, over time."""
+    with styled():
+        figure = new_figure(9.0, 2.8)
+        axes = figure.subplots()
+        known = fit.burst.time_s is not None
+        time = np.arange(len(fit.residual_px), dtype=np.float64)
+        if fit.burst.time_s is not None:
+            time = fit.burst.time_s - fit.burst.time_s[0]
+        for axis, colour, marker in ((0, BLUE, "o"), (1, RED, "s")):
+            line = fit.calibration.drift_px_per_s[axis] * (time - time.mean())
+            axes.plot(time, line, color=colour, linewidth=1.2)
+            axes.plot(
+                time, line + fit.residual_px[:, axis], marker, color=colour, markersize=3.5,
+                label=_NAMES[axis],
+            )  # fmt: skip
+        axes.axhline(0.0, color=GREY, linewidth=0.7)
+        axes.set_xlabel("time (s)" if known else "number of the frame")
+        axes.set_ylabel("shift (px)")
+        legend_above(axes, "not made by the stage")
+    return figure
+
+
+def field_figure(fit: ScanFit) -> Figure:
+    """Draw how the shift varies over the sensor for a move along each axis.
+
+    Raises
+    ------
+    ValueError
+        If the calibration has no map over the sensor.
+    """
+    per_mm = fit.calibration.stage_map.field_px_per_mm
+    if per_mm is None:
+        raise ValueError("expected a calibration over the sensor, this one has a single map")
+    mean = per_mm.mean(axis=(0, 1))
+    rows, cols = per_mm.shape[:2]
+    differing = []
+    for axis in (0, 1):
+        move_mm = np.linalg.solve(mean, _MOVE_PX * np.eye(2)[axis])
+        differing.append((per_mm - mean) @ move_mm)
+    largest_px = max(float(np.linalg.norm(one, axis=-1).max()) for one in differing)
+    unit_px = round_number(max(largest_px, 1e-4))
+    step = max(1, int(np.ceil(max(rows, cols) / _MOST_ARROWS)))
+    row, col = np.arange(step // 2, rows, step), np.arange(step // 2, cols, step)
+    beside = rows > cols
+    with styled():
+        high = 4.6 if beside else 1.4 + 2 * 8.4 * rows / cols + 0.9
+        figure = new_figure(9.0, min(high, 9.0))
+        panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
+        for axis, axes in enumerate(panels):
+            part = differing[axis][np.ix_(row, col)]
+            arrows = axes.quiver(
+                *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy",
+                scale_units="xy", scale=unit_px / (1.6 * step), width=0.0022, color=BLUE,
+            )  # fmt: skip
+            axes.quiverkey(
+                arrows, 0.9, 1.06, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
+                fontproperties={"size": SMALL_PT},
+            )  # fmt: skip
+            axes.set(aspect="equal", xlim=(-2, cols + 1), ylim=(rows + 1, -2))
+            axes.set(xlabel="col (px)", ylabel="row (px)")
+            worst_px = float(np.linalg.norm(differing[axis], axis=-1).max())
+            axes.set_title(f"move along {_NAMES[axis]}: up to {worst_px:.4f} px")
+    return figure
+
+
+def _draw_arrows(axes: Axes, fit: ScanFit) -> None:
+    """Draw the residuals as arrows where the stage was."""
+    stage_mm = np.asarray(fit.burst.stage_mm)
+    size_px = np.linalg.norm(fit.residual_px, axis=1)
+    unit_px = round_number(max(float(size_px.max()), 1e-4))
+    span_mm = float(np.ptp(stage_mm, axis=0).max())
+    for sign, colour, label in ((1, BLUE, "col approached upwards"), (-1, RED, "downwards")):
+        here = fit.direction[:, 1] >= 0 if sign > 0 else fit.direction[:, 1] < 0
+        if not np.any(here):
+            continue
+        arrows = axes.quiver(
+            stage_mm[here, 1], stage_mm[here, 0], fit.residual_px[here, 1],
+            fit.residual_px[here, 0], angles="xy", scale_units="xy",
+            scale=unit_px / (0.16 * span_mm), width=0.005, color=colour, label=label,
+        )  # fmt: skip
+        axes.plot(stage_mm[here, 1], stage_mm[here, 0], ".", color=colour, markersize=3.0)
+        if sign > 0:
+            axes.quiverkey(
+                arrows, 0.86, 1.04, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
+                fontproperties={"size": SMALL_PT},
+            )  # fmt: skip
+    axes.set(xlabel="stage, col (mm)", ylabel="stage, row (mm)", aspect="equal")
+    axes.margins(0.15)
+    axes.invert_yaxis()
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
+    axes.set_title("residual")
+
+
+def _draw_spread(axes: Axes, residual_px: Array) -> None:
+    """Draw the histogram of the residuals along both axes, and the budget."""
+    reach_px = max(float(np.abs(residual_px).max()), 1.3 * BUDGET_PX)
+    bins = np.linspace(-reach_px, reach_px, 2 * max(5, round(len(residual_px) ** 0.5)) + 2)
+    for axis, colour in ((0, BLUE), (1, RED)):
+        rms_px = float(np.sqrt(np.mean(residual_px[:, axis] ** 2)))
+        axes.hist(
+            residual_px[:, axis], bins=list(bins), histtype="step", linewidth=1.6, color=colour,
+            label=f"{_NAMES[axis]}, {rms_px:.4f} px rms",
+        )  # fmt: skip
+    for sign in (-1, 1):
+        axes.axvline(sign * BUDGET_PX, color=INK, linestyle="--", linewidth=0.9)
+    axes.set(xlabel=f"residual (px); dashed: {BUDGET_PX} px", ylabel="frames")
+    legend_above(axes, "spread")
+
+
+def _rows(fit: ScanFit) -> list[dict[str, str]]:
+    found = fit.calibration
+    sigma = found.px_per_mm_sigma
+    rows: list[dict[str, str]] = []
+
+    def add(what: str, value: float, error: float | None, unit: str, digits: int = 4) -> None:
+        told = "-" if error is None else f"{error:.{digits}f}"
+        rows.append(
+            {"what": what, "value": f"{value:.{digits}f}", "standard error": told, "unit": unit}
+        )
+
+    for i in (0, 1):
+        for j in (0, 1):
+            error = None if sigma is None else float(sigma[i, j])
+            what = f"image {_NAMES[i]} per stage {_NAMES[j]}"
+            add(what, float(found.stage_map.px_per_mm[i, j]), error, "px per mm")
+    add("rotation of the stage", float(np.rad2deg(found.rotation_rad)), None, "degrees", 3)
+    for i in (0, 1):
+        add(f"cross-talk of stage {_NAMES[i]}", 100 * float(found.cross_talk[i]), None, "%", 2)
+    for i in (0, 1):
+        play, error_mm = found.play_mm[i], found.play_sigma_mm[i]
+        if error_mm > 0:
+            add(f"play of {_NAMES[i]}", 1e3 * float(play), 1e3 * float(error_mm), "um", 2)
+    if fit.burst.time_s is not None:
+        for i in (0, 1):
+            drift, error_px = found.drift_px_per_s[i], found.drift_sigma_px_per_s[i]
+            unit = "px per minute"
+            add(f"drift along {_NAMES[i]}", 60 * float(drift), 60 * float(error_px), unit)
+    if found.psf_sigma_px is not None:
+        add("width of the blur", found.psf_sigma_px, found.psf_sigma_sigma_px, "px", 3)
+    add("residual, rms along each axis", found.stage_map.sigma_px, None, "px")
+    rows.append({"what": "frames", "value": str(fit.burst.frame_count),
+                 "standard error": "-", "unit": ""})  # fmt: skip
+    return rows

@@ -1,0 +1,111 @@
+"""`lensshift register` and `lensshift calibrate`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from lensshift.cli.calibrate import calibrate
+from lensshift.cli.register import register
+from lensshift.core.types import Burst
+from lensshift.io import load_burst, save_burst
+from lensshift.io.calibration_file import load_calibration
+
+OFFSETS = np.array([[0.0, 0.0], [0.3, -0.4], [-0.2, 0.6]])
+
+
+def call(*arguments: object) -> Result:
+    app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+    app.command()(register)
+    app.command()(calibrate)
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def waves(offset_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    rng = np.random.default_rng(2)
+    row, col = np.meshgrid(*map(np.arange, shape), indexing="ij")
+    frames = np.zeros((len(offset_px), *shape))
+    for _ in range(30):
+        f, phase = rng.uniform(-0.3, 0.3, 2), rng.uniform(0, 6.28)
+        for k, (down, right) in enumerate(offset_px):
+            turn = 2 * np.pi * (f[0] * (row - down) + f[1] * (col - right)) + phase
+            frames[k] += np.cos(turn) / (0.1 + np.hypot(*f))
+    return 0.5 + 0.1 * frames / frames.std() + 0.002 * rng.standard_normal(frames.shape)
+
+
+@pytest.fixture
+def burst_file(tmp_path: Path) -> Path:
+    burst = Burst.from_arrays(waves(OFFSETS, (15, 26)), offset_px=np.zeros((3, 2)), pitch_mm=0.1)
+    save_burst(burst, tmp_path / "burst.nc")
+    return tmp_path / "burst.nc"
+
+
+@pytest.fixture
+def scan_file(tmp_path: Path) -> Path:
+    place = np.linspace(-0.5, 0.5, 3)
+    stage = np.array([(row, col) for row in place for col in place])
+    burst = Burst.from_arrays(
+        waves(stage, (15, 26)), offset_px=np.zeros((9, 2)), pitch_mm=0.1, stage_mm=stage / 5.0
+    )
+    save_burst(burst, tmp_path / "scan.nc")
+    return tmp_path / "scan.nc"
+
+
+@pytest.mark.parametrize("method", ["auto", "gradient"])
+def test_register_writes_a_burst(burst_file: Path, method: str) -> None:
+    done = call("register", burst_file, "--method", method)
+    assert done.exit_code == 0, done.output
+    assert "frame      row px      col px" in done.stdout
+    found = load_burst(burst_file.with_name("burst_registered.nc"))
+    np.testing.assert_allclose(found.offset_px, OFFSETS, atol=0.03)
+    assert found.offset_source == "registered"
+
+
+def test_register_as_json_and_refined(burst_file: Path) -> None:
+    target = burst_file.with_name("r.nc")
+    done = call("register", burst_file, "-o", target, "--refine", "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    moved = np.array(said["offset_px"])
+    np.testing.assert_allclose(moved - moved[0], OFFSETS, atol=0.03)
+    assert np.shape(said["offset_sigma_px"]) == (3, 2)
+    assert said["files"] == [str(target)]
+
+
+def test_nothing_is_overwritten(burst_file: Path) -> None:
+    for verb in ("register", "calibrate"):
+        done = call(verb, burst_file, "-o", burst_file)
+        assert done.exit_code == 2
+        assert "would overwrite the input" in done.output
+
+
+def test_errors_are_one_line(burst_file: Path, tmp_path: Path) -> None:
+    done = call("register", burst_file, "--reference", 3)
+    assert (done.exit_code, done.stderr) == (1, "error: expected a reference from 0 to 2, got 3\n")
+    done = call("calibrate", burst_file)
+    assert done.exit_code == 1
+    assert done.stderr.startswith("error: the burst has no stage_mm")
+    assert call("calibrate", tmp_path / "missing.nc").exit_code == 1
+
+
+def test_calibrate_writes_calibration_and_page(scan_file: Path) -> None:
+    target, page = scan_file.with_name("c.json"), scan_file.with_name("c.html")
+    done = call("calibrate", scan_file, "-o", target, "--report", page, "--no-psf", "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    np.testing.assert_allclose(said["px_per_mm"], [[5, 0], [0, 5]], atol=0.15)
+    np.testing.assert_allclose(load_calibration(target).stage_map.px_per_mm, said["px_per_mm"])
+    text = page.read_text()
+    assert text.count("<img") >= 2
+    assert "Good enough" in text
+    assert "image row per stage row" in text
+
+
+@pytest.mark.parametrize("verb", ["register", "calibrate"])
+def test_help_has_examples(verb: str) -> None:
+    done = call(verb, "--help")
+    assert done.exit_code == 0
+    assert f"lensshift {verb}" in done.stdout

@@ -1,0 +1,165 @@
+"""What a scan says of a rig whose faults are known."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rig import Rig
+
+from lensshift.core.calibration import Calibration
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.motion import StageMap
+from lensshift.core.types import Burst
+from lensshift.io.calibration_file import load_calibration, save_calibration
+from lensshift.registration import calibration_scan_mm, fit_scan
+from lensshift.registration.calibrate import ScanFit
+
+RIG = Rig(bending=1.0)
+HALF_SPAN_MM = 0.1
+
+
+@pytest.fixture(scope="module")
+def fit() -> ScanFit:
+    return fit_scan(RIG.scan(), rest_mm=np.array([3.0, 5.0]))
+
+
+def by_hand(rig: Rig, seed: int, *, noise_px: float = 0.004, outlier_px: float = 0.0) -> Burst:
+    """Return a scan whose offsets are registered already, with normal errors."""
+    rng = np.random.default_rng(seed)
+    burst = replace(rig, shape=(4, 5)).scan(seed=seed)
+    asked = burst.stage_commanded_mm
+    assert asked is not None
+    assert burst.time_s is not None
+    load = [asked[0] - 0.5 * rig.play_mm]
+    for place in asked[1:]:
+        load.append(np.clip(load[-1], place - 0.5 * rig.play_mm, place + 0.5 * rig.play_mm))
+    offset = (np.array(load) - (3.0, 5.0)) @ rig.px_per_mm.T
+    offset += rig.drift_px_per_s * burst.time_s[:, None]
+    offset += noise_px * rng.standard_normal(offset.shape)
+    offset[7] += outlier_px
+    return replace(burst, offset_px=offset)
+
+
+def test_map_play_and_drift_are_found(fit: ScanFit) -> None:
+    found = fit.calibration
+    np.testing.assert_allclose(found.stage_map.px_per_mm, RIG.px_per_mm, atol=0.06)
+    np.testing.assert_allclose(found.play_mm, RIG.play_mm, atol=0.0015)
+    np.testing.assert_allclose(found.drift_px_per_s, RIG.drift_px_per_s, atol=2e-4)
+    assert found.stage_map.sigma_px < 0.02
+    assert found.source == "measured"
+
+
+def test_the_map_over_the_sensor_is_found_to_a_two_hundredth_of_a_pixel(fit: ScanFit) -> None:
+    per_mm = fit.calibration.stage_map.field_px_per_mm
+    assert per_mm is not None
+    assert fit.field_order == 2
+    true = RIG.field_px_per_mm()
+    # A quarter of a pixel is a move of about 45 um.
+    wrong_px = (per_mm - true) * (0.25 / 5.5)
+    assert np.sqrt(np.mean(wrong_px**2, axis=(0, 1))).max() < 0.005
+    uniform_px = (true.mean(axis=(0, 1)) - true) * (0.25 / 5.5)
+    assert np.sqrt(np.mean(wrong_px**2)) < 0.6 * np.sqrt(np.mean(uniform_px**2))
+
+
+def test_standard_errors_are_as_large_as_errors() -> None:
+    rig = Rig()
+    wrong = []
+    for seed in range(40):
+        found = fit_scan(by_hand(rig, seed), registered=True, over_sensor=False).calibration
+        assert found.px_per_mm_sigma is not None
+        parts = [
+            (found.stage_map.px_per_mm - rig.px_per_mm) / found.px_per_mm_sigma,
+            (found.play_mm - rig.play_mm)[None] / found.play_sigma_mm,
+            (found.drift_px_per_s - rig.drift_px_per_s)[None] / found.drift_sigma_px_per_s,
+        ]
+        wrong.append(np.concatenate(parts))
+    ratio = np.sqrt(np.mean(np.square(wrong), axis=0))
+    assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
+
+
+def test_one_spoiled_frame_is_left_out() -> None:
+    burst = by_hand(Rig(), 0, outlier_px=1.0)
+    with pytest.warns(QualityWarning, match="px rms unexplained"):
+        found = fit_scan(burst, registered=True, over_sensor=False).calibration
+    np.testing.assert_allclose(found.stage_map.px_per_mm, Rig().px_per_mm, atol=0.15)
+
+
+@given(st.integers(3, 8), st.floats(0.01, 2.0), st.floats(0.01, 2.0))
+def test_a_scan_reaches_every_position_from_both_sides(steps: int, row: float, col: float) -> None:
+    scan = calibration_scan_mm((1.0, -2.0), (row, col), steps=steps)
+    assert len(scan) == 2 * steps**2 + 3
+    np.testing.assert_allclose(scan[[0, len(scan) // 2, -1]], [[1.0, -2.0]] * 3)
+    np.testing.assert_allclose(np.ptp(scan, axis=0), (row, col))
+    raster = len(scan) // 2
+    np.testing.assert_allclose(scan[1:raster], scan[raster + 1 : -1][::-1])
+
+
+def test_mistakes_are_named() -> None:
+    burst = by_hand(Rig(), 0)
+    with pytest.raises(ValueError, match="stage_mm"):
+        fit_scan(replace(burst, stage_mm=None))
+    with pytest.raises(ValueError, match="9 frames"):
+        fit_scan(burst.select(range(4)))
+    line = np.outer(np.arange(burst.frame_count), (1.0, 0.5))
+    with pytest.raises(ValueError, match="both axes"):
+        fit_scan(replace(burst, stage_mm=line))
+    for bad in ({"span_mm": 0.0}, {"span_mm": 1.0, "steps": 2}):
+        with pytest.raises(ValueError, match="expected"):
+            calibration_scan_mm((0, 0), **bad)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="centre_mm"):
+        calibration_scan_mm((0, np.nan), 1.0)
+
+
+def test_calibration_file_there_and_back(tmp_path: Path) -> None:
+    field = np.random.default_rng(0).random((3, 5, 2, 2))
+    said = Calibration(
+        StageMap(np.array([[5.5, 0.1], [0.0, -5.0]]), field, 0.01),
+        np.array([3.0, 5.0]),
+        source="measured",
+        px_per_mm_sigma=np.full((2, 2), 0.02),
+        play_mm=np.array([0.01, 0.0]),
+        psf_sigma_px=0.31,
+        notes={"frames": 21},
+    )
+    save_calibration(said, tmp_path / "c.json")
+    read = load_calibration(tmp_path / "c.json")
+    np.testing.assert_array_equal(read.stage_map.px_per_mm, said.stage_map.px_per_mm)
+    np.testing.assert_array_equal(read.stage_map.field_px_per_mm, field)
+    np.testing.assert_array_equal(read.play_mm, said.play_mm)
+    assert (read.source, read.psf_sigma_px, read.psf_sigma_sigma_px) == ("measured", 0.31, None)
+    assert read.notes == {"frames": 21}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("schema", "other/1", "schema"),
+        ("px_per_mm", [[1.0, 2.0]], "px_per_mm"),
+        ("px_per_mm", [[1.0, 0.0], [1.0, 0.0]], "parallel"),
+        ("rest_mm", "here", "rest_mm: expected numbers"),
+        ("play_mm", None, "play_mm"),
+        ("source", "guess", "source"),
+        ("notes", 3, "notes"),
+    ],
+)
+def test_wrong_fields_are_named(tmp_path: Path, name: str, value: object, said: str) -> None:
+    path = tmp_path / "c.json"
+    save_calibration(Calibration(StageMap(np.eye(2)), np.zeros(2)), path)
+    content = json.loads(path.read_text())
+    content[name] = value
+    path.write_text(json.dumps(content))
+    with pytest.raises(DataError, match=said) as caught:
+        load_calibration(path)
+    assert str(path) in str(caught.value)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    (tmp_path / "c.json").write_text("{")
+    with pytest.raises(DataError, match="no calibration file"):
+        load_calibration(tmp_path / "c.json")
+    with pytest.raises(DataError, match="cannot read"):
+        load_calibration(tmp_path / "missing.json")
