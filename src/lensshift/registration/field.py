@@ -11,7 +11,7 @@ from lensshift.registration.reference_image import reference_image
 Array = NDArray[np.float64]
 
 MAX_ORDER = 2
-_PASSES = 4
+_PASSES = 3
 _BORDER_PX = 1
 # An order is kept if it improves the fit by so many standard errors squared per parameter.
 _SIGNIFICANT = 4.0

@@ -114,7 +114,7 @@ def _fitted(frames: Array, weight: Array, operators: list[Any], start: Array) ->
     direction = residual.copy()
     size = first = float(np.sum(residual**2))
     for _ in range(_PASSES):
-        if size <= 1e-14 * first or size == 0.0:
+        if size <= 1e-9 * first:
             break
         bent = normal(direction)
         length = size / float(np.sum(direction * bent))
