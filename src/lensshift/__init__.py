@@ -58,6 +58,9 @@ if TYPE_CHECKING:
     from lensshift.pipeline import run as run
     from lensshift.reconstruction.methods import method_names as method_names
     from lensshift.reconstruction.reconstruct import reconstruct as reconstruct
+    from lensshift.reconstruction.shift_refinement import refine_shifts as refine_shifts
+    from lensshift.registration import calibrate as calibrate
+    from lensshift.registration import register as register
 
 __version__ = "0.1.0"
 
@@ -94,6 +97,9 @@ _HOME = {
     "simulate_burst": "camera",
     "method_names": "reconstruction.methods",
     "reconstruct": "reconstruction.reconstruct",
+    "refine_shifts": "reconstruction.shift_refinement",
+    "calibrate": "registration",
+    "register": "registration",
 }
 
 __all__ = sorted([*_HOME, "__version__"])

@@ -134,7 +134,6 @@ def acquire_at(
     path: str | Path,
     settings: Acquisition | None = None,
     *,
-    photographed: ArrayLike | None = None,
     direct: bool = False,
     plan_name: str = "",
     resume: bool = False,
@@ -144,16 +143,12 @@ def acquire_at(
 
     Parameters
     ----------
-    photographed : [step] False at positions that are only passed; then the order stays
     direct : go straight from one position to the next, see `Stage.move_to`; then the order stays
     """
     settings = settings or Acquisition()
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)
-    wanted = np.ones(len(positions), dtype=np.bool_)
-    if photographed is not None:
-        wanted &= np.asarray(photographed, dtype=np.bool_)
-    elif settings.reorder and not direct:
+    if settings.reorder and not direct:
         order = shortest_order(positions, settings.approach_mm, stage.position_mm())
         positions = positions[order]
     header = _header(stage, camera, positions, calibration, settings, plan_name)
@@ -161,21 +156,18 @@ def acquire_at(
         positions = np.asarray(file.header["position_mm"])
         each = 1 if settings.average else settings.frames
         taken = [int(one["step"]) for one in file.frames]
-        here = before = -1
-        for number, step in enumerate(np.flatnonzero(wanted).tolist(), start=1):
+        here = -1
+        for step, target in enumerate(positions):
             missing = each - taken.count(step)
-            if missing > 0:
-                if direct:  # a direct move must come from where the scan comes from
-                    for passed in positions[max(before + (before == here), 0) : step]:
-                        stage.move_to(passed, direct=True)
-                for record in _at_position(
-                    stage, camera, positions[step], settings, missing, direct=direct
-                ):
-                    file.append({"step": step, **record, **_offsets(record, calibration)})
-                here = step
-                if on_step is not None:
-                    on_step(_progress(number, int(wanted.sum()), stage, camera, file.frames))
-            before = step
+            if missing <= 0:
+                continue
+            if direct and here != step - 1 and step > 0:  # come from where the scan comes from
+                stage.move_to(positions[step - 1], direct=True)
+            here = step
+            for record in _at_position(stage, camera, target, settings, missing, direct=direct):
+                file.append({"step": step, **record, **_offsets(record, calibration)})
+            if on_step is not None:
+                on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
     burst = burst_of_capture(file.header, file.frames, file.path)
     save_burst(burst, file.path)
     return burst

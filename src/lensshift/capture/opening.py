@@ -96,7 +96,6 @@ class Rig:
     def scan(
         self,
         position_mm: ArrayLike,
-        photographed: ArrayLike,
         path: str | Path,
         *,
         resume: bool = False,
@@ -113,7 +112,6 @@ class Rig:
             self.calibration,
             path,
             self.acquisition,
-            photographed=photographed,
             direct=True,
             plan_name="scan",
             resume=resume,

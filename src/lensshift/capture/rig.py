@@ -38,7 +38,10 @@ class Stage(Protocol):
     Axis `row` is the one that moves the image mostly along rows (up and down).
     """
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What the stage is called in messages."""
+        ...
 
     @property
     def travel_mm(self) -> NDArray[np.float64]:
@@ -84,7 +87,10 @@ class Camera(Protocol):
     dropped, oldest first, and counted.
     """
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What the camera is called in messages."""
+        ...
 
     @property
     def grid(self) -> Grid:

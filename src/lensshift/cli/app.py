@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from lensshift.cli.calibrate import calibrate
 from lensshift.cli.capture import capture
 from lensshift.cli.convert import convert
 from lensshift.cli.emulate import emulate
@@ -13,6 +14,7 @@ from lensshift.cli.evaluate import evaluate
 from lensshift.cli.info import info
 from lensshift.cli.lens import lens_verbs
 from lensshift.cli.reconstruct import reconstruct
+from lensshift.cli.register import register
 from lensshift.cli.reproduce import reproduce
 from lensshift.cli.run import run
 from lensshift.cli.simulate import simulate
@@ -53,6 +55,8 @@ app.command()(run)
 app.command()(simulate)
 app.command()(reproduce)
 app.command()(capture)
+app.command()(register)
+app.command()(calibrate)
 app.command()(reconstruct)
 app.command()(convert)
 app.command()(info)

@@ -61,7 +61,7 @@ def capture(
     discard: DiscardOption = None,
     calibration: CalibrationOption = None,
     scan: ScanOption = False,
-    span_um: SpanOption = 160.0,
+    span_um: SpanOption = 300.0,
     resume: ResumeOption = False,
     continuous: ContinuousOption = False,
     burst_count: CountOption = None,
@@ -142,8 +142,8 @@ def _take(
         return rig.capture(plan, out, resume=resume, on_step=show)
     from lensshift.registration import calibration_scan_mm
 
-    places, photographed = calibration_scan_mm(rig.calibration.rest_mm, 1e-3 * span_um)
-    return rig.scan(places, photographed, out, resume=resume, on_step=show)
+    places = calibration_scan_mm(rig.calibration.rest_mm, 1e-3 * span_um)
+    return rig.scan(places, out, resume=resume, on_step=show)
 
 
 def _stream(

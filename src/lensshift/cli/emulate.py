@@ -24,7 +24,7 @@ SpeedOption = Annotated[float, typer.Option(min=0.1, help="Of the stages, times 
 PlayOption = Annotated[float, typer.Option("--play-um", min=0.0, help="Play of the stages.")]
 NoiseOption = Annotated[float, typer.Option("--noise-um", min=0.0, help="Noise of the encoders.")]
 StageLossOption = Annotated[
-    float, typer.Option("--stage-loss", min=0.0, max=0.5, help="Share of damaged stage messages.")
+    float, typer.Option("--message-loss", min=0.0, max=0.5, help="Share of damaged stage messages.")
 ]
 PacketLossOption = Annotated[
     float, typer.Option("--packet-loss", min=0.0, max=0.9, help="Share of lost camera packets.")
@@ -48,7 +48,7 @@ def rig(
     speed: SpeedOption = 1.0,
     play_um: PlayOption = 6.0,
     noise_um: NoiseOption = 1.0,
-    stage_loss: StageLossOption = 0.02,
+    message_loss: StageLossOption = 0.02,
     packet_loss: PacketLossOption = 0.01,
     reorder: ReorderOption = 0.01,
     seconds: SecondsOption = None,
@@ -70,7 +70,7 @@ def rig(
             scene=_scene(scene),
             play_mm=1e-3 * play_um,
             encoder_noise_mm=1e-3 * noise_um,
-            stage_loss=stage_loss,
+            message_loss=message_loss,
             packet_loss=packet_loss,
             reorder=reorder,
             rate_hz=rate_hz,

@@ -17,6 +17,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
@@ -75,14 +76,13 @@ class CaptureWriter:
             raise DataError(problem, source=path) from error
         except OSError as error:
             raise DataError(f"cannot write: {error.strerror}", source=path) from error
-        writer = cls(target, file, header, [])
-        try:
+        with ExitStack() as undo:
+            undo.callback(target.unlink, missing_ok=True)
+            undo.callback(file.close)
             _lock(file, target)
+            writer = cls(target, file, header, [])
             writer._write(payload)
-        except BaseException:
-            writer.close()
-            target.unlink(missing_ok=True)
-            raise
+            undo.pop_all()
         return writer
 
     @classmethod
@@ -101,14 +101,13 @@ class CaptureWriter:
             file = target.open("r+b", buffering=0)
         except OSError as error:
             raise DataError(f"cannot write: {error.strerror}", source=path) from error
-        try:
+        with ExitStack() as undo:
+            undo.callback(file.close)
             _lock(file, target)
             header, frames, length = _records(target)
             file.truncate(length)
             file.seek(length)
-        except BaseException:
-            file.close()
-            raise
+            undo.pop_all()
         return cls(target, file, header, frames)
 
     def append(self, record: Mapping[str, Any]) -> None:

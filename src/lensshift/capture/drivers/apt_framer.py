@@ -58,8 +58,7 @@ class Framer:
         found, at = [], 0
         while len(self._held) > at:
             size = self._size(self._held[at : at + HEADER_BYTES])
-            whole = size is not None and 0 < size <= len(self._held) - at
-            if whole:
+            if size is not None and 0 < size <= len(self._held) - at:
                 found.append(self._message(self._held[at : at + size]))
                 at += size
                 self._lost = False

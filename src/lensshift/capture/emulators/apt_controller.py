@@ -76,6 +76,8 @@ class AptController:
         self._lock = threading.RLock()
         self._began_s = time.monotonic()
         self._motion = Motion(self._counts(start_mm), self._counts(play_mm))
+        self._flags: int = Bits.CONNECTED
+        self._arrival: Id | None = None  # what to say when the motor stands
         self._answers: dict[int, Callable[[Message], bytes]] = {
             Id.REQUEST_INFO: lambda _: self._say(Id.INFO, self.info.pack()),
             Id.SET_ENABLED: self._set_enabled,
@@ -127,7 +129,7 @@ class AptController:
             self._flags = Bits.CONNECTED
             self._enabled_s = 0.0
             self._hung = False
-            self._arrival: Id | None = None  # what to say when the motor stands
+            self._arrival = None
             self._framer = Framer(apt.TO_CONTROLLER, destination=apt.CONTROLLER, source=apt.HOST)
             slow = apt.servo_velocity(self._counts(1.0))
             acceleration = apt.servo_acceleration(self._counts(1.0))

@@ -46,7 +46,7 @@ class RigSettings:
     field_share : how much more the image shifts at the ends of the sensor than in the middle
     rest_mm : [2] lens position of no shift
     play_mm, encoder_noise_mm : of the stages
-    stage_loss : share of the messages of the stages that lose a byte
+    message_loss : share of the messages of the stages that lose a byte
     packet_loss, reorder : share of the packets of the camera
     rate_hz : frames per second
     speed : of the stages, times their own
@@ -60,7 +60,7 @@ class RigSettings:
     rest_mm: Array = field(default_factory=lambda: np.array([3.0, 3.0]))
     play_mm: float = 0.006
     encoder_noise_mm: float = 0.001
-    stage_loss: float = 0.02
+    message_loss: float = 0.02
     packet_loss: float = 0.01
     reorder: float = 0.01
     rate_hz: float = 25.0
@@ -84,6 +84,7 @@ class EmulatedWorld:
         rows, cols = (np.linspace(-1.0, 1.0, count) for count in settings.camera.grid.shape)
         radius = np.hypot(*np.meshgrid(rows * len(rows) / len(cols), cols, indexing="ij"))
         self._share = (1.0 + settings.field_share * radius**2)[..., None]
+        self.running.frame([[0.0, 0.0]], np.random.default_rng(0))  # compile before the first one
 
     def offset_px(self, lens_mm: Array) -> Array:
         """Return the true image offset [row col 2] for a lens position [2]."""
@@ -117,7 +118,7 @@ class EmulatedRig:
         self.stages = EmulatedStagePair(
             play_mm=one.play_mm,
             encoder_noise_mm=one.encoder_noise_mm,
-            loss=one.stage_loss,
+            loss=one.message_loss,
             speed=one.speed,
             seed=one.seed,
         )

@@ -1,0 +1,309 @@
+"""The whole chain with a rig: calibrate, capture, reconstruct, compare; here an emulated one."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.capture.acquire import Acquisition, Progress
+from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
+from lensshift.capture.opening import nominal_calibration, open_rig
+from lensshift.capture.plan import named_plan
+from lensshift.core.calibration import Calibration
+from lensshift.core.types import Burst, Reconstruction, ShiftField
+from lensshift.evaluation import fidelity
+from lensshift.io import save_burst, save_reconstruction
+from lensshift.io.calibration_file import save_calibration
+from lensshift.pipeline.calibrate import calibrate_rig
+from lensshift.pipeline.experiment import images_of
+from lensshift.pipeline.run import made_folder, writable_folder
+from lensshift.reconstruction.methods import find_method
+from lensshift.reconstruction.reconstruct import reconstruct
+from lensshift.registration import calibration_scan_mm
+
+Array = NDArray[Any]
+
+SCAN_SPAN_MM = 0.3  # 1.7 px: the longer, the better the map is known
+_SCAN_STEPS = 3  # along each axis, from both sides: 21 positions
+_SCAN_FRAMES = 6
+_FRAMES = 8
+_PATIENCE_S = 20.0
+EMULATED_SPEED = 10.0  # of the emulated stages: only waiting gets shorter
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigSummary:
+    """What a run with an emulated rig gave.
+
+    Parameters
+    ----------
+    files : what was written
+    calibration : measured by the scan
+    shift_rms_px : rms error of the shifts of the burst, common offset left out, by what the
+        emulator knows: with the nominal map, with the calibration in the middle of the sensor,
+        and with the calibration over the sensor
+    fidelity : name -> psnr_db, ssim, rmse of the amplitude against the truth
+    loss_db : PSNR with perfect shifts minus PSNR with calibrated ones
+    counts : what the camera got and lost
+    seconds : for everything
+    """
+
+    files: tuple[Path, ...]
+    calibration: Calibration
+    reconstruction: Reconstruction
+    shift_rms_px: dict[str, float]
+    fidelity: dict[str, dict[str, float]]
+    loss_db: float
+    counts: dict[str, int]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Taken:
+    """Burst and scan, and where the image really was: [frame row col 2] for the burst."""
+
+    scan: Burst
+    burst: Burst
+    calibration: Calibration
+    true_px: Array
+    counts: dict[str, int]
+
+
+def run_emulated(
+    out_dir: str | Path,
+    settings: RigSettings | None = None,
+    *,
+    scale: int = 2,
+    method: str = "auto",
+    plan: str = "square",
+    on_step: Callable[[str, Progress], None] | None = None,
+) -> RigSummary:
+    """Start an emulated rig, calibrate it, capture over the real protocols, reconstruct, compare.
+
+    Drivers, protocols, acquisition and calibration are those of a real rig; only the emulator
+    knows where the image really was.
+
+    Parameters
+    ----------
+    out_dir : folder for scan.nc, calibration.json and .html, burst.nc, result.nc and preview.png
+    settings : of the emulated rig
+    on_step : called with what is being done ("scan", "burst") and how far it is
+
+    Raises
+    ------
+    DataError
+        If the folder or a file cannot be written.
+    DeviceError
+        If an emulated device fails.
+    ValueError
+        If there is no such method or plan.
+    """
+    start_s = time.perf_counter()
+    find_method(method)
+    named_plan(plan)
+    folder = made_folder(writable_folder(out_dir))
+    settings = settings or RigSettings(speed=EMULATED_SPEED)
+    port = _free_port()
+    with EmulatedRig(settings, camera_port=port) as emulated:
+        taken = _take(emulated, port, folder, plan, on_step)
+        # The origin of the image is where the calibration says that the offset is zero.
+        assumed_px = _assumed(taken)
+        origin_px = (taken.true_px - assumed_px).mean(axis=(0, 1, 2))
+        truth = emulated.world.running.truth(scale, origin_px)[0]
+    results = _reconstructions(taken, assumed_px, origin_px, scale, method)
+    fidelities = {
+        name: asdict(fidelity(images_of(result)["amplitude"], truth))
+        for name, result in results.items()
+    }
+    calibrated = results[f"{method}, calibrated shifts"]
+    files = _write(folder, taken, results, truth)
+    perfect_db = fidelities[f"{method}, perfect shifts"]["psnr_db"]
+    return RigSummary(
+        files=files,
+        calibration=taken.calibration,
+        reconstruction=calibrated,
+        shift_rms_px=_shift_errors(taken, assumed_px),
+        fidelity=fidelities,
+        loss_db=perfect_db - fidelities[f"{method}, calibrated shifts"]["psnr_db"],
+        counts=taken.counts,
+        seconds=time.perf_counter() - start_s,
+    )
+
+
+def run_bench(
+    rig_file: str | Path,
+    out_dir: str | Path,
+    *,
+    scale: int = 2,
+    method: str = "auto",
+    plan: str = "square",
+    on_step: Callable[[str, Progress], None] | None = None,
+) -> tuple[Reconstruction, tuple[Path, ...]]:
+    """Capture a burst with a rig and reconstruct it; return the result and the files written.
+
+    Parameters
+    ----------
+    rig_file : TOML, see `lensshift.capture.opening.open_rig`
+    out_dir : folder for burst.nc, result.nc and preview.png
+    on_step : called with "burst" and how far it is
+
+    Raises
+    ------
+    DataError, DeviceError, ValueError
+        As `open_rig`, `acquire` and `reconstruct`.
+    """
+    from lensshift.report.save import save_figure
+    from lensshift.report.shots import shots_figure
+
+    find_method(method)
+    folder = made_folder(writable_folder(out_dir))
+    names = ("burst.nc", "result.nc", "preview.png")
+    burst_file, result_file, preview = files = tuple(folder / name for name in names)
+    with open_rig(rig_file) as rig:
+        told = None if on_step is None else partial(on_step, "burst")
+        burst = rig.capture(plan, burst_file, on_step=told)
+        field = None
+        if rig.calibration.stage_map.field_px_per_mm is not None and burst.stage_mm is not None:
+            field = rig.calibration.shift_field(burst.stage_mm)
+    result = reconstruct(burst, scale, method, shift_field=field)
+    save_reconstruction(result, result_file)
+    bicubic = reconstruct(burst, scale, "bicubic", std=False)
+    shown = {"bicubic": images_of(bicubic), method: images_of(result)}
+    save_figure(shots_figure(shown, f"{burst.frame_count} frames"), preview)
+    return result, files
+
+
+def _take(
+    emulated: EmulatedRig,
+    port: int,
+    folder: Path,
+    plan: str,
+    on_step: Callable[[str, Progress], None] | None,
+) -> _Taken:
+    """Scan and calibrate with the nominal map, then take the burst with the measured one."""
+    true: dict[str, list[Array]] = {"scan": [], "burst": []}
+
+    def stepped(name: str) -> Callable[[Progress], None]:
+        def note(progress: Progress) -> None:
+            lens_mm = emulated.stages.lens_mm(time.monotonic())
+            true[name].append(emulated.true_offset_px(lens_mm))
+            if on_step is not None:
+                on_step(name, progress)
+
+        return note
+
+    files = {name: folder / f"{name}.nc" for name in ("scan", "burst")}
+    for file in files.values():
+        file.unlink(missing_ok=True)
+    with open_rig(_description(emulated, port)) as rig:
+        rig.acquisition = Acquisition(_SCAN_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
+        places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=_SCAN_STEPS)
+        scan = rig.scan(places, files["scan"], on_step=stepped("scan"))
+        found = calibrate_rig(scan, report=folder / "calibration.html")
+        rig.calibration = found.calibration
+        rig.acquisition = Acquisition(_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
+        burst = rig.capture(plan, files["burst"], on_step=stepped("burst"))
+        return _Taken(
+            scan, burst, rig.calibration, np.stack(true["burst"]), dict(rig.camera.counts())
+        )
+
+
+def _description(emulated: EmulatedRig, port: int) -> dict[str, Any]:
+    """Return the rig file of the emulated devices; its map is what a designer would expect."""
+    row, col = emulated.stages.urls
+    settings = emulated.settings
+    return {
+        "stage": {
+            "row": row,
+            "col": col,
+            "enable_wait_s": 0.1,
+            "timeout_margin_s": 10.0,  # a busy computer emulates and drives
+            "tolerance_mm": max(0.001, 5.0 * settings.encoder_noise_mm),
+        },
+        "camera": {
+            "kind": "o3m",
+            "port": port,
+            "host": "127.0.0.1",
+            "modulation_hz": settings.camera.illumination.modulation_hz[0],
+        },
+        "calibration": {"rest_mm": settings.rest_mm.tolist()},
+    }
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        return int(udp.getsockname()[1])
+
+
+def _assumed(taken: _Taken) -> Array:
+    """Return the offsets [frame row col 2] that the reconstruction is told."""
+    burst = taken.burst
+    if taken.calibration.stage_map.field_px_per_mm is None or burst.stage_mm is None:
+        per_frame = burst.offset_px[:, None, None, :]
+        return np.broadcast_to(per_frame, (burst.frame_count, *burst.grid.shape, 2))
+    return taken.calibration.shift_field(burst.stage_mm).offset_px
+
+
+def _reconstructions(
+    taken: _Taken, assumed_px: Array, origin_px: Array, scale: int, method: str
+) -> dict[str, Reconstruction]:
+    def with_shifts(offset_px: Array) -> Reconstruction:
+        burst = replace(taken.burst, offset_px=offset_px.mean(axis=(1, 2)))
+        return reconstruct(
+            burst, scale, method, channel="amplitude", shift_field=ShiftField(offset_px)
+        )
+
+    return {
+        "bicubic": reconstruct(taken.burst, scale, "bicubic", channel="amplitude", std=False),
+        f"{method}, calibrated shifts": with_shifts(assumed_px),
+        f"{method}, perfect shifts": with_shifts(taken.true_px - origin_px),
+    }
+
+
+def _shift_errors(taken: _Taken, assumed_px: Array) -> dict[str, float]:
+    """Return rms errors over frames (and pixels), the common offset left out."""
+    rows, cols = taken.burst.grid.shape
+    middle_px = taken.true_px[:, rows // 2, cols // 2]
+    nominal = nominal_calibration(rest_mm=taken.calibration.rest_mm)
+    read_mm = np.asarray(taken.burst.stage_mm)
+    told = {
+        "nominal": (nominal.offset_px(read_mm), middle_px),
+        "calibrated": (taken.burst.offset_px, middle_px),
+        "calibrated over the sensor": (assumed_px, taken.true_px),
+    }
+    errors = {}
+    for name, (offset_px, true_px) in told.items():
+        error = offset_px - true_px
+        error = error - error.reshape(-1, 2).mean(axis=0)
+        errors[name] = float(np.sqrt(np.mean(error**2)))
+    return errors
+
+
+def _write(
+    folder: Path, taken: _Taken, results: dict[str, Reconstruction], truth: Array
+) -> tuple[Path, ...]:
+    from lensshift.report.save import save_figure
+    from lensshift.report.shots import shots_figure
+
+    names = ("scan.nc", "burst.nc", "calibration.json", "result.nc", "preview.png")
+    scan, burst, calibration, result, preview = files = tuple(folder / name for name in names)
+    files = (*files, folder / "calibration.html")
+    save_burst(taken.scan, scan)
+    save_burst(taken.burst, burst)
+    save_calibration(taken.calibration, calibration)
+    calibrated = next(one for name, one in results.items() if "calibrated" in name)
+    save_reconstruction(calibrated, result)
+    shown = {name: images_of(one) for name, one in results.items()}
+    shown["truth"] = {"amplitude": truth}
+    title = f"emulated rig: {taken.burst.frame_count} frames"
+    save_figure(shots_figure(shown, title), preview)
+    return files
