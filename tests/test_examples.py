@@ -35,3 +35,11 @@ def test_eia_chart_predicts_the_other_frames(reference_dir: Path, tmp_path: Path
     assert rms["auto"] < rms["shift-and-add"] < rms["bicubic"]
     with Image.open(picture) as drawn:
         assert np.asarray(drawn).std() > 20
+
+
+@pytest.mark.slow
+def test_own_camera_captures_a_burst(tmp_path: Path) -> None:
+    lines = run_example(EXAMPLES / "own_camera.py", tmp_path).splitlines()
+    assert lines[0].startswith("4 frames")
+    assert lines[-1] == "auto x2: 32 x 128 px"
+    assert (tmp_path / "burst.nc").exists()

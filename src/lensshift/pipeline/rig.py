@@ -32,7 +32,7 @@ from lensshift.registration import calibration_scan_mm
 Array = NDArray[Any]
 
 SCAN_SPAN_MM = 0.3  # 1.7 px: the longer, the better the map is known
-_SCAN_STEPS = 3  # along each axis, from both sides: 21 positions
+_SCAN_STEPS = 4  # along each axis, from both sides: 35 positions
 _SCAN_FRAMES = 6
 _FRAMES = 8
 _PATIENCE_S = 20.0

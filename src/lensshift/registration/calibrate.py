@@ -139,7 +139,9 @@ def _registered(burst: Burst, *, photometric: bool) -> Burst:
     """Return the scan with registered offsets; how good they are, the fit will tell."""
     frames = frames_of(burst, "amplitude")
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
-    start_px = phase_shifts(filled(frames, valid), 0)
+    start_px = burst.offset_px - burst.offset_px[0]
+    if not np.any(start_px):  # nobody said where the frames are
+        start_px = phase_shifts(filled(frames, valid), 0)
     found = likely_shifts(frames, valid, start_px, photometric=photometric)
     return replace(
         burst,
