@@ -3,18 +3,21 @@
 import json
 import socket
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lensshift import load_burst, open_rig
+from lensshift import Burst, Calibration, load_burst, load_reconstruction, open_rig, save_burst
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
 from lensshift.capture.opening import EXAMPLE
 from lensshift.core.errors import DataError
+from lensshift.core.motion import StageMap
 from lensshift.core.types import Frame
+from lensshift.io.calibration_file import save_calibration
 
 Call = Callable[..., Any]
 SHAPE = (16, 64)
@@ -159,3 +162,26 @@ def test_devices_are_emulated_until_told(call: Call, arguments: tuple[object, ..
 
 def test_emulated_links_that_do_not_exist(call: Call) -> None:
     assert call("emulate", "stage", "--link", "wire").exit_code == 2
+
+
+def test_reconstruct_takes_the_shifts_of_a_calibration(call: Call, tmp_path: Path) -> None:
+    stage_mm = 3.0 + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.1, 0.1]])
+    frames = np.random.default_rng(0).random((4, 7, 9))
+    burst = Burst.from_arrays(frames, offset_px=np.zeros((4, 2)), pitch_mm=0.1, stage_mm=stage_mm)
+    save_burst(burst, tmp_path / "burst.nc")
+    calibration = Calibration(StageMap(5.0 * np.eye(2)), np.array([3.0, 3.0]), source="measured")
+    save_calibration(calibration, tmp_path / "rig.json")
+    shifted = replace(burst, offset_px=5.0 * (stage_mm - 3.0), offset_source="calibrated")
+    save_burst(shifted, tmp_path / "told.nc")
+    options = ("--method", "shift-and-add", "-o")
+    done = call(
+        "reconstruct", tmp_path / "burst.nc", "--calibration", tmp_path / "rig.json",
+        *options, tmp_path / "a.nc",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "offsets calibrated" in done.stdout
+    assert call("reconstruct", tmp_path / "told.nc", *options, tmp_path / "b.nc").exit_code == 0
+    images = [load_reconstruction(tmp_path / name).amplitude for name in ("a.nc", "b.nc")]
+    assert images[0] is not None
+    assert images[1] is not None
+    np.testing.assert_allclose(images[0].image, images[1].image)

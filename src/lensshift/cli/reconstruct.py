@@ -72,6 +72,10 @@ ShiftMapOption = Annotated[
     Path | None,
     typer.Option("--shift-map", help="Shift of every pixel, from `lensshift lens shiftmap`."),
 ]
+CalibrationOption = Annotated[
+    Path | None,
+    typer.Option("--calibration", help="From `lensshift calibrate`: shifts from stage positions."),
+]
 ExportOption = Annotated[
     list[Path] | None, typer.Option("--export", help="Also write .tif, .png or .npz; repeatable.")
 ]
@@ -92,6 +96,7 @@ def reconstruct(
     photometric: PhotometricOption = False,
     seed: SeedOption = 0,
     shift_map: ShiftMapOption = None,
+    calibration: CalibrationOption = None,
     export: ExportOption = None,
     offsets: OffsetsOption = None,
     pitch_mm: PitchOption = None,
@@ -120,11 +125,18 @@ def reconstruct(
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
         files = _plan(burst, offsets, out, export or [], scale)
+        if shift_map is not None and calibration is not None:
+            raise typer.BadParameter("--shift-map and --calibration both say where the image lies")
+        frames_in = load_input_burst(burst, stack)
         if shift_map is not None:
             from lensshift.io import load_shift_field
 
             settings["shift_field"] = load_shift_field(shift_map)
-        _reconstruct(current, burst, load_input_burst(burst, stack), settings, files)
+        if calibration is not None:
+            from lensshift.io.calibration_file import load_calibration
+
+            frames_in, settings["shift_field"] = load_calibration(calibration).applied_to(frames_in)
+        _reconstruct(current, burst, frames_in, settings, files)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.motion import ShiftField, StageMap
+from lensshift.core.types import Burst
 
 Array = NDArray[np.float64]
 
@@ -100,3 +101,28 @@ class Calibration:
             raise ValueError("expected a calibration over the sensor, this one has a single map")
         away_mm = np.atleast_2d(np.asarray(stage_mm, dtype=np.float64)) - self.rest_mm
         return ShiftField(np.einsum("rcij,fj->frci", per_mm, away_mm))
+
+    def applied_to(self, burst: Burst) -> tuple[Burst, ShiftField | None]:
+        """Return the burst with the offsets of its stage positions, and those of every pixel.
+
+        Raises
+        ------
+        ValueError
+            If the burst has no stage positions, or another sensor than the calibration.
+        """
+        if burst.stage_mm is None:
+            raise ValueError("expected a burst with stage positions for a calibration")
+        told = replace(
+            burst,
+            offset_px=self.offset_px(burst.stage_mm),
+            offset_sigma_px=np.full((burst.frame_count, 2), self.stage_map.sigma_px),
+            offset_source=self.offset_source,
+        )
+        per_mm = self.stage_map.field_px_per_mm
+        if per_mm is None:
+            return told, None
+        if per_mm.shape[:2] != burst.grid.shape:
+            raise ValueError(
+                f"expected a calibration of {burst.grid.shape} pixels, got {per_mm.shape[:2]}"
+            )
+        return told, self.shift_field(burst.stage_mm)

@@ -170,9 +170,7 @@ def run_bench(
     with open_rig(rig_file) as rig:
         told = None if on_step is None else partial(on_step, "burst")
         burst = rig.capture(plan, burst_file, on_step=told)
-        field = None
-        if rig.calibration.stage_map.field_px_per_mm is not None and burst.stage_mm is not None:
-            field = rig.calibration.shift_field(burst.stage_mm)
+        burst, field = rig.calibration.applied_to(burst)
     result = reconstruct(burst, scale, method, shift_field=field)
     save_reconstruction(result, result_file)
     bicubic = reconstruct(burst, scale, "bicubic", std=False)
@@ -246,11 +244,11 @@ def _free_port() -> int:
 
 def _assumed(taken: _Taken) -> Array:
     """Return the offsets [frame row col 2] that the reconstruction is told."""
-    burst = taken.burst
-    if taken.calibration.stage_map.field_px_per_mm is None or burst.stage_mm is None:
-        per_frame = burst.offset_px[:, None, None, :]
-        return np.broadcast_to(per_frame, (burst.frame_count, *burst.grid.shape, 2))
-    return taken.calibration.shift_field(burst.stage_mm).offset_px
+    burst, field = taken.calibration.applied_to(taken.burst)
+    if field is not None:
+        return field.offset_px
+    per_frame = burst.offset_px[:, None, None, :]
+    return np.broadcast_to(per_frame, (burst.frame_count, *burst.grid.shape, 2))
 
 
 def _reconstructions(

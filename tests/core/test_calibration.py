@@ -1,0 +1,87 @@
+"""A calibration leads from the stage to the image and back, and tells a burst where it lies."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lensshift.core.calibration import Calibration
+from lensshift.core.motion import StageMap
+from lensshift.core.types import Burst
+
+SHAPE = (3, 5)
+REST_MM = np.array([3.0, 2.0])
+FIELD = np.broadcast_to(np.diag([5.0, -6.0]), (*SHAPE, 2, 2)) * np.linspace(
+    0.9, 1.1, SHAPE[1]
+).reshape(1, -1, 1, 1)
+
+
+def turned(angle_rad: float, row: float = 5.0, col: float = 6.0) -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]]) @ np.diag([row, col])
+
+
+def burst(stage_mm: np.ndarray | None) -> Burst:
+    frames = np.ones((2, *SHAPE))
+    return Burst.from_arrays(frames, offset_px=np.zeros((2, 2)), pitch_mm=0.1, stage_mm=stage_mm)
+
+
+@given(
+    st.floats(-0.7, 0.7),
+    st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), min_size=1, max_size=5),
+)
+def test_there_and_back(angle_rad: float, offset: list[tuple[float, float]]) -> None:
+    calibration = Calibration(StageMap(turned(angle_rad)), REST_MM)
+    stage_mm = calibration.stage_mm(offset)
+    np.testing.assert_allclose(calibration.offset_px(stage_mm), offset, atol=1e-12)
+    np.testing.assert_allclose(calibration.offset_px(REST_MM), 0.0, atol=1e-15)
+
+
+@given(st.floats(-0.7, 0.7))
+def test_rotation_and_cross_talk_of_equal_axes(angle_rad: float) -> None:
+    calibration = Calibration(StageMap(turned(angle_rad, 5.0, 5.0)), REST_MM)
+    assert calibration.rotation_rad == pytest.approx(angle_rad, abs=1e-12)
+    np.testing.assert_allclose(
+        calibration.cross_talk, [np.tan(angle_rad), -np.tan(angle_rad)], atol=1e-12
+    )
+
+
+def test_a_burst_is_told_where_it_lies() -> None:
+    stage_mm = np.add(REST_MM, [[0.1, 0.0], [0.0, 0.2]])
+    calibration = Calibration(
+        StageMap(np.diag([5.0, -6.0]), FIELD, sigma_px=0.01), REST_MM, source="measured"
+    )
+    told, field = calibration.applied_to(burst(stage_mm))
+    np.testing.assert_allclose(told.offset_px, [[0.5, 0.0], [0.0, -1.2]])
+    assert told.offset_source == "calibrated"
+    np.testing.assert_array_equal(told.offset_sigma_px, 0.01)
+    assert field is not None
+    np.testing.assert_allclose(field.offset_px[0, 1, 0], [0.45, 0.0])
+    np.testing.assert_allclose(field.offset_px[1, 2, 4], [0.0, -1.32])
+    plain = Calibration(StageMap(np.diag([5.0, -6.0])), REST_MM)
+    told, field = plain.applied_to(burst(stage_mm))
+    assert field is None
+    assert told.offset_source == "planned"
+
+
+def test_a_burst_that_does_not_fit() -> None:
+    calibration = Calibration(StageMap(np.diag([5.0, 5.0]), FIELD[:2]), REST_MM)
+    with pytest.raises(ValueError, match="expected a burst with stage positions"):
+        calibration.applied_to(burst(None))
+    with pytest.raises(ValueError, match=r"expected a calibration of \(3, 5\) pixels"):
+        calibration.applied_to(burst(np.zeros((2, 2))))
+    with pytest.raises(ValueError, match="single map"):
+        Calibration(StageMap(np.eye(2)), REST_MM).shift_field([[0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "rest", "message"),
+    [
+        (np.ones((2, 2)), REST_MM, "axes are not parallel"),
+        (np.eye(2), np.array([1.0, np.nan]), "two finite numbers rest_mm"),
+        (np.eye(2), np.ones(3), "two finite numbers rest_mm"),
+    ],
+)
+def test_no_calibration(matrix: np.ndarray, rest: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Calibration(StageMap(matrix), rest)
