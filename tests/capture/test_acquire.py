@@ -29,7 +29,7 @@ CALIBRATION = Calibration(StageMap(np.array([[5.6, 0.1], [-0.1, -5.5]]), sigma_p
 
 @dataclass
 class MemoryStage:
-    name: str = "stage"
+    name: str = "stage 1, stage 2"
     place_mm: NDArray[Any] = field(default_factory=lambda: np.array([3.0, 2.5]))
     visited: list[NDArray[Any]] = field(default_factory=list)
     direct: list[bool] = field(default_factory=list)
@@ -44,7 +44,7 @@ class MemoryStage:
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[Any]:
         if self.fails_at == len(self.visited):
-            raise DeviceError("motion error", device=self.name, command="move")
+            raise DeviceError("motion error", device="stage 1", command="move")
         self.place_mm = np.array(position_mm, dtype=float)
         self.visited.append(self.place_mm)
         self.direct.append(direct)
@@ -122,6 +122,7 @@ def test_every_kept_frame_began_after_the_stage_had_settled(
     burst = acquire(stage, camera, plan, CALIBRATION, path, Acquisition(frames=frames))
     assert burst.frame_count == 4 * frames
     np.testing.assert_array_equal(burst.distance_m[:, 0, 0], burst.stage_mm[:, 1])  # type: ignore[index]
+    np.testing.assert_array_equal(burst.raw["cycle"], burst.raw["cycle_word"][:, 0])
     cycles = burst.raw["cycle_word"][:, 0]
     np.testing.assert_allclose(
         burst.amplitude[:, 0, 1],

@@ -75,6 +75,17 @@ def test_one_burst_after_another(call: Call, rig_file: Path, tmp_path: Path) -> 
         assert load_burst(tmp_path / name).frame_count == 2
 
 
+def test_capture_and_reconstruct_in_one_go(call: Call, rig_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    done = call("run", "--rig", rig_file, "--method", "shift-and-add", "--out", out, "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["method"] == "shift-and-add"
+    for name in ("burst.nc", "result.nc", "preview.png"):
+        assert (out / name).stat().st_size > 0
+    assert call("run", "--rig", tmp_path / "none.toml").exit_code == 2
+    assert call("run", rig_file, "--rig", "emulated").exit_code == 2
+
+
 def test_what_a_rig_answers(call: Call, rig_file: Path) -> None:
     done = call("info", rig_file, "--json")
     assert done.exit_code == 0, done.output

@@ -211,7 +211,7 @@ def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
         yield
         finished = True
     except DeviceError as error:
-        failed = error.device == stage.name
+        failed = bool(error.device) and error.device in stage.name  # or one of its axes
         raise
     finally:
         if not finished:
@@ -348,7 +348,7 @@ def _record(shot: CameraFrame, here_mm: Array, target_mm: Array) -> dict[str, An
         "valid": frame.valid,
         "time_s": frame.time_s,
         "arrived_s": shot.arrived_s,
-        "cycle": shot.cycle,
+        "raw_cycle": shot.cycle,
         "stage_mm": here_mm,
         "stage_commanded_mm": target_mm,
         **{f"raw_{name}": values for name, values in shot.raw.items()},
@@ -390,7 +390,7 @@ def _mean(shots: list[CameraFrame]) -> CameraFrame:
 def _progress(
     step: int, steps: int, stage: Stage, camera: Camera, frames: list[Record]
 ) -> Progress:
-    cycles = [float(one["cycle"]) for one in frames[-2:]]
+    cycles = [float(one["raw_cycle"]) for one in frames[-2:]]
     times = [float(one["arrived_s"]) for one in frames[-2:]]
     rate_hz = 0.0
     if len(times) == 2 and times[1] > times[0]:
