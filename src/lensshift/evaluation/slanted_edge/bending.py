@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.samples import distance_px, distance_slopes
+from lensshift.evaluation.slanted_edge.samples import distance_px
 
 _STEPS = 6
 _SETTLED_PX = 1e-3
@@ -74,9 +75,7 @@ def _descended(
         splines = np.column_stack([np.ones_like(z), basis.integrals(normal_px)])
         factors, rest = _ridge_fit(splines, z)
         slope = basis.values(normal_px) @ factors[1:]
-        # The place is the ESF's, which is free: angle and bends are left.
-        moves = np.delete(distance_slopes(x, y, geometry, half_length_px), 1, axis=1)
-        moves *= slope[:, None]
+        moves = _moves(x, y, geometry, half_length_px) * slope[:, None]
         step = _ridge_fit(np.column_stack([splines, moves]), z)[0][splines.shape[1] :]
         geometry[0] += step[0]
         geometry[2:] += step[1:]
@@ -84,6 +83,13 @@ def _descended(
             break
     rest = max(rest / z.size, np.finfo(float).tiny)
     return geometry, z.size * float(np.log(rest)) + (geometry.size - 2) * np.log(z.size)
+
+
+def _moves(x: Vector, y: Vector, geometry: Vector, half_length_px: float) -> Matrix:
+    """Return [n k]: how the distance changes with angle and bends; the place is the ESF's."""
+    turn = y * np.cos(geometry[0]) - x * np.sin(geometry[0])
+    bends = legendre.legvander(y / half_length_px, max(geometry.size - 1, 1))[:, 2:]
+    return np.column_stack([turn, -bends[:, : geometry.size - 2]])
 
 
 def _ridge_fit(columns: Matrix, values: Vector) -> tuple[Vector, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from lensshift.evaluation.slanted_edge.kernels import trapezium_edge, trapezium_slopes
+from lensshift.evaluation.slanted_edge.kernels import difference_products, trapezium_edge
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -38,47 +38,11 @@ def edge_response(
     """
     if aperture_px <= 0.0:
         return np.asarray(ndtr(normal_px / sigma_px))
-    p, q = _half_sides(angle_rad, aperture_px)
+    p = 0.5 * aperture_px * abs(np.cos(angle_rad))
+    q = max(0.5 * aperture_px * abs(np.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
     response = np.empty(normal_px.shape)
     trapezium_edge(np.ascontiguousarray(normal_px), p, q, sigma_px, response)
     return response
-
-
-def edge_response_slopes(
-    normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float
-) -> Matrix:
-    """Return `edge_response` and its derivatives [4 n]: by distance, angle and log width.
-
-    Parameters
-    ----------
-    normal_px, angle_rad, sigma_px, aperture_px : as in `edge_response`
-    """
-    slopes = np.zeros((4, normal_px.size))
-    if aperture_px <= 0.0:
-        u = normal_px / sigma_px
-        slopes[0] = ndtr(u)
-        slopes[1] = np.exp(-0.5 * u**2) / (np.sqrt(2.0 * np.pi) * sigma_px)
-        slopes[3] = -normal_px * slopes[1]
-        return slopes
-    p, q = _half_sides(angle_rad, aperture_px)
-    found = np.empty((5, normal_px.size))
-    trapezium_slopes(np.ascontiguousarray(normal_px), p, q, sigma_px, found)
-    half = 0.5 * aperture_px
-    p_turn = -half * np.sin(angle_rad) * np.sign(np.cos(angle_rad))
-    q_turn = half * np.cos(angle_rad) * np.sign(np.sin(angle_rad))
-    if q > half * abs(np.sin(angle_rad)):  # held at the smallest side
-        q_turn = 0.0
-    slopes[:2] = found[:2]
-    slopes[2] = p_turn * found[3] + q_turn * found[4]
-    slopes[3] = sigma_px * found[2]
-    return slopes
-
-
-def _half_sides(angle_rad: float, aperture_px: float) -> tuple[float, float]:
-    """Return half the sides of the pixel as the edge's normal sees them."""
-    p = 0.5 * aperture_px * abs(np.cos(angle_rad))
-    q = max(0.5 * aperture_px * abs(np.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
-    return float(p), float(q)
 
 
 def edge_response_transform(
@@ -99,6 +63,20 @@ def edge_response_transform(
         optics * np.sinc(side * np.cos(angle_rad)) * np.sinc(side * np.sin(angle_rad))
     )
     return transform
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplineProducts:
+    """Sums over pixels of products of the integrated splines z, level columns x and values y.
+
+    Parameters
+    ----------
+    zz, zx, zy : [j j], [j p], [j]
+    """
+
+    zz: Matrix
+    zx: Matrix
+    zy: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +113,16 @@ class SplineBasis:
         place *= _TABLE_RISE[low]
         place += _TABLE[low]
         return place * self.step_px
+
+    def products(self, normal_px: Vector, columns: Matrix, values: Vector) -> SplineProducts:
+        """Return the cross products of `integrals` with themselves, with columns and values."""
+        knots, levels = self.knot_px.size, columns.shape[1]
+        zz, zx, zy = np.zeros((knots, knots)), np.zeros((knots, levels)), np.zeros(knots)
+        place = (normal_px - self.knot_px[0]) / self.step_px
+        difference_products(place, columns, values, zz, zx, zy)
+        zz = np.cumsum(np.cumsum(zz[::-1, ::-1], axis=0), axis=1)[::-1, ::-1]
+        zx, zy = np.cumsum(zx[::-1], axis=0)[::-1], np.cumsum(zy[::-1])[::-1]
+        return SplineProducts(self.step_px**2 * zz, self.step_px * zx, self.step_px * zy)
 
     def values(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the splines themselves."""

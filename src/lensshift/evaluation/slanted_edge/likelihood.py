@@ -8,16 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lensshift.evaluation.slanted_edge.design import EdgeDesign
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
+    SplineProducts,
     Vector,
     edge_response,
     edge_response_transform,
 )
-from lensshift.evaluation.slanted_edge.prior import SplinePrior, cholesky
-from lensshift.evaluation.slanted_edge.samples import EdgeSamples
+from lensshift.evaluation.slanted_edge.samples import EdgeSamples, level_columns
 
 # What is known before a pixel is seen, as normal distributions; lengths in units of `unit_px`.
 # The Gaussian of the optics may be anything from far below a pixel to well above it. The
@@ -29,13 +28,15 @@ _LOG_TAIL = (np.log(1.0), 0.6)
 _LOGIT_SYMMETRY = (2.0, 2.0)
 _PRIOR = np.array([_LOG_SIGMA, _LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY])
 _BOUNDS = np.array([(-2.5, 2.0), (-9.0, 0.5), (-1.4, 1.1), (-1.4, 2.0), (-8.0, 8.0)])
-_LOG_NOISE, _NOISE_SPREAD = np.log(0.01), 3.0  # of the contrast
+_NOISE_SPREAD = 3.0  # of the log noise around 1 % of the contrast
 _LOG_NOISE_BOUNDS = (-12.0, 1.0)
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.
 MODEL_ERROR = 1e-4
 HYPERS = 5  # log sigma, log amplitude, log length, log tail, logit symmetry; the noise follows
 IMPOSSIBLE = 1e10
+_JITTER = 1e-10
+_RELATIVE_JITTER = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +51,6 @@ class Conditional:
     factor: Matrix
     coupling: Matrix
 
-    def covariance(self) -> Matrix:
-        """Return the covariance [p + j, p + j] of levels and whitened coefficients."""
-        count = self.weights.size
-        inverse = _solve(self.factor, np.eye(count))
-        levels_inverse = _solve(self.levels_factor, np.eye(self.levels.size))
-        levels = levels_inverse.T @ levels_inverse
-        shared = inverse.T @ self.coupling
-        between = -shared @ levels
-        own = inverse.T @ inverse - between @ shared.T
-        return np.block([[levels, between.T], [between, own]])
-
     def draw(self, count: int, rng: np.random.Generator) -> tuple[Matrix, Matrix]:
         """Draw levels [p count] and coefficients [j count]."""
         noise = rng.standard_normal((self.levels.size, count))
@@ -70,15 +60,15 @@ class Conditional:
         return self.levels[:, None] + deviation, self.prior_factor @ weights
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """The likelihood at one point, with what its gradient needs."""
+@dataclass(frozen=True, slots=True)
+class _Moments:
+    """Cross products of the design; X are the levels, Z the splines, y the pixels."""
 
-    value: float
-    design: EdgeDesign
-    conditional: Conditional
-    misfit: float
-    variance: float
+    xx: Matrix
+    xy: Vector
+    zz: Matrix
+    zx: Matrix
+    zy: Vector
 
 
 class EdgeLikelihood:
@@ -102,31 +92,24 @@ class EdgeLikelihood:
         self.samples, self.basis, self.aperture_px = samples, basis, aperture_px
         self.unit_px = unit_px
         self.geometry_size = samples.geometry_size
-        self._prior = SplinePrior(basis, unit_px)
+        knots = np.arange(basis.knot_px.size)
+        self._apart = np.abs(np.subtract.outer(knots, knots))
+        self._cache: dict[bytes, _Moments] = {}
 
     @property
     def size(self) -> int:
         """Number of parameters."""
         return self.geometry_size + HYPERS + 1
 
+    def negative_log(self, parameters: Vector) -> float:
+        """Return minus the log posterior of the parameters, up to a constant."""
+        found = self._evaluate(parameters)
+        return IMPOSSIBLE if found is None else found[0]
+
     def conditional(self, parameters: Vector) -> tuple[float, Conditional | None]:
-        """Return minus the log posterior, up to a constant, and what it leaves to the factors.
-
-        Out of bounds, the value is `IMPOSSIBLE` and there is no distribution.
-        """
-        found = self._solved(parameters)
-        return (IMPOSSIBLE, None) if found is None else (found.value, found.conditional)
-
-    def with_gradient(self, parameters: Vector) -> tuple[float, Vector | None]:
-        """Return minus the log posterior and its derivatives [p], None where it is impossible.
-
-        Source: the derivatives of a restricted likelihood, Harville, J. Am. Stat. Assoc. 72
-        (1977) 320.
-        """
-        found = self._solved(parameters)
-        if found is None:
-            return IMPOSSIBLE, None
-        return found.value, self._gradient(parameters, found)
+        """Return the same, and the distribution of levels and coefficients."""
+        found = self._evaluate(parameters, whole=True)
+        return (IMPOSSIBLE, None) if found is None else found
 
     def sigma_px(self, parameters: Vector) -> float:
         """Return the width of the Gaussian of the base model."""
@@ -142,27 +125,71 @@ class EdgeLikelihood:
         angle_rad, sigma_px = float(parameters[0]), self.sigma_px(parameters)
         return edge_response_transform(frequency_cpp, angle_rad, sigma_px, self.aperture_px)
 
-    def _solved(self, parameters: Vector) -> _Solved | None:
-        g, log_noise = self.geometry_size, float(parameters[-1])
-        hyper = parameters[g:-1]
-        if not self._possible(parameters):
+    def _moments(self, parameters: Vector) -> _Moments:
+        key = parameters[: self.geometry_size + 1].tobytes()
+        found = self._cache.get(key)
+        if found is None:
+            if len(self._cache) > 2 * self.size:
+                self._cache.clear()
+            found = self._cache[key] = self._new_moments(parameters)
+        return found
+
+    def _new_moments(self, parameters: Vector) -> _Moments:
+        samples, y = self.samples, self.samples.values
+        normal_px = samples.normal_px(parameters[: self.geometry_size])
+        response = self.base_response(normal_px, parameters)
+        columns = samples.whitened(level_columns(response, samples.tilt_columns))
+        if samples.whitener is None:
+            near = self.basis.products(normal_px, columns, y)
+        else:
+            splines = samples.whitened(self.basis.integrals(normal_px))
+            near = SplineProducts(splines.T @ splines, splines.T @ columns, splines.T @ y)
+        far, step = samples.far, self.basis.step_px
+        return _Moments(
+            xx=columns.T @ columns + far.level_products,
+            xy=columns.T @ y + far.level_values,
+            zz=near.zz + step**2 * far.right_square,
+            zx=near.zx + step * far.right_levels,
+            zy=near.zy + step * far.right_values,
+        )
+
+    def _prior_factor(self, hyper: Vector) -> Matrix | None:
+        """Return the Cholesky factor of the prior covariance of the coefficients."""
+        amplitude = np.exp(hyper[1]) / self.unit_px
+        length, tail = np.exp(hyper[2:4]) * self.unit_px
+        mirrored = 1.0 / (1.0 + np.exp(-hyper[4]))
+        envelope = 1.0 / (1.0 + (self.basis.knot_px / tail) ** 2)
+        lags_px = self.basis.step_px * np.arange(self.basis.knot_px.size)
+        near = np.exp(-0.5 * (lags_px / length) ** 2)[self._apart]
+        covariance = near + mirrored * near[:, ::-1]
+        covariance *= (amplitude * envelope)[:, None] * (amplitude * envelope)
+        covariance.flat[:: covariance.shape[0] + 1] += (
+            _JITTER / self.unit_px**2 + _RELATIVE_JITTER * amplitude**2
+        )
+        return _factor(covariance)
+
+    def _evaluate(
+        self, parameters: Vector, whole: bool = False
+    ) -> tuple[float, Conditional | None] | None:
+        g = self.geometry_size
+        hyper, log_noise = parameters[g : g + HYPERS], parameters[-1]
+        if not np.all((hyper > _BOUNDS[:, 0]) & (hyper < _BOUNDS[:, 1])):
             return None
-        prior = self._prior.factor(hyper[1:])
-        if prior is None:
+        if not _LOG_NOISE_BOUNDS[0] < log_noise < _LOG_NOISE_BOUNDS[1] or abs(parameters[0]) > 0.9:
             return None
         variance = np.exp(2.0 * log_noise) + MODEL_ERROR**2
-        design = EdgeDesign(
-            self.samples, self.basis, parameters[:g], self.sigma_px(parameters), self.aperture_px
-        )
-        m = design.products()
+        m = self._moments(parameters)
+        prior = self._prior_factor(hyper)
+        if prior is None:
+            return None
         inner = prior.T @ m.zz @ prior / variance
         inner.flat[:: inner.shape[0] + 1] += 1.0
-        factor = cholesky(inner)
+        factor = _factor(inner)
         if factor is None:
             return None
         projected = _solve(factor, prior.T @ np.column_stack([m.zx, m.zy]) / variance)
         coupling, along = projected[:, :-1], projected[:, -1]
-        levels_factor = cholesky(m.xx / variance - coupling.T @ coupling)
+        levels_factor = _factor(m.xx / variance - coupling.T @ coupling)
         if levels_factor is None:
             return None
         v = _solve(levels_factor, m.xy / variance - coupling.T @ along)
@@ -173,56 +200,20 @@ class EdgeLikelihood:
             0.5 * misfit + 0.5 * self.samples.count * np.log(variance) + determinant + 0.5 * z @ z
         )
         value += self.samples.geometry_penalty(parameters[:g])
-        value += 0.5 * ((log_noise - _LOG_NOISE) / _NOISE_SPREAD) ** 2
+        value += 0.5 * ((log_noise - np.log(0.01)) / _NOISE_SPREAD) ** 2
+        if not whole:
+            return float(value), None
         levels = _solve(levels_factor, v, transposed=True)
         weights = _solve(factor, along - coupling @ levels, transposed=True)
-        factors = Conditional(
+        return float(value), Conditional(
             levels, prior @ weights, levels_factor, weights, prior, factor, coupling
         )
-        return _Solved(float(value), design, factors, float(misfit), float(variance))
 
-    def _possible(self, parameters: Vector) -> bool:
-        hyper, log_noise = parameters[self.geometry_size : -1], parameters[-1]
-        within = (hyper > _BOUNDS[:, 0]) & (hyper < _BOUNDS[:, 1])
-        low, high = _LOG_NOISE_BOUNDS
-        return bool(
-            np.all(np.isfinite(parameters))
-            and np.all(within)
-            and low < log_noise < high
-            and abs(parameters[0]) <= 0.9
-        )
 
-    def _gradient(self, parameters: Vector, found: _Solved) -> Vector:
-        """Return the derivatives of the value.
-
-        With D = [X Z], H = D^T D / v + (0, K^-1), C its inverse, b the factors, r = y - D b:
-
-            by the design       sum of dD . (D C - r b^T) / v
-            by the prior        (K^-1 - K^-1 (C + b b^T) K^-1) . dK / 2
-            by the variance     (n - r^T r / v - trace(C D^T D) / v) / 2 v
-        """
-        g, c, variance = self.geometry_size, found.conditional, found.variance
-        geometry, hyper, log_noise = parameters[:g], parameters[g:-1], parameters[-1]
-        knots = c.weights.size
-        spread = c.covariance()
-        covariance = spread.copy()
-        covariance[-knots:] = c.prior_factor @ covariance[-knots:]
-        covariance[:, -knots:] = covariance[:, -knots:] @ c.prior_factor.T
-        design = found.design.gradient(np.concatenate([c.levels, c.coefficients]), covariance)
-        unexplained = np.eye(knots) - spread[-knots:, -knots:] - np.outer(c.weights, c.weights)
-        half = _solve(c.prior_factor, unexplained, transposed=True)
-        pull = 0.5 * _solve(c.prior_factor, half.T, transposed=True)
-        known = spread.shape[0] - np.trace(spread[-knots:, -knots:])
-        rest = found.misfit - c.weights @ c.weights
-        by_variance = 0.5 * (self.samples.count - rest - known) / variance
-        gradient = np.zeros(self.size)
-        gradient[: g + 1] = design / variance
-        gradient[:g] += self.samples.geometry_pull(geometry)
-        gradient[g + 1 : -1] = self._prior.slopes(hyper[1:], pull)
-        gradient[g:-1] += (hyper - _PRIOR[:, 0]) / _PRIOR[:, 1] ** 2
-        gradient[-1] = 2.0 * np.exp(2.0 * log_noise) * by_variance
-        gradient[-1] += (log_noise - _LOG_NOISE) / _NOISE_SPREAD**2
-        return gradient
+def _factor(matrix: Matrix) -> Matrix | None:
+    """Return the lower Cholesky factor, None if the matrix is not positive definite."""
+    lower, info = lapack.dpotrf(matrix, lower=1, clean=1)
+    return None if info else lower
 
 
 def _solve(factor: Matrix, right: NDArray[np.float64], transposed: bool = False) -> Matrix:

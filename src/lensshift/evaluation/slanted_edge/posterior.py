@@ -64,13 +64,13 @@ def find_posterior(
     """
 
     best, value = _descended(likelihood, start, np.diag(steps))
-    directions = _curvature_directions(likelihood, best, np.diag(steps))
+    directions = _curvature_directions(likelihood, best, np.diag(steps), value)
     for _ in range(_ROUNDS):
         last = value
         best, value = _descended(likelihood, best, directions)
         if last - value < _SETTLED:
             break
-        directions = _curvature_directions(likelihood, best, directions)
+        directions = _curvature_directions(likelihood, best, directions, value)
     first = _Student(best, _SPREAD * directions)
     parameters = first.draws(draws // 2, seed)
     found = [likelihood.conditional(p) for p in parameters]
@@ -131,35 +131,33 @@ def _descended(
 ) -> tuple[Vector, float]:
     """Return the optimum and its value, in coordinates along the columns of `directions`."""
 
-    first = likelihood.conditional(start)[0]
-
-    def along(z: Vector) -> tuple[float, Vector]:
-        value, gradient = likelihood.with_gradient(start + directions @ z)
-        slope = np.zeros(z.size) if gradient is None else directions.T @ gradient
-        return value - first, slope  # the tolerance counts from the start
+    def along(z: Vector) -> float:
+        return likelihood.negative_log(start + directions @ z)
 
     found = minimize(
         along,
         np.zeros(start.size),
-        jac=True,
         method="L-BFGS-B",
-        options={"maxiter": 80, "ftol": 1e-6, "gtol": 1e-3},
+        options={"maxiter": 80, "eps": 1e-4, "ftol": 1e-7},
     )
-    return start + directions @ found.x, float(found.fun) + first
+    return start + directions @ found.x, float(found.fun)
 
 
-def _curvature_directions(likelihood: EdgeLikelihood, best: Vector, directions: Matrix) -> Matrix:
+def _curvature_directions(
+    likelihood: EdgeLikelihood, best: Vector, directions: Matrix, value: float
+) -> Matrix:
     """Return [p p]: columns that are one posterior standard deviation long, uncorrelated."""
-    hessian = np.zeros((best.size, best.size))
-    for i, move in enumerate(_CURVATURE_STEP * directions.T):
-        up = likelihood.with_gradient(best + move)[1]
-        down = likelihood.with_gradient(best - move)[1]
-        # At the bounds one side is impossible; the slope at the optimum is zero.
-        sides = 2.0 - (up is None) - (down is None)
-        rise = (0.0 if up is None else up) - (0.0 if down is None else down)
-        hessian[i] = directions.T @ np.broadcast_to(rise, best.shape) / max(sides, 1.0)
-    hessian = 0.5 * (hessian + hessian.T) / _CURVATURE_STEP
-    curvature, vectors = np.linalg.eigh(hessian)
+    size, moves = best.size, _CURVATURE_STEP * directions.T
+    up = [likelihood.negative_log(best + move) for move in moves]
+    down = [likelihood.negative_log(best - move) for move in moves]
+    hessian = np.zeros((size, size))
+    for i in range(size):
+        hessian[i, i] = up[i] - 2.0 * value + down[i]
+        for j in range(i):
+            both = likelihood.negative_log(best + moves[i] - moves[j])
+            cross = up[i] + down[j] - both - value
+            hessian[i, j] = hessian[j, i] = cross
+    curvature, vectors = np.linalg.eigh(hessian / _CURVATURE_STEP**2)
     deviation = 1.0 / np.sqrt(np.maximum(curvature, _LARGEST_SD**-2))
     return np.asarray(directions @ vectors * deviation)
 

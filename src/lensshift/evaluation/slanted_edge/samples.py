@@ -43,7 +43,7 @@ class EdgeSamples:
     bends : number of bending terms (0 for a straight edge)
     tilt_columns : [n 2] places by which the illumination may rise, None for an even one
     values : [m] the pixels, whitened
-    whitener : [m n] what was done to them; the identity for nothing
+    whitener : [m n] what was done to them, None for nothing
     far : sums over the other pixels
     squares : sum of the squares of all whitened pixels
     count : number of pixels
@@ -55,7 +55,7 @@ class EdgeSamples:
     bends: int
     tilt_columns: Matrix | None
     values: Vector
-    whitener: sparse.csr_array
+    whitener: sparse.csr_array | None
     far: FarSums
     squares: float
     count: int
@@ -69,20 +69,15 @@ class EdgeSamples:
         """Return the signed distance of each near pixel from the edge."""
         return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
 
-    def distance_slopes(self, geometry: Vector) -> Matrix:
-        """Return [n g]: how the distance of each near pixel changes with the geometry."""
-        return distance_slopes(self.across_px, self.along_px, geometry, self.half_length_px)
+    def whitened(self, columns: Matrix) -> Matrix:
+        """Return the columns as the whitened pixels see them."""
+        return columns if self.whitener is None else self.whitener @ columns
 
     def geometry_penalty(self, geometry: Vector) -> float:
         """Return minus the log prior of the bending terms."""
         spread_px = _BENDING_SHARE * self.half_length_px
         z = geometry[2:] / spread_px
         return float(0.5 * np.sum(z**2) + self.bends * np.log(spread_px))
-
-    def geometry_pull(self, geometry: Vector) -> Vector:
-        """Return the derivative of `geometry_penalty` [g]."""
-        spread_px = _BENDING_SHARE * self.half_length_px
-        return np.concatenate([[0.0, 0.0], geometry[2:] / spread_px**2])
 
 
 def distance_px(
@@ -106,24 +101,6 @@ def distance_px(
         bending = np.concatenate([[0.0, 0.0], geometry[2:]])
         normal_px -= np.polynomial.legendre.legval(along_px / half_length_px, bending)
     return normal_px
-
-
-def distance_slopes(
-    across_px: Vector, along_px: Vector, geometry: Vector, half_length_px: float
-) -> Matrix:
-    """Return the derivatives [n g] of `distance_px` by the geometry.
-
-    Parameters
-    ----------
-    across_px, along_px, geometry, half_length_px : as in `distance_px`
-    """
-    slopes = np.empty((across_px.size, geometry.size))
-    slopes[:, 0] = along_px * np.cos(geometry[0]) - across_px * np.sin(geometry[0])
-    slopes[:, 1] = -1.0
-    if geometry.size > 2:
-        orders = geometry.size - 1
-        slopes[:, 2:] = -np.polynomial.legendre.legvander(along_px / half_length_px, orders)[:, 2:]
-    return slopes
 
 
 def level_columns(response: Vector, tilt_columns: Matrix | None) -> Matrix:
