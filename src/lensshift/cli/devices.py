@@ -10,7 +10,7 @@ from typing import Any
 from lensshift.cli.session import Session
 from lensshift.core.errors import DeviceTimeout
 
-_FIRST_FRAME_S = 2.0
+_FIRST_FRAME_S = 5.0
 _COUNTED = 10  # frames, for the rate
 
 

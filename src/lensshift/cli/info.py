@@ -63,7 +63,7 @@ def info(
             say_ports(current)
         if file is None:
             if not devices:
-                raise typer.BadParameter("expected a file, or --devices")
+                raise typer.BadParameter("Missing argument: a file, or --devices")
             return
         if file.suffix.lower() == ".toml":
             from lensshift.cli.devices import say_rig
