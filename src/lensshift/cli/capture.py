@@ -49,6 +49,7 @@ ContinuousOption = Annotated[
 CountOption = Annotated[
     int | None, typer.Option("--bursts", min=1, help="End --continuous after so many bursts.")
 ]
+_SCAN_STEPS = 4  # 35 positions
 PrintOption = Annotated[bool, typer.Option("--print-rig", help="Print a rig file and stop.")]
 
 
@@ -142,7 +143,7 @@ def _take(
         return rig.capture(plan, out, resume=resume, on_step=show)
     from lensshift.registration import calibration_scan_mm
 
-    places = calibration_scan_mm(rig.calibration.rest_mm, 1e-3 * span_um)
+    places = calibration_scan_mm(rig.calibration.rest_mm, 1e-3 * span_um, steps=_SCAN_STEPS)
     return rig.scan(places, out, resume=resume, on_step=show)
 
 
