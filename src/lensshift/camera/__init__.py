@@ -13,7 +13,6 @@ from lensshift.camera.flat import (
 )
 from lensshift.camera.moving import RunningCamera
 from lensshift.camera.output import O3mImages
-from lensshift.camera.pattern import PATTERNS, grid_pattern_px, named_pattern_px
 from lensshift.camera.presets import camera_preset, preset_names
 from lensshift.camera.radiometry import closed_form_distance_std_m
 from lensshift.camera.settings import (
@@ -36,6 +35,7 @@ from lensshift.camera.simulate import (
     simulate_tof,
     simulate_tof_burst,
 )
+from lensshift.core.pattern import PATTERNS, grid_pattern_px, named_pattern_px
 
 __all__ = [
     "PATTERNS",

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftPlan
+from lensshift.core.pattern import PATTERNS, named_pattern_px
 
-PLANS = ("square", "3x3", "4x4", "quincunx", "spiral", "still")
-_PER_SIDE = {"still": 1, "square": 2, "3x3": 3, "4x4": 4}
+PLANS = (*PATTERNS, "quincunx", "spiral")
 
 
 def named_plan(name: str) -> ShiftPlan:
@@ -28,8 +28,8 @@ def named_plan(name: str) -> ShiftPlan:
     ValueError
         If there is no such plan.
     """
-    if name in _PER_SIDE:
-        return ShiftPlan(_grid_px(_PER_SIDE[name]), name=name)
+    if name in PATTERNS:
+        return ShiftPlan(named_pattern_px(name), name=name)
     if name == "quincunx":
         return ShiftPlan(np.array([[-0.25, -0.25], [0.25, 0.25]]), name=name)
     if name == "spiral":
@@ -82,11 +82,6 @@ def shortest_order(position_mm: ArrayLike, approach_mm: float, start_mm: ArrayLi
         left.remove(here)
         order.append(here)
     return [place - 1 for place in _bettered(order, way)]
-
-
-def _grid_px(per_side: int) -> NDArray[np.float64]:
-    places = (np.arange(per_side) + 0.5) / per_side - 0.5
-    return np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _length(order: list[int], way: NDArray[np.float64]) -> float:

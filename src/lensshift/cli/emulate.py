@@ -13,7 +13,7 @@ import typer
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
 
 if TYPE_CHECKING:
-    from lensshift.capture.emulators.rig import EmulatedWorld, RigSettings
+    from lensshift.capture.emulators.rig import EmulatedWorld
 
 emulate = typer.Typer(
     no_args_is_help=True,
@@ -78,7 +78,7 @@ def rig(
             seed=seed,
         )
         with EmulatedRig(settings, camera_port=port) as running:
-            text = rig_text(running.stages.urls, port, settings)
+            text = running.rig_file()
             if file is not None:
                 _write(file, text)
                 current.say(f"wrote {file}")
@@ -185,18 +185,6 @@ def pcic(
             current.say(f"{model} answers at 127.0.0.1:{server.port}, {rate_hz:g} Hz")
             current.result |= {"camera_port": server.port}
             _until_stopped(seconds, lambda: {"sent": server.sent}, current)
-
-
-def rig_text(urls: tuple[str, str], port: int, settings: RigSettings) -> str:
-    """Return the rig file of an emulated rig, with what its optics say of the shift."""
-    rest = ", ".join(f"{x:g}" for x in settings.rest_mm)
-    hz = settings.camera.illumination.modulation_hz[0]
-    return (
-        f'[stage]\nrow = "{urls[0]}"\ncol = "{urls[1]}"\nenable_wait_s = 0.1\n'
-        f"tolerance_mm = {max(0.001, 5.0 * settings.encoder_noise_mm):g}\n\n"
-        f'[camera]\nkind = "o3m"\nport = {port}\nhost = "127.0.0.1"\nmodulation_hz = {hz:g}\n\n'
-        f"[calibration]\npx_per_mm = 5.63\nrest_mm = [{rest}]\n"
-    )
 
 
 def _scene(name: str) -> Any:

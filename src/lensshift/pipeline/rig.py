@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -20,7 +21,7 @@ from lensshift.capture.plan import named_plan
 from lensshift.core.calibration import Calibration
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import fidelity
-from lensshift.io import save_burst, save_reconstruction
+from lensshift.io import save_reconstruction
 from lensshift.io.calibration_file import save_calibration
 from lensshift.pipeline.calibrate import calibrate_rig
 from lensshift.pipeline.experiment import images_of
@@ -68,9 +69,8 @@ class RigSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Taken:
-    """Burst and scan, and where the image really was: [frame row col 2] for the burst."""
+    """A burst, and where the image really was: [frame row col 2]."""
 
-    scan: Burst
     burst: Burst
     calibration: Calibration
     true_px: Array
@@ -111,9 +111,8 @@ def run_emulated(
     named_plan(plan)
     folder = made_folder(writable_folder(out_dir))
     settings = settings or RigSettings(speed=EMULATED_SPEED)
-    port = _free_port()
-    with EmulatedRig(settings, camera_port=port) as emulated:
-        taken = _take(emulated, port, folder, plan, on_step)
+    with EmulatedRig(settings, camera_port=_free_port()) as emulated:
+        taken = _take(emulated, folder, plan, on_step)
         # The origin of the image is where the calibration says that the offset is zero.
         assumed_px = _assumed(taken)
         origin_px = (taken.true_px - assumed_px).mean(axis=(0, 1, 2))
@@ -181,59 +180,34 @@ def run_bench(
 
 def _take(
     emulated: EmulatedRig,
-    port: int,
     folder: Path,
     plan: str,
     on_step: Callable[[str, Progress], None] | None,
 ) -> _Taken:
     """Scan and calibrate with the nominal map, then take the burst with the measured one."""
-    true: dict[str, list[Array]] = {"scan": [], "burst": []}
+    true: list[Array] = []
 
-    def stepped(name: str) -> Callable[[Progress], None]:
-        def note(progress: Progress) -> None:
-            lens_mm = emulated.stages.lens_mm(time.monotonic())
-            true[name].append(emulated.true_offset_px(lens_mm))
-            if on_step is not None:
-                on_step(name, progress)
+    def scanned(progress: Progress) -> None:
+        if on_step is not None:
+            on_step("scan", progress)
 
-        return note
+    def taken(progress: Progress) -> None:
+        true.append(emulated.true_offset_px(emulated.stages.lens_mm(time.monotonic())))
+        if on_step is not None:
+            on_step("burst", progress)
 
     files = {name: folder / f"{name}.nc" for name in ("scan", "burst")}
     for file in files.values():
         file.unlink(missing_ok=True)
-    with open_rig(_description(emulated, port)) as rig:
+    with open_rig(tomllib.loads(emulated.rig_file())) as rig:
         rig.acquisition = Acquisition(_SCAN_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
         places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=_SCAN_STEPS)
-        scan = rig.scan(places, files["scan"], on_step=stepped("scan"))
+        scan = rig.scan(places, files["scan"], on_step=scanned)
         found = calibrate_rig(scan, report=folder / "calibration.html")
         rig.calibration = found.calibration
         rig.acquisition = Acquisition(_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
-        burst = rig.capture(plan, files["burst"], on_step=stepped("burst"))
-        return _Taken(
-            scan, burst, rig.calibration, np.stack(true["burst"]), dict(rig.camera.counts())
-        )
-
-
-def _description(emulated: EmulatedRig, port: int) -> dict[str, Any]:
-    """Return the rig file of the emulated devices; its map is what a designer would expect."""
-    row, col = emulated.stages.urls
-    settings = emulated.settings
-    return {
-        "stage": {
-            "row": row,
-            "col": col,
-            "enable_wait_s": 0.1,
-            "timeout_margin_s": 10.0,  # a busy computer emulates and drives
-            "tolerance_mm": max(0.001, 5.0 * settings.encoder_noise_mm),
-        },
-        "camera": {
-            "kind": "o3m",
-            "port": port,
-            "host": "127.0.0.1",
-            "modulation_hz": settings.camera.illumination.modulation_hz[0],
-        },
-        "calibration": {"rest_mm": settings.rest_mm.tolist()},
-    }
+        burst = rig.capture(plan, files["burst"], on_step=taken)
+        return _Taken(burst, rig.calibration, np.stack(true), dict(rig.camera.counts()))
 
 
 def _free_port() -> int:
@@ -292,11 +266,9 @@ def _write(
     from lensshift.report.save import save_figure
     from lensshift.report.shots import shots_figure
 
-    names = ("scan.nc", "burst.nc", "calibration.json", "result.nc", "preview.png")
-    scan, burst, calibration, result, preview = files = tuple(folder / name for name in names)
-    files = (*files, folder / "calibration.html")
-    save_burst(taken.scan, scan)
-    save_burst(taken.burst, burst)
+    names = ("calibration.json", "result.nc", "preview.png")
+    calibration, result, preview = written = tuple(folder / name for name in names)
+    before = ("scan.nc", "burst.nc", "calibration.html")
     save_calibration(taken.calibration, calibration)
     calibrated = next(one for name, one in results.items() if "calibrated" in name)
     save_reconstruction(calibrated, result)
@@ -304,4 +276,4 @@ def _write(
     shown["truth"] = {"amplitude": truth}
     title = f"emulated rig: {taken.burst.frame_count} frames"
     save_figure(shots_figure(shown, title), preview)
-    return files
+    return (*(folder / name for name in before), *written)

@@ -131,7 +131,22 @@ class EmulatedRig:
             reorder=one.reorder,
             seed=one.seed,
         )
+        self._port = camera_port
         self._open = ExitStack()
+
+    def rig_file(self) -> str:
+        """Return the rig file (TOML) of the running devices, with what a designer expects."""
+        one = self.settings
+        row, col = self.stages.urls
+        rest = ", ".join(f"{x:g}" for x in one.rest_mm)
+        return (
+            f'[stage]\nrow = "{row}"\ncol = "{col}"\nenable_wait_s = 0.1\n'
+            "timeout_margin_s = 10.0  # this computer emulates as well\n"
+            f"tolerance_mm = {max(0.001, 5.0 * one.encoder_noise_mm):g}\n\n"
+            f'[camera]\nkind = "o3m"\nport = {self._port}\nhost = "127.0.0.1"\n'
+            f"modulation_hz = {one.camera.illumination.modulation_hz[0]:g}\n\n"
+            f"[calibration]\nrest_mm = [{rest}]\n"
+        )
 
     def __enter__(self) -> Self:
         with ExitStack() as opening:
