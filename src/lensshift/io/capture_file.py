@@ -160,8 +160,10 @@ class CaptureWriter:
 
 
 def is_capture(path: str | Path) -> bool:
-    """Tell whether a file is the journal of a capture."""
+    """Tell whether a file is the journal of a capture; a pipe, which would block, is none."""
     try:
+        if not Path(path).is_file():
+            return False
         with Path(path).open("rb") as file:
             return file.read(len(_MARK)) == _MARK
     except OSError:
