@@ -22,6 +22,7 @@ from lensshift.evaluation.slanted_edge import (
     measure_edges,
     slanted_edge_mtf,
 )
+from lensshift.evaluation.slanted_edge.regions import find_regions
 
 Image = NDArray[np.float64]
 pytestmark = pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
@@ -109,7 +110,8 @@ def test_turned_and_mirrored_images_have_the_same_curve() -> None:
     assert measure_edge(image.T).orientation == "horizontal"
 
 
-@settings(max_examples=3)
+@pytest.mark.slow
+@settings(max_examples=5)
 @given(gain=st.floats(1e-3, 1e5), bias=st.floats(-1.0, 10.0))
 def test_gain_and_bias_do_not_matter(gain: float, bias: float) -> None:
     image = noisy(box_edge((17, 49)), 0.02)
@@ -182,11 +184,11 @@ def test_uneven_light_does_not_bias_the_curve() -> None:
 
 
 def test_invalid_pixels_are_left_out() -> None:
-    image = box_edge((33, 65))
+    image = box_edge((21, 49))
     spoiled = image.copy()
-    spoiled[5:9, 20:50] = 7.0
+    spoiled[5:8, 15:40] = 7.0
     valid = np.ones(image.shape, dtype=bool)
-    valid[5:9, 20:50] = False
+    valid[5:8, 15:40] = False
     assert error(measure_edge(spoiled, valid=valid), 8.0, 0.4) < 2e-3
     spoiled[~valid] = np.nan
     assert error(measure_edge(spoiled), 8.0, 0.4) < 2e-3
@@ -226,7 +228,15 @@ def card(seed: int = 0) -> Image:
     return noisy(0.2 + 0.6 * np.prod(sides, axis=0), 0.01, seed)
 
 
-def test_all_edges_of_a_card_are_found() -> None:
+def test_a_card_has_four_edges() -> None:
+    regions = find_regions(card())
+    assert len(regions) == 4
+    tall = [r.row_stop - r.row_start > r.col_stop - r.col_start for r in regions]
+    assert sorted(tall) == [False, False, True, True]
+
+
+@pytest.mark.slow
+def test_all_edges_of_a_card_are_measured() -> None:
     results = measure_edges(card(), aperture_px=0.0)
     assert len(results) == 4
     assert sorted(r.orientation for r in results) == ["horizontal"] * 2 + ["vertical"] * 2
@@ -241,22 +251,26 @@ def test_all_edges_of_a_card_are_found() -> None:
 
 
 def test_doubts_come_with_numbers() -> None:
-    image = noisy(box_edge((33, 65)), 0.01)
+    image = noisy(box_edge((17, 49)), 0.01)
     with pytest.warns(QualityWarning, match=r"contrast of the edge is 6\.\d %"):
         measure_edge(image + 4.0)
     with pytest.warns(QualityWarning, match=r"% of the bright pixels are clipped at 0\.79"):
         measure_edge(np.minimum(image, 0.79))
-    with pytest.warns(QualityWarning, match=r"unsampled at 1\.00 degrees"):
-        measure_edge(noisy(box_edge((16, 65), angle_deg=1.0), 0.01))
+    with pytest.warns(QualityWarning, match=r"unsampled at 1\.0\d degrees"):
+        measure_edge(noisy(box_edge((16, 49), angle_deg=1.0), 0.01))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        measure_edge(image)
+
+
+@pytest.mark.slow
+def test_doubts_about_shape_and_response() -> None:
     with pytest.warns(QualityWarning, match=r"tilted by 44\.\d degrees"):
         measure_edge(noisy(box_edge((45, 45), angle_deg=44.0), 0.01))
     with pytest.warns(QualityWarning, match=r"bends by 0\.\d+ px"):
         measure_edge(noisy(box_edge((65, 49), bend_px=1.5), 0.01))
     with pytest.warns(QualityWarning, match=r"asymmetric by \d+\.\d %"):
         measure_edge(noisy(box_edge((65, 65)), 0.002) ** 2.2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        measure_edge(image)
 
 
 def test_aliasing_that_is_left_shows() -> None:
@@ -318,12 +332,12 @@ def reference_errors(folder: Path, size: str, every: int) -> dict[float, list[tu
     return found
 
 
-@pytest.mark.parametrize("every", [30, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [60, pytest.param(2, marks=pytest.mark.slow)])
 def test_small_reference_edges(reference_dir: Path, every: int) -> None:
     found = reference_errors(reference_dir, "64x16", every)
     for noise, most, curve in ((0.0, 0.001, 0.001), (0.01, 0.0115, 0.0062), (0.05, 0.053, 0.027)):
         values = np.array(found[noise], dtype=np.float64)
-        slack = 1.0 if every == 2 else 1.8  # of the rms of some 5 edges
+        slack = 1.0 if every == 2 else 2.4  # of the rms of 1 to 3 edges
         assert np.sqrt(np.mean(values[:, 0] ** 2)) <= slack * most
         assert np.sqrt(np.mean(values[:, 1])) <= slack * curve
         if noise > 0.0:

@@ -69,6 +69,7 @@ def test_standard_errors_are_as_large_as_errors() -> None:
     assert 0.5 < ratio < 1.5  # 36 errors, six of each burst
 
 
+@pytest.mark.slow
 def test_fisher_information_agrees_with_monte_carlo() -> None:
     """Random fields as the model assumes them: errors of many draws against one promise."""
     rng = np.random.default_rng(3)
