@@ -30,10 +30,10 @@ SPEED = 50.0  # of the emulated time
 # The machine of the tests may stand still for seconds; that is not the driver's fault.
 PATIENT = AptSettings(enable_wait_s=0.05, timeout_margin_s=30.0, max_retries=20)
 # Fast home, slow moves: time to do something in mid-move.
-SLOW_SPEED = 5.0
+SLOW_SPEED = 5.0  # 5 mm take 100 s: a machine that stands still for seconds does not miss them
 SLOW = AptSettings(
     enable_wait_s=0.25, timeout_margin_s=30.0, max_retries=20, home_velocity_mmps=100.0,
-    velocity_mmps=0.05, acceleration_mmps2=1000.0,
+    velocity_mmps=0.01, acceleration_mmps2=1000.0,
 )  # fmt: skip
 PLAY_MM = 0.006
 COUNT_MM = 1.0 / Z8_COUNTS_PER_MM
@@ -200,8 +200,8 @@ def test_damaged_replies_give_no_wrong_position(loss: float) -> None:
                 assert stage.position_mm() == pytest.approx(goal_mm, abs=5 * COUNT_MM)
         about = stage.describe()
     if loss > 0.05:
-        assert about["row"]["resyncs"] > 5
-        assert about["row"]["repeated_requests"] > 5
+        assert about["row"]["resyncs"] + about["col"]["resyncs"] > 5
+        assert about["row"]["repeated_requests"] + about["col"]["repeated_requests"] > 5
 
 
 def test_damaged_commands_give_no_wrong_position() -> None:
@@ -317,7 +317,7 @@ def test_limit_switch_is_an_error_and_can_be_left() -> None:
 def moving_slowly() -> Iterator[tuple[AptController, AptController, AptStage, Callable[[], bool]]]:
     row, col = pair_of(speed=SLOW_SPEED)
     with served(row, col) as urls, open_apt_stage(*urls, SLOW) as stage:
-        yield row, col, stage, lambda: min(row.motor_mm(), col.motor_mm()) > 0.05
+        yield row, col, stage, lambda: min(row.motor_mm(), col.motor_mm()) > 0.01
 
 
 def test_motion_error_stops_both_axes() -> None:
