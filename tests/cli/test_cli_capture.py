@@ -177,24 +177,34 @@ def test_emulated_links_that_do_not_exist(call: Call) -> None:
     assert call("emulate", "stage", "--link", "wire").exit_code == 2
 
 
-def test_reconstruct_takes_the_shifts_of_a_calibration(call: Call, tmp_path: Path) -> None:
+def test_reconstruct_takes_shifts_and_blur_of_a_calibration(call: Call, tmp_path: Path) -> None:
     stage_mm = 3.0 + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.1, 0.1]])
     frames = np.random.default_rng(0).random((4, 7, 9))
     burst = Burst.from_arrays(frames, offset_px=np.zeros((4, 2)), pitch_mm=0.1, stage_mm=stage_mm)
     save_burst(burst, tmp_path / "burst.nc")
-    calibration = Calibration(StageMap(5.0 * np.eye(2)), np.array([3.0, 3.0]), source="measured")
+    calibration = Calibration(
+        StageMap(5.0 * np.eye(2)), np.array([3.0, 3.0]), source="measured", psf_sigma_px=0.21
+    )
     save_calibration(calibration, tmp_path / "rig.json")
     shifted = replace(burst, offset_px=5.0 * (stage_mm - 3.0), offset_source="calibrated")
     save_burst(shifted, tmp_path / "told.nc")
-    options = ("--method", "shift-and-add", "-o")
+    options = ("--method", "tikhonov", "--prior-weight", 0.01, "-o")
     done = call(
         "reconstruct", tmp_path / "burst.nc", "--calibration", tmp_path / "rig.json",
         *options, tmp_path / "a.nc",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "offsets calibrated" in done.stdout
-    assert call("reconstruct", tmp_path / "told.nc", *options, tmp_path / "b.nc").exit_code == 0
-    images = [load_reconstruction(tmp_path / name).amplitude for name in ("a.nc", "b.nc")]
-    assert images[0] is not None
-    assert images[1] is not None
-    np.testing.assert_allclose(images[0].image, images[1].image)
+    for width_px, name in ((0.21, "b.nc"), (0.4, "c.nc")):
+        done = call(
+            "reconstruct", tmp_path / "told.nc", "--psf-sigma-px", width_px,
+            *options, tmp_path / name,
+        )  # fmt: skip
+        assert done.exit_code == 0, done.output
+    images = []
+    for name in ("a.nc", "b.nc", "c.nc"):
+        estimate = load_reconstruction(tmp_path / name).amplitude
+        assert estimate is not None
+        images.append(estimate.image)
+    np.testing.assert_allclose(images[0], images[1])
+    assert np.abs(images[0] - images[2]).max() > 0.01

@@ -18,11 +18,11 @@ from lensshift.evaluation.slanted_edge import (
     EdgeResult,
     Region,
     average_interval,
+    find_regions,
     measure_edge,
     measure_edges,
     slanted_edge_mtf,
 )
-from lensshift.evaluation.slanted_edge.regions import find_regions
 
 Image = NDArray[np.float64]
 pytestmark = pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")

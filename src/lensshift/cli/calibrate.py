@@ -25,7 +25,9 @@ ReportOption = Annotated[Path | None, typer.Option("--report", help="Also write 
 PhotometricOption = Annotated[
     bool, typer.Option("--photometric", help="Allow frames to differ by a factor and a constant.")
 ]
-NoPsfOption = Annotated[bool, typer.Option("--no-psf", help="Do not measure the blur.")]
+NoPsfOption = Annotated[
+    bool, typer.Option("--no-psf", help="Leave out the blur at straight edges.")
+]
 NoiseOption = Annotated[
     float, typer.Option(min=1e-6, help="Noise of a pixel / full scale, for the loss in dB.")
 ]
@@ -95,7 +97,7 @@ def _say(current: Session, done: RigCalibration) -> None:
     drift = 60.0 * found.drift_px_per_s
     current.say(f"drift      {drift[0]:9.4f} {drift[1]:9.4f} px per minute")
     if found.psf_sigma_px is not None:
-        current.say(f"blur       {found.psf_sigma_px:9.3f} px")
+        current.say(f"blur       {found.psf_sigma_px:9.3f} px, at straight edges of the scene")
     order = done.fit.field_order
     current.say(f"over the sensor: {'the same' if order == 0 else f'polynomial of order {order}'}")
     current.say(

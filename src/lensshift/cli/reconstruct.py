@@ -49,8 +49,13 @@ ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Upscaling factor."
 MethodOption = Annotated[str, typer.Option(help="Method; a wrong name lists them.")]
 ChannelOption = Annotated[Channel, typer.Option(help="What to reconstruct.")]
 PsfOption = Annotated[
-    float, typer.Option("--psf-sigma-px", min=0.0, help="Blur of the optics in LR px.")
-]
+    float | None,
+    typer.Option(
+        "--psf-sigma-px", min=0.0,
+        help="Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
+        "px; default: from --calibration, or 0.3.",
+    ),
+]  # fmt: skip
 WeightOption = Annotated[
     str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
 ]
@@ -87,7 +92,7 @@ def reconstruct(
     scale: ScaleOption = 2,
     method: MethodOption = "auto",
     channel: ChannelOption = Channel.AUTO,
-    psf_sigma_px: PsfOption = 0.3,
+    psf_sigma_px: PsfOption = None,
     prior_weight: WeightOption = "auto",
     frames: FramesOption = None,
     noise_sigma: NoiseOption = None,
@@ -116,7 +121,7 @@ def reconstruct(
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
     """
     settings: dict[str, Any] = {
-        "scale": scale, "method": method, "channel": channel.value, "psf_sigma_px": psf_sigma_px,
+        "scale": scale, "method": method, "channel": channel.value,
         "prior_weight": _parse_weight(prior_weight), "frames": _parse_frames(frames),
         "noise_sigma": noise_sigma, "fill_factor": fill_factor, "non_negative": non_negative,
         "photometric": photometric, "seed": seed,
@@ -125,18 +130,33 @@ def reconstruct(
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
         files = _plan(burst, offsets, out, export or [], scale)
-        if shift_map is not None and calibration is not None:
-            raise typer.BadParameter("--shift-map and --calibration both say where the image lies")
-        frames_in = load_input_burst(burst, stack)
-        if shift_map is not None:
-            from lensshift.io import load_shift_field
-
-            settings["shift_field"] = load_shift_field(shift_map)
-        if calibration is not None:
-            from lensshift.io.calibration_file import load_calibration
-
-            frames_in, settings["shift_field"] = load_calibration(calibration).applied_to(frames_in)
+        frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
+        if psf_sigma_px is not None:
+            known["psf_sigma_px"] = psf_sigma_px
+        elif fill_factor is not None:
+            known.pop("psf_sigma_px", None)  # it holds the pixel as well
+        settings |= known
         _reconstruct(current, burst, frames_in, settings, files)
+
+
+def _located(
+    burst: Burst, shift_map: Path | None, calibration: Path | None
+) -> tuple[Burst, dict[str, Any]]:
+    """Return the burst and settings with what is known of its shifts and of the rig."""
+    if shift_map is not None and calibration is not None:
+        raise typer.BadParameter("--shift-map and --calibration both say where the image lies")
+    if shift_map is not None:
+        from lensshift.io import load_shift_field
+
+        return burst, {"shift_field": load_shift_field(shift_map)}
+    if calibration is not None:
+        from lensshift.io.calibration_file import load_calibration
+
+        measured = load_calibration(calibration)
+        burst, field = measured.applied_to(burst)
+        width = measured.psf_sigma_px
+        return burst, {"shift_field": field} | ({} if width is None else {"psf_sigma_px": width})
+    return burst, {}
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,17 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lensshift.core.calibration import Calibration
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.registration.calibrate import ScanFit, fit_scan
 
 if TYPE_CHECKING:
     from lensshift.report.page import Page
 
-PSF_TRIALS_PX = (0.18, 0.24, 0.30, 0.36, 0.42, 0.50)
-LEAST_ERROR_PX = 0.05
-_BORDER_PX = 2
-# So fine that the grid of the reconstruction blurs little: a coarser one asks for a wider blur.
-_SCALE = 4
+_FINER = 3  # times the pixels of a frame: of the picture in which edges are looked for
+_MOST_FRAMES = 12
+_LEAST_PX = 4  # lines and columns of an edge
+_MOST_ASYMMETRY = 0.05  # over the contrast; what stands beside an edge makes it asymmetric
+# Gaussian width times MTF50: exp(-2 (pi sigma f)^2) = 1/2.
+_WIDTH_BY_MTF50 = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +68,7 @@ def calibrate_rig(
     ----------
     burst : the scan, see `fit_scan`
     photometric, over_sensor : see `fit_scan`
-    psf : whether the width of the blur is measured
+    psf : whether the width of the blur is measured, at straight edges if there are any
     noise : of a pixel as a share of full scale, for what the rest costs
     report : HTML file for the page, or None
 
@@ -83,9 +86,10 @@ def calibrate_rig(
 
     fit = fit_scan(burst, photometric=photometric, over_sensor=over_sensor)
     if psf:
-        width_px, error_px = psf_width_px(fit.burst)
-        found = replace(fit.calibration, psf_sigma_px=width_px, psf_sigma_sigma_px=error_px)
-        fit = replace(fit, calibration=found)
+        width = psf_width_px(fit.burst)
+        if width is not None:
+            found = replace(fit.calibration, psf_sigma_px=width[0], psf_sigma_sigma_px=width[1])
+            fit = replace(fit, calibration=found)
     losses = reconstruction_loss(fit.calibration.stage_map.sigma_px, noise)
     done = RigCalibration(fit, *losses)
     if report is not None:
@@ -93,50 +97,63 @@ def calibrate_rig(
     return done
 
 
-def psf_width_px(burst: Burst) -> tuple[float, float]:
-    """Return the Gaussian width of the blur that predicts held-out frames best, and its error.
+def psf_width_px(burst: Burst) -> tuple[float, float] | None:
+    """Return the Gaussian width of the blur at straight edges of the scene, and its error.
 
-    Every second frame is reconstructed with some widths, the others are predicted; and the other
-    way round. A parabola through the three best gives the width. The error is the difference of the
-    two halves, and no less than 0.05 px: it is the width that suits the reconstruction, and wrong
-    shifts widen it.
+    sigma = sqrt(ln 2 / 2) / (pi MTF50), of optics and pixel together. All frames measure an edge
+    jointly. An edge can look wider than the blur, because it is soft or something stands beside
+    it, but not sharper: the mean is over the sharpest edge and those that agree with it.
 
     Parameters
     ----------
-    burst : many frames with registered offsets
+    burst : frames with registered offsets
+
+    Returns
+    -------
+    (sigma_px, error_px), or None if the scene has no straight edge with even areas on both sides
     """
-    numbers = np.arange(burst.frame_count)
-    best = []
-    for first in (0, 1):
-        used, held = numbers[first::2], numbers[1 - first :: 2]
-        misses = [_miss(burst, used, held, width_px) for width_px in PSF_TRIALS_PX]
-        best.append(_lowest(np.array(PSF_TRIALS_PX), np.array(misses)))
-    return float(np.mean(best)), max(LEAST_ERROR_PX, abs(best[0] - best[1]))
+    from lensshift.evaluation.slanted_edge import measure_edge
+
+    every = -(-burst.frame_count // _MOST_FRAMES)
+    frames, offset_px = burst.amplitude[::every], burst.offset_px[::every]
+    valid = None if burst.valid is None else burst.valid[::every]
+    widths = []
+    for region in _edges(burst):
+        with warnings.catch_warnings():
+            # Doubts are about one frame: many frames leave no pixel phase out.
+            warnings.simplefilter("ignore", QualityWarning)
+            edge = measure_edge(frames, offset_px=offset_px, valid=valid, region=region)
+        half = edge.mtf50_lpmm
+        told = np.all(np.isfinite([half.value, half.low, half.high])) and half.low > 0.0
+        if told and edge.asymmetry.value < _MOST_ASYMMETRY:
+            widths.append([_WIDTH_BY_MTF50 / f for f in (half.high, half.value, half.low)])
+    if not widths:
+        return None
+    low, value, high = np.array(widths).T
+    agree = low <= high[np.argmin(value)]
+    sigma = (high - low)[agree] / (2 * 1.96)
+    weight = sigma**-2.0 / np.sum(sigma**-2.0)
+    mean = float(weight @ value[agree])
+    scatter = float(np.sqrt(weight @ (value[agree] - mean) ** 2 / agree.sum()))
+    return mean, max(float(np.sum(sigma**-2.0) ** -0.5), scatter)
 
 
-def _miss(burst: Burst, used: np.ndarray, held: np.ndarray, width_px: float) -> float:
-    """Return the mean squared error of the prediction of frames that were not used."""
+def _edges(burst: Burst) -> list[tuple[int, int, int, int]]:
+    """Return regions of the frames that hold an edge, found where all frames are put together."""
+    from lensshift.evaluation.slanted_edge import find_regions
     from lensshift.reconstruction.reconstruct import reconstruct
 
-    estimate = reconstruct(
-        burst, _SCALE, "tikhonov", "amplitude", width_px, frames=list(map(int, used)), std=False
-    ).amplitude
-    if estimate is None:
-        raise ValueError("expected a reconstruction of the amplitude")
-    cut = (slice(_BORDER_PX, -_BORDER_PX),) * 2
-    square = []
-    for k in map(int, held):
-        valid = np.ones(burst.grid.shape, np.bool_) if burst.valid is None else burst.valid[k]
-        miss = np.abs(burst.amplitude[k] - estimate.predict(k))[cut] ** 2
-        square.append(miss[valid[cut]])
-    return float(np.mean(np.concatenate(square)))
-
-
-def _lowest(width_px: np.ndarray, miss: np.ndarray) -> float:
-    """Return where a parabola through the lowest value and its neighbours is lowest."""
-    k = int(np.clip(np.argmin(miss), 1, len(miss) - 2))
-    bend, slope, _ = np.polyfit(width_px[k - 1 : k + 2] - width_px[k], miss[k - 1 : k + 2], 2)
-    if bend <= 0:
-        return float(width_px[np.argmin(miss)])
-    lowest = width_px[k] - 0.5 * slope / bend
-    return float(np.clip(lowest, width_px[0], width_px[-1]))
+    together = reconstruct(burst, _FINER, "shift-and-add", "amplitude", std=False).amplitude
+    if together is None:
+        raise ValueError("expected a picture of the amplitude")
+    try:
+        found = find_regions(together.image)
+    except ValueError:
+        return []
+    inside = []
+    for region in found:
+        first = [-(-n // _FINER) for n in (region.row_start, region.col_start)]
+        last = [n // _FINER for n in (region.row_stop, region.col_stop)]
+        if min(last[0] - first[0], last[1] - first[1]) >= _LEAST_PX:
+            inside.append((first[0], last[0], first[1], last[1]))
+    return inside

@@ -37,6 +37,7 @@ _SCAN_STEPS = 4  # along each axis, from both sides: 35 positions
 _SCAN_FRAMES = 6
 _FRAMES = 8
 _PATIENCE_S = 20.0
+NOMINAL_BLUR_PX = 0.3  # of a square pixel behind a fair lens
 EMULATED_SPEED = 10.0  # of the emulated stages: only waiting gets shorter
 
 
@@ -170,7 +171,8 @@ def run_bench(
         told = None if on_step is None else partial(on_step, "burst")
         burst = rig.capture(plan, burst_file, on_step=told)
         burst, field = rig.calibration.applied_to(burst)
-    result = reconstruct(burst, scale, method, shift_field=field)
+    width_px = _blur_px(rig.calibration)
+    result = reconstruct(burst, scale, method, psf_sigma_px=width_px, shift_field=field)
     save_reconstruction(result, result_file)
     bicubic = reconstruct(burst, scale, "bicubic", std=False)
     shown = {"bicubic": images_of(bicubic), method: images_of(result)}
@@ -228,17 +230,25 @@ def _assumed(taken: _Taken) -> Array:
 def _reconstructions(
     taken: _Taken, assumed_px: Array, origin_px: Array, scale: int, method: str
 ) -> dict[str, Reconstruction]:
-    def with_shifts(offset_px: Array) -> Reconstruction:
+    measured_px = _blur_px(taken.calibration)
+
+    def with_shifts(offset_px: Array, width_px: float = measured_px) -> Reconstruction:
         burst = replace(taken.burst, offset_px=offset_px.mean(axis=(1, 2)))
         return reconstruct(
-            burst, scale, method, channel="amplitude", shift_field=ShiftField(offset_px)
+            burst, scale, method, "amplitude", width_px, shift_field=ShiftField(offset_px)
         )
 
     return {
         "bicubic": reconstruct(taken.burst, scale, "bicubic", channel="amplitude", std=False),
+        f"{method}, a blur of {NOMINAL_BLUR_PX} px": with_shifts(assumed_px, NOMINAL_BLUR_PX),
         f"{method}, calibrated shifts": with_shifts(assumed_px),
         f"{method}, perfect shifts": with_shifts(taken.true_px - origin_px),
     }
+
+
+def _blur_px(calibration: Calibration) -> float:
+    """Return the width of the blur, measured if it was."""
+    return NOMINAL_BLUR_PX if calibration.psf_sigma_px is None else calibration.psf_sigma_px
 
 
 def _shift_errors(taken: _Taken, assumed_px: Array) -> dict[str, float]:

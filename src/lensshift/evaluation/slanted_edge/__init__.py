@@ -7,6 +7,7 @@ from lensshift.evaluation.slanted_edge.measure import (
     measure_edges,
     slanted_edge_mtf,
 )
+from lensshift.evaluation.slanted_edge.regions import find_regions
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Profile, Region
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Region",
     "average_curves",
     "average_interval",
+    "find_regions",
     "measure_edge",
     "measure_edges",
     "slanted_edge_mtf",
