@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _FINER = 3  # times the pixels of a frame: of the picture in which edges are looked for
 _MOST_FRAMES = 12
+_LEAST_ERROR_PX = 0.005  # errors of the shifts, edges of few pixels: 0.007 px on the emulated rig
 _LEAST_PX = 4  # lines and columns of an edge
 _MOST_ASYMMETRY = 0.05  # over the contrast; what stands beside an edge makes it asymmetric
 # Gaussian width times MTF50: exp(-2 (pi sigma f)^2) = 1/2.
@@ -100,7 +101,7 @@ def calibrate_rig(
 def psf_width_px(burst: Burst) -> tuple[float, float] | None:
     """Return the Gaussian width of the blur at straight edges of the scene, and its error.
 
-    sigma = sqrt(ln 2 / 2) / (pi MTF50), of optics and pixel together. All frames measure an edge
+    sigma = sqrt(ln 2 / 2) / (pi MTF50), of optics and pixel together. Up to 12 frames measure an edge
     jointly. An edge can look wider than the blur, because it is soft or something stands beside
     it, but not sharper: the mean is over the sharpest edge and those that agree with it.
 
@@ -110,7 +111,8 @@ def psf_width_px(burst: Burst) -> tuple[float, float] | None:
 
     Returns
     -------
-    (sigma_px, error_px), or None if the scene has no straight edge with even areas on both sides
+    (sigma_px, error_px), the error at least 0.005 px; None if the scene has no straight edge with
+    even areas on both sides
     """
     from lensshift.evaluation.slanted_edge import measure_edge
 
@@ -135,7 +137,7 @@ def psf_width_px(burst: Burst) -> tuple[float, float] | None:
     weight = sigma**-2.0 / np.sum(sigma**-2.0)
     mean = float(weight @ value[agree])
     scatter = float(np.sqrt(weight @ (value[agree] - mean) ** 2 / agree.sum()))
-    return mean, max(float(np.sum(sigma**-2.0) ** -0.5), scatter)
+    return mean, max(float(np.sum(sigma**-2.0) ** -0.5), scatter, _LEAST_ERROR_PX)
 
 
 def _edges(burst: Burst) -> list[tuple[int, int, int, int]]:
