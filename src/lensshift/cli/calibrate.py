@@ -25,9 +25,7 @@ ReportOption = Annotated[Path | None, typer.Option("--report", help="Also write 
 PhotometricOption = Annotated[
     bool, typer.Option("--photometric", help="Allow frames to differ by a factor and a constant.")
 ]
-NoPsfOption = Annotated[
-    bool, typer.Option("--no-psf", help="Leave out the blur at straight edges.")
-]
+NoPsfOption = Annotated[bool, typer.Option("--no-psf", help="Do not measure the blur.")]
 NoiseOption = Annotated[
     float, typer.Option(min=1e-6, help="Noise of a pixel / full scale, for the loss in dB.")
 ]
@@ -67,6 +65,8 @@ def calibrate(
         save_calibration(done.calibration, target)
         current.result |= {"input": scan, "files": files, **_described(done)}
         _say(current, done)
+        if not no_psf and done.calibration.psf_sigma_px is None:
+            current.say("blur       not measured: no straight edge between even areas")
         for path in files:
             current.say(f"wrote {path}")
 

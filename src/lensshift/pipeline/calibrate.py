@@ -101,9 +101,9 @@ def calibrate_rig(
 def psf_width_px(burst: Burst) -> tuple[float, float] | None:
     """Return the Gaussian width of the blur at straight edges of the scene, and its error.
 
-    sigma = sqrt(ln 2 / 2) / (pi MTF50), of optics and pixel together. Up to 12 frames measure an edge
-    jointly. An edge can look wider than the blur, because it is soft or something stands beside
-    it, but not sharper: the mean is over the sharpest edge and those that agree with it.
+    sigma = sqrt(ln 2 / 2) / (pi MTF50), of optics and pixel together. Up to 12 frames measure an
+    edge jointly. An edge can look wider than the blur, because it is soft or something stands
+    beside it, but not sharper: the mean is over the sharpest edge and those that agree with it.
 
     Parameters
     ----------

@@ -216,13 +216,8 @@ def _rows(fit: ScanFit) -> list[dict[str, str]]:
             unit = "px per minute"
             add(f"drift along {_NAMES[i]}", 60 * float(drift), 60 * float(error_px), unit)
     if found.psf_sigma_px is not None:
-        add(
-            "width of the blur, optics and pixel",
-            found.psf_sigma_px,
-            found.psf_sigma_sigma_px,
-            "px",
-            3,
-        )
+        what = "width of the blur, optics and pixel"
+        add(what, found.psf_sigma_px, found.psf_sigma_sigma_px, "px", 3)
     add("residual, rms along each axis", found.stage_map.sigma_px, None, "px")
     rows.append({"what": "frames", "value": str(fit.burst.frame_count),
                  "standard error": "-", "unit": ""})  # fmt: skip
