@@ -83,7 +83,7 @@ class PacketCounts:
     reordered : came after a later one
     partial : messages given up because a packet was missing
     oversize : messages longer than any known
-    restarts : times the cycle counter jumped back
+    restarts : times the camera started anew: most jumps back of the cycle counter of a channel
     """
 
     packets: int = 0
@@ -221,7 +221,7 @@ class _Channel:
         if step < -LATE_CYCLES or (step < 0 and arrived_s - self._heard_s > QUIET_S):
             self._give_up(self.newest)
             self.restarts += 1
-            self._counts.restarts += 1
+            self._counts.restarts = max(self._counts.restarts, self.restarts)
             step = 1
         self._heard_s = arrived_s
         if step > 0:
