@@ -28,6 +28,8 @@ OnIteration = Callable[[int, float], None]
 AMPLITUDE_EXPONENT, PHASE_EXPONENT = 0.9, 0.6
 # An edge of the phase costs less where the logarithm of the amplitude has one too.
 EDGE_COUPLING = 0.5
+# Steps of the phase by more than this let the amplitude between the surfaces go.
+CANCELLING_RAD = 0.5
 # Surfaces are planes: the phase is compared with its mean slope over this window.
 SLOPE_WINDOW_HR_PX = 11
 START_SMOOTHING, SMOOTHING_DECAY = 0.1, 0.75
@@ -113,9 +115,9 @@ class JointPhasor:
                                                 + eps_phi^2)^(p_phi / 2)
 
     with the mean slope s_d of the surroundings; (*) where the phasor has an edge, the amplitude is
-    as free as if it had one. Reweighted Gauss-Newton: in each step the phasor
-    is linearised in (a, a phi), the penalties are replaced by quadratics that touch them, and both
-    unknowns are solved for by conjugate gradients. Both lambda set themselves as in
+    as free as if it had one, and freer still where phases cancel. Reweighted Gauss-Newton: in each
+    step the phasor is linearised in (a, a phi), the penalties are replaced by quadratics that touch
+    them, and both unknowns are solved for by conjugate gradients. Both lambda set themselves as in
     `SparseGradient`. The prior of the phase does not know the amplitude: where a surface is dark,
     its data count a^2 and the neighbours decide.
 
@@ -243,6 +245,8 @@ class JointPhasor:
         for_amplitude = _touching(
             np.abs(phasor_step) ** 2, now.smoothing, AMPLITUDE_EXPONENT, for_a
         )
+        # Such a pixel has the amplitude of neither surface: a Geman-McClure weight lets it go.
+        for_amplitude /= (1.0 + (deviation / CANCELLING_RAD) ** 2) ** 2
         for_phase = _touching(
             deviation**2 + EDGE_COUPLING * log_step**2,
             now.phase_smoothing_rad, PHASE_EXPONENT, for_phi,
