@@ -2,16 +2,17 @@
 
 python benchmarks/phasor.py ../shared/reference --seeds 2
 
-Three groups, none made by the forward model of the solver: four boxes taken by the camera
-simulation (with its own noise, and with SNR = median amplitude / noise added), real O3D frames as
-fine scenes whose phasors are averaged over 4 x 4 pixels, and the phasor case of the reference data.
+Four groups, none made by the forward model of the solver: four boxes taken by the simulated O3M
+(with its own noise, and with SNR = median amplitude / noise added), four boxes on the simulated
+bench of the paper through the moving lens (SNR of the cloth behind them), real O3D frames as fine
+scenes whose phasors are averaged over 4 x 4 pixels, and the phasor case of the reference data.
 """
 
 import argparse
 import time
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import h5py
@@ -23,6 +24,8 @@ from lensshift import Burst, reconstruct
 from lensshift.camera import camera_preset, simulate_tof_burst
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, distance_to_phase, phase_to_distance
 from lensshift.evaluation import depth_error
+from lensshift.pipeline.paper.bench import WALL_LIGHT, paper_camera
+from lensshift.pipeline.paper.box_claims import BRIGHTEST_LIGHT
 from lensshift.scene import four_boxes
 
 MODULATION_HZ = 15e6
@@ -39,6 +42,7 @@ class Case:
     burst: Burst
     truth_m: NDArray[np.float64]
     valid: NDArray[np.bool_]
+    assumed: dict[str, float] = field(default_factory=dict)  # of the pixel response
 
 
 def noisy(phasor: NDArray[np.complex128], snr: float, seed: int) -> NDArray[np.complex128]:
@@ -57,6 +61,14 @@ def boxes(seed: int) -> Iterator[Case]:
         distance_m = phase_to_distance(np.angle(y), MODULATION_HZ)
         noisier = replace(burst, amplitude=np.abs(y), distance_m=distance_m)
         yield Case(f"boxes, SNR {snr}, {seed}", noisier, truth.distance_m, truth.valid)
+
+
+def bench(seed: int) -> Iterator[Case]:
+    for snr in (50, 15):
+        camera = paper_camera(snr, WALL_LIGHT, BRIGHTEST_LIGHT, optics="petzval_a")
+        burst, truth = simulate_tof_burst(four_boxes(), camera, seed=seed)
+        assumed = {"fill_factor": 1.0, "psf_sigma_px": 0.05}
+        yield Case(f"bench, SNR {snr}, {seed}", burst, truth.distance_m, truth.valid, assumed)
 
 
 def means(image: NDArray, offset: NDArray, size: int, shape: tuple[int, int]) -> NDArray:
@@ -126,7 +138,9 @@ def measure(case: Case) -> None:
     line, edge_mm = f"{case.name:24s}", []
     for channel, method in LIKE:
         start_s = time.perf_counter()
-        found = reconstruct(case.burst, 2, method, channel=channel, std=False).distance_m
+        found = reconstruct(
+            case.burst, 2, method, channel=channel, std=False, **case.assumed
+        ).distance_m
         spent_s = time.perf_counter() - start_s
         error = depth_error(found.image, case.truth_m, truth_valid=case.valid, scale=2)
         edge_mm.append(1e3 * error.edge_rmse_m)
@@ -147,7 +161,7 @@ def main() -> None:
     print(f"{'RMSE in mm':24s} | {columns} |  auto    tv")
     measure(reference(arguments.reference))
     for seed in range(arguments.seeds):
-        for case in (*boxes(seed), *o3d(arguments.reference, seed)):
+        for case in (*boxes(seed), *bench(seed), *o3d(arguments.reference, seed)):
             measure(case)
 
 

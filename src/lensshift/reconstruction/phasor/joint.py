@@ -26,10 +26,11 @@ Array = NDArray[Any]
 OnIteration = Callable[[int, float], None]
 
 AMPLITUDE_EXPONENT, PHASE_EXPONENT = 0.9, 0.6
-# An edge of the phase costs less where the logarithm of the amplitude has one too.
-EDGE_COUPLING = 0.5
+# An edge of the phase costs less where the logarithm of the amplitude has one too. How high that is
+# says no more: beside a bright surface a mixed pixel is closer to the dark one, but has its phase.
+EDGE_COUPLING, HIGHEST_LOG_STEP = 0.5, 0.8
 # Steps of the phase by more than this let the amplitude between the surfaces go.
-CANCELLING_RAD = 0.5
+CANCELLING_RAD = 0.25
 # Surfaces are planes: the phase is compared with its mean slope over this window.
 SLOPE_WINDOW_HR_PX = 11
 START_SMOOTHING, SMOOTHING_DECAY = 0.1, 0.75
@@ -224,6 +225,7 @@ class JointPhasor:
             )
         amplitude_step, phase_step = _differences(a), _differences(phase_rad)
         log_step = _differences(np.log(np.maximum(a, 2.0 * sigma)))
+        log_step = np.minimum(np.abs(log_step), HIGHEST_LOG_STEP)
         deviation = phase_step - _mean_slope(phase_step, now.phase_smoothing_rad)
         amplitude_energy = _energy(amplitude_step**2, now.smoothing, AMPLITUDE_EXPONENT)
         phase_energy = _energy(deviation**2, now.phase_smoothing_rad, PHASE_EXPONENT)
