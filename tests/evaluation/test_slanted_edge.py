@@ -70,7 +70,10 @@ def truth_mtf50(angle_deg: float, sigma_px: float) -> float:
     return float(frequency[np.argmax(true_mtf(frequency, angle_deg, sigma_px) < 0.5)])
 
 
-@pytest.mark.parametrize("sigma_px", [0.15, pytest.param(0.4, marks=pytest.mark.slow), 0.9])
+@pytest.mark.parametrize(
+    "sigma_px",
+    [0.15, pytest.param(0.4, marks=pytest.mark.slow), pytest.param(0.9, marks=pytest.mark.slow)],
+)
 def test_a_gaussian_edge_behind_a_square_pixel(sigma_px: float) -> None:
     image = box_edge((31, 45), sigma_px=sigma_px, finer=25)
     result = measure_edge(image)
