@@ -116,11 +116,11 @@ class JointPhasor:
                                                 + eps_phi^2)^(p_phi / 2)
 
     with the mean slope s_d of the surroundings; (*) where the phasor has an edge, the amplitude is
-    as free as if it had one, and freer still where phases cancel. Reweighted Gauss-Newton: in each
-    step the phasor is linearised in (a, a phi), the penalties are replaced by quadratics that touch
-    them, and both unknowns are solved for by conjugate gradients. Both lambda set themselves as in
-    `SparseGradient`. The prior of the phase does not know the amplitude: where a surface is dark,
-    its data count a^2 and the neighbours decide.
+    as free as if it had one, and freer still where phases cancel; |D_d log a| counts up to 0.8.
+    Reweighted Gauss-Newton: in each step the phasor is linearised in (a, a phi), the penalties are
+    replaced by quadratics that touch them, and both unknowns are solved for by conjugate
+    gradients. Both lambda set themselves as in `SparseGradient`. The prior of the phase does not
+    know the amplitude: where a surface is dark, its data count a^2 and the neighbours decide.
 
     Parameters
     ----------
