@@ -104,6 +104,12 @@ def test_calibrate_writes_calibration_and_page(scan_file: Path) -> None:
     assert "image row per stage row" in text
 
 
+def test_calibrate_says_when_no_edge_tells_the_blur(scan_file: Path) -> None:
+    done = call("calibrate", scan_file)
+    assert done.exit_code == 0, done.output
+    assert "not measured: no straight edge" in done.stdout
+
+
 @pytest.mark.parametrize("verb", ["register", "calibrate"])
 def test_help_has_examples(verb: str) -> None:
     done = call(verb, "--help")
