@@ -276,6 +276,17 @@ def test_doubts_about_shape_and_response() -> None:
         measure_edge(noisy(box_edge((65, 65)), 0.002) ** 2.2)
 
 
+@pytest.mark.parametrize("angle_deg", [7.0, 10.03])
+@pytest.mark.parametrize("steeper", [2.0, 3.0])
+def test_an_edge_beyond_the_prior_is_measured(angle_deg: float, steeper: float) -> None:
+    """Clipped steps, as sparse reconstructions have them: their LSF is as short as allowed."""
+    soft = box_edge((17, 46), angle_deg=angle_deg, offset_px=(0.0, 0.3), sigma_px=0.3)
+    steep = np.clip(steeper * (soft - 0.5), -0.3, 0.3)
+    high = [measure_edge(image).mtf_at_nyquist for image in (soft, steep)]
+    assert high[1].value > 1.2 * high[0].value
+    assert all(one.low < one.value < one.high for one in high)
+
+
 def test_aliasing_that_is_left_shows() -> None:
     upright = box_edge((32, 64), sigma_px=0.8)
     assert measure_edge(noisy(upright, 0.01), scale=2).aliasing_px < 0.03

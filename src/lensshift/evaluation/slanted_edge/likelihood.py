@@ -28,11 +28,15 @@ _LOG_TAIL = (np.log(1.0), 0.6)
 _LOGIT_SYMMETRY = (2.0, 2.0)
 _PRIOR = np.array([_LOG_SIGMA, _LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY])
 _BOUNDS = np.array([(-2.5, 2.0), (-9.0, 0.5), (-1.4, 1.1), (-1.4, 2.0), (-8.0, 8.0)])
-_NOISE_SPREAD = 3.0  # of the log noise around 1 % of the contrast
-_LOG_NOISE_BOUNDS = (-12.0, 1.0)
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.
 MODEL_ERROR = 1e-4
+_NOISE_SPREAD = 3.0  # of the log noise around 1 % of the contrast
+_LOG_NOISE_BOUNDS = (np.log(0.3 * MODEL_ERROR), 1.0)
+_LARGEST_ANGLE_RAD = 0.9
+# Behind a bound the posterior falls as a normal distribution: a cliff would stop the descent
+# before its foot and leave no curvature to draw from.
+_WALL = 0.05
 HYPERS = 5  # log sigma, log amplitude, log length, log tail, logit symmetry; the noise follows
 IMPOSSIBLE = 1e10
 _JITTER = 1e-10
@@ -95,6 +99,10 @@ class EdgeLikelihood:
         knots = np.arange(basis.knot_px.size)
         self._apart = np.abs(np.subtract.outer(knots, knots))
         self._cache: dict[bytes, _Moments] = {}
+        free = np.full(self.geometry_size - 1, np.inf)
+        top = [[_LARGEST_ANGLE_RAD], free, _BOUNDS[:, 1], [_LOG_NOISE_BOUNDS[1]]]
+        bottom = [[-_LARGEST_ANGLE_RAD], -free, _BOUNDS[:, 0], [_LOG_NOISE_BOUNDS[0]]]
+        self._bounds = np.concatenate(bottom), np.concatenate(top)
 
     @property
     def size(self) -> int:
@@ -110,6 +118,10 @@ class EdgeLikelihood:
         """Return the same, and the distribution of levels and coefficients."""
         found = self._evaluate(parameters, whole=True)
         return (IMPOSSIBLE, None) if found is None else found
+
+    def bounded(self, parameters: Vector | Matrix) -> Matrix:
+        """Return the nearest parameters [... p] that are allowed."""
+        return np.asarray(np.clip(parameters, *self._bounds))
 
     def sigma_px(self, parameters: Vector) -> float:
         """Return the width of the Gaussian of the base model."""
@@ -172,11 +184,10 @@ class EdgeLikelihood:
         self, parameters: Vector, whole: bool = False
     ) -> tuple[float, Conditional | None] | None:
         g = self.geometry_size
+        allowed = self.bounded(parameters)
+        beyond = (parameters - allowed) / _WALL
+        parameters = allowed
         hyper, log_noise = parameters[g : g + HYPERS], parameters[-1]
-        if not np.all((hyper > _BOUNDS[:, 0]) & (hyper < _BOUNDS[:, 1])):
-            return None
-        if not _LOG_NOISE_BOUNDS[0] < log_noise < _LOG_NOISE_BOUNDS[1] or abs(parameters[0]) > 0.9:
-            return None
         variance = np.exp(2.0 * log_noise) + MODEL_ERROR**2
         m = self._moments(parameters)
         prior = self._prior_factor(hyper)
@@ -200,7 +211,7 @@ class EdgeLikelihood:
             0.5 * misfit + 0.5 * self.samples.count * np.log(variance) + determinant + 0.5 * z @ z
         )
         value += self.samples.geometry_penalty(parameters[:g])
-        value += 0.5 * ((log_noise - np.log(0.01)) / _NOISE_SPREAD) ** 2
+        value += 0.5 * ((log_noise - np.log(0.01)) / _NOISE_SPREAD) ** 2 + 0.5 * beyond @ beyond
         if not whole:
             return float(value), None
         levels = _solve(levels_factor, v, transposed=True)

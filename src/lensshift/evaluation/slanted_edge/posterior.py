@@ -85,7 +85,8 @@ def find_posterior(
     top = log_weights.max()
     weights = np.exp(log_weights - top)
     conditionals = [one[1] for one in found]
-    return Posterior(best, parameters, weights / weights.sum(), conditionals)
+    inside = likelihood.bounded(parameters)
+    return Posterior(likelihood.bounded(best), inside, weights / weights.sum(), conditionals)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,11 +120,11 @@ class _Student:
         effective = 1.0 / np.sum(weights**2)
         trust = effective / (effective + self.centre.size)
         centre = weights @ parameters
-        deviation = parameters - centre
-        covariance = trust * (deviation.T * weights) @ deviation
-        covariance += (1.0 - trust) * self.directions @ self.directions.T
+        deviation = np.sqrt(trust * weights)[:, None] * (parameters - centre)
+        # A factor of the covariance without forming it: the directions differ by many decades.
+        parts = np.vstack([deviation, np.sqrt(1.0 - trust) * self.directions.T])
         centre = trust * centre + (1.0 - trust) * self.centre
-        return _Student(centre, np.linalg.cholesky(covariance))
+        return _Student(centre, np.linalg.qr(parts, mode="r").T)
 
 
 def _descended(
