@@ -55,23 +55,32 @@ def scene(shape: tuple[int, int]) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
-def test_weighted_median_by_histogram(scale: float) -> None:
+@pytest.mark.parametrize("centre", [-3.0, -0.3, 0.0, 0.1, 1.0, 9.0])
+def test_weighted_medians_by_histogram(scale: float, centre: float) -> None:
     rng = np.random.default_rng(0)
-    values = (scale * (rng.standard_t(2, 5001) + 0.3)).astype(np.float32)
+    values = (scale * (rng.standard_t(2, 5001) + centre)).astype(np.float32)
     weights = rng.random(5001).astype(np.float32)
-    for centre in (0.0, scale):
-        shifted = values - np.float32(centre)
-        found = kernels.weighted_median(values, weights, centre, False)
-        assert found == pytest.approx(sorted_median(shifted, weights), abs=4e-3 * scale)
-        found = kernels.weighted_median(values, weights, centre, True)
-        assert found == pytest.approx(sorted_median(np.abs(shifted), weights), rel=4e-3)
-    assert kernels.weighted_median(values, np.zeros_like(weights), 0.0, True) == 0.0
-    assert kernels.weighted_median(np.zeros_like(values), weights, 0.0, True) == 0.0
+    middle = sorted_median(values, weights)
+    bins = 1e-3 * abs(centre)  # they widen with the distance from 0
+    found = kernels.weighted_median(values, weights)
+    assert found == pytest.approx(middle, abs=(4e-3 + bins) * scale)
+    found = kernels.weighted_mad(values, weights)
+    exact = sorted_median(np.abs(values - middle), weights)
+    assert found == pytest.approx(exact, rel=4e-3 + bins)
+    assert kernels.weighted_median(values, np.zeros_like(weights)) == 0.0
+    assert kernels.weighted_mad(values, np.zeros_like(weights)) == 0.0
 
 
-def test_weighted_median_of_many_values_takes_some_of_them() -> None:
+@pytest.mark.parametrize("level", [0.0, 0.7])
+def test_equal_values_do_not_deviate(level: float) -> None:
+    values, weights = np.full(501, level, np.float32), np.ones(501, np.float32)
+    assert kernels.weighted_median(values, weights) == pytest.approx(level, rel=0.02)
+    assert kernels.weighted_mad(values, weights) < 0.02 * max(level, 1e-4)
+
+
+def test_weighted_mad_of_many_values_takes_some_of_them() -> None:
     values = np.random.default_rng(0).standard_normal(400_000).astype(np.float32)
-    found = kernels.weighted_median(values, np.ones_like(values), 0.0, True)
+    found = kernels.weighted_mad(values, np.ones_like(values))
     assert found == pytest.approx(0.6745, rel=0.02)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
@@ -24,8 +24,8 @@ _NO_EXCESS = 1e-12
 _PHASES = 4096
 
 
-class Blur(Protocol):
-    """A pixel response that is separable in row and col."""
+class Blur(Hashable, Protocol):
+    """A pixel response that is separable in row and col; equal ones have equal taps."""
 
     def taps(self, position_hr_px: ArrayLike, scale: int, size: int) -> tuple[Starts, Weights]:
         """Return the taps of LR pixels centred at HR coordinates `position_hr_px`.
@@ -138,13 +138,14 @@ def _taps(
     if position.size <= _PHASES:
         phases, which = np.unique(phase, return_inverse=True)
         first_tap, table = table_of(phases)
-        weight = table[which.reshape(position.shape)]
+        lead, table = _pack(table)  # of the few phases, not of all positions
+        which = which.reshape(position.shape)
+        lead, weight = lead[which], table[which]
     else:
         first_tap, table = table_of(np.linspace(0.0, 1.0, _PHASES + 1))
         node = np.minimum((phase * _PHASES).astype(np.int64), _PHASES - 1)
         part = (phase * _PHASES - node)[..., None]
-        weight = (1.0 - part) * table[node] + part * table[node + 1]
-    lead, weight = _pack(weight)
+        lead, weight = _pack((1.0 - part) * table[node] + part * table[node + 1])
     return _crop(base.astype(np.int64) + first_tap + lead, weight, size)
 
 

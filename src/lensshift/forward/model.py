@@ -144,11 +144,11 @@ class ForwardModel:
             raise ValueError("expected shifts that put every LR pixel on an HR pixel")
         # A line long enough that no end of it cuts the kernel.
         centre = 1 << 20
-        _, weight = self.blur.taps([centre], self.scale, 2 * centre + 1)
+        kernel = _taps(self.blur, np.array([float(centre)]), self.scale, 2 * centre + 1)
         return Interlace(
             self.rows.position_hr_px.astype(np.int64),
             self.cols.position_hr_px.astype(np.int64),
-            weight[0],
+            kernel.weight[0],
         )
 
 
@@ -189,13 +189,28 @@ def forward_model(
         hr_shape=hr_shape,
         scale=scale,
         blur=blur,
-        rows=Taps(row_at, *blur.taps(row_at, scale, hr_shape[0])),
-        cols=Taps(col_at, *blur.taps(col_at, scale, hr_shape[1])),
+        rows=_taps(blur, row_at, scale, hr_shape[0]),
+        cols=_taps(blur, col_at, scale, hr_shape[1]),
         offset_px=offset,
         gain=_per_frame(gain, 1.0, count, "gain"),
         bias=_per_frame(bias, 0.0, count, "bias"),
         inside=_inside(row_at, col_at, hr_shape),
     )
+
+
+def _taps(blur: Blur, at: Positions, scale: int, size: int) -> Taps:
+    if at.ndim > 2:
+        return Taps(at, *blur.taps(at, scale, size))
+    return _taps_of_shifts(blur, at.tobytes(), at.shape, scale, size)
+
+
+# Both channels of a burst, and all bursts of a stream, look at the same places.
+@lru_cache(maxsize=32)
+def _taps_of_shifts(
+    blur: Blur, at_bytes: bytes, shape: tuple[int, ...], scale: int, size: int
+) -> Taps:
+    at = np.frombuffer(at_bytes, np.float64).reshape(shape)
+    return Taps(at, *blur.taps(at, scale, size))
 
 
 def sampling_operator(

@@ -149,26 +149,25 @@ class _State:
         self.steps = np.empty((len(directions), *x.shape), np.float32)
         self.beta, self.work = np.ones_like(self.steps), np.empty_like(self.steps)
         self.confidence, self.residual = static.copy(), np.empty_like(y)
+        self.flat = tuple(
+            frames.reshape(len(y), -1) for frames in (self.residual, static, self.confidence)
+        )  # [frame pixel], of the same memory
         self.rest = np.empty_like(x)
         self.sigma = 0.0
         self._see()
 
     def iterate(self, settings: Irwsr) -> float:
         """Find new weights and solve with them; return the objective that has these weights."""
-        count = len(self.y)
+        residual, static, confidence = self.flat
         self.sigma = kernels.observation_weights(
-            self.residual.reshape(count, -1), self.static.reshape(count, -1),
-            self.confidence.reshape(count, -1), settings.bias_threshold,
-        )  # fmt: skip
-        kernels.prior_weights(self.steps, self.share, settings.sparsity, self.work, self.beta)
+            residual, static, confidence, settings.bias_threshold
+        )
         factor, mu = self.share * np.float32(settings.prior_weight), settings.smoothing**2
+        kernels.prior_weights(self.steps, self.share, settings.sparsity, self.work, self.beta)
         kernels.touching_quadratic(self.steps, self.beta, factor, mu, self.work)
         self._solve(settings.inner_iterations)
         self._see()
-        misfit = kernels.misfit(
-            self.residual.reshape(count, -1), self.confidence.reshape(count, -1)
-        )
-        return float(misfit + kernels.penalty(self.steps, self.beta, factor, mu))
+        return float(kernels.objective(residual, confidence, self.steps, self.beta, factor, mu))
 
     def _solve(self, iterations: int) -> None:
         """Move x towards the minimum of sum w |y - A x|^2 + sum_d a_d |D_d x|^2, `work` being a."""

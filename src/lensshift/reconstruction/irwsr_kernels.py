@@ -17,8 +17,8 @@ _BINS = _BINS_PER_OCTAVE * _OCTAVES
 _SHIFT = 18
 _FIRST = (_LOWEST + 127) * _BINS_PER_OCTAVE
 _WITHOUT_SIGN = 0x7FFFFFFF
-# Of more values than this, evenly spread ones are taken: good to 1 % of the scale.
-_ENOUGH = 1 << 15
+# Of more values than this, evenly spread ones are taken: good to 2 % of the scale.
+_ENOUGH = 1 << 13
 _TINY = np.float32(1e-12)
 _TUNING = np.float32(2.0)
 _MAD_TO_SIGMA = 1.4826
@@ -32,16 +32,8 @@ def _edge(b: int) -> float:
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def weighted_median(values: Array, weights: Array, centre: float, fold: bool) -> float:
-    """Return the weighted median of v - centre, or of |v - centre| if `fold`.
-
-    By a histogram whose bins are 1/32 octave wide, with the weight of a bin spread evenly over
-    it: the error is some 1e-3 of the result, whatever its scale. 0 if there is no weight.
-
-    Parameters
-    ----------
-    values, weights : single precision vectors of the same length
-    """
+def _histogram(values: Array, weights: Array, centre: float) -> Array:
+    """Return the weight of the v - centre in each bin: the negative ones, then the positive."""
     histogram = np.zeros(2 * _BINS)
     step = max(1, values.size // _ENOUGH) | 1
     middle = np.float32(centre)
@@ -56,23 +48,72 @@ def weighted_median(values: Array, weights: Array, centre: float, fold: bool) ->
         for n in range(count):
             size = ((bits[n] & _WITHOUT_SIGN) >> _SHIFT) - _FIRST
             size = min(max(size, 0), _BINS - 1)
-            place = _BINS + size if fold or bits[n] >= 0 else _BINS - 1 - size
-            histogram[place] += scale[n]
-    half = 0.5 * histogram.sum()
-    if half <= 0.0:
-        return 0.0
+            histogram[_BINS + size if bits[n] >= 0 else _BINS - 1 - size] += scale[n]
+    return histogram
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _middle_of(histogram: Array, half: float) -> float:
+    """Return below what lies `half` of the weight; the bins are signed, or of magnitudes."""
     reached, b = 0.0, 0
-    while b < 2 * _BINS - 1 and reached + histogram[b] < half:
+    while b < len(histogram) - 1 and reached + histogram[b] < half:
         reached += histogram[b]
         b += 1
     share = (half - reached) / histogram[b] if histogram[b] > 0 else 0.0
-    if b >= _BINS:
-        low, high = _edge(b - _BINS), _edge(b - _BINS + 1)
-    else:
-        low, high = -_edge(_BINS - b), -_edge(_BINS - 1 - b)
-    if b in (_BINS, _BINS - 1):  # what is smaller than the smallest bin counts as 0
+    b -= len(histogram) - _BINS  # now of the magnitude, and below 0 if the value is
+    if b in (0, -1):  # what is smaller than the smallest bin counts as 0
         return 0.0
-    return low + share * (high - low)
+    low, high = (_edge(b), _edge(b + 1)) if b > 0 else (-_edge(-b), -_edge(-1 - b))
+    return float(low + share * (high - low))
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _below(cumulative: Array, value: float) -> float:
+    """Return the weight below a value; `cumulative` begins with 0 before the first bin."""
+    size = max(abs(value), 2.0**_LOWEST)
+    octave = np.floor(np.log2(size))
+    place = _BINS_PER_OCTAVE * (octave - _LOWEST + size / 2.0**octave - 1.0)
+    place = _BINS + place if value >= 0 else _BINS - place
+    b = min(max(int(place), 0), 2 * _BINS - 1)
+    return float(cumulative[b] + min(place - b, 1.0) * (cumulative[b + 1] - cumulative[b]))
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def weighted_median(values: Array, weights: Array) -> float:
+    """Return the weighted median of single-precision values; 0 if there is no weight.
+
+    By a histogram whose bins are 1/32 octave wide, with the weight of a bin spread evenly over
+    it: the error is some 1e-3 of the result, whatever its scale.
+    """
+    histogram = _histogram(values, weights, 0.0)
+    half = 0.5 * histogram.sum()
+    return _middle_of(histogram, half) if half > 0.0 else 0.0
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def weighted_mad(values: Array, weights: Array) -> float:
+    """Return the weighted median of |v - m|, m the weighted median; 0 if there is no weight.
+
+    As `weighted_median`, and from the same histogram where m is small beside the result: its
+    bins are finest around 0.
+    """
+    histogram = _histogram(values, weights, 0.0)
+    half = 0.5 * histogram.sum()
+    if half <= 0.0:
+        return 0.0
+    centre = _middle_of(histogram, half)
+    cumulative = np.zeros(2 * _BINS + 1)
+    for b in range(2 * _BINS):
+        cumulative[b + 1] = cumulative[b] + histogram[b]
+    low, high = max(4.0 * abs(centre), 2.0**_LOWEST), 2.0 ** (_LOWEST + _OCTAVES)
+    if _below(cumulative, centre + low) - _below(cumulative, centre - low) >= half:
+        folded = _histogram(values, weights, centre)
+        return _middle_of(folded[_BINS:] + folded[:_BINS][::-1], half)
+    while high > 1.001 * low:
+        between = np.sqrt(low * high)
+        held = _below(cumulative, centre + between) - _below(cumulative, centre - between)
+        low, high = (between, high) if held < half else (low, between)
+    return float(np.sqrt(low * high))
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
@@ -91,14 +132,13 @@ def observation_weights(
     frames, pixels = residual.shape
     believed = np.empty(frames, np.float32)
     for k in range(frames):
-        bias = weighted_median(residual[k], static[k], 0.0, False)
+        bias = weighted_median(residual[k], static[k])
         believed[k] = 1.0 if abs(bias) < bias_threshold else 0.0
         if believed[k] == 0:
             for n in range(pixels):
                 confidence[k, n] = 0
     flat, trust = residual.ravel(), confidence.ravel()
-    centre = weighted_median(flat, trust, 0.0, False)
-    sigma = max(_MAD_TO_SIGMA * weighted_median(flat, trust, centre, True), 1e-7)
+    sigma = max(_MAD_TO_SIGMA * weighted_mad(flat, trust), 1e-7)
     limit = _TUNING * np.float32(sigma)
     for k in range(frames):
         r, given, out, frame = residual[k], static[k], confidence[k], believed[k]
@@ -169,8 +209,7 @@ def prior_weights(
     for d in range(len(steps)):
         median_3x3(steps[d], share[d], filtered[d])
     z, weight = filtered.ravel(), beta.ravel()
-    centre = weighted_median(z, weight, 0.0, False)
-    scale = max(weighted_median(z, weight, centre, True), 1e-9)
+    scale = max(weighted_mad(z, weight), 1e-9)
     unit, power = np.float32(1.0 / scale), np.float32(exponent - 1.0)
     one = np.float32(1.0)
     if exponent == 0.5:
@@ -225,3 +264,11 @@ def misfit(residual: Array, confidence: Array) -> float:
                 part += w[n] * r[n] * r[n]
             total += float(part)
     return total
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def objective(
+    residual: Array, confidence: Array, steps: Array, beta: Array, factor: Array, smoothing: float
+) -> float:
+    """Return misfit plus penalty."""
+    return float(misfit(residual, confidence) + penalty(steps, beta, factor, smoothing))

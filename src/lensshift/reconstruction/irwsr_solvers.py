@@ -55,18 +55,31 @@ def convolve(image: Array, kernel: Array, out: Array) -> None:
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def residual_at(
-    image: Array, norm: Array, row_index: Array, col_index: Array, y: Array, out: Array
-) -> None:
-    """Write y - norm image at the HR pixels of the LR pixels into out [frame row col]."""
+def interlaced_residual(
+    x: Array, kernel: Array, norm: Array, row_index: Array, col_index: Array, y: Array,
+    blurred: Array, out: Array,
+) -> None:  # fmt: skip
+    """Write y - norm (K x) at the HR pixels of the LR pixels into out [frame row col]."""
+    convolve(x, kernel, blurred)
     for k in range(out.shape[0]):
         columns = col_index[k]
         for u in range(out.shape[1]):
-            source, scale = image[row_index[k, u]], norm[row_index[k, u]]
+            source, scale = blurred[row_index[k, u]], norm[row_index[k, u]]
             seen, target = y[k, u], out[k, u]
             for v in range(target.size):
                 j = np.uintp(columns[v])
                 target[v] = seen[v] - source[j] * scale[j]
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def interlaced_adjoint(
+    values: Array, weight: Array, kernel: Array, norm: Array, row_index: Array, col_index: Array,
+    image: Array, out: Array,
+) -> None:  # fmt: skip
+    """Write K norm (weight values, added up in the HR pixels of the LR pixels) into out."""
+    scatter(values, weight, row_index, col_index, image)
+    multiply(image, norm)
+    convolve(image, kernel, out)
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
@@ -146,18 +159,25 @@ def _precondition(
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def solve_interlaced(
-    x: Array, r: Array, seen: Array, kernel: Array, column_square: float, a: Array,
+    x: Array, r: Array, ones: Array, weight: Array, kernel: Array, norm: Array,
+    row_index: Array, col_index: Array, column_square: float, a: Array,
     directions: Array, iterations: int, work: Array,
 ) -> None:  # fmt: skip
     """Run conjugate gradients on (K S K + sum D^T a D) dx = r, K the convolution; x += dx.
 
+    S is the diagonal of the squared norm at the HR pixels that LR pixels see, times their weight.
+
     Parameters
     ----------
-    x, r, seen : [row col]; seen is the diagonal S
+    x, r, norm : [row col]
+    ones, weight : [frame row col]
     a : [direction row col]
-    work : [4 row col] work space, allocated once because fresh memory is slow at first
+    work : [5 row col] work space, allocated once because fresh memory is slow at first
     """
-    inverse, p, q, blurred = work[0], work[1], work[2], work[3]
+    inverse, p, q, blurred, seen = work[0], work[1], work[2], work[3], work[4]
+    scatter(ones, weight, row_index, col_index, seen)
+    multiply(seen, norm)
+    multiply(seen, norm)
     _precondition(seen, column_square, a, directions, inverse)
     p[:] = 0
     _turn(p, r, inverse, 0.0)

@@ -131,7 +131,7 @@ class _Interlaced:
     kernel : [tap], symmetric
     norm : [row col], 1 / n
     ones : [frame row col]
-    work : [6 row col] work space
+    work : [5 row col] work space
     """
 
     row_index: NDArray[np.int64]
@@ -143,30 +143,26 @@ class _Interlaced:
 
     def residual(self, x: Single, y: Single, out: Single) -> None:
         """Write y - A x into out."""
-        blurred = self.work[4]
-        solvers.convolve(x, self.kernel, blurred)
-        solvers.residual_at(blurred, self.norm, self.row_index, self.col_index, y, out)
+        solvers.interlaced_residual(
+            x, self.kernel, self.norm, self.row_index, self.col_index, y, self.work[4], out
+        )
 
     def adjoint(self, y: Single, weight: Single, out: Single) -> None:
         """Write A^T W y into out."""
-        image = self.work[4]
-        solvers.scatter(y, weight, self.row_index, self.col_index, image)
-        solvers.multiply(image, self.norm)
-        solvers.convolve(image, self.kernel, out)
+        solvers.interlaced_adjoint(
+            y, weight, self.kernel, self.norm, self.row_index, self.col_index, self.work[4], out
+        )
 
     def solve(
         self, x: Single, r: Single, weight: Single, a: Single, directions: Directions,
         iterations: int,
     ) -> None:  # fmt: skip
         """Run conjugate gradients on (A^T W A + sum D^T a D) dx = r; x += dx."""
-        seen = self.work[5]
-        solvers.scatter(self.ones, weight, self.row_index, self.col_index, seen)
-        solvers.multiply(seen, self.norm)
-        solvers.multiply(seen, self.norm)
         square = float((self.kernel**2).sum() ** 2)
         solvers.solve_interlaced(
-            x, r, seen, self.kernel, square, a, directions, iterations, self.work
-        )
+            x, r, self.ones, weight, self.kernel, self.norm, self.row_index, self.col_index,
+            square, a, directions, iterations, self.work,
+        )  # fmt: skip
 
 
 def _interlaced(model: ForwardModel) -> _Interlaced:
@@ -180,5 +176,5 @@ def _interlaced(model: ForwardModel) -> _Interlaced:
         kernel=kernel,
         norm=np.reciprocal(norm, out=norm),
         ones=np.ones((model.frames, *model.lr_shape), np.float32),
-        work=np.empty((6, *model.hr_shape), np.float32),
+        work=np.empty((5, *model.hr_shape), np.float32),
     )

@@ -99,10 +99,10 @@ class EdgeLikelihood:
         knots = np.arange(basis.knot_px.size)
         self._apart = np.abs(np.subtract.outer(knots, knots))
         self._cache: dict[bytes, _Moments] = {}
-        free = np.full(self.geometry_size - 1, np.inf)
-        top = [[_LARGEST_ANGLE_RAD], free, _BOUNDS[:, 1], [_LOG_NOISE_BOUNDS[1]]]
-        bottom = [[-_LARGEST_ANGLE_RAD], -free, _BOUNDS[:, 0], [_LOG_NOISE_BOUNDS[0]]]
-        self._bounds = np.concatenate(bottom), np.concatenate(top)
+        free = [np.inf] * (self.geometry_size - 1)
+        top = [_LARGEST_ANGLE_RAD, *free, *_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]]
+        bottom = [-_LARGEST_ANGLE_RAD, *np.negative(free), *_BOUNDS[:, 0], _LOG_NOISE_BOUNDS[0]]
+        self._bounds = np.array(bottom), np.array(top)
 
     @property
     def size(self) -> int:

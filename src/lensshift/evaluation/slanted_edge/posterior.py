@@ -124,7 +124,8 @@ class _Student:
         # A factor of the covariance without forming it: the directions differ by many decades.
         parts = np.vstack([deviation, np.sqrt(1.0 - trust) * self.directions.T])
         centre = trust * centre + (1.0 - trust) * self.centre
-        return _Student(centre, np.linalg.qr(parts, mode="r").T)
+        triangle: Matrix = np.asarray(np.linalg.qr(parts, mode="r"))
+        return _Student(centre, triangle.T)
 
 
 def _descended(
