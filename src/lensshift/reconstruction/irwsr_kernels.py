@@ -106,14 +106,19 @@ def weighted_mad(values: Array, weights: Array) -> float:
     for b in range(2 * _BINS):
         cumulative[b + 1] = cumulative[b] + histogram[b]
     low, high = max(4.0 * abs(centre), 2.0**_LOWEST), 2.0 ** (_LOWEST + _OCTAVES)
-    if _below(cumulative, centre + low) - _below(cumulative, centre - low) >= half:
+    least = _below(cumulative, centre + low) - _below(cumulative, centre - low)
+    if least >= half:
         folded = _histogram(values, weights, centre)
         return _middle_of(folded[_BINS:] + folded[:_BINS][::-1], half)
-    while high > 1.001 * low:
+    most = 2.0 * half
+    while high > 1.01 * low:
         between = np.sqrt(low * high)
         held = _below(cumulative, centre + between) - _below(cumulative, centre - between)
-        low, high = (between, high) if held < half else (low, between)
-    return float(np.sqrt(low * high))
+        if held < half:
+            low, least = between, held
+        else:
+            high, most = between, held
+    return float(low + (half - least) / (most - least) * (high - low))
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")

@@ -102,19 +102,25 @@ def solve_penalised(
 
 
 def smooth_fit(
-    A: LinearOperator, y: Array, weight: Array, stiffness: float, iterations: int = 60
+    A: LinearOperator,
+    y: Array,
+    weight: Array,
+    stiffness: float,
+    iterations: int = 60,
+    x0: Array | None = None,
 ) -> Array:
     """Fit a smooth image: minimise sum w |A x - y|^2 + stiffness |L x|^2, L the mean of D^T D.
 
     The penalty on second differences makes a soft low pass: what it leaves in the residual are
-    the highest frequencies, where there is least of the scene.
+    the highest frequencies, where there is least of the scene. `x0` is where to start, by default
+    at 0.
     """
     quarter = np.full((len(NEIGHBOURS), *A.in_shape), 0.25) / np.sqrt(
         (NEIGHBOURS**2).sum(axis=1)
     ).reshape(-1, 1, 1)
 
     def laplacian(x: Array) -> Array:
-        out = np.zeros_like(x)
+        out = np.zeros(x.shape, x.dtype)
         add_weighted_laplacian(x, quarter, NEIGHBOURS, out)
         return out
 
@@ -122,4 +128,5 @@ def smooth_fit(
         return A.adjoint(weight * A.forward(x)) + stiffness * laplacian(laplacian(x))
 
     b = A.adjoint(weight * y)
-    return conjugate_gradient(apply, b, np.zeros_like(b), np.ones(A.in_shape), iterations, 1e-3)
+    start = np.zeros_like(b) if x0 is None else x0
+    return conjugate_gradient(apply, b, start, np.ones(A.in_shape), iterations, 1e-3)

@@ -72,10 +72,12 @@ def estimate_noise(
     kept = (weight > 0).astype(np.float64)
     inlier: NDArray[np.bool_] = kept > 0
     sigma = total = 0.0
+    low = low_noise = smooth = None  # each pass begins where the one before it ended
     for _ in range(passes):
-        residual = y - A.forward(smooth_fit(A, y, kept, LOW_PASS_STIFFNESS))
-        reference = noise - A.forward(smooth_fit(A, noise, kept, LOW_PASS_STIFFNESS))
-        smooth = smooth_fit(A, y, kept, CALM_STIFFNESS)
+        low = smooth_fit(A, y, kept, LOW_PASS_STIFFNESS, x0=low)
+        low_noise = smooth_fit(A, noise, kept, LOW_PASS_STIFFNESS, x0=low_noise)
+        smooth = smooth_fit(A, y, kept, CALM_STIFFNESS, x0=smooth)
+        residual, reference = y - A.forward(low), noise - A.forward(low_noise)
         steps = np.empty((len(NEIGHBOURS), *A.in_shape), smooth.dtype)
         differences(smooth, NEIGHBOURS, steps)
         unrest = A.forward(uniform_filter((np.abs(steps) ** 2).sum(axis=0), 5))

@@ -36,12 +36,13 @@ def frame_confidence(residual: Array, weight: Array) -> NDArray[np.float64]:
 
     Frames that stand alone, or all of which are odd, keep their weight.
     """
-    size = np.where(weight > 0, np.abs(residual), np.nan).reshape(len(residual), -1)
-    signed = np.where(weight > 0, residual.real, np.nan).reshape(len(residual), -1)
-    seen = np.any(weight > 0, axis=(1, 2))
+    used = weight > 0
+    seen = np.any(used, axis=(1, 2))
     bias, spread = np.zeros(len(residual)), np.zeros(len(residual))
-    bias[seen] = np.abs(np.nanmedian(signed[seen], axis=1))
-    spread[seen] = np.nanmedian(size[seen], axis=1)
+    for k in np.flatnonzero(seen):
+        values = residual[k][used[k]]
+        bias[k] = abs(np.median(values.real))
+        spread[k] = np.median(np.abs(values))
     even = bias < BIAS_LIMIT
     if not np.any(even & seen):
         return np.asarray(seen, np.float64)

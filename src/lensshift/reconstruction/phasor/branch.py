@@ -25,7 +25,9 @@ from lensshift.reconstruction.uncertainty import propagated_std
 Array = NDArray[Any]
 
 METHODS = ("auto", "tikhonov", "tv")
-LEAST_NOISE = 1e-5  # of the brightness of the frames
+# Of the brightness of the frames. No frame has less, and with less the few steps of the joint fit
+# would not settle the corners, which hardly a pixel sees.
+LEAST_NOISE = 5e-4
 # Standard deviation of a phase that may be anything.
 NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 # A pixel between two surfaces keeps this share of their step to both of them.
