@@ -12,7 +12,8 @@ from lensshift.camera import LensOptics, simulate_tof
 from lensshift.core.grid import Grid
 from lensshift.optics.which import Mover
 from lensshift.pipeline.paper.bench import CARD_LIGHT, PITCH_MM, paper_camera, px_to_m
-from lensshift.pipeline.paper.box_claims import steepness
+from lensshift.pipeline.paper.beyond import zone_psnr_db
+from lensshift.pipeline.paper.box_claims import steepness, take_boxes
 from lensshift.pipeline.paper.claims import mean_interval, pooled_interval
 from lensshift.pipeline.paper.gradient_question import PHASES, Strip, study_strip
 from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
@@ -88,6 +89,25 @@ def test_verdicts_on_the_lens_follow_from_the_curves() -> None:
     assert (beyond.verdict, keeps.verdict) == ("refuted", "qualified")
     alone = replace(good, movers=(mover(0, 0.01, 0.001), *movers[1:]))
     assert optics_claims([alone])[2].verdict == "confirmed"
+
+
+@pytest.mark.parametrize("snr", [15.0, 50.0])
+def test_phasors_keep_the_edges_of_the_boxes(snr: float) -> None:
+    """Asked: 0.85 times the edge error of the distance channel, and no more on the flat."""
+    depth = take_boxes(0, snr).depth
+    assert depth["phasor"]["edge_rmse_m"] < 0.65 * depth["distance"]["edge_rmse_m"]
+    assert depth["phasor"]["flat_rmse_m"] < depth["distance"]["flat_rmse_m"]
+
+
+def test_the_traced_shift_map_resolves_more_rings() -> None:
+    """Asked: 0.3 dB for the first lens of build B; the third shifts far less evenly."""
+    gain_db = {}
+    for element in (0, 1, 2):
+        planned, traced = zone_psnr_db(element, 200.0, 0.004, seed=0)
+        gain_db[element] = traced - planned
+    assert gain_db[0] > 0.5
+    assert abs(gain_db[1]) < 0.1
+    assert gain_db[2] > 4.0
 
 
 def half(number: int) -> float:

@@ -17,8 +17,12 @@ from lensshift.reconstruction.reconstruct import reconstruct
 
 Floats = NDArray[np.float64]
 
-# What the reconstruction assumes: a square pixel, and the spot that the lens is designed for.
-_FILL_FACTOR, _SPOT_PX = 1.0, 0.05
+# What the reconstruction assumes of a pixel: the fill factor of a square one, None for a Gaussian,
+# and the width of the spot, or of the Gaussian.
+Response = tuple[float | None, float]
+# The paper took 0.3 px. Square pixel and spot have the second moment of 0.293 px; a little more is
+# the least with which edges reach the limit of half a pixel (table `responses` of the report).
+ASSUMED: Response = (None, 0.32)
 _HALF_COLS = 10  # of the region around an edge, in LR pixels
 
 
@@ -30,13 +34,14 @@ def reconstructed(
     method: str = "auto",
     shift_field: ShiftField | None = None,
     prior_weight: float | None = None,
+    response: Response = ASSUMED,
 ) -> dict[str, Floats]:
     """Return the images of a burst by channel; doubts about the shifts are part of the study."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)
         result = reconstruct(
             burst, scale, method, channel=channel, std=False, shift_field=shift_field,
-            prior_weight=prior_weight, fill_factor=_FILL_FACTOR, psf_sigma_px=_SPOT_PX,
+            prior_weight=prior_weight, fill_factor=response[0], psf_sigma_px=response[1],
         )  # fmt: skip
     return images_of(result)
 

@@ -29,8 +29,10 @@ _TABLES = {
     "patterns": "Finer patterns, every frame exposed alike",
     "equal_light": "More, shorter frames at scale 2, with the same light in all",
     "errors": "Shifts that are not where they were planned",
-    "shift_map": "A zone plate through build B, each lens moved in turn: one shift per frame, or "
-    "the traced map",
+    "responses": "What the pixel is assumed to be. It is square; a response that is too wide "
+    "sharpens edges beyond what half pixels show, and costs distance",
+    "shift_map": "A zone plate through build B: one shift per frame, or the traced map of the "
+    "moved lens; means over four draws",
 }
 
 

@@ -14,7 +14,7 @@ from lensshift.io.atomic import written_whole
 from lensshift.pipeline.paper.beyond import (
     EQUAL_LIGHT,
     ERRORS_PX,
-    MOVERS,
+    MAPS,
     PATTERNS,
     error_row,
     light_row,
@@ -28,6 +28,7 @@ from lensshift.pipeline.paper.gradient_question import Strip, as_row, study_stri
 from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims, study_lens
 from lensshift.pipeline.paper.page import write_page
+from lensshift.pipeline.paper.responses import RESPONSES, response_row
 from lensshift.pipeline.run import made_folder, writable_folder
 
 # Contrast, width in LR pixels, SNR of one frame.
@@ -38,6 +39,7 @@ _STRIPS = (
     (3.0, 12.0, 100.0),
     (0.15, 1.0, 100.0),
 )
+_BEYOND = ("patterns", "equal_light", "errors", "responses", "shift_map")
 _DRAWS = {"edge": 6, "boxes": 8}
 _QUICK_DRAWS = {"edge": 2, "boxes": 3}
 
@@ -96,9 +98,7 @@ def reproduce(
     done = carry_out_jobs(_jobs(quick), processes, on_step)
     lenses, edges, boxes = (_of_kind(done, kind) for kind in ("lens", "edge", "boxes"))
     claims = [*optics_claims(lenses), *edge_claims(edges), *box_claims(boxes)]
-    beyond = {
-        name: _of_kind(done, name) for name in ("patterns", "equal_light", "errors", "shift_map")
-    }
+    beyond = {name: _of_kind(done, name) for name in _BEYOND}
     found = Reproduction(
         claims=tuple(claims),
         gradients=tuple(_of_kind(done, "strip")),
@@ -129,7 +129,8 @@ def _jobs(quick: bool) -> list[Job]:
         jobs += [Job("patterns", pattern_row, arguments) for arguments in PATTERNS]
         jobs += [Job("equal_light", light_row, (name,)) for name in EQUAL_LIGHT]
         jobs += [Job("errors", error_row, (error_px,)) for error_px in ERRORS_PX]
-        jobs += [Job("shift_map", shift_map_row, (element,)) for element in MOVERS]
+        jobs += [Job("responses", response_row, response) for response in RESPONSES]
+        jobs += [Job("shift_map", shift_map_row, arguments) for arguments in MAPS]
     return jobs
 
 

@@ -28,7 +28,7 @@ OnIteration = Callable[[int, float], None]
 AMPLITUDE_EXPONENT, PHASE_EXPONENT = 0.9, 0.6
 # An edge of the phase costs less where the logarithm of the amplitude has one too. How high that is
 # says no more: beside a bright surface a mixed pixel is closer to the dark one, but has its phase.
-EDGE_COUPLING, HIGHEST_LOG_STEP = 0.5, 0.8
+EDGE_COUPLING, HIGHEST_LOG_STEP = 0.5, 1.1
 # Steps of the phase by more than this let the amplitude between the surfaces go.
 CANCELLING_RAD = 0.25
 # Surfaces are planes: the phase is compared with its mean slope over this window.
@@ -116,7 +116,7 @@ class JointPhasor:
                                                 + eps_phi^2)^(p_phi / 2)
 
     with the mean slope s_d of the surroundings; (*) where the phasor has an edge, the amplitude is
-    as free as if it had one, and freer still where phases cancel; |D_d log a| counts up to 0.8.
+    as free as if it had one, and freer still where phases cancel; |D_d log a| counts up to 1.1.
     Reweighted Gauss-Newton: in each step the phasor is linearised in (a, a phi), the penalties are
     replaced by quadratics that touch them, and both unknowns are solved for by conjugate
     gradients. Both lambda set themselves as in `SparseGradient`. The prior of the phase does not
