@@ -68,12 +68,11 @@ def shift_map_row(element: int, snr: float, shift_error_px: float) -> Row:
     )
     gain_db = traced - planned
     return {
-        "element": load_lens("petzval_b").elements[element].name,
-        "number": element + 1,
+        "element": f"{element + 1} ({load_lens('petzval_b').elements[element].name})",
         "snr": snr,
         "shift_error_px": shift_error_px,
-        "one_shift_per_frame_psnr_db": float(planned.mean()),
-        "shift_map_psnr_db": float(traced.mean()),
+        "planned_psnr_db": float(planned.mean()),
+        "traced_psnr_db": float(traced.mean()),
         "gain_db": float(gain_db.mean()),
         "least_gain_db": float(gain_db.min()),
         "most_gain_db": float(gain_db.max()),

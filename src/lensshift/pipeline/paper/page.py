@@ -26,11 +26,13 @@ _COUNTS = ("confirmed", "qualified", "refuted")
 # Through the left small cube: LR row and columns.
 _ROW, _COLS = 11, (1, 17)
 _TABLES = {
-    "patterns": "Finer patterns, every frame exposed alike",
+    "patterns": "Finer patterns, every frame exposed alike. A gain beyond the scale is the "
+    "prior's: a straight edge is what it expects",
     "equal_light": "More, shorter frames at scale 2, with the same light in all",
     "errors": "Shifts that are not where they were planned",
-    "responses": "What the pixel is assumed to be. It is square; a response that is too wide "
-    "sharpens edges beyond what half pixels show, and costs distance",
+    "responses": "What the pixel is assumed to be, by the 10-90 width of the edge, by how far its "
+    "MTF is above that of half a pixel from 2 to 5 LP/mm, and by the error of the distance at the "
+    "edges of the boxes. The pixel is square; assumed too wide, it sharpens and costs distance",
     "shift_map": "A zone plate through build B: one shift per frame, or the traced map of the "
     "moved lens; means over four draws",
 }

@@ -29,8 +29,8 @@ def response_row(fill_factor: float | None, width_px: float) -> dict[str, Any]:
     response = (fill_factor, width_px)
     edges = [_edge_numbers(response, seed) for seed in range(_DRAWS)]
     boxes = [_box_numbers(response, seed) for seed in range(_DRAWS)]
-    shape = "Gaussian" if fill_factor is None else "square pixel, spot"
-    return {"assumed": f"{shape} of {width_px} px"} | {
+    shape = "Gaussian" if fill_factor is None else "square, spot"
+    return {"assumed": shape, "width_px": width_px} | {
         name: float(np.mean([row[name] for row in rows]))
         for rows in (edges, boxes)
         for name in rows[0]
@@ -49,7 +49,7 @@ def _edge_numbers(response: Response, seed: int) -> dict[str, float]:
     between = (FREQUENCY_LPMM >= 2.0) & (FREQUENCY_LPMM <= 5.0)
     return {
         "width_gain": coarse.rise_mm.value / fine.rise_mm.value,
-        "above_half_pixel_limit": float(np.max((fine.mtf.modulation - limit(0.5))[between])),
+        "above_limit": float(np.max((fine.mtf.modulation - limit(0.5))[between])),
     }
 
 
@@ -63,5 +63,4 @@ def _box_numbers(response: Response, seed: int) -> dict[str, float]:
         image = reconstructed(capture.burst, branch, response=response)["distance"]
         found = depth_numbers(image, capture.truth, 2)
         numbers[f"{branch}_edge_mm"] = 1e3 * found["edge_rmse_m"]
-        numbers[f"{branch}_flat_mm"] = 1e3 * found["flat_rmse_m"]
     return numbers
