@@ -160,8 +160,8 @@ def _near_half_pixel(runs: list[EdgeRun]) -> Claim:
     frame = mean_curve(runs, "one frame")
     upto = (FREQUENCY_LPMM > 0.3) & (FREQUENCY_LPMM <= _TO_LPMM)
     beats = bool(np.all((mean_curve(runs, "lens shift") - frame)[upto] > 0))
-    good = interval[0] > 0 and beats
-    like = good and over.min() <= 3.0 and 6.0 <= over.max() < FREQUENCY_LPMM[-1]
+    good = interval[1] > 0 and beats  # not told to be below
+    like = interval[0] > 0 and beats and over.min() <= 3.0 and 6.0 <= over.max() < FREQUENCY_LPMM[-1]
     return Claim(
         id="near-half-pixel-limit",
         statement="The super-resolved MTF is close to the limit of a half pixel, above it from "
