@@ -161,7 +161,8 @@ def _near_half_pixel(runs: list[EdgeRun]) -> Claim:
     upto = (FREQUENCY_LPMM > 0.3) & (FREQUENCY_LPMM <= _TO_LPMM)
     beats = bool(np.all((mean_curve(runs, "lens shift") - frame)[upto] > 0))
     good = interval[1] > 0 and beats  # not told to be below
-    like = interval[0] > 0 and beats and over.min() <= 3.0 and 6.0 <= over.max() < FREQUENCY_LPMM[-1]
+    where_claimed = over.size and over.min() <= 3.0 and 6.0 <= over.max() < FREQUENCY_LPMM[-1]
+    like = interval[0] > 0 and beats and where_claimed
     return Claim(
         id="near-half-pixel-limit",
         statement="The super-resolved MTF is close to the limit of a half pixel, above it from "
