@@ -1,7 +1,10 @@
 """Whatever arrives, the parsers answer with frames or with the errors they announce."""
 
 import struct
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -191,3 +194,14 @@ def test_a_million_malformed_packets() -> None:
     fuzz_o3m(1_000_000, seed=5)
     fuzz_messages(300_000, seed=6)
     fuzz_pcic(300_000, seed=7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("parser", ["o3m", "image", "diagnosis", "pcic", "apt"])
+def test_inputs_that_reach_new_code(parser: str, tmp_path: Path) -> None:
+    pytest.importorskip("atheris", reason="atheris is not installed")
+    script = Path(__file__).with_name("coverage_guided.py")
+    command = [sys.executable, str(script), parser, str(tmp_path / "found"), "-runs=50000"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "Done 50000 runs" in done.stderr
