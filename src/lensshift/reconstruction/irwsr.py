@@ -122,8 +122,7 @@ class Irwsr:
             if not np.isfinite(objective[-1]):
                 status = Status.NOT_FINITE
                 break
-            before -= state.x
-            if max(before.max(), -before.min()) < self.tolerance:
+            if kernels.largest_change(before, state.x) < self.tolerance:
                 status = Status.CONVERGED
                 break
         return Estimate(

@@ -277,3 +277,14 @@ def objective(
 ) -> float:
     """Return misfit plus penalty."""
     return float(misfit(residual, confidence) + penalty(steps, beta, factor, smoothing))
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def largest_change(before: Array, after: Array) -> float:
+    """Return the largest |after - before| of two images [row col]."""
+    largest = np.float32(0.0)
+    for i in range(len(before)):
+        old, new = before[i], after[i]
+        for j in range(old.size):
+            largest = max(largest, abs(new[j] - old[j]))
+    return float(largest)

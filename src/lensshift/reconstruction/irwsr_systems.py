@@ -129,6 +129,7 @@ class _Interlaced:
     ----------
     row_index, col_index : [frame row] and [frame col]
     kernel : [tap], symmetric
+    column_square : sum of the squares of its outer product
     norm : [row col], 1 / n
     ones : [frame row col]
     work : [5 row col] work space
@@ -137,6 +138,7 @@ class _Interlaced:
     row_index: NDArray[np.int64]
     col_index: NDArray[np.int64]
     kernel: Single
+    column_square: float
     norm: Single
     ones: Single
     work: Single
@@ -158,10 +160,9 @@ class _Interlaced:
         iterations: int,
     ) -> None:  # fmt: skip
         """Run conjugate gradients on (A^T W A + sum D^T a D) dx = r; x += dx."""
-        square = float((self.kernel**2).sum() ** 2)
         solvers.solve_interlaced(
             x, r, self.ones, weight, self.kernel, self.norm, self.row_index, self.col_index,
-            square, a, directions, iterations, self.work,
+            self.column_square, a, directions, iterations, self.work,
         )  # fmt: skip
 
 
@@ -174,6 +175,7 @@ def _interlaced(model: ForwardModel) -> _Interlaced:
         row_index=np.ascontiguousarray(lattice.row_index),
         col_index=np.ascontiguousarray(lattice.col_index),
         kernel=kernel,
+        column_square=float((kernel**2).sum() ** 2),
         norm=np.reciprocal(norm, out=norm),
         ones=np.ones((model.frames, *model.lr_shape), np.float32),
         work=np.empty((5, *model.hr_shape), np.float32),
