@@ -100,6 +100,10 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[reconstruction]\nchannel = 'colour'", "expected a channel of auto, amplitude"),
         ("[reconstruction]\nshifts = 'guessed'", "expected shifts planned, true, traced"),
         ("[reconstruction]\nshifts = 'traced'", "a camera whose lens is traced and moves"),
+        ("[reconstruction]\npsf_sigma_px = -1", "mine.toml: expected psf_sigma_px of at least 0"),
+        ("[reconstruction]\npsf_sigma_px = 'a'", "mine.toml: expected psf_sigma_px of at least 0"),
+        ("[reconstruction]\npsf_sigma_px = nan", "mine.toml: expected psf_sigma_px of at least 0"),
+        ("[reconstruction]\nscale = 'a'", "mine.toml: expected an integer scale from 1 to 8"),
         ("= 3", "mine.toml: is not TOML"),
     ],
 )

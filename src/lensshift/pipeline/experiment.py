@@ -14,6 +14,7 @@ from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth
 from lensshift.camera import simulate_tof as take
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
+from lensshift.forward.model import MAX_SCALE
 from lensshift.reconstruction.methods import find_method
 from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -38,7 +39,7 @@ class Experiment:
     method, channel : of the reconstruction
     shifts : what the reconstruction is told: the planned ones; the true ones of the middle of
         the sensor; or, for a traced lens, the planned ones with their field over the sensor
-    psf_sigma_px : blur of the optics that the reconstruction assumes, in LR pixels
+    psf_sigma_px : pixel response that the reconstruction assumes, in LR pixels
     name : for titles
     """
 
@@ -63,6 +64,12 @@ class Experiment:
             raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
         if self.shifts == "traced" and not self._moves_a_lens:
             raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
+
+        width_px, scale = self.psf_sigma_px, self.scale
+        if not isinstance(width_px, (int, float)) or not 0.0 <= width_px < np.inf:
+            raise ValueError(f"expected psf_sigma_px of at least 0, got {width_px!r}")
+        if scale not in range(1, MAX_SCALE + 1):
+            raise ValueError(f"expected an integer scale from 1 to {MAX_SCALE}, got {scale!r}")
 
     @property
     def _moves_a_lens(self) -> bool:
