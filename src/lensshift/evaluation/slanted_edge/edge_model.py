@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from lensshift.evaluation.slanted_edge.kernels import difference_products, trapezium_edge
+from lensshift.evaluation.slanted_edge.kernels import sensitivities, spline_products, trapezium_edge
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -119,10 +119,31 @@ class SplineBasis:
         knots, levels = self.knot_px.size, columns.shape[1]
         zz, zx, zy = np.zeros((knots, knots)), np.zeros((knots, levels)), np.zeros(knots)
         place = (normal_px - self.knot_px[0]) / self.step_px
-        difference_products(place, columns, values, zz, zx, zy)
-        zz = np.cumsum(np.cumsum(zz[::-1, ::-1], axis=0), axis=1)[::-1, ::-1]
-        zx, zy = np.cumsum(zx[::-1], axis=0)[::-1], np.cumsum(zy[::-1])[::-1]
+        spline_products(place, columns, values, zz, zx, zy)
         return SplineProducts(self.step_px**2 * zz, self.step_px * zx, self.step_px * zy)
+
+    def sensitivities(
+        self, normal_px: Vector, columns: Matrix, values: Vector, quadratic: Matrix, linear: Vector
+    ) -> tuple[Vector, Matrix]:
+        """Return how the sum of D B D^T / 2 - y D g changes with distances [n] and columns [n p].
+
+        Parameters
+        ----------
+        normal_px, columns, values : [n], [n p], [n]; D is [integrals, columns]
+        quadratic, linear : B [j+p j+p], symmetric, and g [j+p]
+        """
+        knots = self.knot_px.size
+        quadratic, linear = quadratic.copy(), linear.copy()
+        np.cumsum(quadratic[:knots], axis=0, out=quadratic[:knots])
+        np.cumsum(quadratic[:, :knots], axis=1, out=quadratic[:, :knots])
+        np.cumsum(linear[:knots], out=linear[:knots])
+        quadratic[:knots] *= self.step_px
+        quadratic[:, :knots] *= self.step_px
+        linear[:knots] *= self.step_px
+        to_place, to_columns = np.empty(normal_px.size), np.empty(columns.shape)
+        place = (normal_px - self.knot_px[0]) / self.step_px
+        sensitivities(place, columns, values, quadratic, linear, to_place, to_columns)
+        return to_place / self.step_px, to_columns
 
     def values(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the splines themselves."""

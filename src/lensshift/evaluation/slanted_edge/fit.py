@@ -17,7 +17,6 @@ from lensshift.evaluation.slanted_edge.posterior import (
 from lensshift.evaluation.slanted_edge.prepare import UprightEdge, learn_noise, take_samples
 from lensshift.evaluation.slanted_edge.samples import distance_px, level_columns
 
-PROPOSALS = 128  # draws of geometry, prior and noise
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
 _ESF_STEP = 0.1
@@ -86,7 +85,7 @@ def fit_edge(
     likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / edge.unit_px), -2.0, 1.5))
     start, steps = starting_point(edge.geometry, log_sigma, noise.dark_sigma, edge.half_length_px)
-    posterior = find_posterior(likelihood, start, steps, PROPOSALS, seed)
+    posterior = find_posterior(likelihood, start, steps, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
     curves = _Curves(likelihood, edge.basis, frequency_cpp, edge.unit_px)
     modulation, esf, lsf = curves.of(parameters, levels, coefficients)
@@ -198,7 +197,7 @@ def _residual(
     normal_px = distance_px(
         edge.across_px, edge.along_px, parameters[: likelihood.geometry_size], edge.half_length_px
     )
-    reach_px = edge.basis.reach_px + 4.0 * likelihood.sigma_px(parameters)
+    reach_px = edge.basis.reach_px + likelihood.base_reach_px(parameters)
     grid_px = np.linspace(-reach_px, reach_px, _RESIDUAL_GRID)
     response = np.interp(normal_px, grid_px, likelihood.base_response(grid_px, parameters))
     spline = np.interp(normal_px, grid_px, edge.basis.integrals(grid_px) @ coefficients)

@@ -69,7 +69,37 @@ def _integral(u: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def difference_products(
+def _density(u: float) -> float:
+    """Return the centred cubic B-spline at u, the slope of `_integral`."""
+    v = abs(u)
+    if v >= 2.0:
+        return 0.0
+    if v >= 1.0:
+        return (2.0 - v) ** 3 / 6.0
+    return 2.0 / 3.0 - v * v + 0.5 * v * v * v
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _local_range(u: float, knots: int) -> tuple[int, int]:
+    """Return the first knot whose difference matters at u, and how many do."""
+    first = max(int(np.floor(u)) - 2, 0)
+    last = min(int(np.floor(u)) + 2, knots - 1)
+    if u >= knots - 1:
+        first, last = min(first, knots - 1), knots - 1
+    return first, last - first + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _local_differences(u: float, first: int, count: int, knots: int, local: Array) -> None:
+    for k in range(count):
+        j = first + k
+        local[k] = _integral(u - j)
+        if j < knots - 1:
+            local[k] -= _integral(u - j - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spline_products(
     place: Array,
     columns: Array,
     values: Array,
@@ -77,31 +107,134 @@ def difference_products(
     with_columns: Array,
     with_values: Array,
 ) -> None:
-    """Add up products of the differences f_k = I_k - I_(k+1) (the last: I_k) over all pixels.
+    """Fill in products of integrated splines I_j over all pixels, for knots 1 apart.
+
+    Summed are products of the differences f_k = I_k - I_(k+1) (the last: I_k).
 
     Parameters
     ----------
     place : [n] distance from the first knot, in knots
     columns, values : [n p], [n]
-    products, with_columns, with_values : [j j], [j p], [j], added to
+    products, with_columns, with_values : [j j], [j p], [j], zero before
     """
     knots = products.shape[0]
     local = np.empty(6)
     for i in range(place.size):
-        u = place[i]
-        first = max(int(np.floor(u)) - 2, 0)
-        last = min(int(np.floor(u)) + 2, knots - 1)
-        if u >= knots - 1:
-            first, last = min(first, knots - 1), knots - 1
-        count = last - first + 1
-        for k in range(count):
-            j = first + k
-            local[k] = _integral(u - j)
-            if j < knots - 1:
-                local[k] -= _integral(u - j - 1)
+        first, count = _local_range(place[i], knots)
+        _local_differences(place[i], first, count, knots, local)
         for k in range(count):
             for m in range(count):
                 products[first + k, first + m] += local[k] * local[m]
             for q in range(columns.shape[1]):
                 with_columns[first + k, q] += local[k] * columns[i, q]
             with_values[first + k] += local[k] * values[i]
+    for k in range(knots - 1, -1, -1):  # I_j is the sum of f_k from k = j on
+        for m in range(knots - 2, -1, -1):
+            products[k, m] += products[k, m + 1]
+        if k < knots - 1:
+            for m in range(knots):
+                products[k, m] += products[k + 1, m]
+            for q in range(columns.shape[1]):
+                with_columns[k, q] += with_columns[k + 1, q]
+            with_values[k] += with_values[k + 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sensitivities(
+    place: Array,
+    columns: Array,
+    values: Array,
+    quadratic: Array,
+    linear: Array,
+    to_place: Array,
+    to_columns: Array,
+) -> None:
+    """Fill in how a sum over pixels of D B D^T / 2 - y D g changes with the rows of D.
+
+    D holds the integrated splines of a pixel, then its columns.
+
+    Parameters
+    ----------
+    place, columns, values : [n], [n p], [n] as in `spline_products`
+    quadratic, linear : B [j+p j+p] and g [j+p]; what is for the splines is added up over the
+        splines before each, as the differences need it
+    to_place, to_columns : [n], [n p], filled in
+    """
+    levels = columns.shape[1]
+    knots = linear.size - levels
+    local = np.empty(6)
+    for i in range(place.size):
+        u = place[i]
+        first, count = _local_range(u, knots)
+        _local_differences(u, first, count, knots, local)
+        for q in range(levels):
+            total = -values[i] * linear[knots + q]
+            for p in range(levels):
+                total += columns[i, p] * quadratic[knots + p, knots + q]
+            for k in range(count):
+                total += local[k] * quadratic[first + k, knots + q]
+            to_columns[i, q] = total
+        slope = 0.0
+        for m in range(count):
+            j = first + m
+            rise = _density(u - j)
+            if j < knots - 1:
+                rise -= _density(u - j - 1)
+            total = -values[i] * linear[j]
+            for k in range(count):
+                total += local[k] * quadratic[first + k, j]
+            for p in range(levels):
+                total += columns[i, p] * quadratic[j, knots + p]
+            slope += rise * total
+        to_place[i] = slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def process_covariance(
+    envelope: Array, near: Array, symmetry: float, jitter: float, out: Array
+) -> None:
+    """Fill in e_i e_j [k(i - j) + m k(i + j)], with i, j counted from the middle, plus jitter.
+
+    Parameters
+    ----------
+    envelope, near : [j] e at every knot, k at every lag
+    symmetry, jitter : m, and what the diagonal gets
+    out : [j j]
+    """
+    count = envelope.size
+    for i in range(count):
+        for j in range(i + 1):
+            value = near[i - j] + symmetry * near[abs(i + j - count + 1)]
+            out[i, j] = out[j, i] = value * envelope[i] * envelope[j]
+        out[i, i] += jitter
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def process_slopes(
+    sensitivity: Array,
+    envelope: Array,
+    near: Array,
+    longer: Array,
+    wider: Array,
+    symmetry: float,
+    out: Array,
+) -> None:
+    """Add up how a value changes with log amplitude, log length, log tail and logit symmetry.
+
+    Parameters
+    ----------
+    sensitivity : [j j] its derivative by the covariance of `process_covariance`
+    envelope, near, symmetry : as there
+    longer, wider : [j] slopes of `near` and of the log envelope
+    out : [4], added to
+    """
+    count = envelope.size
+    for i in range(count):
+        for j in range(count):
+            fold = abs(i + j - count + 1)
+            weight = sensitivity[i, j] * envelope[i] * envelope[j]
+            value = weight * (near[abs(i - j)] + symmetry * near[fold])
+            out[0] += 2.0 * value
+            out[1] += weight * (longer[abs(i - j)] + symmetry * longer[fold])
+            out[2] += value * (wider[i] + wider[j])
+            out[3] += symmetry * (1.0 - symmetry) * weight * near[fold]

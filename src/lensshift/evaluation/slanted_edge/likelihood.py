@@ -16,18 +16,15 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     edge_response,
     edge_response_transform,
 )
+from lensshift.evaluation.slanted_edge.lsf_prior import (
+    BASE_HYPERS,
+    HYPER_BOUNDS,
+    HYPER_PRIOR,
+    HYPERS,
+    SplinePrior,
+)
 from lensshift.evaluation.slanted_edge.samples import EdgeSamples, level_columns
 
-# What is known before a pixel is seen, as normal distributions; lengths in units of `unit_px`.
-# The Gaussian of the optics may be anything from far below a pixel to well above it. The
-# correction is a few per cent of the LSF, about as fine as a pixel, and mostly symmetric.
-_LOG_SIGMA = (np.log(0.4), 1.0)
-_LOG_AMPLITUDE = (np.log(0.05), 1.5)
-_LOG_LENGTH = (np.log(0.6), 0.35)
-_LOG_TAIL = (np.log(1.0), 0.6)
-_LOGIT_SYMMETRY = (2.0, 2.0)
-_PRIOR = np.array([_LOG_SIGMA, _LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY])
-_BOUNDS = np.array([(-2.5, 2.0), (-9.0, 0.5), (-1.4, 1.1), (-1.4, 2.0), (-8.0, 8.0)])
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.
 MODEL_ERROR = 1e-4
@@ -37,10 +34,8 @@ _LARGEST_ANGLE_RAD = 0.9
 # Behind a bound the posterior falls as a normal distribution: a cliff would stop the descent
 # before its foot and leave no curvature to draw from.
 _WALL = 0.05
-HYPERS = 5  # log sigma, log amplitude, log length, log tail, logit symmetry; the noise follows
 IMPOSSIBLE = 1e10
-_JITTER = 1e-10
-_RELATIVE_JITTER = 1e-8
+_DIFFERENCE = 1e-6  # of the base model's parameters, for its slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +61,11 @@ class Conditional:
 
 @dataclass(frozen=True, slots=True)
 class _Moments:
-    """Cross products of the design; X are the levels, Z the splines, y the pixels."""
+    """The design and its cross products: X are the levels, Z the splines, y the pixels."""
 
+    normal_px: Vector
+    response: Vector
+    columns: Matrix
     xx: Matrix
     xy: Vector
     zz: Matrix
@@ -75,18 +73,31 @@ class _Moments:
     zy: Vector
 
 
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """Everything about one point; `residual_square` is the misfit in units of the variance."""
+
+    value: float
+    allowed: Vector
+    variance: float
+    residual_square: float
+    moments: _Moments
+    conditional: Conditional
+
+
 class EdgeLikelihood:
     """Restricted likelihood of the edge geometry, the prior of the LSF and the noise.
 
         y = X(q) b + Z(q) c + noise,   c ~ N(0, K(q)),   noise ~ N(0, s^2)
 
-    with flat priors for the levels b, which are integrated out with the coefficients c.
+    with flat priors for the levels b, which are integrated out with the coefficients c. The
+    parameters q are the geometry, the hyper-parameters of `lsf_prior` and the log noise.
 
     Parameters
     ----------
     samples : pixels of the region
     basis : splines of the LSF
-    aperture_px : side of the pixel that the base model assumes
+    aperture_px : side of the largest pixel that the base model allows
     unit_px : width by which the prior is scaled, 1 for an edge a pixel wide
     """
 
@@ -96,13 +107,24 @@ class EdgeLikelihood:
         self.samples, self.basis, self.aperture_px = samples, basis, aperture_px
         self.unit_px = unit_px
         self.geometry_size = samples.geometry_size
-        knots = np.arange(basis.knot_px.size)
-        self._apart = np.abs(np.subtract.outer(knots, knots))
+        self._prior = SplinePrior(basis, unit_px)
         self._cache: dict[bytes, _Moments] = {}
         free = [np.inf] * (self.geometry_size - 1)
-        top = [_LARGEST_ANGLE_RAD, *free, *_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]]
-        bottom = [-_LARGEST_ANGLE_RAD, *np.negative(free), *_BOUNDS[:, 0], _LOG_NOISE_BOUNDS[0]]
+        top = [_LARGEST_ANGLE_RAD, *free, *HYPER_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]]
+        bottom = [
+            -_LARGEST_ANGLE_RAD,
+            *np.negative(free),
+            *HYPER_BOUNDS[:, 0],
+            _LOG_NOISE_BOUNDS[0],
+        ]
         self._bounds = np.array(bottom), np.array(top)
+        bends = np.full(samples.bends, samples.bend_spread_px)
+        spread = np.array([np.inf, np.inf, *bends, *HYPER_PRIOR[:, 1], _NOISE_SPREAD])
+        self._mean = np.array([*np.zeros(self.geometry_size), *HYPER_PRIOR[:, 0], np.log(0.01)])
+        self._precision = spread**-2.0
+        # The shrinkage is a square: the sign of its root says nothing.
+        self.twin = np.ones(self.size)
+        self.twin[self.geometry_size + 1] = -1.0
 
     @property
     def size(self) -> int:
@@ -111,34 +133,45 @@ class EdgeLikelihood:
 
     def negative_log(self, parameters: Vector) -> float:
         """Return minus the log posterior of the parameters, up to a constant."""
-        found = self._evaluate(parameters)
-        return IMPOSSIBLE if found is None else found[0]
+        found = self._solved(parameters)
+        return IMPOSSIBLE if found is None else found.value
 
     def conditional(self, parameters: Vector) -> tuple[float, Conditional | None]:
         """Return the same, and the distribution of levels and coefficients."""
-        found = self._evaluate(parameters, whole=True)
-        return (IMPOSSIBLE, None) if found is None else found
+        found = self._solved(parameters)
+        return (IMPOSSIBLE, None) if found is None else (found.value, found.conditional)
+
+    def with_gradient(self, parameters: Vector) -> tuple[float, Vector]:
+        """Return `negative_log` and its gradient [p]."""
+        found = self._solved(parameters)
+        if found is None:
+            return IMPOSSIBLE, np.zeros(self.size)
+        return found.value, self._gradient(parameters, found)
 
     def bounded(self, parameters: Vector | Matrix) -> Matrix:
         """Return the nearest parameters [... p] that are allowed."""
         return np.asarray(np.clip(parameters, *self._bounds))
 
-    def sigma_px(self, parameters: Vector) -> float:
-        """Return the width of the Gaussian of the base model."""
-        return float(np.exp(parameters[self.geometry_size])) * self.unit_px
-
     def base_response(self, normal_px: Vector, parameters: Vector) -> Vector:
         """Return the base model of the ESF, without the splines."""
-        angle_rad, sigma_px = float(parameters[0]), self.sigma_px(parameters)
-        return edge_response(normal_px, angle_rad, sigma_px, self.aperture_px)
+        return edge_response(normal_px, float(parameters[0]), *self._widths_px(parameters))
 
     def base_transform(self, frequency_cpp: Vector, parameters: Vector) -> Vector:
         """Return the Fourier transform of the LSF of the base model."""
-        angle_rad, sigma_px = float(parameters[0]), self.sigma_px(parameters)
-        return edge_response_transform(frequency_cpp, angle_rad, sigma_px, self.aperture_px)
+        widths_px = self._widths_px(parameters)
+        return edge_response_transform(frequency_cpp, float(parameters[0]), *widths_px)
+
+    def base_reach_px(self, parameters: Vector) -> float:
+        """Return a distance beyond which the base model is level."""
+        return 4.0 * self._widths_px(parameters)[0]
+
+    def _widths_px(self, parameters: Vector) -> tuple[float, float]:
+        """Return the standard deviation of the Gaussian and the side of the pixel."""
+        log_sigma, root = parameters[self.geometry_size : self.geometry_size + BASE_HYPERS]
+        return float(np.exp(log_sigma)) * self.unit_px, float(np.exp(-(root**2))) * self.aperture_px
 
     def _moments(self, parameters: Vector) -> _Moments:
-        key = parameters[: self.geometry_size + 1].tobytes()
+        key = parameters[: self.geometry_size + BASE_HYPERS].tobytes()
         found = self._cache.get(key)
         if found is None:
             if len(self._cache) > 2 * self.size:
@@ -158,6 +191,9 @@ class EdgeLikelihood:
             near = SplineProducts(splines.T @ splines, splines.T @ columns, splines.T @ y)
         far, step = samples.far, self.basis.step_px
         return _Moments(
+            normal_px=normal_px,
+            response=response,
+            columns=columns,
             xx=columns.T @ columns + far.level_products,
             xy=columns.T @ y + far.level_values,
             zz=near.zz + step**2 * far.right_square,
@@ -165,32 +201,13 @@ class EdgeLikelihood:
             zy=near.zy + step * far.right_values,
         )
 
-    def _prior_factor(self, hyper: Vector) -> Matrix | None:
-        """Return the Cholesky factor of the prior covariance of the coefficients."""
-        amplitude = np.exp(hyper[1]) / self.unit_px
-        length, tail = np.exp(hyper[2:4]) * self.unit_px
-        mirrored = 1.0 / (1.0 + np.exp(-hyper[4]))
-        envelope = 1.0 / (1.0 + (self.basis.knot_px / tail) ** 2)
-        lags_px = self.basis.step_px * np.arange(self.basis.knot_px.size)
-        near = np.exp(-0.5 * (lags_px / length) ** 2)[self._apart]
-        covariance = near + mirrored * near[:, ::-1]
-        covariance *= (amplitude * envelope)[:, None] * (amplitude * envelope)
-        covariance.flat[:: covariance.shape[0] + 1] += (
-            _JITTER / self.unit_px**2 + _RELATIVE_JITTER * amplitude**2
-        )
-        return _factor(covariance)
-
-    def _evaluate(
-        self, parameters: Vector, whole: bool = False
-    ) -> tuple[float, Conditional | None] | None:
+    def _solved(self, parameters: Vector) -> _Solution | None:
         g = self.geometry_size
         allowed = self.bounded(parameters)
-        beyond = (parameters - allowed) / _WALL
-        parameters = allowed
-        hyper, log_noise = parameters[g : g + HYPERS], parameters[-1]
-        variance = np.exp(2.0 * log_noise) + MODEL_ERROR**2
-        m = self._moments(parameters)
-        prior = self._prior_factor(hyper)
+        hyper = allowed[g : g + HYPERS]
+        variance = float(np.exp(2.0 * allowed[-1])) + MODEL_ERROR**2
+        m = self._moments(allowed)
+        prior = _factor(self._prior.covariance(hyper[BASE_HYPERS:]))
         if prior is None:
             return None
         inner = prior.T @ m.zz @ prior / variance
@@ -204,21 +221,91 @@ class EdgeLikelihood:
         if levels_factor is None:
             return None
         v = _solve(levels_factor, m.xy / variance - coupling.T @ along)
-        misfit = self.samples.squares / variance - along @ along - v @ v
-        determinant = np.log(factor.diagonal()).sum() + np.log(levels_factor.diagonal()).sum()
-        z = (hyper - _PRIOR[:, 0]) / _PRIOR[:, 1]
-        value = (
-            0.5 * misfit + 0.5 * self.samples.count * np.log(variance) + determinant + 0.5 * z @ z
-        )
-        value += self.samples.geometry_penalty(parameters[:g])
-        value += 0.5 * ((log_noise - np.log(0.01)) / _NOISE_SPREAD) ** 2 + 0.5 * beyond @ beyond
-        if not whole:
-            return float(value), None
         levels = _solve(levels_factor, v, transposed=True)
         weights = _solve(factor, along - coupling @ levels, transposed=True)
-        return float(value), Conditional(
-            levels, prior @ weights, levels_factor, weights, prior, factor, coupling
+        misfit = float(self.samples.squares / variance - along @ along - v @ v)
+        determinant = np.log(factor.diagonal()).sum() + np.log(levels_factor.diagonal()).sum()
+        value = 0.5 * misfit + 0.5 * self.samples.count * np.log(variance) + float(determinant)
+        z, beyond = allowed - self._mean, parameters - allowed
+        value += 0.5 * float(z @ (self._precision * z) + beyond @ beyond / _WALL**2)
+        return _Solution(
+            value=value,
+            allowed=allowed,
+            variance=variance,
+            residual_square=misfit - float(weights @ weights),
+            moments=m,
+            conditional=Conditional(
+                levels, prior @ weights, levels_factor, weights, prior, factor, coupling
+            ),
         )
+
+    def _gradient(self, parameters: Vector, found: _Solution) -> Vector:
+        """Return the gradient, by way of the design D = [Z X].
+
+        With g the most likely (c, b), C their covariance and r the residual, the value changes by
+
+            sum over pixels (D C - r g) dD / s^2
+
+        with the design, and with the prior by tr(dK K^-1 (K - C - c c^T) K^-1) / 2.
+        """
+        g, knots = self.geometry_size, self.basis.knot_px.size
+        one, variance = found.conditional, found.variance
+        prior, tops = one.prior_factor, _solve(one.levels_factor, np.eye(one.levels.size))
+        spread = _solve(one.factor, np.eye(knots))
+        mixed = -_solve(one.factor, one.coupling @ tops.T, transposed=True)
+        weight_covariance = spread.T @ spread + mixed @ mixed.T
+        design = np.empty((knots + one.levels.size,) * 2)
+        design[:knots, :knots] = prior @ weight_covariance @ prior.T
+        design[:knots, knots:] = prior @ mixed @ tops
+        design[knots:, :knots] = design[:knots, knots:].T
+        design[knots:, knots:] = tops.T @ tops
+        linear = np.concatenate([one.coefficients, one.levels])
+        gradient = (found.allowed - self._mean) * self._precision
+        gradient[: g + BASE_HYPERS] += (
+            self._base_gradient(found, design + np.outer(linear, linear), linear) / variance
+        )
+        unexplained = np.eye(knots) - weight_covariance - np.outer(one.weights, one.weights)
+        half = _solve(prior, unexplained, transposed=True)
+        sensitivity = 0.5 * _solve(prior, half.T, transposed=True)
+        shape = slice(g + BASE_HYPERS, g + HYPERS)
+        gradient[shape] += self._prior.gradient(found.allowed[shape], sensitivity)
+        explained = linear.size - np.trace(weight_covariance)
+        excess = self.samples.count - explained - found.residual_square
+        gradient[-1] += excess * (1.0 - MODEL_ERROR**2 / variance)
+        gradient[parameters != found.allowed] = 0.0
+        return np.asarray(gradient + (parameters - found.allowed) / _WALL**2)
+
+    def _base_gradient(self, found: _Solution, quadratic: Matrix, linear: Vector) -> Vector:
+        """Return the slopes by geometry and base model, from those by distance and response."""
+        samples, m = self.samples, found.moments
+        if samples.whitener is None:
+            to_normal, to_columns = self.basis.sensitivities(
+                m.normal_px, m.columns, samples.values, quadratic, linear
+            )
+        else:
+            splines = samples.whitened(self.basis.integrals(m.normal_px))
+            rows = np.hstack([splines, m.columns])
+            to_rows = rows @ quadratic - np.outer(samples.values, linear)
+            to_rows = samples.whitener.T @ to_rows
+            knots = self.basis.knot_px.size
+            to_normal = np.sum(to_rows[:, :knots] * self.basis.values(m.normal_px), axis=1)
+            to_columns = to_rows[:, knots:]
+        to_response = to_columns[:, 1].copy()
+        if samples.tilt_columns is not None:
+            tilts = samples.tilt_columns.shape[1]
+            to_response += np.sum(to_columns[:, 2 + tilts :] * samples.tilt_columns, axis=1)
+        slopes = np.empty(self.geometry_size + BASE_HYPERS)
+        for k in range(slopes.size):
+            moved = found.allowed.copy()
+            moved[k] += _DIFFERENCE
+            normal_px = m.normal_px
+            if k < self.geometry_size:
+                normal_px = samples.normal_px(moved[: self.geometry_size])
+            response = self.base_response(normal_px, moved)
+            slopes[k] = (
+                to_normal @ (normal_px - m.normal_px) + to_response @ (response - m.response)
+            ) / _DIFFERENCE
+        return slopes
 
 
 def _factor(matrix: Matrix) -> Matrix | None:

@@ -94,8 +94,8 @@ def measure_edges(
     """Measure every slanted edge of an image, the longest first.
 
     The default method models all pixels of a region at once: a straight or bent edge, a line
-    spread function that is a Gaussian seen by a square pixel plus a spline with a Gaussian
-    process prior, levels and noise. Geometry, prior and noise maximise the restricted
+    spread function that is a Gaussian seen by a square pixel of unknown fill plus a spline with
+    a Gaussian process prior, levels and noise. Geometry, prior and noise maximise the restricted
     likelihood; weighted draws around that optimum give the intervals. There are no bins, no
     finite difference and no window.
 
@@ -108,8 +108,8 @@ def measure_edges(
     offset_px : [frame 2] how far the content moved in each frame, in pixels of the image
     valid : mask like `image`; pixels that are NaN are invalid as well
     scale : of a super-resolved image: its LR pixels are that many pixels wide
-    aperture_px : side of the pixel that the base of the LSF assumes, in pixels of the image;
-        `scale` by default. The spline corrects a wrong value.
+    aperture_px : side of the largest pixel that the base of the LSF allows, in pixels of the
+        image; `scale` by default. A smaller one is found if the image says so.
     frequency_lpmm : [f] where the curve is wanted; 0 to 1 cycles per pixel in steps of 0.01
         if None
     most_bends : most bending terms of the edge; 0 keeps it straight

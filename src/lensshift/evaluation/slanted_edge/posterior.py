@@ -11,19 +11,20 @@ from scipy.stats import qmc
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.likelihood import (
-    HYPERS,
     MODEL_ERROR,
     Conditional,
     EdgeLikelihood,
 )
+from lensshift.evaluation.slanted_edge.lsf_prior import START, STEPS
 
-# Typical sizes of a step in the hyper-parameters and the log noise, for finite differences.
-_HYPER_STEPS = (0.1, 0.5, 0.2, 0.3, 1.0)
 _FREEDOM = 6.0  # of the t distribution that proposes draws
 _SPREAD = 1.15  # proposals a little wider than the curvature says
 _LARGEST_SD = 3.0  # in steps; what the likelihood does not limit, the prior does
 _CURVATURE_STEP = 0.4
 _ROUNDS = 3
+_GENERATIONS = 6  # of proposals, each adapted to the draws before it
+_DRAWS_EACH = 32  # a power of two
+_MOST_STEPS = 80
 _SETTLED = 0.05  # of the log posterior
 
 
@@ -51,7 +52,7 @@ class Posterior:
 
 
 def find_posterior(
-    likelihood: EdgeLikelihood, start: Vector, steps: Vector, draws: int, seed: int
+    likelihood: EdgeLikelihood, start: Vector, steps: Vector, seed: int
 ) -> Posterior:
     """Maximise the posterior from `start`, then draw around the optimum.
 
@@ -59,31 +60,30 @@ def find_posterior(
     ----------
     likelihood : the model
     start, steps : [p] first guess and typical sizes of a step
-    draws : number of draws, a power of two
     seed : of the draws
     """
-
     best, value = _descended(likelihood, start, np.diag(steps))
-    directions = _curvature_directions(likelihood, best, np.diag(steps), value)
+    directions = _curvature_directions(likelihood, best, np.diag(steps))
     for _ in range(_ROUNDS):
         last = value
         best, value = _descended(likelihood, best, directions)
         if last - value < _SETTLED:
             break
-        directions = _curvature_directions(likelihood, best, directions, value)
-    first = _Student(best, _SPREAD * directions)
-    parameters = first.draws(draws // 2, seed)
-    found = [likelihood.conditional(p) for p in parameters]
-    logs = value - np.array([one[0] for one in found])
-    second = first.adapted(parameters, logs - first.log_density(parameters))
-    more = second.draws(draws - draws // 2, seed + 1)
-    found += [likelihood.conditional(p) for p in more]
-    parameters = np.concatenate([parameters, more])
-    logs = value - np.array([one[0] for one in found])
-    mixture = np.logaddexp(first.log_density(parameters), second.log_density(parameters))
-    log_weights = logs - (mixture - np.log(2.0))
-    top = log_weights.max()
-    weights = np.exp(log_weights - top)
+        directions = _curvature_directions(likelihood, best, directions)
+    proposals = [_Student(best, _SPREAD * directions, likelihood.twin)]
+    parameters, log_weights = np.empty((0, best.size)), np.empty(0)
+    found: list[tuple[float, Conditional | None]] = []
+    for k in range(_GENERATIONS):
+        if k:
+            proposals.append(proposals[0].adapted(parameters, log_weights))
+        more = proposals[-1].draws(_DRAWS_EACH, seed + k)
+        found += [likelihood.conditional(p) for p in more]
+        parameters = np.concatenate([parameters, more])
+        logs = value - np.array([one[0] for one in found])
+        # Every draw counts as one of the mixture of all proposals so far.
+        densities = [proposal.log_density(parameters) for proposal in proposals]
+        log_weights = logs - np.logaddexp.reduce(densities, axis=0)
+    weights = np.exp(log_weights - log_weights.max())
     conditionals = [one[1] for one in found]
     inside = likelihood.bounded(parameters)
     return Posterior(likelihood.bounded(best), inside, weights / weights.sum(), conditionals)
@@ -91,10 +91,17 @@ def find_posterior(
 
 @dataclass(frozen=True, slots=True)
 class _Student:
-    """A multivariate t distribution, from which draws are proposed."""
+    """A multivariate t distribution, from which draws are proposed, folded onto one of two twins.
+
+    Parameters
+    ----------
+    centre, directions : [p], [p p]
+    twin : [p] signs whose change makes no difference to the target
+    """
 
     centre: Vector
     directions: Matrix
+    twin: Vector
 
     def draws(self, count: int, seed: int) -> Matrix:
         """Return quasi-random draws [k p]."""
@@ -102,10 +109,17 @@ class _Student:
         uniform = np.clip(qmc.Sobol(size + 1, seed=seed).random(count), 1e-9, 1.0 - 1e-9)
         chi_square = 2.0 * gammaincinv(0.5 * _FREEDOM, uniform[:, -1])
         samples = ndtri(uniform[:, :-1]) / np.sqrt(chi_square / _FREEDOM)[:, None]
-        return np.asarray(self.centre + samples @ self.directions.T)
+        drawn = self.centre + samples @ self.directions.T
+        return np.asarray(np.where(self.twin < 0, np.abs(drawn), drawn))
 
     def log_density(self, parameters: Matrix) -> Vector:
         """Return the log density of each of [k p], up to a constant of the dimension."""
+        two_sided: Vector = np.logaddexp(
+            self._one_sided(parameters), self._one_sided(parameters * self.twin)
+        )
+        return two_sided
+
+    def _one_sided(self, parameters: Matrix) -> Vector:
         scaled = np.linalg.solve(self.directions, (parameters - self.centre).T)
         size = self.centre.size
         radius = np.sum(scaled**2, axis=0)
@@ -125,7 +139,7 @@ class _Student:
         parts = np.vstack([deviation, np.sqrt(1.0 - trust) * self.directions.T])
         centre = trust * centre + (1.0 - trust) * self.centre
         triangle: Matrix = np.asarray(np.linalg.qr(parts, mode="r"))
-        return _Student(centre, triangle.T)
+        return _Student(centre, triangle.T, self.twin)
 
 
 def _descended(
@@ -133,33 +147,29 @@ def _descended(
 ) -> tuple[Vector, float]:
     """Return the optimum and its value, in coordinates along the columns of `directions`."""
 
-    def along(z: Vector) -> float:
-        return likelihood.negative_log(start + directions @ z)
+    def along(z: Vector) -> tuple[float, Vector]:
+        value, gradient = likelihood.with_gradient(start + directions @ z)
+        return value, gradient @ directions
 
     found = minimize(
         along,
         np.zeros(start.size),
+        jac=True,
         method="L-BFGS-B",
-        options={"maxiter": 80, "eps": 1e-4, "ftol": 1e-7},
+        options={"maxiter": _MOST_STEPS, "ftol": 1e-7},
     )
     return start + directions @ found.x, float(found.fun)
 
 
-def _curvature_directions(
-    likelihood: EdgeLikelihood, best: Vector, directions: Matrix, value: float
-) -> Matrix:
+def _curvature_directions(likelihood: EdgeLikelihood, best: Vector, directions: Matrix) -> Matrix:
     """Return [p p]: columns that are one posterior standard deviation long, uncorrelated."""
-    size, moves = best.size, _CURVATURE_STEP * directions.T
-    up = [likelihood.negative_log(best + move) for move in moves]
-    down = [likelihood.negative_log(best - move) for move in moves]
-    hessian = np.zeros((size, size))
-    for i in range(size):
-        hessian[i, i] = up[i] - 2.0 * value + down[i]
-        for j in range(i):
-            both = likelihood.negative_log(best + moves[i] - moves[j])
-            cross = up[i] + down[j] - both - value
-            hessian[i, j] = hessian[j, i] = cross
-    curvature, vectors = np.linalg.eigh(hessian / _CURVATURE_STEP**2)
+    moves = _CURVATURE_STEP * directions.T
+    rows = [
+        likelihood.with_gradient(best + move)[1] - likelihood.with_gradient(best - move)[1]
+        for move in moves
+    ]
+    hessian = np.array(rows) @ directions / (2.0 * _CURVATURE_STEP)
+    curvature, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
     deviation = 1.0 / np.sqrt(np.maximum(curvature, _LARGEST_SD**-2))
     return np.asarray(directions @ vectors * deviation)
 
@@ -168,14 +178,10 @@ def starting_point(
     geometry: Vector, log_sigma: float, noise: float, half_length_px: float
 ) -> tuple[Vector, Vector]:
     """Return a first guess of all parameters, and sizes of steps for them."""
-    hyper = [log_sigma, np.log(0.05), np.log(0.6), 0.0, 2.0]
     noise = max(noise, MODEL_ERROR)
-    start = np.concatenate([geometry, hyper, [np.log(noise)]])
+    start = np.concatenate([geometry, [log_sigma], START[1:], [np.log(noise)]])
     precision_px = min(0.5 * noise, 0.02)  # of the edge's place, roughly
     geometry_steps = [precision_px / max(half_length_px, 1.0)] + [precision_px] * (
         geometry.size - 1
     )
-    steps = np.concatenate([geometry_steps, _HYPER_STEPS, [0.05]])
-    if start.size != geometry.size + HYPERS + 1:
-        raise ValueError(f"expected {HYPERS} hyper-parameters, got {len(hyper)}")
-    return start, steps
+    return start, np.concatenate([geometry_steps, STEPS, [0.05]])

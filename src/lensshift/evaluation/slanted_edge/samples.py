@@ -73,11 +73,10 @@ class EdgeSamples:
         """Return the columns as the whitened pixels see them."""
         return columns if self.whitener is None else self.whitener @ columns
 
-    def geometry_penalty(self, geometry: Vector) -> float:
-        """Return minus the log prior of the bending terms."""
-        spread_px = _BENDING_SHARE * self.half_length_px
-        z = geometry[2:] / spread_px
-        return float(0.5 * np.sum(z**2) + self.bends * np.log(spread_px))
+    @property
+    def bend_spread_px(self) -> float:
+        """Prior standard deviation of the bending terms."""
+        return _BENDING_SHARE * self.half_length_px
 
 
 def distance_px(
