@@ -119,3 +119,19 @@ def test_robust_scale_of_gaussian_values() -> None:
     assert robust_scale(values) == pytest.approx(2.0, rel=0.1)
     phasors = 2.0 * (_white((20000,)) + 1j * _white((20000,), 1))
     assert robust_scale(phasors) == pytest.approx(2.0, rel=0.03)
+
+
+def test_what_the_low_pass_misses_is_no_outlier_but_a_hot_pixel_is() -> None:
+    """Lines of one pixel on a small target, a hundred times the noise: no smooth fit follows."""
+
+    def lines(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        inside = (np.abs(row - 20) < 6) & (np.abs(col - 24) < 6)
+        return 0.1 + 0.5 * (inside & (np.floor(col) % 2 == 0))
+
+    y = photograph(lines, SHAPE, SQUARE_PX)
+    y += 0.005 * _white(y.shape)
+    y[2, 5, 40] += 0.4
+    noise = estimate_noise(_operator(SQUARE_PX), y, np.ones(y.shape))
+    assert noise.sigma == pytest.approx(0.005, rel=0.1)
+    assert not noise.inlier[2, 5, 40]
+    assert np.mean(noise.inlier[:, 15:26, 19:30]) > 0.9

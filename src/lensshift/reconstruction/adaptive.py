@@ -35,6 +35,8 @@ CLUMP_WINDOW_HR_PX = 17
 EDGE_ERROR_PX, CAUTIOUS_EDGE_ERROR_PX = 0.065, 0.03
 EXTRA_WEIGHT_LONE_EDGES = 0.3
 GROUPING = 0.6
+# Around which the scale of the prior is found, and how much above its mean the weight may be.
+LOCAL_WINDOW_HR_PX, MOST_LOCAL_WEIGHT = 49, 10.0
 # A replicate starts from the estimate, softened this much so that its edges can move a little.
 REPLICATE_STEPS, REPLICATE_SMOOTHING_SIGMAS = 3, 1.5
 START_SMOOTHING, RESTART_SMOOTHING, SMOOTHING_DECAY = 0.1, 0.05, 0.75
@@ -53,8 +55,11 @@ class SparseGradient:
 
         lambda = 2 c sigma^2 N / (p sum_d share_d |D_d x|^p),   c = prior_share(blur_hr_px)
 
-    where c < 1 allows for what the blur hides of the differences. With `adapt` the picture of
-    the first steps is asked whether its edges stand alone or make a texture,
+    where c < 1 allows for what the blur hides of the differences. With `adapt` the weight goes
+    with the scale of the prior around each pixel: a small bright object before a large calm
+    background has other differences than the average pixel, and the average weight would wipe
+    it out. Also, the picture of the first steps is asked whether its edges stand alone or make
+    a texture,
 
         clumping = mean of (E|g|)^2 / E|g|^2 in windows, weighted by |g|^2
 
@@ -65,7 +70,7 @@ class SparseGradient:
     ----------
     exponent : p; 2 is Tikhonov, 1 total variation
     texture_exponent : p for scenes of texture, once `adapt` has found them
-    prior_weight : lambda, or None
+    prior_weight : lambda (with `adapt` that at differences of average size), or None
     noise_sigma : noise of an LR pixel (per component if complex), or None to estimate it
     blur_hr_px : width of the pixel response in HR pixels
     shift_error_hr_px : standard deviation of the shifts in HR pixels, if they are uncertain;
@@ -154,8 +159,10 @@ class SparseGradient:
         state.smoothing = max(0.2 * sigma, state.smoothing * SMOOTHING_DECAY)
         eps2 = state.smoothing**2
         touched = (square + eps2) ** (p / 2)
-        per_pixel = float(np.sum(SHARE * touched)) / state.x.size
-        energy = per_pixel - SHARE.sum() * (eps2 ** (p / 2) - (0.3 * sigma) ** p)
+        total = np.sum(SHARE * touched, axis=0)
+        rest = SHARE.sum() * (eps2 ** (p / 2) - (0.3 * sigma) ** p)
+        energy = float(total.mean()) - rest
+        local = _local_weight(total - rest, energy) if self.adapt else np.ones(total.shape)
         if self.prior_weight is None:
             share = prior_share(self.blur_hr_px) + EXTRA_WEIGHT_LONE_EDGES * state.lone_edges
             found = 2.0 * share * sigma**2 / (p * energy)
@@ -164,14 +171,14 @@ class SparseGradient:
             )
         else:
             state.prior_weight = self.prior_weight
-        state.penalty = state.prior_weight * per_pixel * state.x.size
+        state.penalty = state.prior_weight * float(np.sum(local * total))
         grouping = GROUPING * (1.0 - state.lone_edges) if self.adapt and state.judged else 0.0
         if grouping > 0.0:
             square = _grouped(square, grouping)
             slope = (square + eps2) ** (p / 2 - 1.0)
         else:
             slope = touched / (square + eps2)
-        a = 0.5 * state.prior_weight * p * SHARE * slope
+        a = 0.5 * state.prior_weight * p * SHARE * local * slope
         return np.asarray(a)
 
     def _confidence(
@@ -272,6 +279,14 @@ def clumping(square: Array) -> float:
     if total <= 0.0:
         return 0.0
     return float((energy * mean**2 / np.maximum(power, 1e-300)).sum() / total)
+
+
+def _local_weight(energy: Array, mean: float) -> Array:
+    """Return mean / (energy around each pixel) [row col], not above `MOST_LOCAL_WEIGHT`."""
+    from scipy.ndimage import uniform_filter
+
+    around = uniform_filter(energy, LOCAL_WINDOW_HR_PX)
+    return np.asarray(mean / np.maximum(around, mean / MOST_LOCAL_WEIGHT))
 
 
 def _grouped(square: Array, share: float) -> Array:

@@ -20,6 +20,8 @@ LOW_PASS_STIFFNESS = 0.1
 CALM_STIFFNESS = 3.0
 OUTLIER_SIGMAS = 4.0
 GAUSSIAN_MAD = 1.4826
+# Pixels of all frames among which an outlier has to stand out.
+NEIGHBOURHOOD_PX = 3
 
 
 def robust_scale(values: Array) -> float:
@@ -59,7 +61,8 @@ def estimate_noise(
     frequencies of the burst hold little but noise. The same linear filter applied to unit white
     noise gives the factor exactly, whatever shifts, borders and gaps there are. Only the pixels
     where the picture is calm (small gradient of a much smoother fit, which the noise hardly
-    moves) are counted; pixels beyond 4 sigma are left out of the next pass.
+    moves) are counted. Pixels beyond 4 sigma are left out of the next pass, but not where their
+    neighbours in all frames are off as well: what the low pass misses there is the scene.
 
     Parameters
     ----------
@@ -85,13 +88,22 @@ def estimate_noise(
         sigma = robust_scale(residual[calm]) / max(robust_scale(reference[calm]), 1e-12)
         if total == 0.0:
             total = max(sigma, _spread(residual[calm]) / max(_spread(reference[calm]), 1e-12))
-        found = (np.abs(residual) <= OUTLIER_SIGMAS * max(sigma, 1e-12)) & (weight > 0)
+        usual = np.maximum(max(sigma, 1e-12), _usual_size(np.where(weight > 0, residual, 0.0)))
+        found = (np.abs(residual) <= OUTLIER_SIGMAS * usual) & (weight > 0)
         if np.count_nonzero(found) < 0.5 * np.count_nonzero(weight > 0):
             break
         if np.array_equal(found, inlier):
             break
         inlier, kept = found, found.astype(np.float64)
     return Noise(sigma, total, inlier)
+
+
+def _usual_size(residual: Array) -> Array:
+    """Return [row col] the robust scale of residuals [frame row col] around each pixel."""
+    reach = NEIGHBOURHOOD_PX // 2
+    padded = np.pad(np.abs(residual), ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (NEIGHBOURHOOD_PX,) * 2, (1, 2))
+    return np.asarray(GAUSSIAN_MAD * np.median(windows, axis=(0, 3, 4)))
 
 
 def _spread(values: Array) -> float:
