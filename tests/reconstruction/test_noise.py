@@ -131,7 +131,7 @@ def test_what_the_low_pass_misses_is_no_outlier_but_a_hot_pixel_is() -> None:
     y = photograph(lines, SHAPE, SQUARE_PX)
     y += 0.005 * _white(y.shape)
     y[2, 5, 40] += 0.4
-    noise = estimate_noise(_operator(SQUARE_PX), y, np.ones(y.shape))
+    noise = estimate_noise(_operator(SQUARE_PX), y, np.ones(y.shape), lone_outliers=True)
     assert noise.sigma == pytest.approx(0.005, rel=0.1)
     assert not noise.inlier[2, 5, 40]
     assert np.mean(noise.inlier[:, 15:26, 19:30]) > 0.9

@@ -55,28 +55,29 @@ class SparseGradient:
 
         lambda = 2 c sigma^2 N / (p sum_d share_d |D_d x|^p),   c = prior_share(blur_hr_px)
 
-    where c < 1 allows for what the blur hides of the differences. With `adapt` the weight goes
-    with the scale of the prior around each pixel: a small bright object before a large calm
-    background has other differences than the average pixel, and the average weight would wipe
-    it out. Also, the picture of the first steps is asked whether its edges stand alone or make
-    a texture,
+    where c < 1 allows for what the blur hides of the differences. With `adapt` the picture of
+    the first steps is asked whether its edges stand alone or make a texture,
 
         clumping = mean of (E|g|)^2 / E|g|^2 in windows, weighted by |g|^2
 
     Lone edges get a slightly heavier prior, and data that weigh less right at the edges;
-    texture gets differences that are grouped with those of their neighbours.
+    texture gets differences that are grouped with those of their neighbours. Where the noise is
+    even, lambda goes with the scale of the prior around each pixel: a small bright object before
+    a large calm background has other differences than the average pixel, and would be wiped out.
+    Uneven noise (distances of dark surfaces) would be taken for such an object.
 
     Parameters
     ----------
     exponent : p; 2 is Tikhonov, 1 total variation
     texture_exponent : p for scenes of texture, once `adapt` has found them
-    prior_weight : lambda (with `adapt` that at differences of average size), or None
+    prior_weight : lambda (that at differences of average size, if it is uneven), or None
     noise_sigma : noise of an LR pixel (per component if complex), or None to estimate it
     blur_hr_px : width of the pixel response in HR pixels
     shift_error_hr_px : standard deviation of the shifts in HR pixels, if they are uncertain;
         an LR pixel is believed less the steeper the picture is there
     robust : whether outliers and frames that do not fit lose weight
     adapt : whether to look at the kind of scene
+    even_noise : whether all pixels have about the same noise
     iterations, inner_iterations : reweightings, and conjugate gradients in each
     first_steps : reweightings before the scene is judged
     tolerance : stop when no pixel moves by more than this
@@ -93,6 +94,7 @@ class SparseGradient:
     shift_error_hr_px: float = 0.0
     robust: bool = True
     adapt: bool = True
+    even_noise: bool = True
     iterations: int = 16
     inner_iterations: int = 10
     first_steps: int = 6
@@ -142,7 +144,7 @@ class SparseGradient:
         """Return sigma, and the pixels that are no outliers at first sight."""
         if self.noise_sigma is not None and not self.robust:
             return self.noise_sigma, weight > 0
-        noise = estimate_noise(A, y, weight)
+        noise = estimate_noise(A, y, weight, lone_outliers=self.adapt and self.even_noise)
         if not self.robust:
             return max(noise.total, 1e-6), weight > 0
         return max(self.noise_sigma or noise.sigma, 1e-6), noise.inlier
@@ -162,7 +164,9 @@ class SparseGradient:
         total = np.sum(SHARE * touched, axis=0)
         rest = SHARE.sum() * (eps2 ** (p / 2) - (0.3 * sigma) ** p)
         energy = float(total.mean()) - rest
-        local = _local_weight(total - rest, energy) if self.adapt else np.ones(total.shape)
+        local: Array | float = 1.0
+        if self.adapt and self.even_noise:
+            local = _local_weight(total - rest, energy)
         if self.prior_weight is None:
             share = prior_share(self.blur_hr_px) + EXTRA_WEIGHT_LONE_EDGES * state.lone_edges
             found = 2.0 * share * sigma**2 / (p * energy)

@@ -51,7 +51,13 @@ class Noise:
 
 
 def estimate_noise(
-    A: LinearOperator, y: Array, weight: Array, passes: int = 3, seed: int = 0
+    A: LinearOperator,
+    y: Array,
+    weight: Array,
+    passes: int = 3,
+    seed: int = 0,
+    *,
+    lone_outliers: bool = False,
 ) -> Noise:
     """Estimate the noise of the frames and mark the pixels that are not outliers.
 
@@ -61,13 +67,14 @@ def estimate_noise(
     frequencies of the burst hold little but noise. The same linear filter applied to unit white
     noise gives the factor exactly, whatever shifts, borders and gaps there are. Only the pixels
     where the picture is calm (small gradient of a much smoother fit, which the noise hardly
-    moves) are counted. Pixels beyond 4 sigma are left out of the next pass, but not where their
-    neighbours in all frames are off as well: what the low pass misses there is the scene.
+    moves) are counted; pixels beyond 4 sigma are left out of the next pass.
 
     Parameters
     ----------
     A : HR image [row col] to frames [frame row col]
     y, weight : [frame row col]
+    lone_outliers : whether pixels whose neighbours in all frames are off as well are kept: what
+        the low pass misses there is the scene, unless noise or outliers come in clumps
     """
     from scipy.ndimage import uniform_filter
 
@@ -88,7 +95,9 @@ def estimate_noise(
         sigma = robust_scale(residual[calm]) / max(robust_scale(reference[calm]), 1e-12)
         if total == 0.0:
             total = max(sigma, _spread(residual[calm]) / max(_spread(reference[calm]), 1e-12))
-        usual = np.maximum(max(sigma, 1e-12), _usual_size(np.where(weight > 0, residual, 0.0)))
+        usual: Array | float = max(sigma, 1e-12)
+        if lone_outliers:
+            usual = np.maximum(usual, _usual_size(np.where(weight > 0, residual, 0.0)))
         found = (np.abs(residual) <= OUTLIER_SIGMAS * usual) & (weight > 0)
         if np.count_nonzero(found) < 0.5 * np.count_nonzero(weight > 0):
             break

@@ -32,6 +32,7 @@ class Problem:
     blur_sigma_px : width of the pixel response in LR pixels
     noise_sigma : noise of an LR pixel in units of `intensity`, or None
     shift_error_px : standard deviation of the offsets (rms over frames and axes), 0 if not known
+    even_noise : whether all pixels have about the same noise, as amplitudes do and distances do not
     """
 
     y: Array
@@ -41,6 +42,7 @@ class Problem:
     blur_sigma_px: float
     noise_sigma: float | None
     shift_error_px: float = 0.0
+    even_noise: bool = True
 
     @property
     def scale(self) -> int:
@@ -102,6 +104,7 @@ def make_problem(
     noise_sigma: float | None,
     intensity: Callable[[Array, NDArray[np.bool_]], float] = brightness_of,
     pixel_variance: Array | None = None,
+    even_noise: bool = True,
 ) -> Problem:
     """Prepare one channel of a burst.
 
@@ -110,6 +113,7 @@ def make_problem(
     values : [frame row col] the channel
     intensity : (values, used) -> what to divide them by, `brightness_of` or `peak_of`
     pixel_variance : [frame row col] known noise variance of each LR pixel, or None
+    even_noise : as in `Problem`
     """
     usable = burst.valid if burst.valid is not None else np.ones(values.shape, np.bool_)
     if shift_field is not None:
@@ -139,6 +143,7 @@ def make_problem(
         blur_sigma_px=blur_width_px(blur),
         noise_sigma=None if noise_sigma is None else noise_sigma / unit,
         shift_error_px=_rms(burst.offset_sigma_px),
+        even_noise=even_noise,
     )
 
 

@@ -110,7 +110,7 @@ def reconstruct(
     for name, values in _channels(part, choice.channel).items():
         problem = make_problem(
             part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
-            intensity=chosen.intensity, pixel_variance=variance,
+            intensity=chosen.intensity, pixel_variance=variance, even_noise=name != "distance",
         )  # fmt: skip
         found[name] = _solve(burst, problem, used, chosen, request, photometric)
     return Reconstruction(

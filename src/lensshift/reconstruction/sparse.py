@@ -27,7 +27,9 @@ REJECTED_LIMIT, BELIEVED_LIMIT = 0.2, 0.6
 
 def auto(problem: Problem, request: Request) -> Estimate:
     """Robust fit with the sparse prior that sets itself."""
-    solver = SparseGradient(shift_error_hr_px=problem.shift_error_px * problem.scale)
+    solver = SparseGradient(
+        shift_error_hr_px=problem.shift_error_px * problem.scale, even_noise=problem.even_noise
+    )
     return warn_of_misfit(problem, _sparse(problem, request, solver))
 
 

@@ -148,11 +148,12 @@ def _noise(problem: Problem, noise_sigma: float | None, variance: Array | None) 
 def _apart(prepare: Callable[[Array], Problem], frames: PolarFrames) -> PolarImage:
     """Return amplitude and phase reconstructed each on its own: where the joint fit begins."""
     images = []
-    for values in (frames.amplitude, frames.phase_rad):
+    for values, even_noise in ((frames.amplitude, True), (frames.phase_rad, False)):
         problem = prepare(values)
         solver = SparseGradient(
             blur_hr_px=problem.blur_sigma_px * problem.scale,
             shift_error_hr_px=problem.shift_error_px * problem.scale,
+            even_noise=even_noise,
         )
         estimate = solver(problem.model.operator, problem.y, problem.weight)
         images.append((np.asarray(estimate.image), problem.intensity))
