@@ -166,7 +166,7 @@ class SparseGradient:
         energy = float(total.mean()) - rest
         local: Array | float = 1.0
         if self.adapt and self.even_noise:
-            local = _local_weight(total - rest, energy)
+            local = local_weight(total - rest, energy)
         if self.prior_weight is None:
             share = prior_share(self.blur_hr_px) + EXTRA_WEIGHT_LONE_EDGES * state.lone_edges
             found = 2.0 * share * sigma**2 / (p * energy)
@@ -285,7 +285,7 @@ def clumping(square: Array) -> float:
     return float((energy * mean**2 / np.maximum(power, 1e-300)).sum() / total)
 
 
-def _local_weight(energy: Array, mean: float) -> Array:
+def local_weight(energy: Array, mean: float) -> Array:
     """Return mean / (energy around each pixel) [row col], not above `MOST_LOCAL_WEIGHT`."""
     from scipy.ndimage import uniform_filter
 

@@ -17,6 +17,7 @@ from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PhaseScale, PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.joint import JointPhasor, PolarImage
 from lensshift.reconstruction.phasor.noise import relative_variance
+from lensshift.reconstruction.phasor.turns import settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
 from lensshift.reconstruction.request import Request
 from lensshift.reconstruction.sparse import tikhonov, total_variation
@@ -102,7 +103,8 @@ def reconstruct_phasor(
         problem = replace(problem, weight=problem.weight * best / variance)
     problem = replace(problem, noise_sigma=noise)
     if method == "auto":
-        fit = _joint(problem, _apart(prepare, frames), noise, request)
+        settled = settle_turns(frames, noise * problem.intensity)
+        fit = _joint(problem, _apart(prepare, settled), noise, request)
     else:
         fit = _linear(problem, method, request)
     return _result(burst, used, problem, frames.scale, fit)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.types import Status
 from lensshift.forward.operator import LinearOperator
-from lensshift.reconstruction.adaptive import SHARE
+from lensshift.reconstruction.adaptive import SHARE, local_weight
 from lensshift.reconstruction.differences import (
     add_differences_adjoint,
     add_laplacian_diagonal,
@@ -119,8 +119,9 @@ class JointPhasor:
     as free as if it had one, and freer still where phases cancel; |D_d log a| counts up to 1.1.
     Reweighted Gauss-Newton: in each step the phasor is linearised in (a, a phi), the penalties are
     replaced by quadratics that touch them, and both unknowns are solved for by conjugate
-    gradients. Both lambda set themselves as in `SparseGradient`. The prior of the phase does not
-    know the amplitude: where a surface is dark, its data count a^2 and the neighbours decide.
+    gradients. Both lambda set themselves as in `SparseGradient`, that of the amplitude around each
+    pixel. The prior of the phase does not know the amplitude: where a surface is dark, its data
+    count a^2 and the neighbours decide.
 
     Parameters
     ----------
@@ -229,23 +230,25 @@ class JointPhasor:
         deviation = phase_step - _mean_slope(phase_step, now.phase_smoothing_rad)
         amplitude_energy = _energy(amplitude_step**2, now.smoothing, AMPLITUDE_EXPONENT)
         phase_energy = _energy(deviation**2, now.phase_smoothing_rad, PHASE_EXPONENT)
+        shown = amplitude_energy - self._hidden(now.smoothing, AMPLITUDE_EXPONENT)
+        local = local_weight(shown, max(float(shown.mean()), 1e-12))
         if not now.settled:
             now.prior_weights = (
                 self._prior_weight(
-                    amplitude_energy / a.size, now.smoothing, AMPLITUDE_EXPONENT,
-                    now.prior_weights[0],
+                    amplitude_energy, now.smoothing, AMPLITUDE_EXPONENT, now.prior_weights[0]
                 ),
                 self._prior_weight(
-                    phase_energy / a.size, now.phase_smoothing_rad, PHASE_EXPONENT,
-                    now.prior_weights[1],
+                    phase_energy, now.phase_smoothing_rad, PHASE_EXPONENT, now.prior_weights[1]
                 ),
             )  # fmt: skip
         for_a, for_phi = now.prior_weights
-        now.penalty = for_a * amplitude_energy + for_phi * phase_energy
+        now.penalty = for_a * float(np.sum(local * amplitude_energy)) + for_phi * float(
+            np.sum(phase_energy)
+        )
         # Two phases that cancel in a pixel make it dark: the whole step of the phasor counts.
         phasor_step = _differences(now.image.phasor)
         for_amplitude = _touching(
-            np.abs(phasor_step) ** 2, now.smoothing, AMPLITUDE_EXPONENT, for_a
+            np.abs(phasor_step) ** 2, now.smoothing, AMPLITUDE_EXPONENT, for_a * local
         )
         # Such a pixel has the amplitude of neither surface: a Geman-McClure weight lets it go.
         for_amplitude /= (1.0 + (deviation / CANCELLING_RAD) ** 2) ** 2
@@ -255,15 +258,17 @@ class JointPhasor:
         )  # fmt: skip
         return deviation, for_amplitude, for_phase
 
+    def _hidden(self, smoothing: float, exponent: float) -> float:
+        """Return what eps adds to the energy of a pixel, but for that of its noise."""
+        rest = smoothing**exponent - (0.3 * self.noise_sigma) ** exponent
+        return float(SHARE.sum() * rest)
+
     def _prior_weight(
-        self, energy: float, smoothing: float, exponent: float, before: float
+        self, energy: Array, smoothing: float, exponent: float, before: float
     ) -> float:
-        """Return lambda = 2 c sigma^2 / (p P) for the energy P of a pixel, averaged with before."""
-        sigma2 = self.noise_sigma**2
-        hidden = SHARE.sum() * (smoothing**exponent - (0.3 * self.noise_sigma) ** exponent)
-        found = (
-            2.0 * prior_share(self.blur_hr_px) * sigma2 / (exponent * max(energy - hidden, 1e-12))
-        )
+        """Return lambda = 2 c sigma^2 / (p P), P the mean of energy, averaged with before."""
+        shown = max(float(energy.mean()) - self._hidden(smoothing, exponent), 1e-12)
+        found = 2.0 * prior_share(self.blur_hr_px) * self.noise_sigma**2 / (exponent * shown)
         return float(np.sqrt(found * before)) if before > 0.0 else float(found)
 
     def _trust(self, A: LinearOperator, y: Array, weight: Array, x: Array) -> Trust:
@@ -308,11 +313,13 @@ def _mean_slope(step_rad: Array, smoothing: float) -> Array:
     return np.asarray(uniform_filter(flat * step_rad, window) / uniform_filter(flat, window))
 
 
-def _energy(square: Array, smoothing: float, exponent: float) -> float:
-    return float(np.sum(SHARE * (square + smoothing**2) ** (exponent / 2)))
+def _energy(square: Array, smoothing: float, exponent: float) -> Array:
+    return np.asarray(np.sum(SHARE * (square + smoothing**2) ** (exponent / 2), axis=0))
 
 
-def _touching(square: Array, smoothing: float, exponent: float, prior_weight: float) -> Array:
+def _touching(
+    square: Array, smoothing: float, exponent: float, prior_weight: Array | float
+) -> Array:
     slope = (square + smoothing**2) ** (exponent / 2 - 1.0)
     return np.asarray(0.5 * prior_weight * exponent * SHARE * slope)
 
