@@ -193,6 +193,14 @@ def test_damaged_files_raise_nothing_but_data_errors(data: st.DataObject) -> Non
             assert isinstance(parse("\n".join(lines)), Lens)
 
 
+@pytest.mark.parametrize("word", ["-inf", "nan", "INFINITY"])
+@pytest.mark.parametrize("key", ["PARM 1", "PARM 3", "CURV", "CONI"])
+def test_numbers_that_are_none_are_refused_with_their_line(key: str, word: str) -> None:
+    text = DOUBLET.replace("SURF 4", f"SURF 4\n  TYPE COORDBRK\n  {key} {word}\n  DISZ 0\nSURF 5")
+    with pytest.raises(DataError, match=rf"line \d+: expected values after {key[:4]}.*{word}"):
+        parse_zmx(text)
+
+
 def test_files_that_are_no_lens(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="cannot read"):
         load_zmx(tmp_path / "missing.zmx")

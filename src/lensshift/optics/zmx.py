@@ -119,9 +119,9 @@ def _read_surface_line(entry: Entry, key: str, values: list[str], line: int) -> 
             )
         entry.type = values[0]
     elif key == "CURV":
-        entry.curvature_per_mm = float(values[0])
+        entry.curvature_per_mm = _finite(values[0])
     elif key == "CONI":
-        entry.conic = float(values[0])
+        entry.conic = _finite(values[0])
     elif key == "PARM":
         number = int(values[0])
         if not 0 <= number <= _MOST_PARAMETERS:
@@ -129,7 +129,7 @@ def _read_surface_line(entry: Entry, key: str, values: list[str], line: int) -> 
                 f"line {line}: expected a parameter up to {_MOST_PARAMETERS}, got {number}",
                 field=entry.where(),
             )
-        entry.parameters[number] = float(values[1])
+        entry.parameters[number] = _finite(values[1])
     elif key == "DISZ":
         entry.distance_mm = float(values[0])  # also reads INFINITY
     elif key == "DIAM":
@@ -138,6 +138,13 @@ def _read_surface_line(entry: Entry, key: str, values: list[str], line: int) -> 
         entry.glass = _glass(values[0], entry, line)
     elif key == "STOP":
         entry.is_stop = True
+
+
+def _finite(word: str) -> float:
+    value = float(word)
+    if not math.isfinite(value):
+        raise ValueError(f"expected a finite number, got {word}")
+    return value
 
 
 def _glass(name: str, entry: Entry, line: int) -> str:
