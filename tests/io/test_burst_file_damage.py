@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -79,6 +80,10 @@ def remove(name: str) -> Edit:
 
 def attribute(name: str, value: object) -> Edit:
     return lambda data: data.attrs.__setitem__(name, value)
+
+
+def attach(name: str, link: object) -> Edit:
+    return lambda data: data.__setitem__(name, link)
 
 
 def without(name: str) -> Edit:
@@ -159,6 +164,62 @@ def test_shape_that_the_stored_bytes_cannot_hold(good: Path, tmp_path: Path) -> 
         del data["amplitude"]
         data.create_dataset("amplitude", (10**6, 10**3, 10**3), "f8", chunks=(1, 100, 100))
     assert "cannot hold" in message_of_loading(path)
+
+
+def test_frames_of_other_files_are_refused(good: Path, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_bytes(b"TOP SECRET KEY" * 1000)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)  # whoever opens it to read waits for ever
+    shape = (3, 5, 7)
+    virtual = h5py.VirtualLayout(shape, "u2")
+    virtual[:] = h5py.VirtualSource(str(good), "entry/data/amplitude", shape)
+    edits: dict[str, Callable[[h5py.Group], object]] = {
+        "external storage": lambda data: data.create_dataset(
+            "amplitude", shape, "u2", external=[(str(secret), 0, 210)]
+        ),
+        "pipe": lambda data: data.create_dataset(
+            "amplitude", shape, "u2", external=[(str(pipe), 0, 210)]
+        ),
+        "external link": attach("amplitude", h5py.ExternalLink(str(good), "entry/data/amplitude")),
+        "link to a pipe": attach("amplitude", h5py.ExternalLink(str(pipe), "x")),
+        "soft link": attach("amplitude", h5py.SoftLink("/entry/data/distance")),
+        "virtual": lambda data: data.create_virtual_dataset("amplitude", virtual),
+        "references": lambda data: data.create_dataset(
+            "amplitude", data=np.full(shape, data.ref), dtype=h5py.ref_dtype
+        ),
+    }
+    for name, edit in edits.items():
+        path = tmp_path / f"{name}.nc"
+        path.write_bytes(good.read_bytes())
+        with h5py.File(path, "r+") as file:
+            del file["entry/data/amplitude"]
+            edit(file["entry/data"])
+        assert "amplitude: expected" in message_of_loading(path), name
+
+
+@pytest.mark.parametrize("group", ["entry", "entry/data"])
+def test_groups_of_other_files_are_refused(good: Path, tmp_path: Path, group: str) -> None:
+    path = tmp_path / "link.nc"
+    with h5py.File(path, "w") as file:
+        file[group] = h5py.ExternalLink(str(good), group)
+    assert "got a link" in message_of_loading(path)
+
+
+def test_a_small_file_does_not_unpack_without_bound(good: Path, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.nc"
+    path.write_bytes(good.read_bytes())
+    with h5py.File(path, "r+") as file:
+        data = file["entry/data"]
+        del data["amplitude"]
+        # Half a gigabyte of zeros in half a megabyte, as much as zlib can.
+        chunk = zlib.compress(bytes(1 << 20), 9)
+        flat = data.create_dataset(
+            "amplitude", (512, 1 << 20), "u1", chunks=(1, 1 << 20), compression="gzip"
+        )
+        for k in range(512):
+            flat.id.write_direct_chunk((k, 0), chunk)
+    assert "from a file of" in message_of_loading(path)
 
 
 def test_link_that_leads_nowhere(good: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """A journal keeps every whole frame, whatever happens to its writer."""
 
+import os
 import subprocess
 import sys
 import textwrap
@@ -166,6 +167,19 @@ def test_names_that_are_taken_or_wrong(tmp_path: Path) -> None:
         read_capture(tmp_path / "text")
     with pytest.raises(DataError, match="no folder"):
         CaptureWriter.create(tmp_path / "no" / "a.nc", HEADER)
+
+
+def test_neither_a_pipe_nor_a_frame_that_unpacks_stops_a_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "pipe")  # whoever opens it to read waits for ever
+    with pytest.raises(DataError, match="device or pipe"):
+        read_capture(tmp_path / "pipe")
+    monkeypatch.setattr(np, "savez", np.savez_compressed)
+    with CaptureWriter.create(tmp_path / "a.nc", HEADER) as file:
+        file.append(frame(0) | {"amplitude": np.zeros((500, 500))})
+    with pytest.raises(DataError, match="more than is stored"):
+        read_capture(tmp_path / "a.nc")
 
 
 def test_frames_that_do_not_fit_together(tmp_path: Path) -> None:

@@ -270,6 +270,18 @@ def test_pickles_are_refused(tmp_path: Path) -> None:
     assert "not an NPZ file" in message_of(tmp_path / "d.npz")
 
 
+def test_a_small_npz_does_not_unpack_without_bound(tmp_path: Path) -> None:
+    header = {"descr": "|u1", "fortran_order": False, "shape": (512, 1 << 20, 1)}
+    with (
+        zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("amplitude.npy", "w") as file,
+    ):
+        np.lib.format.write_array_header_1_0(file, header)
+        for _ in range(512):
+            file.write(bytes(1 << 20))
+    assert "from a file of" in message_of(tmp_path / "bomb.npz")
+
+
 def test_npz_with_something_else_inside(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("readme.txt", "hello")

@@ -30,6 +30,7 @@ from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
 from lensshift.io.atomic import writable_target
 from lensshift.io.container_writer import to_json
+from lensshift.io.reading import require_file, unpacked_bytes
 
 Record = dict[str, NDArray[Any]]
 
@@ -223,6 +224,7 @@ def burst_of_capture(header: Mapping[str, Any], frames: Sequence[Record], source
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Record], int]:
     """Return the header, the whole frames, and where the last one ends."""
+    require_file(path)
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -252,6 +254,8 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Record], int]:
 
 def _unpacked(payload: bytes) -> Record:
     with np.load(BytesIO(payload), allow_pickle=False) as arrays:
+        if unpacked_bytes(arrays) > len(payload):  # the writer does not compress
+            raise DataError("a frame claims to hold more than is stored")
         return {name: arrays[name] for name in arrays.files}
 
 

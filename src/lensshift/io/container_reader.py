@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.io.reading import check_held, reading, require_file
+from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
 GROUP = "entry/data"
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -22,15 +23,22 @@ _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Container:
-    """An open file; every access names file and field if it fails."""
+    """An open file; every access names file and field if it fails.
+
+    Parameters
+    ----------
+    group : `entry/data` of the file
+    unpacked : bytes that each array read so far has taken
+    """
 
     path: Path
     group: Any
+    unpacked: list[int] = field(default_factory=list)
 
     def has(self, name: str) -> bool:
         """Tell whether the file has a variable of this name."""
         with reading(self.path, name):
-            return name in self.group
+            return _member(self.group, name) is not None
 
     def names(self) -> list[str]:
         """Return the names of all variables, those of dimensions included."""
@@ -42,14 +50,19 @@ class Container:
         import h5py
 
         with reading(self.path, name):
-            item = self.group.get(name)
+            item = _member(self.group, name)
             if not isinstance(item, h5py.Dataset):
                 raise DataError("the variable is missing", field=name)
+            if item.external or item.is_virtual:
+                raise DataError("expected its own values, got those of other files", field=name)
             if item.dtype.kind not in kinds:
                 raise DataError(f"expected numbers, got dtype {item.dtype}", field=name)
             if item.shape is None or item.size == 0:
                 raise DataError(f"expected values, got shape {item.shape}", field=name)
             check_held(item.shape, item.nbytes, item.id.get_storage_size(), name)
+            chunk_bytes = math.prod(item.chunks or (0,)) * item.dtype.itemsize
+            self.unpacked.append(max(item.nbytes, chunk_bytes))
+            check_unpacked(sum(self.unpacked), self.path.stat().st_size, name)
             values = np.asarray(item[()])
             return values.astype(values.dtype.newbyteorder("="), copy=False)
 
@@ -69,8 +82,8 @@ class Container:
         """Return an attribute of the set or of a variable, or None if it is absent."""
         label = f"{of}@{name}" if of else name
         with reading(self.path, label):
-            owner = self.group[of] if of else self.group
-            if name not in owner.attrs:
+            owner = _member(self.group, of) if of else self.group
+            if owner is None or name not in owner.attrs:
                 return None
             value = owner.attrs[name]
             return value.decode() if isinstance(value, bytes) else value
@@ -98,7 +111,7 @@ class Container:
             return {}
         try:
             value = json.loads(self.text(name))
-        except (json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise DataError(f"not JSON: {error}", field=name, source=self.path) from error
         if not isinstance(value, dict):
             raise DataError("expected a JSON object", field=name, source=self.path)
@@ -113,6 +126,22 @@ class Container:
     def _unexpected(self, expected: str, value: Any, name: str) -> DataError:
         got = "the attribute is missing" if value is None else f"got {value!r:.80}"
         return DataError(f"expected {expected}, {got}", field=name, source=self.path)
+
+
+def _member(group: Any, name: str) -> Any:
+    """Return a member that lies in the file itself, or None.
+
+    HDF5 follows a link wherever it leads: to another file, whose content would come back as
+    measured, or to a pipe, which never ends. So links are looked at before anything is opened.
+    """
+    import h5py
+
+    link = group.get(name, getlink=True)
+    if link is None:
+        return None
+    if not isinstance(link, h5py.HardLink):
+        raise DataError("expected the values themselves, got a link", field=name)
+    return group[name]
 
 
 @contextmanager
@@ -169,9 +198,11 @@ def _opened(path: Path) -> Iterator[Container]:
         file = h5py.File(path, "r")
     try:
         with reading(path, GROUP):
-            group = file.get(GROUP)
-            if not isinstance(group, h5py.Group):
-                raise DataError("the group is missing; not a file of lensshift", field=GROUP)
+            group = file
+            for name in GROUP.split("/"):
+                group = _member(group, name)
+                if not isinstance(group, h5py.Group):
+                    raise DataError("the group is missing; not a file of lensshift", field=GROUP)
         yield Container(path, group)
     finally:
         with reading(path):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.io.reading import check_held, reading, require_file
+from lensshift.io.reading import check_held, check_unpacked, reading, require_file, unpacked_bytes
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 IMAGE_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy")
@@ -58,6 +58,7 @@ def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
     with reading(path):
         _check_signature(path, b"PK", "an NPZ file")
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            check_unpacked(unpacked_bytes(archive), Path(path).stat().st_size, "")
             return {name: _without_pickles(archive, name) for name in archive.files}
 
 
@@ -92,7 +93,9 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
         if page.compression not in _TIFFFILE_COMPRESSIONS:
             return _load_pillow(path)
-        check_held(series[0].shape, series[0].nbytes, Path(path).stat().st_size, "pages")
+        size = Path(path).stat().st_size
+        check_held(series[0].shape, series[0].nbytes, size, "pages")
+        check_unpacked(series[0].nbytes, size, "pages")
         values = series[0].asarray()
         if "S" in series[0].axes:
             values = _grey(np.moveaxis(values, series[0].axes.index("S"), -1))

@@ -11,8 +11,12 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lensshift.core.errors import DataError
+
+if TYPE_CHECKING:
+    from numpy.lib.npyio import NpzFile
 
 # What h5py, tifffile, Pillow and NumPy raise when a file is damaged.
 _READ_ERRORS = (
@@ -37,6 +41,9 @@ _READ_ERRORS = (
     zlib.error,
 )
 _DEFLATE_LIMIT = 1100  # zlib cannot shrink data by more than a factor of 1032
+# Measured frames shrink by 10 at most, flags and other constants by 1000, but beside frames.
+_UNPACKED_LIMIT = 100
+_ALWAYS_UNPACKED_BYTES = 1 << 28
 
 
 @contextmanager
@@ -59,6 +66,21 @@ def check_held(shape: tuple[int, ...], claimed_bytes: int, stored_bytes: int, fi
     """Raise a `DataError` if so few stored bytes cannot hold an array of this shape."""
     if claimed_bytes > _DEFLATE_LIMIT * stored_bytes:
         raise DataError(f"damaged: {stored_bytes} bytes cannot hold shape {shape}", field=field)
+
+
+def unpacked_bytes(archive: NpzFile) -> int:
+    """Return the bytes that the arrays of an NPZ file claim to have; no more is ever read."""
+    return sum(member.file_size for member in archive.zip.infolist()) if archive.zip else 0
+
+
+def check_unpacked(claimed_bytes: int, file_bytes: int, field: str) -> None:
+    """Raise a `DataError` if a file asks for more memory than frames in it can explain."""
+    limit = max(_ALWAYS_UNPACKED_BYTES, _UNPACKED_LIMIT * file_bytes)
+    if claimed_bytes > limit:
+        raise DataError(
+            f"expected at most {limit} bytes from a file of {file_bytes}, got {claimed_bytes}",
+            field=field,
+        )
 
 
 def require_file(path: str | Path) -> None:
