@@ -104,11 +104,14 @@ def test_every_field_comes_back_exactly(burst: Burst, tmp_path: Path) -> None:
     assert_same(load_burst(tmp_path / "burst.nc"), burst)
 
 
+@pytest.mark.parametrize("group", [None, "entry/data"])
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
-def test_xarray_reads_names_units_and_numbers(tmp_path: Path, engine: str) -> None:
+def test_xarray_reads_names_units_and_numbers(
+    tmp_path: Path, engine: str, group: str | None
+) -> None:
     burst = make_burst()
     save_burst(burst, tmp_path / "burst.nc")
-    with xarray.open_dataset(tmp_path / "burst.nc", engine=engine, group="entry/data") as data:
+    with xarray.open_dataset(tmp_path / "burst.nc", engine=engine, group=group) as data:
         assert data.amplitude.dims == ("frame", "row", "col")
         assert data.sizes == {"frame": 3, "row": 5, "col": 7}
         np.testing.assert_array_equal(data.amplitude, burst.amplitude)
@@ -129,7 +132,16 @@ def test_xarray_reads_names_units_and_numbers(tmp_path: Path, engine: str) -> No
 def test_xarray_opens_it_as_a_tree(tmp_path: Path) -> None:
     save_burst(make_burst(), tmp_path / "burst.nc")
     with xarray.open_datatree(tmp_path / "burst.nc", engine="h5netcdf") as tree:
+        assert "amplitude" in tree.data_vars
         assert "amplitude" in tree["entry/data"].data_vars
+
+
+def test_a_file_without_anything_at_its_root_still_loads(tmp_path: Path) -> None:
+    save_burst(make_burst(), tmp_path / "burst.nc")
+    with h5py.File(tmp_path / "burst.nc", "r+") as file:
+        for name in set(file) - {"entry"}:
+            del file[name]
+    assert_same(load_burst(tmp_path / "burst.nc"), make_burst())
 
 
 def test_netcdf_library_reads_complex_frames(tmp_path: Path) -> None:

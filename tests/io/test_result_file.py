@@ -108,7 +108,7 @@ def test_other_programs_read_it(tmp_path: Path) -> None:
 
     saved = make_reconstruction()
     save_reconstruction(saved, tmp_path / "result.nc")
-    with xarray.open_dataset(tmp_path / "result.nc", group="entry/data") as data:
+    with xarray.open_dataset(tmp_path / "result.nc") as data:
         assert data.amplitude.dims == ("row", "col")
         assert data.amplitude.attrs["status"] == "max_iterations"
         rms = np.sqrt(np.mean(data.amplitude_std.values**2))

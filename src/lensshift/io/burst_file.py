@@ -1,6 +1,6 @@
 """Bursts as files: netCDF-4/HDF5 that xarray, netCDF-C, h5py and NeXus readers open.
 
-Schema `lensshift-burst/1`, group `entry/data`, dimensions (frame, row, col):
+Schema `lensshift-burst/1`, group `entry/data` and the root, dimensions (frame, row, col):
 
     amplitude, distance   [frame row col]   dtype as given
     flags                 [frame row col]   CF flags, bit 0: invalid

@@ -1,7 +1,8 @@
 """Write the self-describing container of bursts and results: netCDF-4, HDF5 and NeXus in one.
 
-All content lies in the group `entry/data`. netCDF readers see a dataset with named dimensions,
-NeXus readers an `NXdata` with a default plot, HDF5 readers plain datasets. Every dataset carries
+All content lies in the group `entry/data`, and the root shows the same variables and attributes.
+netCDF readers see a dataset with named dimensions, NeXus readers an `NXdata` with a default plot,
+HDF5 readers plain datasets. Every dataset carries
 a checksum and the file uses HDF5's checksummed headers (HDF5 1.10 or later), so that damage is
 noticed rather than read as numbers.
 """
@@ -23,6 +24,7 @@ from lensshift.core.errors import DataError
 from lensshift.io.atomic import written_whole
 
 CHUNK_BYTES = 1_000_000
+_LIBVER = ("v110", "v110")
 _STORABLE = frozenset(["u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8", "c8", "c16"])
 
 
@@ -115,9 +117,10 @@ def _write_hdf5(
     attributes: Mapping[str, Any],
 ) -> None:
     import h5netcdf
+    import h5py
 
-    with h5netcdf.File(target, "w", libver=("v110", "v110")) as file:
-        _set_attributes(file.attrs, {"NX_class": "NXroot", "default": "entry"})
+    with h5netcdf.File(target, "w", libver=_LIBVER) as file:
+        _set_attributes(file.attrs, {**attributes, "NX_class": "NXroot", "default": "entry"})
         entry = file.create_group("entry")
         _set_attributes(entry.attrs, {"NX_class": "NXentry", "default": "data"})
         data = entry.create_group("data")
@@ -125,6 +128,9 @@ def _write_hdf5(
         data.dimensions = dict(lengths)
         for name, variable in variables.items():
             _write_variable(data, name, variable)
+    with h5py.File(target, "r+", libver=_LIBVER) as file:
+        for name, item in file["entry/data"].items():  # dimensions without variables as well
+            file[name] = item  # a second name, not a second copy
 
 
 def _dimension_lengths(variables: Mapping[str, Variable]) -> dict[str, int]:
