@@ -15,6 +15,8 @@
     scene  optics         io                    files and foreign formats <-> core types
          \\_________ core _________/             nouns, grid, units, errors
 
+Only `io` also looks up, at forward: an image from a file predicts frames like a fresh one.
+
 Data, in order: ``Lens, Scene -> Burst -> Shifts -> Reconstruction -> EdgeResult -> page``.
 
 Names are loaded when they are first used, so that ``import lensshift`` stays quick.

@@ -1,5 +1,7 @@
 """Reconstructions survive the way through a file, and bad files are refused."""
 
+import copy
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,9 @@ import xarray
 
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
-from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
 from lensshift.io import load_burst, load_reconstruction, save_reconstruction
+from lensshift.reconstruction.reconstruct import reconstruct
 
 
 def make_estimate(seed: int = 0, **fields: Any) -> Estimate:
@@ -91,6 +94,47 @@ def test_loaded_estimate_says_that_it_cannot_predict(tmp_path: Path) -> None:
     assert loaded is not None
     with pytest.raises(ValueError, match="carries no forward model"):
         loaded.predict(0)
+
+
+BURST = Burst.from_arrays(
+    0.5 + 0.4 * np.random.default_rng(5).random((5, 6, 9)),
+    3.0 + np.random.default_rng(6).random((5, 6, 9)),
+    offset_px=[[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5], [0.2, -0.3]],
+    pitch_mm=0.1,
+    modulation_hz=15e6,
+)
+STRETCH = np.broadcast_to(np.linspace(0.9, 1.1, 9), (6, 9))
+FIELD = ShiftField(BURST.offset_px[:, None, None] * STRETCH[..., None])
+
+
+def reduced_and_back(result: Reconstruction, folder: Path) -> list[Reconstruction]:
+    """Return what is left of a result in another process, in a copy, and in a file."""
+    save_reconstruction(result, folder / "result.nc")
+    loaded = load_reconstruction(folder / "result.nc")
+    save_reconstruction(loaded, folder / "again.nc")
+    again = load_reconstruction(folder / "again.nc")
+    return [pickle.loads(pickle.dumps(result)), copy.deepcopy(result), loaded, again]
+
+
+@pytest.mark.filterwarnings("ignore::lensshift.QualityWarning")  # the frames are noise
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"channel": "phasor"},
+        {"channel": "phasor", "method": "tikhonov", "shift_field": FIELD},
+        {"channel": "amplitude", "method": "tikhonov", "photometric": True},
+        {"channel": "distance", "method": "irwsr", "fill_factor": 0.8, "iterations": 2},
+        {"channel": "amplitude", "method": "bicubic", "shift_field": FIELD},
+    ],
+)
+def test_a_result_travels_and_predicts_afterwards(tmp_path: Path, options: dict[str, Any]) -> None:
+    result = reconstruct(BURST, frames=[0, 1, 2, 3], **options)
+    for found in reduced_and_back(result, tmp_path):
+        for name in ("amplitude", "distance_m"):
+            one, two = getattr(result, name), getattr(found, name)
+            assert_same_estimate(one, two)
+            for frame in (0, 3, 4, (0.1, 0.4)) if one is not None else ():
+                np.testing.assert_allclose(two.predict(frame), one.predict(frame), rtol=1e-9)
 
 
 def test_settings_may_hold_numpy_values_and_records(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any, Literal
 
@@ -224,7 +224,8 @@ class Estimate:
     ----------
     image : [row col] on the HR grid
     uncertainty : [row col] standard deviation of `image` from the frames' noise, or a function
-        that computes it when `std` is first asked for, or None
+        that computes it when `std` is first asked for (or the estimate is pickled or copied), or
+        None
     objective : its value after each outer iteration
     status : how the iterations ended
     confidence : [frame row col] weight of each LR pixel in 0 .. 1, or None
@@ -244,6 +245,11 @@ class Estimate:
     noise_sigma: float | None = None
     predict: Callable[[int | ArrayLike], NDArray[Any]] = _no_prediction
     notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The function behind `std` holds the whole solver, so its result travels instead.
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return Estimate, tuple((values | {"uncertainty": self.std}).values())
 
     @property
     def std(self) -> NDArray[np.float64] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -36,3 +38,35 @@ def phase_to_distance(phase_rad: ArrayLike, modulation_hz: float) -> NDArray[np.
     """Return the distance in [0, c / 2f) m that belongs to a phase."""
     turns = np.mod(np.asarray(phase_rad, dtype=np.float64) / (2.0 * np.pi), 1.0)
     return turns * unambiguous_range_m(modulation_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseScale:
+    """How phases stand for distances in one burst.
+
+        phi = 4 pi f (d - d_ref) / c
+
+    Parameters
+    ----------
+    modulation_hz : f
+    reference_m : d_ref, amid the scene: phases are small there, and the cut lies opposite
+    circular : whether distances come back after c / 2f, and lie within 0 .. c / 2f
+    source : where the frequency comes from
+    """
+
+    modulation_hz: float
+    reference_m: float
+    circular: bool
+    source: str
+
+    @property
+    def rad_per_m(self) -> float:
+        """4 pi f / c."""
+        return float(distance_to_phase(1.0, self.modulation_hz))
+
+    def distance_m(self, phase_rad: ArrayLike) -> NDArray[np.float64]:
+        """Return the distances that belong to phases relative to the reference."""
+        distance_m = np.asarray(phase_rad) / self.rad_per_m + self.reference_m
+        if not self.circular:
+            return np.asarray(distance_m)
+        return np.asarray(np.mod(distance_m, unambiguous_range_m(self.modulation_hz)))

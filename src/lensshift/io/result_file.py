@@ -1,12 +1,13 @@
 """Reconstructions as files, in the same container as bursts.
 
-Schema `lensshift-reconstruction/1`, group `entry/data`, dimensions (row, col) of the HR grid. For
-each channel `c`, which is `amplitude` or `distance`:
+Schema `lensshift-reconstruction/1`, group `entry/data` and the root, dimensions (row, col) of the
+HR grid. For each channel `c`, which is `amplitude` or `distance`:
 
     c                [row col]               status, prior_weight, noise_sigma, noise_gain
     c_std            [row col]               standard deviation, in the units of c
     c_confidence     [frame lr_row lr_col]   weight of each LR pixel, 0 .. 1
     c_objective      [c_iteration]
+    seen_..., c_gain, c_bias                 what predictions need, see `io.prediction_fields`
     flags            [row col]               CF flags, bit 0: flying, between two surfaces
     attributes: pitch_mm (row, col) of the HR grid, scale, method, settings (JSON)
 """
@@ -46,18 +47,21 @@ _NUMBERS = (*_KEPT, "noise_gain")
 def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> None:
     """Write a reconstruction to a file that appears whole or not at all.
 
-    `Estimate.predict` is not kept: it needs the burst.
-
     Raises
     ------
     DataError
         If the file cannot be written, or a field does not fit the grid or cannot be stored.
     """
+    from lensshift.io.prediction_fields import prediction_variables
+
+    found = {field: getattr(reconstruction, field) for field in _CHANNELS}
+    channels = {field: estimate for field, estimate in found.items() if estimate is not None}
     variables: dict[str, Variable] = {}
-    for field in _CHANNELS:
-        estimate = getattr(reconstruction, field)
-        if estimate is not None:
-            variables |= _channel_variables(field, estimate)
+    for field, estimate in channels.items():
+        variables |= _channel_variables(field, estimate)
+    variables |= prediction_variables(
+        {_CHANNELS[field][0]: estimate for field, estimate in channels.items()}
+    )
     if reconstruction.flying is not None:
         variables["flags"] = _flags(reconstruction.flying)
     try:
@@ -89,12 +93,15 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
         If the file is missing, damaged, of another schema, or contradicts itself; the message
         names the file and the field.
     """
+    from lensshift.io.prediction_fields import with_predictions
+
     with open_container(path, SCHEMA) as container:
         channels = {
-            field: _read_channel(container, field) if container.has(name) else None
+            name: _read_channel(container, field)
             for field, (name, _, _) in _CHANNELS.items()
+            if container.has(name)
         }
-        images = [channel.image for channel in channels.values() if channel is not None]
+        images = [channel.image for channel in channels.values()]
         if not images:
             raise DataError("the variable is missing, and so is distance", field="amplitude")
         if images[0].shape != images[-1].shape:
@@ -105,18 +112,22 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
         scale = container.number("scale")
         if scale is None or scale < 1 or scale != int(scale):
             raise DataError(f"expected a whole number from 1, got {scale}", field="scale")
+        settings = container.mapping("settings")
+        channels = with_predictions(container, channels, int(scale), settings)
         return Reconstruction(
-            amplitude=channels["amplitude"],
-            distance_m=channels["distance_m"],
+            amplitude=channels.get("amplitude"),
+            distance_m=channels.get("distance"),
             grid=_grid(container, images[0].shape),
             scale=int(scale),
             method=container.text("method"),
-            settings=container.mapping("settings"),
+            settings=settings,
             flying=_read_flying(container, images[0].shape),
         )
 
 
 def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
+    from lensshift.io.prediction_fields import phase_attributes
+
     name, units, label = _CHANNELS[field]
     described: dict[str, Any] = {
         "units": units,
@@ -126,6 +137,7 @@ def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
     for number in _NUMBERS:
         value = getattr(estimate, number)
         described[number] = None if value is None else np.float64(value)
+    described |= phase_attributes(estimate)
     variables = {name: Variable(_AXES, np.asarray(estimate.image), described)}
     if estimate.std is not None:
         described = {"units": units, "long_name": f"standard deviation of {label}"}

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.types import Burst, ShiftField
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
+from lensshift.forward.prediction import FramePredictor
 
 Array = NDArray[Any]
 
@@ -164,28 +165,26 @@ def blur_width_px(blur: Blur) -> float:
 
 
 def predictor(
-    burst: Burst, problem: Problem, used: tuple[int, ...], gain: Array, bias: Array, image: Array
-) -> Callable[[int | ArrayLike], Array]:
-    """Return the function behind `Estimate.predict`.
+    burst: Burst,
+    problem: Problem,
+    used: tuple[int, ...],
+    image: Array,
+    shift_field: ShiftField | None,
+    gain: ArrayLike = 1.0,
+    bias: ArrayLike = 0.0,
+) -> FramePredictor:
+    """Return what `Estimate.predict` calls, for frames of the whole burst, used or held out.
 
-    A number stands for that frame of the whole burst, used or held out; a pair for an offset.
+    Gain, bias and the shift field are those of the frames used; the others have none.
     """
-
-    def predict(frame: int | ArrayLike) -> Array:
-        if np.ndim(frame) == 1:
-            return problem.model.frame(frame)(image)
-        number = int(np.asarray(frame))
-        if not 0 <= number < burst.frame_count:
-            raise ValueError(
-                f"expected a frame from 0 to {burst.frame_count - 1} or an offset (row, col), "
-                f"got {frame!r}"
-            )
-        if number not in used:
-            return problem.model.frame(burst.offset_px[number])(image)
-        k = used.index(number)
-        return np.asarray(gain[k] * problem.model.operator(image)[k] + bias[k])
-
-    return predict
+    gains, biases, field_px = np.ones(burst.frame_count), np.zeros(burst.frame_count), None
+    gains[list(used)], biases[list(used)] = gain, bias
+    if shift_field is not None:
+        shape = (burst.frame_count, *burst.grid.shape, 2)
+        field_px = np.array(np.broadcast_to(burst.offset_px[:, None, None], shape))
+        field_px[list(used)] = shift_field.offset_px
+    model = problem.model
+    return FramePredictor(image, model.scale, model.blur, burst.offset_px, gains, biases, field_px)
 
 
 def _rms(values: Array | None) -> float:

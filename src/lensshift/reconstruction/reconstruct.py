@@ -112,7 +112,7 @@ def reconstruct(
             part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
             intensity=chosen.intensity, pixel_variance=variance, even_noise=name != "distance",
         )  # fmt: skip
-        found[name] = _solve(burst, problem, used, chosen, request, photometric)
+        found[name] = _solve(burst, problem, used, chosen, request, photometric, field)
     return Reconstruction(
         amplitude=found.get("amplitude"),
         distance_m=found.get("distance"),
@@ -131,6 +131,7 @@ def _solve(
     method: Method,
     request: Request,
     photometric: bool,
+    field: ShiftField | None,
 ) -> Estimate:
     """Run the method and bring the estimate back to the units of the burst."""
     gain, bias = np.ones(len(used)), np.zeros(len(used))
@@ -153,7 +154,7 @@ def _solve(
         image=image,
         uncertainty=scaled,
         noise_sigma=None if estimate.noise_sigma is None else estimate.noise_sigma * unit,
-        predict=predictor(burst, problem, used, gain, bias * unit, image),
+        predict=predictor(burst, problem, used, image, field, gain, bias * unit),
         notes=notes,
     )
 

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.types import Burst, Estimate, ShiftField, Status
+from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import Blur
+from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.adaptive import SparseGradient
 from lensshift.reconstruction.noise import estimate_noise
-from lensshift.reconstruction.phasor.frames import PhaseScale, PolarFrames, polar_frames
+from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.joint import JointPhasor, PolarImage
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.turns import settle_turns
@@ -107,7 +109,8 @@ def reconstruct_phasor(
         fit = _joint(problem, _apart(prepare, settled), noise, request)
     else:
         fit = _linear(problem, method, request)
-    return _result(burst, used, problem, frames.scale, fit)
+    frame = predictor(burst, problem, used, fit.image.phasor * problem.intensity, shift_field)
+    return _result(frame, problem, frames.scale, fit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,14 +222,9 @@ def _linear(problem: Problem, method: str, request: Request) -> _Fit:
     )
 
 
-def _result(
-    burst: Burst, used: tuple[int, ...], problem: Problem, scale: PhaseScale, fit: _Fit
-) -> PhasorResult:
+def _result(frame: FramePredictor, problem: Problem, scale: PhaseScale, fit: _Fit) -> PhasorResult:
     """Bring a fit back to the units of the burst."""
     unit = problem.intensity
-    frame = predictor(
-        burst, problem, used, np.ones(len(used)), np.zeros(len(used)), fit.image.phasor * unit
-    )
     seen = np.abs(problem.y[problem.weight > 0])
     noise_rad = fit.noise_sigma / max(float(np.median(seen)), fit.noise_sigma)
     distance_m = scale.distance_m(fit.image.phase_rad)
@@ -245,7 +243,7 @@ def _result(
         uncertainty=None if std is None else lambda: std()[0] * unit,
         prior_weight=fit.prior_weights[0],
         noise_sigma=fit.noise_sigma * unit,
-        predict=lambda k: np.abs(frame(k)),
+        predict=PhasorPredictor(frame),
         **shared,
     )
     distance = Estimate(
@@ -253,7 +251,7 @@ def _result(
         uncertainty=None if std is None else lambda: std()[1] / scale.rad_per_m,
         prior_weight=fit.prior_weights[1],
         noise_sigma=noise_rad / scale.rad_per_m,
-        predict=lambda k: scale.distance_m(np.angle(frame(k))),
+        predict=PhasorPredictor(frame, scale),
         **shared,
     )
     noise_m = noise_rad / scale.rad_per_m

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.types import Burst
 from lensshift.core.units import (
     SPEED_OF_LIGHT_MPS,
+    PhaseScale,
     distance_to_phase,
     phase_to_distance,
     unambiguous_range_m,
@@ -72,38 +73,6 @@ def phasor_from_phases(difference: ArrayLike, variance: ArrayLike = 1.0) -> Phas
         ) from error
     d0, d1, d2, d3 = np.moveaxis(phases.astype(np.float64), 1, 0)
     return PhasorFrames(0.5 * ((d0 - d2) + 1j * (d1 - d3)), spread.sum(axis=1) / 8.0)
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseScale:
-    """How phases stand for distances in one burst.
-
-        phi = 4 pi f (d - d_ref) / c
-
-    Parameters
-    ----------
-    modulation_hz : f
-    reference_m : d_ref, amid the scene: phases are small there, and the cut lies opposite
-    circular : whether distances come back after c / 2f, and lie within 0 .. c / 2f
-    source : where the frequency comes from
-    """
-
-    modulation_hz: float
-    reference_m: float
-    circular: bool
-    source: str
-
-    @property
-    def rad_per_m(self) -> float:
-        """4 pi f / c."""
-        return float(distance_to_phase(1.0, self.modulation_hz))
-
-    def distance_m(self, phase_rad: ArrayLike) -> NDArray[np.float64]:
-        """Return the distances that belong to phases relative to the reference."""
-        distance_m = np.asarray(phase_rad) / self.rad_per_m + self.reference_m
-        if not self.circular:
-            return np.asarray(distance_m)
-        return np.asarray(np.mod(distance_m, unambiguous_range_m(self.modulation_hz)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

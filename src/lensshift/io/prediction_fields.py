@@ -1,0 +1,123 @@
+"""What a result file keeps so that its images can predict frames.
+
+    seen_offset_row, seen_offset_col   [burst_frame]                 pixel, of every frame
+    seen_shift_row, seen_shift_col     [burst_frame lr_row lr_col]   pixel, of a shift field
+    c_gain, c_bias                     [burst_frame]                 of channel c
+    attributes of the distance of phasors: modulation_hz, reference_m, circular
+
+The pixel response is among the settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.types import Estimate
+from lensshift.core.units import PhaseScale
+from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
+from lensshift.forward.prediction import FramePredictor, PhasorPredictor
+from lensshift.io.container_reader import Container
+from lensshift.io.container_writer import Variable
+
+_FRAME = ("burst_frame",)
+_PIXEL = (*_FRAME, "lr_row", "lr_col")
+
+
+def prediction_variables(channels: Mapping[str, Estimate]) -> dict[str, Variable]:
+    """Return the variables for estimates by the names of their channels in the file."""
+    variables: dict[str, Variable] = {}
+    for name, estimate in channels.items():
+        seen = estimate.predict
+        plain = seen.phasor if isinstance(seen, PhasorPredictor) else seen
+        if not isinstance(plain, FramePredictor):
+            continue
+        for index, axis in enumerate(("row", "col")):
+            described = {"units": "pixel", "long_name": f"image offset along {axis}s"}
+            variables[f"seen_offset_{axis}"] = Variable(
+                _FRAME, plain.offset_px[:, index], described
+            )
+            if plain.shift_field_px is not None:
+                values = plain.shift_field_px[..., index]
+                variables[f"seen_shift_{axis}"] = Variable(_PIXEL, values, described)
+        variables[f"{name}_gain"] = Variable(_FRAME, plain.gain, {"units": "1"})
+        variables[f"{name}_bias"] = Variable(_FRAME, plain.bias)
+    return variables
+
+
+def phase_attributes(estimate: Estimate) -> dict[str, Any]:
+    """Return the attributes of the distance of phasors; none for any other channel."""
+    seen = estimate.predict
+    if not isinstance(seen, PhasorPredictor) or seen.distance is None:
+        return {}
+    return {
+        "modulation_hz": np.float64(seen.distance.modulation_hz),
+        "reference_m": np.float64(seen.distance.reference_m),
+        "circular": np.uint8(seen.distance.circular),
+    }
+
+
+def with_predictions(
+    container: Container, channels: dict[str, Estimate], scale: int, settings: Mapping[str, Any]
+) -> dict[str, Estimate]:
+    """Return the estimates, by their names in the file, with what the file has for predictions."""
+    if not container.has("seen_offset_row"):
+        return channels
+    phase = _phase_scale(container) if len(channels) == 2 else None
+    blur = _blur(settings.get("blur"))
+
+    def predictor(name: str, image: NDArray[Any]) -> FramePredictor:
+        return _predictor(container, name, image, scale, blur)
+
+    if phase is None:
+        return {
+            name: replace(estimate, predict=predictor(name, estimate.image))
+            for name, estimate in channels.items()
+        }
+    amplitude, distance = channels["amplitude"], channels["distance"]
+    turned = np.exp(1j * phase.rad_per_m * (distance.image - phase.reference_m))
+    phasor = predictor("amplitude", amplitude.image * turned)
+    return {
+        "amplitude": replace(amplitude, predict=PhasorPredictor(phasor)),
+        "distance": replace(distance, predict=PhasorPredictor(phasor, phase)),
+    }
+
+
+def _predictor(
+    container: Container, name: str, image: NDArray[Any], scale: int, blur: Blur
+) -> FramePredictor:
+    offset_px = container.pairs("seen_offset")
+    gain, bias = (container.array(f"{name}_{what}", kinds="f") for what in ("gain", "bias"))
+    lr_shape = (image.shape[0] // scale, image.shape[1] // scale)
+    field = None
+    if container.has("seen_shift_row"):
+        parts = [container.array(f"seen_shift_{axis}", kinds="f") for axis in ("row", "col")]
+        if any(part.shape != (len(offset_px), *lr_shape) for part in parts):
+            raise DataError("expected an offset for every LR pixel", field="seen_shift_row")
+        field = np.stack(parts, axis=-1)
+    if gain.shape != (len(offset_px),) or bias.shape != gain.shape:
+        raise DataError("expected one number a frame", field=f"{name}_gain")
+    return FramePredictor(image, scale, blur, offset_px, gain, bias, field)
+
+
+def _phase_scale(container: Container) -> PhaseScale | None:
+    names = ("modulation_hz", "reference_m", "circular")
+    modulation_hz, reference_m, circular = (container.number(n, of="distance") for n in names)
+    if modulation_hz is None or reference_m is None:
+        return None
+    return PhaseScale(modulation_hz, reference_m, bool(circular), "file")
+
+
+def _blur(settings: Any) -> Blur:
+    for kind in (GaussianBlur, ApertureBlur):
+        if isinstance(settings, Mapping) and set(settings) == set(kind.__dataclass_fields__):
+            try:
+                return kind(**settings)
+            except (TypeError, ValueError) as error:
+                raise DataError(str(error), field="settings.blur") from error
+    raise DataError(f"expected a pixel response, got {settings!r:.80}", field="settings.blur")
