@@ -1,12 +1,14 @@
 """The nouns: what they accept, what they refuse, and the half-pixel rule."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
 from lensshift.core.types import Burst, Frame, MtfCurve, Psf, ShiftField, ShiftPlan, StageMap
@@ -133,3 +135,41 @@ def test_other_nouns_refuse_the_wrong_shape() -> None:
         ShiftField(np.zeros((3, 5, 7)))
     with pytest.raises(DataError, match="valid: expected"):
         Frame(np.zeros(SHAPE), None, np.ones((7, 5), bool), 0.0)
+
+
+def test_what_was_checked_cannot_change_afterwards() -> None:
+    raw, offset_px = np.ones((2, 4, 6)), np.zeros((2, 2))
+    sent, meta = np.zeros((2, 3)), {"camera": "a"}
+    burst = Burst.from_arrays(
+        raw, raw, offset_px=offset_px, pitch_mm=0.1, raw={"sent": sent}, meta=meta
+    )
+    # As a driver does that fills one buffer again and again.
+    raw[:], offset_px[:], sent[:], meta["camera"] = np.nan, 7.0, 1.0, "b"
+    assert np.all(burst.amplitude == 1.0)
+    assert np.all(burst.distance_m == 1.0)
+    assert np.all(burst.offset_px == 0.0)
+    assert np.all(burst.raw["sent"] == 0.0)
+    assert burst.meta == {"camera": "a"}
+    again = burst.select([0, 1])
+    for one in (burst, again, replace(burst, modulation_hz=1e6)):
+        for values in (one.amplitude, one.distance_m, one.valid, one.offset_px, one.raw["sent"]):
+            with pytest.raises(ValueError, match="read-only"):
+                values[0] = 0
+    assert replace(burst, modulation_hz=1e6).amplitude is burst.amplitude  # copied only once
+
+
+def test_arrays_of_all_core_types_are_read_only() -> None:
+    flat, line = np.ones((3, 3)), np.arange(3.0)
+    arrays = [
+        Frame(flat, flat, flat > 0, 0.0).amplitude,
+        ShiftField(np.zeros((1, 2, 2, 2))).offset_px,
+        ShiftPlan(np.zeros((2, 2))).target_px,
+        StageMap(np.eye(2)).px_per_mm,
+        Psf(flat, 0.5).kernel,
+        MtfCurve(line, line).modulation,
+        Calibration(StageMap(np.eye(2)), np.zeros(2)).rest_mm,
+    ]
+    assert not any(values.flags.writeable for values in arrays)
+    line[:] = flat[:] = -1.0
+    assert np.all(arrays[0] == 1.0)
+    np.testing.assert_array_equal(arrays[5], np.arange(3.0))

@@ -294,3 +294,14 @@ def test_calls_leave_no_trace(rng):
     first, back = A(x), A.T(y)
     np.testing.assert_array_equal(A(x), first)
     np.testing.assert_array_equal(A.T(y), back)
+
+
+def test_a_model_cannot_spoil_those_that_come_after(rng):
+    x = rng.random((8, 12))
+    before = forward_model((4, 6), 2, SQUARE)
+    seen = before.predict(x)
+    for taps in (before.rows, before.cols):
+        for values in (taps.position_hr_px, taps.start, taps.weight):
+            with pytest.raises(ValueError, match="read-only"):
+                values[:] = 0
+    np.testing.assert_array_equal(forward_model((4, 6), 2, SQUARE).predict(x), seen)

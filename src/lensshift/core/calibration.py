@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import frozen
 from lensshift.core.motion import ShiftField, StageMap
 from lensshift.core.types import Burst
 
@@ -56,7 +57,9 @@ class Calibration:
             value = np.asarray(getattr(self, name), dtype=np.float64)
             if value.shape != (2,) or not np.all(np.isfinite(value)):
                 raise ValueError(f"expected two finite numbers {name} (row, col), got {value}")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, frozen(value))
+        if self.px_per_mm_sigma is not None:
+            object.__setattr__(self, "px_per_mm_sigma", frozen(self.px_per_mm_sigma))
         if abs(np.linalg.det(self.stage_map.px_per_mm)) < 1e-12:
             raise ValueError("expected a px_per_mm whose axes are not parallel")
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import frozen
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShiftField:
@@ -25,7 +27,7 @@ class ShiftField:
             raise ValueError(f"expected offset_px [frame row col 2], got shape {offset.shape}")
         if not np.all(np.isfinite(offset)):
             raise ValueError("expected finite offsets in the shift field")
-        object.__setattr__(self, "offset_px", offset)
+        object.__setattr__(self, "offset_px", frozen(offset))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +52,7 @@ class ShiftPlan:
             raise ValueError(f"expected finite target_px [frame 2], got shape {target.shape}")
         if self.reference is not None and not 0 <= self.reference < len(target):
             raise ValueError(f"expected a reference from 0 to {len(target) - 1}")
-        object.__setattr__(self, "target_px", target)
+        object.__setattr__(self, "target_px", frozen(target))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,3 +80,6 @@ class StageMap:
             raise ValueError(
                 f"expected field_px_per_mm [row col 2 2], got {self.field_px_per_mm.shape}"
             )
+        object.__setattr__(self, "px_per_mm", frozen(self.px_per_mm))
+        if self.field_px_per_mm is not None:
+            object.__setattr__(self, "field_px_per_mm", frozen(self.field_px_per_mm))

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import frozen
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Psf:
@@ -29,7 +31,7 @@ class Psf:
             raise ValueError("expected a finite PSF kernel with a positive sum")
         if not self.step_px > 0:
             raise ValueError(f"expected a positive step_px, got {self.step_px}")
-        object.__setattr__(self, "kernel", kernel / kernel.sum())
+        object.__setattr__(self, "kernel", frozen(kernel / kernel.sum()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,3 +57,6 @@ class MtfCurve:
             raise ValueError(f"expected rising frequencies [n], got shape {shape}")
         if self.modulation.shape != shape or (self.std is not None and self.std.shape != shape):
             raise ValueError(f"expected modulation and std of shape {shape}")
+        for name in ("frequency_lpmm", "modulation", "std"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(getattr(self, name)))

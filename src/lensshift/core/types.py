@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import frozen
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid as Grid
 from lensshift.core.motion import ShiftField as ShiftField
@@ -55,11 +56,15 @@ class Frame:
                 raise DataError(
                     f"expected [row col] like amplitude, got {values.shape}", field=name
                 )
+            if values is not None:
+                object.__setattr__(self, name, frozen(values))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Burst:
     """K frames of one static scene, each with the lens at another position.
+
+    Arrays are copied and read-only: what was checked here cannot change any more.
 
     Parameters
     ----------
@@ -133,7 +138,10 @@ class Burst:
                     f"expected one entry a frame, got shape {np.shape(values)}", field=f"raw_{name}"
                 )
         for name, value in settle.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, frozen(value))
+        raw = {name: frozen(values) for name, values in self.raw.items()}
+        object.__setattr__(self, "raw", raw)
+        object.__setattr__(self, "meta", dict(self.meta))
 
     @classmethod
     def from_arrays(

@@ -200,7 +200,7 @@ def forward_model(
 
 def _taps(blur: Blur, at: Positions, scale: int, size: int) -> Taps:
     if at.ndim > 2:
-        return Taps(at, *blur.taps(at, scale, size))
+        return _read_only(Taps(at, *blur.taps(at, scale, size)))
     return _taps_of_shifts(blur, at.tobytes(), at.shape, scale, size)
 
 
@@ -210,7 +210,14 @@ def _taps_of_shifts(
     blur: Blur, at_bytes: bytes, shape: tuple[int, ...], scale: int, size: int
 ) -> Taps:
     at = np.frombuffer(at_bytes, np.float64).reshape(shape)
-    return Taps(at, *blur.taps(at, scale, size))
+    return _read_only(Taps(at, *blur.taps(at, scale, size)))
+
+
+def _read_only(taps: Taps) -> Taps:
+    """Return taps that no user of a model can spoil for the other models that share them."""
+    for values in (taps.position_hr_px, taps.start, taps.weight):
+        values.flags.writeable = False
+    return taps
 
 
 def sampling_operator(
@@ -236,7 +243,10 @@ def sampling_operator(
 
     @lru_cache(maxsize=2)
     def weights(precision: np.dtype[Any]) -> tuple[Array, Array]:
-        return row_weight.astype(precision, copy=False), cols.weight.astype(precision, copy=False)
+        found = [w.astype(precision, copy=False) for w in (row_weight, cols.weight)]
+        for values in found:
+            values.flags.writeable = False  # always: the kernels are compiled for one kind
+        return found[0], found[1]
 
     def forward(x: Array) -> Array:
         x = _as_computed(x)
