@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 import typer
 from typer.testing import CliRunner, Result
 
@@ -62,6 +63,16 @@ def test_register_writes_a_burst(burst_file: Path, method: str) -> None:
     found = load_burst(burst_file.with_name("burst_registered.nc"))
     np.testing.assert_allclose(found.offset_px, OFFSETS, atol=0.03)
     assert found.offset_source == "registered"
+
+
+def test_register_needs_no_offsets(tmp_path: Path) -> None:
+    frames = np.round(250 * waves(OFFSETS, (15, 26)))
+    stack = tmp_path / "b.tif"
+    tifffile.imwrite(stack, frames.astype(np.uint8), photometric="minisblack")
+    done = call("register", stack, "--pitch-mm", 1)
+    assert done.exit_code == 0, done.output
+    found = load_burst(tmp_path / "b_registered.nc")
+    np.testing.assert_allclose(found.offset_px, OFFSETS, atol=0.04)
 
 
 def test_register_as_json_and_refined(burst_file: Path) -> None:

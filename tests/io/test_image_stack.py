@@ -3,6 +3,7 @@
 import io
 import pickle
 import struct
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -50,6 +51,19 @@ def test_multi_page_tiff(tmp_path: Path, dtype: str, compression: str | None) ->
     tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack", compression=compression)
     amplitude = load(tmp_path / "a.tif")
     assert amplitude.dtype == frames.dtype
+    np.testing.assert_array_equal(amplitude, frames)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
+def test_frames_that_tifffile_was_told_nothing_about(
+    tmp_path: Path, count: int, dtype: str
+) -> None:
+    frames = frames_of(dtype, (count, 5, 7))
+    with warnings.catch_warnings():  # tifffile itself calls planes of 3 and 4 frames deprecated
+        warnings.simplefilter("ignore", DeprecationWarning)
+        tifffile.imwrite(tmp_path / "a.tif", frames)
+    amplitude = load(tmp_path / "a.tif", offsets=np.zeros((count, 2)))
     np.testing.assert_array_equal(amplitude, frames)
 
 

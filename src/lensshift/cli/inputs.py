@@ -80,8 +80,8 @@ def kind_of(path: Path) -> Kind:
     raise DataError(f"expected a burst or a reconstruction, got {schema!r:.80}", source=path)
 
 
-def load_input_burst(path: Path, options: StackOptions) -> Burst:
-    """Read a burst file or an image stack."""
+def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = False) -> Burst:
+    """Read a burst file or an image stack, which needs no offsets if they are still looked for."""
     from lensshift.io import load_burst, load_image_stack
 
     pitch_mm = None if options.pitch_mm is None else parse_pitch_mm(options.pitch_mm)
@@ -94,6 +94,7 @@ def load_input_burst(path: Path, options: StackOptions) -> Burst:
             key=options.key,
             frame_axis=options.frame_axis.number,
             modulation_hz=options.modulation_hz,
+            to_register=to_register,
         )
     if kind is Kind.RECONSTRUCTION:
         raise DataError("expected a burst, got a reconstruction", source=path)

@@ -83,6 +83,7 @@ def register(
     \b
     Examples:
       lensshift register burst.nc -o registered.nc
+      lensshift register frames.tif --pitch-mm 0.015
       lensshift register frames/ --offsets planned.csv --pitch-mm 0.015 --photometric
     """
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
@@ -95,7 +96,7 @@ def register(
 
         writable_target(target)
         found = find_shifts(
-            load_input_burst(burst, stack),
+            load_input_burst(burst, stack, to_register=True),
             method=method.value,
             channel=channel.value,
             reference=reference,

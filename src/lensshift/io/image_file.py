@@ -97,7 +97,7 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
         check_held(series[0].shape, series[0].nbytes, size, "pages")
         check_unpacked(series[0].nbytes, size, "pages")
         values = series[0].asarray()
-        if "S" in series[0].axes:
+        if "S" in series[0].axes and not _are_frames(series[0], values):
             values = _grey(np.moveaxis(values, series[0].axes.index("S"), -1))
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
@@ -105,6 +105,16 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
     if values.ndim > 3 and frames.shape[0] != max(values.shape[:-2]):
         raise DataError(f"expected one stack of frames, got axes {series[0].axes} {values.shape}")
     return frames
+
+
+def _are_frames(series: Any, planes: NDArray[Any]) -> bool:
+    """Tell whether planes of colours are frames: tifffile stores 3 or 4 frames like that unasked.
+
+    Planes of one grey picture are equal, with an even transparency.
+    """
+    if series.kind != "shaped" or series.axes != "SYX":
+        return False
+    return bool(np.any(planes[:3] != planes[0]) or np.any(planes[3:] != planes[3:, :1, :1]))
 
 
 @contextmanager

@@ -38,6 +38,7 @@ def load_image_stack(
     frame_axis: int = 0,
     modulation_hz: float | None = None,
     offset_source: OffsetSource | None = None,
+    to_register: bool = False,
 ) -> Burst:
     """Read a burst from image files and a table of shifts.
 
@@ -52,6 +53,7 @@ def load_image_stack(
     frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]
     modulation_hz : modulation frequency
     offset_source : where the offsets come from; None: as the file says, else "planned"
+    to_register : whether frames without offsets are taken, at (0, 0), for `register` to find them
 
     An NPZ file may also hold the other fields of `Burst` under their names.
 
@@ -61,7 +63,7 @@ def load_image_stack(
         If a file is missing, damaged, not greyscale, or does not fit the others.
     """
     fields = load_stack_fields(source, key=key, frame_axis=frame_axis)
-    fields |= _offset_fields(source, offsets, fields)
+    fields |= _offset_fields(source, offsets, fields, to_register)
     given: dict[str, Any] = {
         "pitch_mm": pitch_mm,
         "modulation_hz": modulation_hz,
@@ -182,15 +184,17 @@ def _offset_fields(
     source: str | Path | Sequence[str | Path],
     offsets: str | Path | OffsetTable | ArrayLike | None,
     fields: dict[str, Any],
+    to_register: bool,
 ) -> dict[str, Any]:
     count = int(fields["amplitude"].shape[0])
     if offsets is None:
         if "offset_px" in fields:
             return {}
-        if count == 1:
-            return {"offset_px": np.zeros((1, 2))}
+        if count == 1 or to_register:
+            return {"offset_px": np.zeros((count, 2))}
         raise DataError(
-            f"no shifts are given for {count} frames; give a CSV or JSON file of offsets",
+            f"no shifts are given for {count} frames; give a CSV or JSON file of offsets, or find "
+            "them with register",
             field="offset_px",
             source=_label(source),
         )
