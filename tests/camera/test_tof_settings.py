@@ -98,7 +98,7 @@ def test_ideal_turns_everything_off() -> None:
 BAD: list[tuple[Any, str]] = [
     (lambda: Illumination(()), "at least one"),
     (lambda: Illumination((1e7, 1e7)), "different modulation_hz"),
-    (lambda: Illumination((1e7, 1.5)), "whole Hz"),
+    (lambda: Illumination((1e7, 1.5e6 + 0.5)), "whole Hz"),
     (lambda: Illumination((-1e7,)), "positive"),
     (lambda: Illumination(intensity_w_per_sr=0.0), "intensity_w_per_sr"),
     (lambda: PlainOptics(0.0, 2.0), "focal_length_mm"),

@@ -1,6 +1,7 @@
 """The nouns: what they accept, what they refuse, and the half-pixel rule."""
 
 import dataclasses
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensshift.core.calibration import Calibration
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
 from lensshift.core.types import Burst, Frame, MtfCurve, Psf, ShiftField, ShiftPlan, StageMap
 from lensshift.core.units import (
@@ -173,3 +174,29 @@ def test_arrays_of_all_core_types_are_read_only() -> None:
     line[:] = flat[:] = -1.0
     assert np.all(arrays[0] == 1.0)
     np.testing.assert_array_equal(arrays[5], np.arange(3.0))
+
+
+@pytest.mark.parametrize(
+    ("modulation_hz", "distance_m", "doubted"),
+    [
+        (15e6, 3.7, None),
+        (15e6, 150.0, None),  # as far as several frequencies tell
+        (100e6, 30.0, None),
+        (15e6, 3700.0, "distance_m: expected metres, got a median of 3700"),
+        (100e6, 400.0, "distance_m: expected metres"),
+        (15.0, 3.7, "modulation_hz: expected a frequency in Hz, got 15; 15 MHz are 15e6"),
+        (15.0, None, "modulation_hz: expected a frequency in Hz"),
+    ],
+)
+def test_other_units_than_metres_and_hertz_are_questioned(
+    modulation_hz: float, distance_m: float | None, doubted: str | None
+) -> None:
+    frames = np.ones((1, *SHAPE))
+    given = None if distance_m is None else distance_m * frames
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Burst.from_arrays(
+            frames, given, offset_px=[[0, 0]], pitch_mm=0.1, modulation_hz=modulation_hz
+        )
+    assert [w.category for w in caught] == ([QualityWarning] if doubted else [])
+    assert str(caught[0].message).startswith(doubted) if doubted else True

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 from lensshift.core.grid import Grid
+from lensshift.core.units import doubt_about_units
 from lensshift.optics.lens import Lens
 from lensshift.scene.checks import number, positive, positives, share
 
@@ -43,6 +44,9 @@ class Illumination:
         frequencies = positives("modulation_hz", self.modulation_hz)
         if not frequencies or len(set(frequencies)) < len(frequencies):
             raise ValueError(f"expected different modulation_hz, at least one, got {frequencies}")
+        doubt = doubt_about_units(min(frequencies), None)
+        if doubt:
+            raise ValueError(doubt)
         if len(frequencies) > 1 and any(one != int(one) for one in frequencies):
             raise ValueError(f"expected whole Hz for several modulation_hz, got {frequencies}")
         object.__setattr__(self, "modulation_hz", frequencies)

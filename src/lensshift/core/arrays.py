@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 
-def frozen(values: ArrayLike, dtype: DTypeLike = None) -> NDArray[Any]:
+def frozen(values: ArrayLike) -> NDArray[Any]:
     """Return a read-only array that nobody else can write to: a copy unless it is one already.
 
     A camera fills the same buffer again and again; what was checked must not change afterwards.
     """
-    array = np.asarray(values, dtype)
+    array = np.asarray(values)
     if array.flags.writeable or array.base is not None:
         array = array.copy()
         array.flags.writeable = False

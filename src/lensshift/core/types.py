@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from enum import Enum
@@ -11,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import frozen
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid as Grid
 from lensshift.core.motion import ShiftField as ShiftField
 from lensshift.core.motion import ShiftPlan as ShiftPlan
 from lensshift.core.motion import StageMap as StageMap
 from lensshift.core.optical import MtfCurve as MtfCurve
 from lensshift.core.optical import Psf as Psf
+from lensshift.core.units import doubt_about_units
 
 OffsetSource = Literal["planned", "calibrated", "registered"]
 OFFSET_SOURCES: tuple[OffsetSource, ...] = ("planned", "calibrated", "registered")
@@ -168,6 +170,11 @@ class Burst:
         ------
         DataError
             If the arrays do not fit together.
+
+        Warns
+        -----
+        QualityWarning
+            If the frequency or the distances can hardly be in Hz and m.
         """
         frames = _as_frames(amplitude, "amplitude")
         pitch = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), (2,))
@@ -177,7 +184,7 @@ class Burst:
             )
         except ValueError as error:
             raise DataError(str(error), field="pitch_mm") from error
-        return cls(
+        burst = cls(
             amplitude=frames,
             offset_px=np.asarray(offset_px),
             grid=grid,
@@ -186,6 +193,13 @@ class Burst:
             modulation_hz=modulation_hz,
             **fields,
         )
+        if modulation_hz is not None:
+            known = burst.distance_m
+            typical_m = None if known is None else float(np.median(known[burst.valid]))
+            doubt = doubt_about_units(modulation_hz, typical_m)
+            if doubt:
+                warnings.warn(doubt, QualityWarning, stacklevel=2)
+        return burst
 
     @property
     def frame_count(self) -> int:

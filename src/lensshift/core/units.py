@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
+# c / 2f is 150 km here, which no camera lights: a smaller number is meant in kHz or MHz.
+LEAST_MODULATION_HZ = 1e3
+# Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
+# thousand times too large: even a scene at a twentieth of the range shows.
+_MOST_RANGES = 25.0
 
 
 def px_to_mm(length_px: ArrayLike, pitch_mm: ArrayLike) -> NDArray[np.float64]:
@@ -38,6 +43,19 @@ def phase_to_distance(phase_rad: ArrayLike, modulation_hz: float) -> NDArray[np.
     """Return the distance in [0, c / 2f) m that belongs to a phase."""
     turns = np.mod(np.asarray(phase_rad, dtype=np.float64) / (2.0 * np.pi), 1.0)
     return turns * unambiguous_range_m(modulation_hz)
+
+
+def doubt_about_units(modulation_hz: float, typical_m: float | None) -> str:
+    """Say why a frequency, or a distance typical for a scene, can hardly be in Hz and m; or ""."""
+    if modulation_hz < LEAST_MODULATION_HZ:
+        return f"modulation_hz: expected a frequency in Hz, got {modulation_hz:g}; 15 MHz are 15e6"
+    range_m = unambiguous_range_m(modulation_hz)
+    if typical_m is None or abs(typical_m) <= _MOST_RANGES * range_m:
+        return ""
+    return (
+        f"distance_m: expected metres, got a median of {typical_m:g} where light of "
+        f"{modulation_hz:g} Hz is unambiguous up to {range_m:.4g} m; are they millimetres?"
+    )
 
 
 @dataclass(frozen=True, slots=True)
