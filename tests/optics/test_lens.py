@@ -122,7 +122,8 @@ PETZVAL = format_lens(load_lens("petzval_a"))
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('name = "Petzval A"', "name = ", "lens.toml: expected TOML, .*line 1"),
+        ('name = "Petzval A"', "name = ", "lens.toml: is not TOML: .*line 1"),
+        ('name = "Petzval A"', "name = 3", "lens.toml: name: expected str, got 3"),
         ('glass = ["N-SF11"]', 'glass = ["SF99"]', "element 3, line 4[0-9].*glass of .*'SF99'"),
         ('glass = ["N-SF11"]', "glass = [[]]", "element 3, line 4[0-9]: expected names of glasses"),
         ("position_mm = 0.0", "rides_on = true", "rides_on: expected the number of an element"),

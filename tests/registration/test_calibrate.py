@@ -140,7 +140,10 @@ def test_calibration_file_there_and_back(tmp_path: Path) -> None:
         ("schema", "other/1", "schema"),
         ("px_per_mm", [[1.0, 2.0]], "px_per_mm"),
         ("px_per_mm", [[1.0, 0.0], [1.0, 0.0]], "parallel"),
-        ("rest_mm", "here", "rest_mm: expected numbers"),
+        ("rest_mm", "here", r"rest_mm: expected \[float, \.\.\.\], got 'here'"),
+        ("rest_mm", ["3", "3"], r"rest_mm\[0\]: expected float, got '3'"),
+        ("sigma_px", True, "sigma_px: expected float, got True"),
+        ("psf_sigma_px", [0.3], "psf_sigma_px: expected float"),
         ("play_mm", None, "play_mm"),
         ("source", "guess", "source"),
         ("notes", 3, "notes"),
@@ -161,5 +164,5 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text("{")
     with pytest.raises(DataError, match="no calibration file"):
         load_calibration(tmp_path / "c.json")
-    with pytest.raises(DataError, match="cannot read"):
+    with pytest.raises(DataError, match="cannot be read"):
         load_calibration(tmp_path / "missing.json")

@@ -135,7 +135,7 @@ CARD = '[[object]]\nshape = "rectangle"\nname = "card"\ncentre_m = [0, 0, 1]\nsi
     ("text", "message"),
     [
         ("", "at least one"),
-        ("[[object", "expected TOML, got Expected"),
+        ("[[object", "is not TOML: Expected"),
         ("[[thing]]", r"thing: expected \[\[object\]\]"),
         ("object = 3", r"object: expected tables headed"),
         ("object = [3]", "object 1: expected a table, got 3"),
@@ -151,7 +151,15 @@ CARD = '[[object]]\nshape = "rectangle"\nname = "card"\ncentre_m = [0, 0, 1]\nsi
         (PLANE + 'turn_deg = [0, 0, "x"]', "number for each of turn_deg"),
         (PLANE + "reflectance = 1.5", "object 1: expected reflectance from 0 to 1"),
         (PLANE + 'reflectance = "white"', "number for reflectance"),
-        (PLANE + "name = 3", "text for name"),
+        (PLANE + "name = 3", "name: expected str, got 3"),
+        (
+            PLANE + 'reflectance = { texture = "siemens_star", radius_m = 1, binary = "false" }',
+            "object 1, reflectance, binary: expected bool, got 'false'",
+        ),
+        (
+            PLANE + 'reflectance = { texture = "siemens_star", radius_m = 1, cycles = true }',
+            "object 1, reflectance, cycles: expected int, got True",
+        ),
         (PLANE.replace("[0, 0, 1]", "[0, 0]"), "3 finite numbers for centre_m"),
         (PLANE.replace("[0, 0, 1]", "[0, 0, nan]"), "finite each of centre_m"),
         (PLANE.replace("[0, 0, 1]", "3.5"), "3 finite numbers for centre_m, got 3.5"),
@@ -204,7 +212,7 @@ def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"noise\.toml: expected a text file"):
         load_scene(tmp_path / "noise.toml")
     for path in (tmp_path / "gone.toml", tmp_path):
-        with pytest.raises(DataError, match="cannot read"):
+        with pytest.raises(DataError, match="cannot be read"):
             load_scene(path)
     with pytest.raises(DataError, match="cannot write"):
         save_scene(four_boxes(), tmp_path)

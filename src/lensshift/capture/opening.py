@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -20,7 +18,9 @@ from lensshift.capture.rig import Camera, Stage
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftPlan, StageMap
+from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of
 from lensshift.core.types import Burst
+from lensshift.core.units import doubt_about_units
 
 # Lens travel of a quarter pixel of 0.155 mm, with the first lens of the reference design.
 QUARTER_PIXEL_MM = 0.0444
@@ -51,6 +51,15 @@ discard = 2                     # frames that may have begun before the stage ha
 
 _Table = Mapping[str, Any]
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class _Nominal:
+    """The calibration of a rig file that names no file."""
+
+    px_per_mm: float | tuple[tuple[float, float], tuple[float, float]] = 0.25 / QUARTER_PIXEL_MM
+    rest_mm: tuple[float, float] = (3.0, 3.0)
+    sigma_px: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -156,9 +165,11 @@ def open_rig(config: str | Path | _Table) -> Rig:
     if isinstance(config, Mapping):
         table, source, folder = config, "rig", Path()
     else:
-        table, source, folder = _loaded(Path(config)), str(config), Path(config).parent
+        table = parse_toml(read_text(config), config)
+        source, folder = str(config), Path(config).parent
     parts = ("stage", "camera", "calibration", "acquisition")
-    _only(table, parts, "", source)
+    with settings_of(source):
+        only(table, parts)
     for name in parts:
         if not isinstance(table.get(name, {}), Mapping):
             raise DataError("expected a table", field=name, source=source)
@@ -191,15 +202,6 @@ def nominal_calibration(
     return Calibration(StageMap(square, sigma_px=sigma_px), np.asarray(rest_mm))
 
 
-def _loaded(path: Path) -> _Table:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"cannot be read: {error.strerror}", source=path) from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise DataError(f"is not TOML: {error}", source=path) from error
-
-
 def _stage(table: _Table, source: str) -> Stage:
     from lensshift.capture.drivers.apt import AptSettings, open_apt_stage
 
@@ -212,12 +214,17 @@ def _stage(table: _Table, source: str) -> Stage:
     if table.get("kind", "apt") != "apt":
         raise DataError(f"expected apt, got {table['kind']!r}", field="stage.kind", source=source)
     settings = _build(AptSettings, rest, "stage", source)
-    return open_apt_stage(str(table["row"]), str(table["col"]), settings)
+    row, col = (_fit(table[axis], str | int, f"stage.{axis}", source) for axis in ("row", "col"))
+    return open_apt_stage(str(row), str(col), settings)
 
 
 def _camera(table: _Table, source: str, folder: Path) -> Camera:
     kind = table.get("kind", "o3m")
     rest = {name: value for name, value in table.items() if name != "kind"}
+    frequency_hz = _fit(rest.get("modulation_hz"), float | None, "camera.modulation_hz", source)
+    doubt = "" if frequency_hz is None else doubt_about_units(frequency_hz, None)
+    if doubt:
+        raise DataError(doubt, field="camera", source=source)
     if kind == "o3m":
         from lensshift.capture.drivers.o3m import O3MCamera
 
@@ -230,7 +237,7 @@ def _camera(table: _Table, source: str, folder: Path) -> Camera:
         from lensshift.capture.drivers.replay import ReplayCamera
 
         if "path" in rest:
-            rest["path"] = folder / str(rest["path"])
+            rest["path"] = folder / _fit(rest["path"], str, "camera.path", source)
         return _build(ReplayCamera, rest, "camera", source)
     if kind == "genicam":
         from lensshift.capture.drivers.genicam import GenicamCamera
@@ -241,30 +248,20 @@ def _camera(table: _Table, source: str, folder: Path) -> Camera:
 
 
 def _calibration(table: _Table, source: str, folder: Path) -> Calibration:
-    _only(table, ("file", "px_per_mm", "rest_mm", "sigma_px"), "calibration", source)
     if "file" in table:
         from lensshift.io.calibration_file import load_calibration
 
-        return load_calibration(folder / str(table["file"]))
-    return _build(nominal_calibration, table, "calibration", source)
+        return load_calibration(folder / _fit(table["file"], str, "calibration.file", source))
+    nominal = _build(_Nominal, table, "calibration", source)
+    with settings_of(source):
+        return nominal_calibration(**asdict(nominal))
 
 
 def _build(make: Callable[..., T], table: _Table, name: str, source: str) -> T:
-    """Call with the entries of a table; say which one is wrong."""
-    known = [parameter for parameter in inspect.signature(make).parameters if parameter[0] != "_"]
-    _only(table, known, name, source)
-    given = {
-        key: tuple(value) if isinstance(value, list) and key != "px_per_mm" else value
-        for key, value in table.items()
-    }
-    try:
-        return make(**given)
-    except (TypeError, ValueError) as error:
-        raise DataError(str(error), field=name, source=source) from error
+    with settings_of(source):
+        return built(make, table, name)
 
 
-def _only(table: _Table, known: tuple[str, ...] | list[str], name: str, source: str) -> None:
-    for key in table:
-        if key not in known:
-            place = f"{name}.{key}" if name else key
-            raise DataError(f"expected one of {', '.join(known)}", field=place, source=source)
+def _fit(value: Any, kind: Any, name: str, source: str) -> Any:
+    with settings_of(source):
+        return fit(value, kind, name)

@@ -47,7 +47,7 @@ def phase_to_distance(phase_rad: ArrayLike, modulation_hz: float) -> NDArray[np.
 
 def doubt_about_units(modulation_hz: float, typical_m: float | None) -> str:
     """Say why a frequency, or a distance typical for a scene, can hardly be in Hz and m; or ""."""
-    if modulation_hz < LEAST_MODULATION_HZ:
+    if not modulation_hz >= LEAST_MODULATION_HZ:
         return f"modulation_hz: expected a frequency in Hz, got {modulation_hz:g}; 15 MHz are 15e6"
     range_m = unambiguous_range_m(modulation_hz)
     if typical_m is None or abs(typical_m) <= _MOST_RANGES * range_m:

@@ -11,6 +11,7 @@ import numpy as np
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import StageMap
+from lensshift.core.settings import fit, read_text, settings_of
 from lensshift.io.atomic import written_whole
 
 SCHEMA = "lensshift-calibration/1"
@@ -75,9 +76,9 @@ def load_calibration(path: str | Path) -> Calibration:
 
 def _content(path: str | Path) -> dict[str, Any]:
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"cannot read: {error.strerror or error}", source=path) from error
+        content = json.loads(read_text(path))
+    except DataError:
+        raise
     except (ValueError, RecursionError) as error:
         raise DataError("this is no calibration file (JSON)", source=path) from error
     found = content.get("schema") if isinstance(content, dict) else None
@@ -89,17 +90,18 @@ def _content(path: str | Path) -> dict[str, Any]:
 def _array(content: dict[str, Any], name: str, axes: int, path: str | Path) -> Any:
     if name not in content:
         raise DataError("this field is missing", field=name, source=path)
-    try:
-        values = np.asarray(content[name], dtype=np.float64)
-    except (ValueError, TypeError) as error:
-        raise DataError("expected numbers", field=name, source=path) from error
-    if values.ndim != axes or not np.all(np.isfinite(values)):
-        raise DataError(
-            f"expected finite numbers with {axes} axes, got shape {values.shape}",
-            field=name,
-            source=path,
-        )
-    return values
+    kind: Any = float
+    for _ in range(axes):
+        kind = tuple[kind, ...]
+    with settings_of(path):
+        values = fit(content[name], kind, name)
+        try:
+            numbers = np.asarray(values, dtype=np.float64)
+        except ValueError as error:
+            raise DataError("expected rows of the same length", field=name) from error
+        if not np.all(np.isfinite(numbers)):
+            raise DataError("expected finite numbers", field=name)
+    return numbers
 
 
 def _number(content: dict[str, Any], name: str, path: str | Path) -> float | None:

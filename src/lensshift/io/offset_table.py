@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.core.settings import fit
 from lensshift.core.types import OFFSET_SOURCES, OffsetSource
 from lensshift.io.reading import reading, require_file
 
@@ -139,12 +140,10 @@ def _from_json(text: str) -> OffsetTable:
 
 
 def _json_pairs(content: Mapping[str, Any], name: str) -> NDArray[np.float64]:
-    try:
-        pairs = np.asarray(content[name], dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise DataError("expected [[row, col], ...] of numbers", field=name) from error
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.shape[0] == 0:
-        raise DataError(f"expected [[row, col], ...], got shape {pairs.shape}", field=name)
+    found = fit(content[name], tuple[tuple[float, float], ...], name)
+    if not found:
+        raise DataError("expected [[row, col], ...], got none", field=name)
+    pairs = np.array(found)
     if not np.all(np.isfinite(pairs)):
         raise DataError("expected finite numbers, got NaN or infinity", field=name)
     return pairs

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from lensshift.core.errors import DataError
+from lensshift.core.settings import fit, parse_toml, read_text, settings_of
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 
@@ -46,25 +46,14 @@ def load_lens(path_or_name: str | Path) -> Lens:
     path = Path(path_or_name)
     if not path.is_file():
         raise DataError(f"expected a lens file or a name of {', '.join(lens_names())}", source=path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise DataError("expected a text file in UTF-8", source=path) from error
-    return parse_lens(text, source=path)
+    return parse_lens(read_text(path), source=path)
 
 
 def parse_lens(text: str, source: str | Path = "") -> Lens:
     """Return the lens that a text in TOML describes; see `load_lens`."""
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:  # its message names line and column
-        raise DataError(f"expected TOML, got {error}", source=source) from error
-    try:
+    content = parse_toml(text, source)
+    with settings_of(source):
         return _lens(content, text)
-    except DataError as error:
-        raise error.in_file(source) from error
-    except ValueError as error:
-        raise DataError(str(error), source=source) from error
 
 
 def save_lens(lens: Lens, path: str | Path) -> None:
@@ -145,7 +134,7 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
         object_mm=_number(content, "object_mm", "lens", math.inf),
         wavelength_nm=_number(content, "wavelength_nm", "lens", 850.0),
         temperature_c=_number(content, "temperature_c", "lens", REFERENCE_TEMPERATURE_C),
-        name=str(content.get("name", "")),
+        name=fit(content.get("name", ""), str, "name"),
     )
 
 
@@ -172,7 +161,7 @@ def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -
             surfaces=tuple(surfaces),
             glass=tuple(glass),
             thickness_mm=_numbers(table["thickness_mm"], "thickness_mm", where),
-            name=str(table.get("name", "")),
+            name=fit(table.get("name", ""), str, f"{where}, name"),
             decenter_mm=(row_mm, col_mm),
             tilt_rad=(math.radians(tilt_deg[0]), math.radians(tilt_deg[1])),
         )

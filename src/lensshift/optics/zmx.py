@@ -43,6 +43,8 @@ def load_zmx(path: str | Path) -> Lens:
         and COORDBRK, an unknown glass or a mirror, or describes no lens: with file, line and
         surface.
     """
+    if Path(path).exists() and not Path(path).is_file():
+        raise DataError("cannot read: expected a file, not a folder, device or pipe", source=path)
     try:
         raw = Path(path).read_bytes()
     except OSError as error:

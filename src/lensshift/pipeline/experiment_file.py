@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,16 @@ from lensshift.camera import (
     named_pattern_px,
 )
 from lensshift.core.errors import DataError
-from lensshift.core.grid import Grid
+from lensshift.core.settings import (
+    built,
+    fit,
+    fitted,
+    only,
+    parse_toml,
+    read_text,
+    settings_of,
+    table_of,
+)
 from lensshift.pipeline.experiment import Experiment
 from lensshift.scene import (
     Scene,
@@ -45,16 +53,9 @@ SCENES: dict[str, Callable[[], Scene]] = {
 _EFFECTS: dict[str, type[Any]] = {
     "ambient": Ambient, "scatter": Scatter, "multipath": Multipath, "drift": Drift,
 }  # fmt: skip
-_GROUPS = ("illumination", "optics", "pixels", "readout", "validity")
-_KEYS = {
-    "": ("name", "scene", "camera", "burst", "reconstruction"),
-    "scene": ("name", "file"),
-    "camera": ("preset", "output", "lens", "grid", *_GROUPS, *_EFFECTS),
-    "camera.lens": ("name", "file", "element", "transmission", "diffraction"),
-    "camera.grid": ("shape", "pitch_mm"),
-    "burst": ("pattern", "offset_px", "shift_error_px", "seed"),
-    "reconstruction": ("scale", "method", "channel", "shifts", "psf_sigma_px"),
-}
+_GROUPS = ("grid", "illumination", "optics", "pixels", "readout", "validity")
+_TABLES = ("name", "scene", "camera", "burst", "reconstruction")
+_RECONSTRUCTION = ("scale", "method", "channel", "shifts", "psf_sigma_px")
 _Table = Mapping[str, Any]
 
 
@@ -78,12 +79,7 @@ def load_experiment(path: str | Path) -> Experiment:
         field.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "is not UTF-8 text"
-        raise DataError(f"cannot be read: {reason}", source=path) from error
-    return parse_experiment(text, source=str(path), folder=path.parent)
+    return parse_experiment(read_text(path), source=str(path), folder=path.parent)
 
 
 def parse_experiment(text: str, *, source: str, folder: Path) -> Experiment:
@@ -99,28 +95,18 @@ def parse_experiment(text: str, *, source: str, folder: Path) -> Experiment:
     DataError
         As in `load_experiment`.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"is not TOML: {error}", source=source) from error
-    _check_keys(table, "", source)
-    burst = _table(table, "burst", source)
-    reconstruction = dict(_table(table, "reconstruction", source))
-
-    def build() -> Experiment:
+    table = parse_toml(text, source)
+    with settings_of(source):
+        only(table, _TABLES)
+        reconstruction = table_of(table, "reconstruction")
+        only(reconstruction, _RECONSTRUCTION, "reconstruction")
         return Experiment(
-            scene=_scene(_table(table, "scene", source), source, folder),
-            camera=_camera(_table(table, "camera", source), source, folder),
-            pattern_px=_pattern(burst),
-            shift_error_px=float(burst.get("shift_error_px", 0.02)),
-            seed=_whole(burst.get("seed", 0), "seed"),
-            name=str(table.get("name", "")),
-            **{
-                key: reconstruction[key] for key in _KEYS["reconstruction"] if key in reconstruction
-            },
+            scene=_scene(table_of(table, "scene"), folder),
+            camera=_camera(table_of(table, "camera"), folder),
+            name=fit(table.get("name", ""), str, "name"),
+            **_burst(table_of(table, "burst")),
+            **fitted(Experiment, reconstruction, "reconstruction"),
         )
-
-    return _explained(build, source)
 
 
 def named_scene(name: str) -> Scene:
@@ -145,96 +131,62 @@ def named_optics(name: str, element: int, **options: Any) -> LensOptics:
     return LensOptics(load_lens(name), element=element - 1 if element > 0 else None, **options)
 
 
-def _scene(table: _Table, source: str, folder: Path) -> Scene:
+def _scene(table: _Table, folder: Path) -> Scene:
+    only(table, ("name", "file"), "scene")
     if "file" in table:
-        return load_scene(folder / str(table["file"]))
-    name = table.get("name", "four_boxes")
+        return load_scene(folder / fit(table["file"], str, "scene.file"))
+    name = fit(table.get("name", "four_boxes"), str, "scene.name")
     if name not in SCENES:
-        raise DataError(
-            f"expected one of {', '.join(SCENES)}, got {name!r}", source=source, field="scene.name"
-        )
+        raise DataError(f"expected one of {', '.join(SCENES)}, got {name!r}", field="scene.name")
     return SCENES[name]()
 
 
-def _camera(table: _Table, source: str, folder: Path) -> TofCamera:
-    camera = camera_preset(table.get("preset", "o3m151"))
-    changes: dict[str, Any] = {}
-    if "output" in table:
-        changes["output"] = table["output"]
-    if "grid" in table:
-        grid = _table(table, "grid", source, "camera.grid")
-        rows, cols = grid.get("shape", camera.grid.shape)
-        row_mm, col_mm = grid.get("pitch_mm", camera.grid.pitch_mm)
-        changes["grid"] = Grid((int(rows), int(cols)), (float(row_mm), float(col_mm)))
+def _camera(table: _Table, folder: Path) -> TofCamera:
+    only(table, ("preset", "output", "lens", *_GROUPS, *_EFFECTS), "camera")
+    camera = camera_preset(fit(table.get("preset", "o3m151"), str, "camera.preset"))
+    changes: dict[str, Any] = fitted(TofCamera, _some(table, ("output",)), "camera")
     for name in _GROUPS:
         if name in table:
             group = getattr(camera, name)
-            changes[name] = replace(group, **_fields(table, name, type(group), source))
+            entries = fitted(type(group), table_of(table, name, "camera"), f"camera.{name}")
+            changes[name] = replace(group, **entries)
     for name, kind in _EFFECTS.items():
         if name in table:
-            changes[name] = kind(**_fields(table, name, kind, source))
+            changes[name] = built(kind, table_of(table, name, "camera"), f"camera.{name}")
     if "lens" in table:
-        changes["optics"] = _lens(_table(table, "lens", source, "camera.lens"), folder)
+        changes["optics"] = _lens(table_of(table, "lens", "camera"), folder)
     return replace(camera, **changes)
 
 
 def _lens(table: _Table, folder: Path) -> LensOptics:
-    options = {key: table[key] for key in ("transmission", "diffraction") if key in table}
-    name = str(folder / str(table["file"])) if "file" in table else table.get("name", "petzval_a")
-    return named_optics(name, _whole(table.get("element", 1), "camera.lens.element"), **options)
+    options = ("transmission", "diffraction")
+    only(table, ("name", "file", "element", *options), "camera.lens")
+    if "file" in table:
+        name = str(folder / fit(table["file"], str, "camera.lens.file"))
+    else:
+        name = fit(table.get("name", "petzval_a"), str, "camera.lens.name")
+    element = _count(table.get("element", 1), "camera.lens.element")
+    return named_optics(name, element, **fitted(LensOptics, _some(table, options), "camera.lens"))
 
 
-def _pattern(table: _Table) -> Any:
+def _burst(table: _Table) -> dict[str, Any]:
+    numbers = ("shift_error_px", "seed")
+    only(table, ("pattern", "offset_px", *numbers), "burst")
+    found = fitted(Experiment, _some(table, numbers), "burst")
+    _count(found.get("seed", 0), "burst.seed")
     if "offset_px" in table:
-        return np.asarray(table["offset_px"], dtype=np.float64)
-    return named_pattern_px(table.get("pattern", "square"))
+        pairs = fit(table["offset_px"], tuple[tuple[float, float], ...], "burst.offset_px")
+        return found | {"pattern_px": np.asarray(pairs, dtype=np.float64)}
+    pattern = fit(table.get("pattern", "square"), str, "burst.pattern")
+    return found | {"pattern_px": named_pattern_px(pattern)}
 
 
-def _fields(table: _Table, name: str, kind: type[Any], source: str) -> dict[str, Any]:
-    """Return the fields of a group, with lists as tuples."""
-    group = _table(table, name, source, f"camera.{name}")
-    known = [field.name for field in fields(kind)]
-    for key in group:
-        if key not in known:
-            raise DataError(
-                f"is not known, expected {', '.join(known)}", source=source,
-                field=f"camera.{name}.{key}",
-            )  # fmt: skip
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in group.items()}
+def _some(table: _Table, keys: Iterable[str]) -> dict[str, Any]:
+    return {key: table[key] for key in keys if key in table}
 
 
-def _table(table: _Table, key: str, source: str, path: str | None = None) -> _Table:
-    """Return a table within a table, with only known keys in it, or an empty one."""
-    path = path or key
-    inner = table.get(key, {})
-    if not isinstance(inner, Mapping):
-        raise DataError(f"expected a table, got {inner!r}", source=source, field=path)
-    if path in _KEYS:
-        _check_keys(inner, path, source)
-    return inner
-
-
-def _check_keys(table: _Table, path: str, source: str) -> None:
-    for key in table:
-        if key not in _KEYS[path]:
-            raise DataError(
-                f"is not known, expected {', '.join(_KEYS[path])}",
-                source=source,
-                field=f"{path}.{key}".lstrip("."),
-            )
-
-
-def _whole(value: object, name: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"expected a whole {name} of at least 0, got {value!r}")
-    return value
-
-
-def _explained(build: Callable[[], Experiment], source: str) -> Experiment:
-    """Say in which file it was that a setting did not fit."""
-    try:
-        return build()
-    except DataError:
-        raise
-    except (ValueError, TypeError) as error:
-        raise DataError(str(error), source=source) from error
+def _count(value: Any, where: str) -> int:
+    count: int = fit(value, int, where)
+    if count < 0:
+        raise DataError(f"expected at least 0, got {count}", field=where)
+    return count

@@ -19,17 +19,17 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.core.settings import fit, parse_toml, read_text
 from lensshift.scene.checks import number, numbers
 from lensshift.scene.mesh import Mesh, load_mesh
 from lensshift.scene.shapes import Cuboid, Plane, Rectangle, Scene, Shape, Sphere
@@ -77,22 +77,12 @@ def load_scene(path: str | Path) -> Scene:
     ImportError
         If it names a mesh file and trimesh is not installed.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot read: {error.strerror or error}", source=path) from error
-    except UnicodeDecodeError as error:
-        raise DataError("expected a text file in UTF-8", source=path) from error
-    return parse_scene(text, source=path)
+    return parse_scene(read_text(path), source=path)
 
 
 def parse_scene(text: str, source: str | Path = "") -> Scene:
     """Return the scene that a text in TOML describes; files lie relative to `source`."""
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:  # its message names line and column
-        raise DataError(f"expected TOML, got {error}", source=source) from error
+    content = parse_toml(text, source)
     try:
         return _scene(content, Path(source).parent)
     except DataError as error:
@@ -180,10 +170,13 @@ def _values(table: Any, word: str, kinds: Mapping[str, Any], where: str) -> tupl
     for key, needed in keys.items():
         if needed and key not in table:
             raise DataError(f"expected {key!r}, which is missing", field=where)
-    values = {}
+    values, hints = {}, get_type_hints(kinds[kind])
     for key, value in table.items():
+        name = key.replace("_deg", "_rad")
+        if hints.get(name) in (bool, int, str):  # numbers are checked by whoever takes them
+            fit(value, hints[name], f"{where}, {key}")
         if key != word:
-            values[key.replace("_deg", "_rad")] = _in_radians(key, value, where)
+            values[name] = _in_radians(key, value, where)
     return kind, values
 
 

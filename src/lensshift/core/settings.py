@@ -1,0 +1,171 @@
+"""Settings from files: text, TOML, and values that fit the annotations of what they are for.
+
+Messages name table and key, as in `acquisition.average: expected bool, got 'false'`. Whoever reads
+a file adds its name (`DataError.in_file`).
+"""
+
+from __future__ import annotations
+
+import inspect
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import is_dataclass
+from itertools import repeat
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from lensshift.core.errors import DataError
+
+T = TypeVar("T")
+
+
+def read_text(path: str | Path) -> str:
+    """Return a text in UTF-8; a pipe, which might never end, is refused.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or it is no text.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise DataError(
+            "cannot be read: expected a file, not a folder, device or pipe", source=path
+        )
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot be read: {error.strerror or error}", source=path) from error
+    except UnicodeDecodeError as error:
+        raise DataError("expected a text file in UTF-8", source=path) from error
+
+
+def parse_toml(text: str, source: str | Path = "") -> dict[str, Any]:
+    """Return the tables of a TOML text; what is wrong with it names line and column."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"is not TOML: {error}", source=source) from error
+
+
+@contextmanager
+def settings_of(source: str | Path) -> Iterator[None]:
+    """Name the file in every error that does not name one, and make them all a `DataError`."""
+    try:
+        yield
+    except DataError as error:
+        if error.source:
+            raise
+        raise error.in_file(source) from error
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), source=source) from error
+
+
+def table_of(table: Mapping[str, Any], key: str, within: str = "") -> Mapping[str, Any]:
+    """Return a table within a table, or an empty one."""
+    found = table.get(key, {})
+    if not isinstance(found, Mapping):
+        raise DataError(f"expected a table, got {found!r:.60}", field=_joined(within, key))
+    return found
+
+
+def only(table: Mapping[str, Any], known: Iterable[str], where: str = "") -> None:
+    """Raise a `DataError` for the first key that is not known."""
+    for key in table:
+        if key not in known:
+            problem = f"is not known, expected {', '.join(known)}"
+            raise DataError(problem, field=_joined(where, key))
+
+
+def built(make: Callable[..., T], table: Mapping[str, Any], where: str) -> T:
+    """Call with the entries of a table, each of the type that is annotated.
+
+    Raises
+    ------
+    DataError
+        If an entry is unknown, missing, of another type, or refused.
+    """
+    entries = fitted(make, table, where)
+    for name, parameter in inspect.signature(make).parameters.items():
+        if name not in entries and parameter.default is parameter.empty:
+            raise DataError("expected this entry, which is missing", field=_joined(where, name))
+    try:
+        return make(**entries)
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), field=where) from error
+
+
+def fitted(make: Callable[..., Any], table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the entries of a table as arguments for `make`, whose annotations they fit.
+
+    What is annotated `Any`, or begins with an underscore, is not for files.
+    """
+    plain = inspect.isclass(make) and not is_dataclass(make)
+    hints = get_type_hints(make.__init__ if plain else make)
+    names = [
+        name
+        for name in inspect.signature(make).parameters
+        if name[0] != "_" and hints[name] is not Any
+    ]
+    only(table, names, where)
+    return {key: fit(value, hints[key], _joined(where, key)) for key, value in table.items()}
+
+
+def fit(value: Any, kind: Any, where: str) -> Any:
+    """Return a value as TOML or JSON has it as the type that an annotation asks for.
+
+    Integers become floats and lists become tuples; nothing else is converted.
+
+    Parameters
+    ----------
+    kind : bool, int, float, str, Path, a literal, a tuple of any of them, or a union
+    where : name of the value in messages
+
+    Raises
+    ------
+    DataError
+        If it is of another type.
+    """
+    kinds = get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        for one in kinds:
+            try:
+                return fit(value, one, where)
+            except DataError:
+                continue
+    elif get_origin(kind) is tuple:
+        ends = kinds[-1] is not Ellipsis
+        if isinstance(value, list | tuple) and (not ends or len(value) == len(kinds)):
+            each = kinds if ends else repeat(kinds[0])
+            pairs = enumerate(zip(value, each, strict=False))
+            return tuple(fit(one, part, f"{where}[{number}]") for number, (one, part) in pairs)
+    elif get_origin(kind) is Literal:
+        if isinstance(value, str) and value in kinds:
+            return value
+    elif kind is float:
+        if type(value) in (int, float):
+            return float(value)
+    elif kind is Path:
+        if isinstance(value, str | Path):
+            return Path(value)
+    elif type(value) is kind:
+        return value
+    raise DataError(f"expected {_words(kind)}, got {value!r:.60}", field=where)
+
+
+def _words(kind: Any) -> str:
+    """Name an annotation for somebody who writes a file."""
+    kinds = get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        return " or ".join(dict.fromkeys(_words(one) for one in kinds if one is not NoneType))
+    if get_origin(kind) is tuple:
+        return f"[{', '.join('...' if one is Ellipsis else _words(one) for one in kinds)}]"
+    if get_origin(kind) is Literal:
+        return ", ".join(kinds)
+    return "str" if kind is Path else kind.__name__
+
+
+def _joined(where: str, key: str) -> str:
+    return f"{where}.{key}" if where else key
