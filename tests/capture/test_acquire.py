@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftPlan, StageMap
 from lensshift.core.types import Frame
+from lensshift.io.capture_file import read_capture
 
 REST = np.array([3.0, 2.5])
 CALIBRATION = Calibration(StageMap(np.array([[5.6, 0.1], [-0.1, -5.5]]), sigma_px=0.01), REST)
@@ -227,6 +228,28 @@ def test_the_wrong_file_is_not_resumed(tmp_path: Path) -> None:
     acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
     with pytest.raises(DataError, match="nothing to resume"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
+
+
+def test_a_capture_goes_on_with_the_calibration_that_it_began_with(tmp_path: Path) -> None:
+    """Else one burst holds the positions of one map with the offsets of another."""
+    stage, camera = devices(silent_after=6)
+    path = tmp_path / "burst.nc"
+    with pytest.raises(DeviceTimeout):
+        acquire(stage, camera, named_plan("square"), CALIBRATION, path)
+    begun, camera = len(load_burst(path).amplitude), MemoryCamera(stage)
+    twice = StageMap(2.0 * CALIBRATION.stage_map.px_per_mm, sigma_px=0.01)
+    for other in (replace(CALIBRATION, stage_map=twice), replace(CALIBRATION, rest_mm=REST + 0.1)):
+        with pytest.raises(DataError, match=r"calibration: .* begun with another calibration"):
+            acquire(stage, camera, named_plan("square"), other, path, resume=True)
+    farther = ShiftPlan(2.0 * named_plan("square").target_px, name="square")
+    with pytest.raises(DataError, match="begun with other positions"):
+        acquire(stage, camera, farther, CALIBRATION, path, resume=True)
+    assert load_burst(path).frame_count == begun
+    header, _ = read_capture(path)
+    assert header["calibration"]["px_per_mm"] == CALIBRATION.stage_map.px_per_mm.tolist()
+    dated = replace(CALIBRATION, notes={"date": "today"})  # the same map, written down again
+    burst = acquire(stage, camera, named_plan("square"), dated, path, resume=True)
+    np.testing.assert_allclose(burst.offset_px, CALIBRATION.offset_px(burst.stage_mm))
 
 
 def test_places_out_of_reach_are_refused_before_anything_moves(tmp_path: Path) -> None:

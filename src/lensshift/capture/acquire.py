@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.capture.journal import capture_header, opened
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, CameraFrame, Stage
 from lensshift.core.calibration import Calibration
-from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
+from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
-from lensshift.io.capture_file import CaptureWriter, Record, burst_of_capture, is_capture
+from lensshift.io.capture_file import Record, burst_of_capture
 
 Array = NDArray[Any]
 
@@ -101,14 +102,15 @@ def acquire(
     calibration : from image offsets to stage positions and back
     path : burst file; until the plan is done a journal of the same name, which `load_burst`
         reads as well
-    resume : go on with an unfinished capture of the same plan
+    resume : go on with an unfinished capture of the same plan and calibration
 
     Raises
     ------
     ValueError
         If the plan leads out of the travel of the stage.
     DataError
-        If the file cannot be written, exists already, or holds another plan.
+        If the file cannot be written, exists already, or was begun otherwise: with another plan,
+        another calibration, and so on.
     DeviceError
         If stage or camera fail; all frames until then are in the file.
     """
@@ -151,8 +153,8 @@ def acquire_at(
     if settings.reorder and not direct:
         order = shortest_order(positions, settings.approach_mm, stage.position_mm())
         positions = positions[order]
-    header = _header(stage, camera, positions, calibration, settings, plan_name)
-    with _opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
+    header = capture_header(stage, camera, positions, calibration, asdict(settings), plan_name)
+    with opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
         positions = np.asarray(file.header["position_mm"])
         each = 1 if settings.average else settings.frames
         taken = [int(one["step"]) for one in file.frames]
@@ -192,7 +194,7 @@ def bursts(
     check_travel(stage, positions)
     if settings.reorder:
         positions = positions[shortest_order(positions, settings.approach_mm, positions[-1])]
-    header = _header(stage, camera, positions, calibration, settings, plan.name)
+    header = capture_header(stage, camera, positions, calibration, asdict(settings), plan.name)
     with returning(stage, calibration.rest_mm):
         while True:
             records: list[Record] = []
@@ -239,57 +241,6 @@ def check_travel(stage: Stage, position_mm: ArrayLike) -> None:
             reach = " and ".join(f"{a:g} to {b:g}" for a, b in zip(low, high, strict=True))
             at = ", ".join(f"{x:.4f}" for x in place)
             raise ValueError(f"position {number} at {at} mm is out of travel ({reach} mm)")
-
-
-def _opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> CaptureWriter:
-    if not resume:
-        return CaptureWriter.create(path, header)
-    if not Path(path).exists():
-        return CaptureWriter.create(path, header)
-    if not is_capture(path):
-        raise DataError("nothing to resume: this is no unfinished capture", source=path)
-    file = CaptureWriter.resume(path)
-    for name in ("plan", "frames", "average", "pitch_mm", "shape"):
-        if file.header.get(name) != _as_stored(header[name]):
-            file.close()
-            problem = f"the capture was begun with {name} {file.header.get(name)!s:.60}"
-            raise DataError(f"{problem}, not {header[name]!s:.60}", field=name, source=path)
-    if np.asarray(file.header["position_mm"]).shape != np.shape(header["position_mm"]):
-        file.close()
-        raise DataError("the capture was begun with another number of positions", source=path)
-    return file
-
-
-def _as_stored(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _header(
-    stage: Stage,
-    camera: Camera,
-    position_mm: Array,
-    calibration: Calibration,
-    settings: Acquisition,
-    plan_name: str,
-) -> dict[str, Any]:
-    return {
-        "plan": plan_name,
-        "frames": settings.frames,
-        "average": settings.average,
-        "shape": camera.grid.shape,
-        "pitch_mm": camera.grid.pitch_mm,
-        "modulation_hz": camera.modulation_hz,
-        "position_mm": position_mm.tolist(),
-        "offset_source": calibration.offset_source,
-        "meta": {
-            "plan": plan_name,
-            "stage": {"name": stage.name, **stage.describe()},
-            "camera": {"name": camera.name, **camera.describe()},
-            "acquisition": asdict(settings),
-            "rest_mm": np.asarray(calibration.rest_mm).tolist(),
-            "px_per_mm": np.asarray(calibration.stage_map.px_per_mm).tolist(),
-        },
-    }
 
 
 def _at_position(
