@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,31 +184,71 @@ def test_a_second_process_at_the_same_file(bench: Bench) -> None:
     assert "another process is writing this capture" in refused[0]
 
 
-@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL there")
-def test_a_kill_at_any_moment(bench: Bench) -> None:
-    """The program dies in mid-scan; a new one takes the missing frames."""
-    command = [
-        sys.executable,
-        "-c",
-        "from lensshift.cli import main; main()",
-        "capture",
-        str(bench.file),
-    ]
+def capturing(bench: Bench, **options: Any) -> subprocess.Popen[bytes]:
+    """Start a capture in another process; return it when it has taken three positions."""
+    command = [sys.executable, "-c", "from lensshift.cli import main; main()", "capture"]
     process = subprocess.Popen(
-        [*command, "--plan", PLAN, "-o", str(bench.out)],
+        [*command, str(bench.file), "--plan", PLAN, "-o", str(bench.out)],
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
+        **options,
     )
     assert process.stderr is not None
     for line in process.stderr:
         if line.startswith(b"position 3 "):
             break
-    process.kill()
-    process.wait()
+    return process
+
+
+def ended(process: subprocess.Popen[bytes]) -> int:
+    code = process.wait(60.0)
+    assert process.stderr is not None
     process.stderr.close()
+    return code
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL there")
+def test_a_kill_at_any_moment(bench: Bench) -> None:
+    """The program dies in mid-scan; a new one takes the missing frames."""
+    process = capturing(bench)
+    process.kill()
+    ended(process)
     done = load_burst(bench.out).frame_count
     assert 3 <= done < 9
     resumed(bench)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signals there")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_whoever_ends_it_the_lens_comes_back(bench: Bench, name: str) -> None:
+    process = capturing(bench)
+    for _ in range(2):  # a shell and the system may both tell that the terminal is closed
+        process.send_signal(getattr(signal, name))
+    assert ended(process) == 128 + getattr(signal, name)
+    assert bench.still()
+    np.testing.assert_allclose(bench.stages.lens_mm(), 3.0, atol=0.007)  # at rest, but for the play
+    assert 3 <= load_burst(bench.out).frame_count < 9
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such terminals there")
+def test_a_closed_terminal(bench: Bench) -> None:
+    """The system sends SIGHUP to whatever runs in it."""
+    import fcntl
+    import pty
+    import termios
+
+    ours, theirs = pty.openpty()
+    process = capturing(
+        bench,
+        stdin=theirs,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(theirs, termios.TIOCSCTTY, 0),
+    )
+    os.close(theirs)
+    os.close(ours)
+    ended(process)
+    assert bench.still()
+    np.testing.assert_allclose(bench.stages.lens_mm(), 3.0, atol=0.007)
 
 
 def test_a_position_beyond_the_travel(bench: Bench) -> None:

@@ -16,6 +16,7 @@ from lensshift.capture.journal import capture_header, opened
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, CameraFrame, Stage
 from lensshift.core.calibration import Calibration
+from lensshift.core.ending import ended_by_signals
 from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
@@ -207,24 +208,33 @@ def bursts(
 
 @contextmanager
 def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
-    """Bring the lens back to rest when the block ends, or stop it where the stage has failed."""
+    """Bring the lens back to rest when the block ends, or stop it where the stage has failed.
+
+    SIGTERM and a closed terminal end the block as Ctrl-C does, and wait until the lens is back.
+    """
     finished = failed = False
-    try:
-        yield
-        finished = True
-    except DeviceError as error:
-        failed = bool(error.device) and error.device in stage.name  # or one of its axes
-        raise
-    finally:
-        if not finished:
+    with ended_by_signals():
+        try:
+            yield
+            finished = True
+        except DeviceError as error:
+            failed = bool(error.device) and error.device in stage.name  # or one of its axes
+            raise
+        finally:
+            with ended_by_signals(at_once=False):
+                _return(stage, rest_mm, finished=finished, failed=failed)
+
+
+def _return(stage: Stage, rest_mm: ArrayLike, *, finished: bool, failed: bool) -> None:
+    if not finished:
+        stage.stop()
+    if not failed:
+        try:
+            stage.move_to(rest_mm)
+        except DeviceError:
             stage.stop()
-        if not failed:
-            try:
-                stage.move_to(rest_mm)
-            except DeviceError:
-                stage.stop()
-                if finished:
-                    raise
+            if finished:
+                raise
 
 
 def check_travel(stage: Stage, position_mm: ArrayLike) -> None:

@@ -16,6 +16,7 @@ from typing import Annotated, Any, TextIO
 
 import typer
 
+from lensshift.core.ending import ended_by_signals
 from lensshift.core.errors import QualityWarning
 
 JsonOption = Annotated[
@@ -69,7 +70,7 @@ class Session:
 def session(*, as_json: bool, debug: bool) -> Iterator[Session]:
     """Run the body of a verb; print its result, or its error on one line and exit with 1."""
     current = Session(as_json)
-    with warnings.catch_warnings():
+    with ended_by_signals(), warnings.catch_warnings():
         warnings.simplefilter("always", QualityWarning)
         warnings.showwarning = current.warn
         try:
