@@ -143,6 +143,27 @@ def test_without_discarding_a_frame_from_before_would_come(tmp_path: Path) -> No
     assert np.any(burst.distance_m[:, 0, 0] != burst.stage_mm[:, 1])  # type: ignore[index]
 
 
+class LateCamera(MemoryCamera):
+    """Frames are under way before the first move, but nobody knows until one is whole."""
+
+    whole: bool = False
+
+    def newest_cycle(self) -> int:
+        return super().newest_cycle() if self.whole else -1
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        self.whole = True
+        return super().next_frame(timeout_s)
+
+
+def test_a_camera_that_was_not_heard_yet_has_begun_frames_all_the_same(tmp_path: Path) -> None:
+    stage = MemoryStage()
+    camera = LateCamera(stage, cycle=1000)  # it has been running for a while
+    MemoryCamera.newest_cycle(camera)
+    burst = acquire(stage, camera, named_plan("square"), CALIBRATION, tmp_path / "a.nc")
+    np.testing.assert_array_equal(burst.distance_m[:, 0, 0], burst.stage_mm[:, 1])  # type: ignore[index]
+
+
 def test_the_lens_returns_and_the_file_says_all(tmp_path: Path) -> None:
     stage, camera = devices()
     told: list[Progress] = []

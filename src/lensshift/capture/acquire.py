@@ -265,6 +265,8 @@ def _at_position(
     """Go there and yield the records of the frames that are kept."""
     stage.move_to(target_mm, direct=direct)
     settled_cycle = camera.newest_cycle()
+    if settled_cycle < 0:  # nothing to go by: the first frame may have begun before
+        settled_cycle = camera.next_frame(settings.frame_timeout_s).cycle
     shots: list[CameraFrame] = []
     places_mm: list[Array] = []
     for _ in range(settings.frames if settings.average else count):
