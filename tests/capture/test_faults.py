@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from lensshift import load_burst
 from lensshift.capture.acquire import Acquisition, Progress
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
+from lensshift.capture.emulators.rig import EmulatedRig
 from lensshift.capture.opening import Rig, open_rig
 from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.types import Frame
@@ -92,6 +94,15 @@ def test_the_burst_of_an_undisturbed_bench(bench: Bench) -> None:
     np.testing.assert_allclose(bench.stages.lens_mm(), 3.0, atol=0.007)  # at rest, but for the play
     assert "distance_cm" in burst.raw
     assert burst.meta["stage"]["row"]["counts_per_mm"] == 34554.96
+
+
+def test_the_emulated_rig_opens_at_the_speed_of_real_stages() -> None:
+    """As `lensshift emulate rig` has it: its controllers hang if they are sent home too soon."""
+    with (
+        EmulatedRig(camera_port=free_port()) as emulated,
+        open_rig(tomllib.loads(emulated.rig_file())) as rig,
+    ):
+        np.testing.assert_allclose(rig.stage.position_mm(), 0.0, atol=0.01)
 
 
 def resumed(bench: Bench) -> None:
