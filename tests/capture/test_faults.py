@@ -54,6 +54,7 @@ class Bench:
         row, col = self.stages.urls
         self.file.write_text(
             f'[stage]\nrow = "{row}"\ncol = "{col}"\nenable_wait_s = 0.05\nreply_timeout_s = 0.5\n'
+            'home = "if_needed"\n'
             "timeout_margin_s = 20.0\n"  # a busy computer may stand still for seconds
             f'[camera]\nport = {self.port}\nhost = "127.0.0.1"\n'
             "[acquisition]\nframe_timeout_s = 20.0\n"

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lensshift import Burst, Calibration, load_burst, load_reconstruction, open_rig, save_burst
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
 from lensshift.capture.opening import EXAMPLE
+from lensshift.cli.app import app
 from lensshift.core.errors import DataError
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Frame
@@ -40,11 +42,49 @@ def rig_file(tmp_path: Path) -> Iterator[Path]:
         file = tmp_path / "rig.toml"
         file.write_text(
             f'[stage]\nrow = "{pair.urls[0]}"\ncol = "{pair.urls[1]}"\nenable_wait_s = 0.05\n'
+            'home = "if_needed"\n'
             "timeout_margin_s = 20.0\n"  # a busy computer may stand still for seconds
             f'[camera]\nkind = "o3m"\nport = {port}\nhost = "127.0.0.1"\n'
             "[acquisition]\nframe_timeout_s = 20.0\n"
         )
         yield file
+
+
+@pytest.fixture
+def asking_file(rig_file: Path) -> Path:
+    """A rig file that says nothing of homing, as a lab person's first one."""
+    file = rig_file.with_name("asking.toml")
+    file.write_text(rig_file.read_text().replace('home = "if_needed"\n', ""))
+    return file
+
+
+def test_nothing_is_homed_unasked(call: Call, asking_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.nc"
+    capture = ("capture", asking_file, "-o", out, "--plan", "still")
+    refused = call(*capture)  # no terminal here
+    assert refused.exit_code == 1
+    assert "homing: row: KDC101" in refused.stderr
+    assert "7.3 mm at most" in refused.stderr
+    assert "--yes" in refused.stderr
+    assert not out.exists()
+    looked = json.loads(call("info", asking_file, "--json").stdout)
+    assert looked["stage"]["row"]["homed"] is False
+    assert looked["stage"]["position_mm"] == [0.0, 0.0]  # where it was switched on
+    assert "zero        not known" in call("info", asking_file).stdout
+    done = call(*capture, "--yes")
+    assert done.exit_code == 0, done.output
+    assert json.loads(call("info", asking_file, "--json").stdout)["stage"]["row"]["homed"]
+
+
+@pytest.mark.parametrize(("typed", "code"), [("n", 1), ("", 1), ("y", 0)])
+def test_a_terminal_is_asked(
+    asking_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str, code: int
+) -> None:
+    monkeypatch.setattr("lensshift.cli.devices.on_terminal", lambda: True)
+    arguments = ["capture", str(asking_file), "-o", str(tmp_path / "a.nc"), "--plan", "still"]
+    done = CliRunner().invoke(app, arguments, input=f"{typed}\n" if typed else "")
+    assert "Home both axes now?" in done.stderr
+    assert done.exit_code == code, done.output
 
 
 def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Path) -> None:

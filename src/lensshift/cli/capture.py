@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ def capture(
     continuous: ContinuousOption = False,
     burst_count: CountOption = None,
     print_rig: PrintOption = False,
+    yes: YesOption = False,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -96,7 +98,7 @@ def capture(
 
         wanted = None if scan else _plan(plan)
         given = {"frames": frames, "average": average, "discard": discard}
-        with open_rig(rig) as opened:
+        with open_rig(rig, on_homing=homing_asked(yes=yes)) as opened:
             _adjust(opened, given, calibration)
             if continuous and wanted is not None:
                 _stream(current, opened, wanted, out, burst_count)

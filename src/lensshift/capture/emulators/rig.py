@@ -142,6 +142,7 @@ class EmulatedRig:
         rest = ", ".join(f"{x:g}" for x in one.rest_mm)
         return (
             f'[stage]\nrow = "{row}"\ncol = "{col}"\n'
+            'home = "if_needed"  # nothing real moves\n'
             f"enable_wait_s = {AptSettings().enable_wait_s / one.speed:g}\n"
             "timeout_margin_s = 10.0  # this computer emulates as well\n"
             f"tolerance_mm = {max(0.001, 5.0 * one.encoder_noise_mm):g}\n\n"
