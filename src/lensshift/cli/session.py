@@ -50,6 +50,11 @@ class Session:
         if not self.as_json:
             typer.echo(text)
 
+    def ready(self) -> None:
+        """With --json: print the result so far, on one line, for who waits for it."""
+        if self.as_json:
+            typer.echo(json.dumps(_plain(self.result)))
+
     def warn(
         self,
         message: Warning | str,
