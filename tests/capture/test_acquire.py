@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift import load_burst
+from lensshift import load_burst, save_burst
 from lensshift.capture.acquire import Acquisition, Progress, acquire, acquire_at, bursts
 from lensshift.capture.plan import PLANS, load_plan, named_plan, shortest_order
 from lensshift.capture.rig import CameraFrame
@@ -247,7 +247,13 @@ def test_the_wrong_file_is_not_resumed(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="there is a file of this name"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path)
     acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
-    with pytest.raises(DataError, match="nothing to resume"):
+    before = len(stage.visited)
+    again = acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
+    assert (again.frame_count, len(stage.visited)) == (4, before)  # complete: nothing moves
+    with pytest.raises(DataError, match="complete, with plan square, not 3x3"):
+        acquire(stage, camera, named_plan("3x3"), CALIBRATION, path, resume=True)
+    save_burst(replace(again, meta={}), path)
+    with pytest.raises(DataError, match="nothing to resume: this is no capture"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
 
 

@@ -95,9 +95,31 @@ def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Pa
     assert said["frame_count"] == 4
     assert said["counts"]["frames"] >= 8
     assert load_burst(out).frame_count == 4
-    again = call("capture", rig_file, "-o", out)
-    assert again.exit_code == 1
-    assert "there is a file of this name" in again.stderr
+    resumed = call("capture", rig_file, "-o", out, "--resume")
+    assert resumed.exit_code == 0, resumed.output
+    assert f"nothing to do: {out} is complete, 4 frames" in resumed.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("burst.nc", "there is a file of this name"),
+        ("none/a.nc", "there is no folder"),
+        (".", "this is a folder"),
+    ],
+)
+def test_the_file_is_looked_at_before_anything_is_opened(
+    call: Call, burst_file: Path, tmp_path: Path, name: str, problem: str
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(EXAMPLE)  # no such devices: opening them is another error
+    refused = call("capture", rig, "-o", tmp_path / name)
+    assert refused.exit_code == 1
+    assert problem in refused.stderr
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["burst.nc", "rig.toml"]
+    assert burst_file.stat().st_size > 0
+    refused = call("run", "--rig", rig, "--out", tmp_path)
+    assert "there is a file of this name" in refused.stderr
 
 
 def test_progress_position_and_losses_are_shown(call: Call, rig_file: Path, tmp_path: Path) -> None:
@@ -115,6 +137,13 @@ def test_one_burst_after_another(call: Call, rig_file: Path, tmp_path: Path) -> 
     assert done.exit_code == 0, done.output
     for name in ("a-0001.nc", "a-0002.nc"):
         assert load_burst(tmp_path / name).frame_count == 2
+    (tmp_path / "a-0001.nc").unlink()
+    before = (tmp_path / "a-0002.nc").read_bytes()
+    again = call("capture", rig_file, "-o", tmp_path / "a.nc", "--continuous", "--bursts", 2)
+    assert again.exit_code == 1
+    assert "a-0002.nc: there is a burst of this name from before" in again.stderr
+    assert (tmp_path / "a-0002.nc").read_bytes() == before
+    assert not (tmp_path / "a-0001.nc").exists()
 
 
 def test_capture_and_reconstruct_in_one_go(call: Call, rig_file: Path, tmp_path: Path) -> None:
@@ -209,8 +238,10 @@ def test_devices_are_emulated_until_told(call: Call, arguments: tuple[object, ..
     port = ("--port", free_port()) if arguments[0] in ("o3m", "rig") else ()
     done = call("emulate", *arguments, *port, "--seconds", 0.3, "--json")
     assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    ready, result = done.stdout.split("\n", 1)  # a script waits for the first line
+    said = json.loads(ready)
     assert said.get("stage") or said["camera_port"]
+    assert json.loads(result).items() >= said.items()
 
 
 def test_emulated_links_that_do_not_exist(call: Call) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.capture.journal import capture_header, opened
+from lensshift.capture.journal import capture_header, finished, opened
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, CameraFrame, Stage
 from lensshift.core.calibration import Calibration
@@ -103,7 +103,8 @@ def acquire(
     calibration : from image offsets to stage positions and back
     path : burst file; until the plan is done a journal of the same name, which `load_burst`
         reads as well
-    resume : go on with an unfinished capture of the same plan and calibration
+    resume : go on with an unfinished capture of the same plan and calibration; one that is
+        complete is returned as it is
 
     Raises
     ------
@@ -148,6 +149,9 @@ def acquire_at(
     ----------
     direct : go straight from one position to the next, see `Stage.move_to`; then the order stays
     """
+    done = finished(path, plan_name) if resume else None
+    if done is not None:
+        return done
     settings = settings or Acquisition()
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from lensshift.capture.rig import Camera, Stage
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
+from lensshift.core.types import Burst
+from lensshift.io import load_burst
 from lensshift.io.calibration_file import calibration_content
-from lensshift.io.capture_file import CaptureWriter, is_capture
+from lensshift.io.capture_file import CaptureWriter, is_capture, refuse_taken
 
 # What must be the same before and after a break: else the frames of one burst do not fit together.
 _SAME = ("plan", "frames", "average", "pitch_mm", "shape")
@@ -52,6 +54,39 @@ def capture_header(
     }
 
 
+def finished(path: str | Path, plan_name: str) -> Burst | None:
+    """Return the burst of a capture that is complete: there is nothing to resume.
+
+    Raises
+    ------
+    DataError
+        If there is a file that is no capture, or holds another plan.
+    """
+    if not Path(path).exists() or is_capture(path):
+        return None
+    burst = load_burst(path)
+    if "acquisition" not in burst.meta:
+        raise DataError("nothing to resume: this is no capture", source=path)
+    if burst.meta.get("plan") != plan_name:
+        problem = f"the capture is complete, with plan {burst.meta.get('plan')!s:.60}"
+        raise DataError(f"{problem}, not {plan_name}", field="plan", source=path)
+    return burst
+
+
+def check_target(path: str | Path, *, resume: bool) -> None:
+    """Refuse a file that cannot be begun or gone on with, before any device is opened for it.
+
+    Raises
+    ------
+    DataError
+        As `opened`; whether it was begun in the same way is seen only there.
+    """
+    if resume and is_capture(path):
+        CaptureWriter.resume(path).close()
+    else:
+        refuse_taken(path)
+
+
 def opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> CaptureWriter:
     """Begin a journal, or go on with the one that is there if it was begun in the same way.
 
@@ -62,8 +97,6 @@ def opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> Capt
     """
     if not resume or not Path(path).exists():
         return CaptureWriter.create(path, header)
-    if not is_capture(path):
-        raise DataError("nothing to resume: this is no unfinished capture", source=path)
     file = CaptureWriter.resume(path)
     try:
         _check_same(file.header, header, path)

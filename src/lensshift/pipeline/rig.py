@@ -24,6 +24,7 @@ from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import fidelity
 from lensshift.io import save_reconstruction
 from lensshift.io.calibration_file import save_calibration
+from lensshift.io.capture_file import refuse_taken
 from lensshift.pipeline.calibrate import calibrate_rig
 from lensshift.pipeline.experiment import images_of
 from lensshift.pipeline.run import made_folder, writable_folder
@@ -170,6 +171,7 @@ def run_bench(
     folder = made_folder(writable_folder(out_dir))
     names = ("burst.nc", "result.nc", "preview.png")
     burst_file, result_file, preview = files = tuple(folder / name for name in names)
+    refuse_taken(burst_file)
     with open_rig(rig_file, on_homing=on_homing) as rig:
         told = None if on_step is None else partial(on_step, "burst")
         burst = rig.capture(plan, burst_file, on_step=told)
