@@ -45,7 +45,9 @@ def watching() -> Iterator[list[float]]:
 
 @pytest.mark.parametrize("link", ["tcp", "pty"])
 def test_driver_adds_little_to_a_move(link: str, report: list[str]) -> None:
-    settings = AptSettings(home_velocity_mmps=20.0, acceleration_mmps2=40.0, timeout_margin_s=30.0)
+    settings = AptSettings(
+        home="if_needed", home_velocity_mmps=20.0, acceleration_mmps2=40.0, timeout_margin_s=30.0
+    )
     added_s, still = [], []
     with (
         watching() as stood_s,

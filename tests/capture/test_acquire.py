@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift import load_burst
+from lensshift import load_burst, save_burst
 from lensshift.capture.acquire import Acquisition, Progress, acquire, acquire_at, bursts
 from lensshift.capture.plan import PLANS, load_plan, named_plan, shortest_order
 from lensshift.capture.rig import CameraFrame
@@ -22,6 +22,7 @@ from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftPlan, StageMap
 from lensshift.core.types import Frame
+from lensshift.io.capture_file import read_capture
 
 REST = np.array([3.0, 2.5])
 CALIBRATION = Calibration(StageMap(np.array([[5.6, 0.1], [-0.1, -5.5]]), sigma_px=0.01), REST)
@@ -142,6 +143,27 @@ def test_without_discarding_a_frame_from_before_would_come(tmp_path: Path) -> No
     assert np.any(burst.distance_m[:, 0, 0] != burst.stage_mm[:, 1])  # type: ignore[index]
 
 
+class LateCamera(MemoryCamera):
+    """Frames are under way before the first move, but nobody knows until one is whole."""
+
+    whole: bool = False
+
+    def newest_cycle(self) -> int:
+        return super().newest_cycle() if self.whole else -1
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        self.whole = True
+        return super().next_frame(timeout_s)
+
+
+def test_a_camera_that_was_not_heard_yet_has_begun_frames_all_the_same(tmp_path: Path) -> None:
+    stage = MemoryStage()
+    camera = LateCamera(stage, cycle=1000)  # it has been running for a while
+    MemoryCamera.newest_cycle(camera)
+    burst = acquire(stage, camera, named_plan("square"), CALIBRATION, tmp_path / "a.nc")
+    np.testing.assert_array_equal(burst.distance_m[:, 0, 0], burst.stage_mm[:, 1])  # type: ignore[index]
+
+
 def test_the_lens_returns_and_the_file_says_all(tmp_path: Path) -> None:
     stage, camera = devices()
     told: list[Progress] = []
@@ -225,8 +247,36 @@ def test_the_wrong_file_is_not_resumed(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="there is a file of this name"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path)
     acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
-    with pytest.raises(DataError, match="nothing to resume"):
+    before = len(stage.visited)
+    again = acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
+    assert (again.frame_count, len(stage.visited)) == (4, before)  # complete: nothing moves
+    with pytest.raises(DataError, match="complete, with plan square, not 3x3"):
+        acquire(stage, camera, named_plan("3x3"), CALIBRATION, path, resume=True)
+    save_burst(replace(again, meta={}), path)
+    with pytest.raises(DataError, match="nothing to resume: this is no capture"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
+
+
+def test_a_capture_goes_on_with_the_calibration_that_it_began_with(tmp_path: Path) -> None:
+    """Else one burst holds the positions of one map with the offsets of another."""
+    stage, camera = devices(silent_after=6)
+    path = tmp_path / "burst.nc"
+    with pytest.raises(DeviceTimeout):
+        acquire(stage, camera, named_plan("square"), CALIBRATION, path)
+    begun, camera = len(load_burst(path).amplitude), MemoryCamera(stage)
+    twice = StageMap(2.0 * CALIBRATION.stage_map.px_per_mm, sigma_px=0.01)
+    for other in (replace(CALIBRATION, stage_map=twice), replace(CALIBRATION, rest_mm=REST + 0.1)):
+        with pytest.raises(DataError, match=r"calibration: .* begun with another calibration"):
+            acquire(stage, camera, named_plan("square"), other, path, resume=True)
+    farther = ShiftPlan(2.0 * named_plan("square").target_px, name="square")
+    with pytest.raises(DataError, match="begun with other positions"):
+        acquire(stage, camera, farther, CALIBRATION, path, resume=True)
+    assert load_burst(path).frame_count == begun
+    header, _ = read_capture(path)
+    assert header["calibration"]["px_per_mm"] == CALIBRATION.stage_map.px_per_mm.tolist()
+    dated = replace(CALIBRATION, notes={"date": "today"})  # the same map, written down again
+    burst = acquire(stage, camera, named_plan("square"), dated, path, resume=True)
+    np.testing.assert_allclose(burst.offset_px, CALIBRATION.offset_px(burst.stage_mm))
 
 
 def test_places_out_of_reach_are_refused_before_anything_moves(tmp_path: Path) -> None:

@@ -28,12 +28,12 @@ from lensshift.core.errors import DeviceError, DeviceTimeout
 
 SPEED = 50.0  # of the emulated time
 # The machine of the tests may stand still for seconds; that is not the driver's fault.
-PATIENT = AptSettings(enable_wait_s=0.05, timeout_margin_s=30.0, max_retries=20)
+PATIENT = AptSettings(home="if_needed", enable_wait_s=0.05, timeout_margin_s=30.0, max_retries=20)
 # Fast home, slow moves: time to do something in mid-move.
 SLOW_SPEED = 5.0  # 5 mm take 100 s: a machine that stands still for seconds does not miss them
 SLOW = AptSettings(
-    enable_wait_s=0.25, timeout_margin_s=30.0, max_retries=20, home_velocity_mmps=100.0,
-    velocity_mmps=0.01, acceleration_mmps2=1000.0,
+    home="if_needed", enable_wait_s=0.25, timeout_margin_s=30.0, max_retries=20,
+    home_velocity_mmps=100.0, velocity_mmps=0.01, acceleration_mmps2=1000.0,
 )  # fmt: skip
 PLAY_MM = 0.006
 COUNT_MM = 1.0 / Z8_COUNTS_PER_MM
@@ -176,9 +176,7 @@ def test_position_is_read_from_another_thread_during_a_move(
 
 def test_without_approach_the_lens_is_off_though_the_encoder_is_right() -> None:
     with EmulatedStagePair(play_mm=PLAY_MM, speed=SPEED, link="pty") as pair:
-        settings = AptSettings(
-            enable_wait_s=0.05, timeout_margin_s=30.0, max_retries=20, approach_mm=0.0
-        )
+        settings = replace(PATIENT, approach_mm=0.0)
         with open_apt_stage(*pair.urls, settings) as stage:
             stage.move_to([0.5, 0.5])
             assert pair.lens_mm() == pytest.approx([0.5, 0.5], abs=2 * COUNT_MM)
@@ -260,7 +258,7 @@ def test_lost_commands_are_sent_again() -> None:
 
 
 def test_motor_that_never_sets_out_is_an_error() -> None:
-    settings = AptSettings(enable_wait_s=0.05, timeout_margin_s=30.0, max_retries=6)
+    settings = replace(PATIENT, max_retries=6)
     row, col = _Stubborn(Id.MOVE_ABSOLUTE), AptController(serial_number=2, speed=SPEED)
     with (
         served(row, col) as urls,
@@ -277,7 +275,7 @@ def test_motor_that_never_sets_out_is_an_error() -> None:
 def test_home_too_soon_after_enabling_is_a_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     # Not the usual 0.8 s: the machine of the tests may stand still for longer.
     monkeypatch.setattr("lensshift.capture.emulators.apt_controller._LOCKS_UP_S", 60.0)
-    settings = AptSettings(enable_wait_s=0.0, timeout_margin_s=0.1, home_velocity_mmps=100.0)
+    settings = replace(PATIENT, enable_wait_s=0.0, timeout_margin_s=0.1, home_velocity_mmps=100.0)
     with (
         served(*pair_of(speed=1.0)) as urls,
         pytest.raises(DeviceTimeout, match=r"home: it takes longer"),
@@ -297,7 +295,7 @@ class _Sluggish(AptController):
 
 def test_move_that_takes_too_long_is_stopped() -> None:
     row, col = pair_of(_Sluggish(speed=SPEED))
-    settings = AptSettings(enable_wait_s=0.05, timeout_margin_s=0.2, max_retries=20)
+    settings = replace(PATIENT, timeout_margin_s=0.2)
     with served(row, col) as urls, open_apt_stage(*urls, settings) as stage:
         row.slow = True
         began_s = time.monotonic()
@@ -423,6 +421,32 @@ def test_restarted_controller_has_lost_its_zero() -> None:
             stage.move_to([5.0, 5.0])
         with pytest.raises(DeviceError, match="it does not know its zero; home it first"):
             stage.move_to([1.0, 1.0])
+
+
+def test_axes_are_homed_with_leave_only() -> None:
+    """Homing takes the lens to the end of its way: what holds it may be in the way."""
+    asking = replace(PATIENT, home="ask")
+    row, col = pair_of()
+    heard: list[tuple[str, bool]] = []
+
+    def leave(way: str, ask: bool) -> bool:
+        heard.append((way, ask))
+        assert (row.lens_mm(), col.lens_mm()) == pytest.approx((2.0, 2.0), abs=COUNT_MM)
+        return len(heard) > 1
+
+    with served(row, col) as urls:
+        for on_homing in (None, leave):
+            with pytest.raises(DeviceError, match=r"home: nobody has allowed it.* 7\.3 mm at most"):
+                open_apt_stage(*urls, asking, on_homing)
+        with open_apt_stage(*urls, asking, leave) as stage:
+            assert stage.position_mm() == pytest.approx([0.0, 0.0], abs=2 * COUNT_MM)
+        open_apt_stage(*urls, asking).close()  # now both know their zero
+        with open_apt_stage(*urls, asking) as stage:
+            stage.move_to([2.0, 2.0])
+        open_apt_stage(*urls, replace(PATIENT, home="always"), leave).close()
+    assert [ask for _, ask in heard] == [True, True, False]
+    assert "row: KDC101 27000001 is anywhere" in heard[0][0]
+    assert "TDC001 83000001 goes from 2.000 mm back 2.300 mm" in heard[2][0]
 
 
 def test_stage_that_is_not_homed_does_not_move() -> None:

@@ -9,8 +9,10 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from lensshift import load_burst
 from lensshift.capture.acquire import Acquisition, Progress
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
+from lensshift.capture.emulators.rig import EmulatedRig
 from lensshift.capture.opening import Rig, open_rig
 from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.types import Frame
@@ -51,6 +54,7 @@ class Bench:
         row, col = self.stages.urls
         self.file.write_text(
             f'[stage]\nrow = "{row}"\ncol = "{col}"\nenable_wait_s = 0.05\nreply_timeout_s = 0.5\n'
+            'home = "if_needed"\n'
             "timeout_margin_s = 20.0\n"  # a busy computer may stand still for seconds
             f'[camera]\nport = {self.port}\nhost = "127.0.0.1"\n'
             "[acquisition]\nframe_timeout_s = 20.0\n"
@@ -91,6 +95,15 @@ def test_the_burst_of_an_undisturbed_bench(bench: Bench) -> None:
     np.testing.assert_allclose(bench.stages.lens_mm(), 3.0, atol=0.007)  # at rest, but for the play
     assert "distance_cm" in burst.raw
     assert burst.meta["stage"]["row"]["counts_per_mm"] == 34554.96
+
+
+def test_the_emulated_rig_opens_at_the_speed_of_real_stages() -> None:
+    """As `lensshift emulate rig` has it: its controllers hang if they are sent home too soon."""
+    with (
+        EmulatedRig(camera_port=free_port()) as emulated,
+        open_rig(tomllib.loads(emulated.rig_file())) as rig,
+    ):
+        np.testing.assert_allclose(rig.stage.position_mm(), 0.0, atol=0.01)
 
 
 def resumed(bench: Bench) -> None:
@@ -183,31 +196,71 @@ def test_a_second_process_at_the_same_file(bench: Bench) -> None:
     assert "another process is writing this capture" in refused[0]
 
 
-@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL there")
-def test_a_kill_at_any_moment(bench: Bench) -> None:
-    """The program dies in mid-scan; a new one takes the missing frames."""
-    command = [
-        sys.executable,
-        "-c",
-        "from lensshift.cli import main; main()",
-        "capture",
-        str(bench.file),
-    ]
+def capturing(bench: Bench, **options: Any) -> subprocess.Popen[bytes]:
+    """Start a capture in another process; return it when it has taken three positions."""
+    command = [sys.executable, "-c", "from lensshift.cli import main; main()", "capture"]
     process = subprocess.Popen(
-        [*command, "--plan", PLAN, "-o", str(bench.out)],
+        [*command, str(bench.file), "--plan", PLAN, "-o", str(bench.out)],
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
+        **options,
     )
     assert process.stderr is not None
     for line in process.stderr:
         if line.startswith(b"position 3 "):
             break
-    process.kill()
-    process.wait()
+    return process
+
+
+def ended(process: subprocess.Popen[bytes]) -> int:
+    code = process.wait(60.0)
+    assert process.stderr is not None
     process.stderr.close()
+    return code
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL there")
+def test_a_kill_at_any_moment(bench: Bench) -> None:
+    """The program dies in mid-scan; a new one takes the missing frames."""
+    process = capturing(bench)
+    process.kill()
+    ended(process)
     done = load_burst(bench.out).frame_count
     assert 3 <= done < 9
     resumed(bench)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signals there")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_whoever_ends_it_the_lens_comes_back(bench: Bench, name: str) -> None:
+    process = capturing(bench)
+    for _ in range(2):  # a shell and the system may both tell that the terminal is closed
+        process.send_signal(getattr(signal, name))
+    assert ended(process) == 128 + getattr(signal, name)
+    assert bench.still()
+    np.testing.assert_allclose(bench.stages.lens_mm(), 3.0, atol=0.007)  # at rest, but for the play
+    assert 3 <= load_burst(bench.out).frame_count < 9
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such terminals there")
+def test_a_closed_terminal(bench: Bench) -> None:
+    """The system sends SIGHUP to whatever runs in it."""
+    import fcntl
+    import pty
+    import termios
+
+    ours, theirs = pty.openpty()
+    process = capturing(
+        bench,
+        stdin=theirs,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(theirs, termios.TIOCSCTTY, 0),
+    )
+    os.close(theirs)
+    os.close(ours)
+    ended(process)
+    assert bench.still()
+    np.testing.assert_allclose(bench.stages.lens_mm(), 3.0, atol=0.007)
 
 
 def test_a_position_beyond_the_travel(bench: Bench) -> None:

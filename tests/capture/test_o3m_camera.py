@@ -1,5 +1,6 @@
 """The driver of the O3M against the emulator, over the loopback of this computer."""
 
+import gc
 import itertools
 import socket
 import time
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from lensshift.capture.drivers.o3m import O3MCamera
+from lensshift.capture.drivers.o3m_packets import Reassembler
 from lensshift.capture.drivers.o3m_stream import O3MStream
 from lensshift.capture.drivers.receiver import Receiver
 from lensshift.capture.emulators.o3m import (
@@ -305,12 +307,61 @@ def test_one_of_two_cameras_is_chosen_by_its_port(camera: O3MCamera) -> None:
     chosen.close()
 
 
-def test_senders_without_number_take_no_memory() -> None:
+def images(
+    stream: O3MStream, address: tuple[str, int], numbers: range, start_s: float = 0.0
+) -> list[int]:
+    """Push whole images, one each 20 ms; return the numbers of those that came out."""
+    came = []
+    for number in numbers:
+        message = pixel_message(seen(number))
+        for packet in packetise({8: message}, 100 + number, 1000 + 14 * number):
+            frame = stream.push(packet, address, start_s + 0.02 * number)
+            if frame is not None:
+                came.append(number_of(frame.frame))
+    return came
+
+
+@pytest.mark.parametrize("source", [None, CAMERA[0]])
+def test_only_a_sender_of_pixels_is_the_camera(source: str | None) -> None:
+    """A stranger's diagnosis, before the camera is heard and later, is counted and left aside."""
+    stream = O3MStream(source)
+    (stray,) = packetise({256: diagnosis_message(0x31)}, 5, 1)
+    assert stream.push(stray, OTHER, 0.0) is None
+    assert stream.newest_cycle() == -1
+    assert images(stream, CAMERA, range(5)) == list(range(5))
+    assert stream.push(stray, OTHER, 0.1) is None
+    assert images(stream, CAMERA, range(5, 10)) == list(range(5, 10))
+    assert "mode" not in stream.describe()
+    (own,) = packetise({256: diagnosis_message(0x22)}, 5, 1)  # from another port of the camera
+    assert stream.push(own, (CAMERA[0], 50001), 0.2) is None
+    assert stream.describe()["mode"] == "run"
+    assert stream.totals()["other_cameras_packets"] == (1 if source is None else 2)
+
+
+def test_strangers_do_not_lock_the_camera_out() -> None:
     stream = O3MStream()
-    packet = packetise({8: pixel_message(seen())}, 5, 0)[0]
+    part = packetise({8: pixel_message(seen())}, 5, 0)[0]
     for number in range(1000):
-        stream.push(packet, ("10.0.0.1", number), 0.0)
-    assert stream.totals()["foreign_packets"] == 1000 - 8
+        stream.push(part, ("10.0.0.1", number), 0.0)
+    held = sum(isinstance(one, Reassembler) for one in gc.get_objects())
+    assert held < 100  # and no memory taken
+    assert images(stream, CAMERA, range(3)) == [0, 1, 2]
+    for number in range(1000):
+        stream.push(part, (CAMERA[0], number), 0.07)
+    assert stream.totals()["other_cameras_packets"] == 1000
+    assert images(stream, CAMERA, range(4, 7)) == [4, 5, 6]
+    assert stream.totals()["lost_packets"] == 14  # image 3, and none of the strangers
+
+
+def test_another_camera_takes_the_place_of_a_silent_one_only() -> None:
+    stream = O3MStream()
+    assert images(stream, CAMERA, range(3)) == [0, 1, 2]
+    with pytest.raises(DeviceError, match="two cameras"):
+        images(stream, OTHER, range(1), start_s=0.1)
+    with pytest.raises(DeviceError, match=r"has fallen silent, images come from 192\.168\.0\.70:"):
+        images(stream, OTHER, range(1, 2), start_s=5.0)  # told once: its counters are its own
+    assert images(stream, OTHER, range(2, 5), start_s=5.0) == [2, 3, 4]
+    assert stream.address == "192.168.0.70:50000"
 
 
 def test_a_datagram_that_is_too_long_does_no_harm(camera: O3MCamera) -> None:

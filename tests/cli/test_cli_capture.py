@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lensshift import Burst, Calibration, load_burst, load_reconstruction, open_rig, save_burst
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
 from lensshift.capture.opening import EXAMPLE
+from lensshift.cli.app import app
 from lensshift.core.errors import DataError
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Frame
@@ -40,11 +42,49 @@ def rig_file(tmp_path: Path) -> Iterator[Path]:
         file = tmp_path / "rig.toml"
         file.write_text(
             f'[stage]\nrow = "{pair.urls[0]}"\ncol = "{pair.urls[1]}"\nenable_wait_s = 0.05\n'
+            'home = "if_needed"\n'
             "timeout_margin_s = 20.0\n"  # a busy computer may stand still for seconds
             f'[camera]\nkind = "o3m"\nport = {port}\nhost = "127.0.0.1"\n'
             "[acquisition]\nframe_timeout_s = 20.0\n"
         )
         yield file
+
+
+@pytest.fixture
+def asking_file(rig_file: Path) -> Path:
+    """A rig file that says nothing of homing, as a lab person's first one."""
+    file = rig_file.with_name("asking.toml")
+    file.write_text(rig_file.read_text().replace('home = "if_needed"\n', ""))
+    return file
+
+
+def test_nothing_is_homed_unasked(call: Call, asking_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.nc"
+    capture = ("capture", asking_file, "-o", out, "--plan", "still")
+    refused = call(*capture)  # no terminal here
+    assert refused.exit_code == 1
+    assert "homing: row: KDC101" in refused.stderr
+    assert "7.3 mm at most" in refused.stderr
+    assert "--yes" in refused.stderr
+    assert not out.exists()
+    looked = json.loads(call("info", asking_file, "--json").stdout)
+    assert looked["stage"]["row"]["homed"] is False
+    assert looked["stage"]["position_mm"] == [0.0, 0.0]  # where it was switched on
+    assert "zero        not known" in call("info", asking_file).stdout
+    done = call(*capture, "--yes")
+    assert done.exit_code == 0, done.output
+    assert json.loads(call("info", asking_file, "--json").stdout)["stage"]["row"]["homed"]
+
+
+@pytest.mark.parametrize(("typed", "code"), [("n", 1), ("", 1), ("y", 0)])
+def test_a_terminal_is_asked(
+    asking_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str, code: int
+) -> None:
+    monkeypatch.setattr("lensshift.cli.devices.on_terminal", lambda: True)
+    arguments = ["capture", str(asking_file), "-o", str(tmp_path / "a.nc"), "--plan", "still"]
+    done = CliRunner().invoke(app, arguments, input=f"{typed}\n" if typed else "")
+    assert "Home both axes now?" in done.stderr
+    assert done.exit_code == code, done.output
 
 
 def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Path) -> None:
@@ -55,9 +95,31 @@ def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Pa
     assert said["frame_count"] == 4
     assert said["counts"]["frames"] >= 8
     assert load_burst(out).frame_count == 4
-    again = call("capture", rig_file, "-o", out)
-    assert again.exit_code == 1
-    assert "there is a file of this name" in again.stderr
+    resumed = call("capture", rig_file, "-o", out, "--resume")
+    assert resumed.exit_code == 0, resumed.output
+    assert f"nothing to do: {out} is complete, 4 frames" in resumed.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("burst.nc", "there is a file of this name"),
+        ("none/a.nc", "there is no folder"),
+        (".", "this is a folder"),
+    ],
+)
+def test_the_file_is_looked_at_before_anything_is_opened(
+    call: Call, burst_file: Path, tmp_path: Path, name: str, problem: str
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(EXAMPLE)  # no such devices: opening them is another error
+    refused = call("capture", rig, "-o", tmp_path / name)
+    assert refused.exit_code == 1
+    assert problem in refused.stderr
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["burst.nc", "rig.toml"]
+    assert burst_file.stat().st_size > 0
+    refused = call("run", "--rig", rig, "--out", tmp_path)
+    assert "there is a file of this name" in refused.stderr
 
 
 def test_progress_position_and_losses_are_shown(call: Call, rig_file: Path, tmp_path: Path) -> None:
@@ -75,6 +137,13 @@ def test_one_burst_after_another(call: Call, rig_file: Path, tmp_path: Path) -> 
     assert done.exit_code == 0, done.output
     for name in ("a-0001.nc", "a-0002.nc"):
         assert load_burst(tmp_path / name).frame_count == 2
+    (tmp_path / "a-0001.nc").unlink()
+    before = (tmp_path / "a-0002.nc").read_bytes()
+    again = call("capture", rig_file, "-o", tmp_path / "a.nc", "--continuous", "--bursts", 2)
+    assert again.exit_code == 1
+    assert "a-0002.nc: there is a burst of this name from before" in again.stderr
+    assert (tmp_path / "a-0002.nc").read_bytes() == before
+    assert not (tmp_path / "a-0001.nc").exists()
 
 
 def test_capture_and_reconstruct_in_one_go(call: Call, rig_file: Path, tmp_path: Path) -> None:
@@ -185,8 +254,10 @@ def test_devices_are_emulated_until_told(call: Call, arguments: tuple[object, ..
     port = ("--port", free_port()) if arguments[0] in ("o3m", "rig") else ()
     done = call("emulate", *arguments, *port, "--seconds", 0.3, "--json")
     assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    ready, result = done.stdout.split("\n", 1)  # a script waits for the first line
+    said = json.loads(ready)
     assert said.get("stage") or said["camera_port"]
+    assert json.loads(result).items() >= said.items()
 
 
 def test_emulated_links_that_do_not_exist(call: Call) -> None:

@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.capture.journal import capture_header, finished, opened
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, CameraFrame, Stage
 from lensshift.core.calibration import Calibration
-from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
+from lensshift.core.ending import ended_by_signals
+from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
-from lensshift.io.capture_file import CaptureWriter, Record, burst_of_capture, is_capture
+from lensshift.io.capture_file import Record, burst_of_capture
 
 Array = NDArray[Any]
 
@@ -101,14 +103,16 @@ def acquire(
     calibration : from image offsets to stage positions and back
     path : burst file; until the plan is done a journal of the same name, which `load_burst`
         reads as well
-    resume : go on with an unfinished capture of the same plan
+    resume : go on with an unfinished capture of the same plan and calibration; one that is
+        complete is returned as it is
 
     Raises
     ------
     ValueError
         If the plan leads out of the travel of the stage.
     DataError
-        If the file cannot be written, exists already, or holds another plan.
+        If the file cannot be written, exists already, or was begun otherwise: with another plan,
+        another calibration, and so on.
     DeviceError
         If stage or camera fail; all frames until then are in the file.
     """
@@ -145,14 +149,17 @@ def acquire_at(
     ----------
     direct : go straight from one position to the next, see `Stage.move_to`; then the order stays
     """
+    done = finished(path, plan_name) if resume else None
+    if done is not None:
+        return done
     settings = settings or Acquisition()
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)
     if settings.reorder and not direct:
         order = shortest_order(positions, settings.approach_mm, stage.position_mm())
         positions = positions[order]
-    header = _header(stage, camera, positions, calibration, settings, plan_name)
-    with _opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
+    header = capture_header(stage, camera, positions, calibration, asdict(settings), plan_name)
+    with opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
         positions = np.asarray(file.header["position_mm"])
         each = 1 if settings.average else settings.frames
         taken = [int(one["step"]) for one in file.frames]
@@ -192,7 +199,7 @@ def bursts(
     check_travel(stage, positions)
     if settings.reorder:
         positions = positions[shortest_order(positions, settings.approach_mm, positions[-1])]
-    header = _header(stage, camera, positions, calibration, settings, plan.name)
+    header = capture_header(stage, camera, positions, calibration, asdict(settings), plan.name)
     with returning(stage, calibration.rest_mm):
         while True:
             records: list[Record] = []
@@ -205,24 +212,33 @@ def bursts(
 
 @contextmanager
 def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
-    """Bring the lens back to rest when the block ends, or stop it where the stage has failed."""
+    """Bring the lens back to rest when the block ends, or stop it where the stage has failed.
+
+    SIGTERM and a closed terminal end the block as Ctrl-C does, and wait until the lens is back.
+    """
     finished = failed = False
-    try:
-        yield
-        finished = True
-    except DeviceError as error:
-        failed = bool(error.device) and error.device in stage.name  # or one of its axes
-        raise
-    finally:
-        if not finished:
+    with ended_by_signals():
+        try:
+            yield
+            finished = True
+        except DeviceError as error:
+            failed = bool(error.device) and error.device in stage.name  # or one of its axes
+            raise
+        finally:
+            with ended_by_signals(at_once=False):
+                _return(stage, rest_mm, finished=finished, failed=failed)
+
+
+def _return(stage: Stage, rest_mm: ArrayLike, *, finished: bool, failed: bool) -> None:
+    if not finished:
+        stage.stop()
+    if not failed:
+        try:
+            stage.move_to(rest_mm)
+        except DeviceError:
             stage.stop()
-        if not failed:
-            try:
-                stage.move_to(rest_mm)
-            except DeviceError:
-                stage.stop()
-                if finished:
-                    raise
+            if finished:
+                raise
 
 
 def check_travel(stage: Stage, position_mm: ArrayLike) -> None:
@@ -241,57 +257,6 @@ def check_travel(stage: Stage, position_mm: ArrayLike) -> None:
             raise ValueError(f"position {number} at {at} mm is out of travel ({reach} mm)")
 
 
-def _opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> CaptureWriter:
-    if not resume:
-        return CaptureWriter.create(path, header)
-    if not Path(path).exists():
-        return CaptureWriter.create(path, header)
-    if not is_capture(path):
-        raise DataError("nothing to resume: this is no unfinished capture", source=path)
-    file = CaptureWriter.resume(path)
-    for name in ("plan", "frames", "average", "pitch_mm", "shape"):
-        if file.header.get(name) != _as_stored(header[name]):
-            file.close()
-            problem = f"the capture was begun with {name} {file.header.get(name)!s:.60}"
-            raise DataError(f"{problem}, not {header[name]!s:.60}", field=name, source=path)
-    if np.asarray(file.header["position_mm"]).shape != np.shape(header["position_mm"]):
-        file.close()
-        raise DataError("the capture was begun with another number of positions", source=path)
-    return file
-
-
-def _as_stored(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _header(
-    stage: Stage,
-    camera: Camera,
-    position_mm: Array,
-    calibration: Calibration,
-    settings: Acquisition,
-    plan_name: str,
-) -> dict[str, Any]:
-    return {
-        "plan": plan_name,
-        "frames": settings.frames,
-        "average": settings.average,
-        "shape": camera.grid.shape,
-        "pitch_mm": camera.grid.pitch_mm,
-        "modulation_hz": camera.modulation_hz,
-        "position_mm": position_mm.tolist(),
-        "offset_source": calibration.offset_source,
-        "meta": {
-            "plan": plan_name,
-            "stage": {"name": stage.name, **stage.describe()},
-            "camera": {"name": camera.name, **camera.describe()},
-            "acquisition": asdict(settings),
-            "rest_mm": np.asarray(calibration.rest_mm).tolist(),
-            "px_per_mm": np.asarray(calibration.stage_map.px_per_mm).tolist(),
-        },
-    }
-
-
 def _at_position(
     stage: Stage,
     camera: Camera,
@@ -304,6 +269,8 @@ def _at_position(
     """Go there and yield the records of the frames that are kept."""
     stage.move_to(target_mm, direct=direct)
     settled_cycle = camera.newest_cycle()
+    if settled_cycle < 0:  # nothing to go by: the first frame may have begun before
+        settled_cycle = camera.next_frame(settings.frame_timeout_s).cycle
     shots: list[CameraFrame] = []
     places_mm: list[Array] = []
     for _ in range(settings.frames if settings.average else count):

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from lensshift.capture.acquire import Acquisition, OnStep, acquire, acquire_at, bursts
 from lensshift.capture.plan import named_plan
-from lensshift.capture.rig import Camera, Stage
+from lensshift.capture.rig import Camera, OnHoming, Stage
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftPlan, StageMap
@@ -31,6 +31,7 @@ EXAMPLE = """\
 [stage]
 row = "83000001"                # USB serial number, device path, or socket://host:port
 col = "83000002"                # "row" moves the image up and down, "col" sideways
+home = "ask"                    # for the zero: "ask", "if_needed" (unasked), "always", "never"
 # counts_per_mm = 34554.96
 
 [camera]
@@ -148,19 +149,27 @@ class Rig:
         self.close()
 
 
-def open_rig(config: str | Path | _Table) -> Rig:
+def open_rig(
+    config: str | Path | _Table, *, home: str | None = None, on_homing: OnHoming | None = None
+) -> Rig:
     """Open the devices that a rig file describes; `opening.EXAMPLE` shows one.
+
+    Axes that do not know their zero are homed only with leave: homing takes the lens to the end of
+    its way.
 
     Parameters
     ----------
     config : TOML file, or what is in one
+    home : instead of `stage.home` of the rig file: "if_needed" gives leave, "never" moves nothing
+    on_homing : hears how far each axis will go before it is homed; with `home = "ask"` it gives
+        leave by returning True
 
     Raises
     ------
     DataError
         If the file is missing, no TOML, or describes no rig: with file and field.
     DeviceError
-        If a device is not there or fails.
+        If a device is not there or fails, or there is no leave to home it.
     """
     if isinstance(config, Mapping):
         table, source, folder = config, "rig", Path()
@@ -179,7 +188,8 @@ def open_rig(config: str | Path | _Table) -> Rig:
         camera = _camera(table.get("camera", {}), source, folder)
         opening.callback(camera.close)
         camera.open()
-        stage = _stage(table.get("stage", {}), source)
+        chosen = {} if home is None else {"home": home}
+        stage = _stage({**table.get("stage", {}), **chosen}, source, on_homing)
         opening.callback(stage.close)
         return Rig(stage, camera, calibration, acquisition, opening.pop_all())
 
@@ -202,7 +212,7 @@ def nominal_calibration(
     return Calibration(StageMap(square, sigma_px=sigma_px), np.asarray(rest_mm))
 
 
-def _stage(table: _Table, source: str) -> Stage:
+def _stage(table: _Table, source: str, on_homing: OnHoming | None) -> Stage:
     from lensshift.capture.drivers.apt import AptSettings, open_apt_stage
 
     missing = [axis for axis in ("row", "col") if axis not in table]
@@ -215,7 +225,7 @@ def _stage(table: _Table, source: str) -> Stage:
         raise DataError(f"expected apt, got {table['kind']!r}", field="stage.kind", source=source)
     settings = _build(AptSettings, rest, "stage", source)
     row, col = (_fit(table[axis], str | int, f"stage.{axis}", source) for axis in ("row", "col"))
-    return open_apt_stage(str(row), str(col), settings)
+    return open_apt_stage(str(row), str(col), settings, on_homing)
 
 
 def _camera(table: _Table, source: str, folder: Path) -> Camera:

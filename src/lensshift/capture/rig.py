@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -11,6 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
+
+# Called before axes look for their zero, with how far each will go and whether leave is asked for:
+# then they stay where they are unless it returns True.
+OnHoming = Callable[[str, bool], bool]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

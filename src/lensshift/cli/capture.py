@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
     from lensshift.capture.acquire import Progress
@@ -67,6 +70,7 @@ def capture(
     continuous: ContinuousOption = False,
     burst_count: CountOption = None,
     print_rig: PrintOption = False,
+    yes: YesOption = False,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -95,8 +99,10 @@ def capture(
         from lensshift.capture.opening import open_rig
 
         wanted = None if scan else _plan(plan)
+        if _nothing_to_do(current, out, wanted, resume=resume, continuous=continuous):
+            return
         given = {"frames": frames, "average": average, "discard": discard}
-        with open_rig(rig) as opened:
+        with open_rig(rig, on_homing=homing_asked(yes=yes)) as opened:
             _adjust(opened, given, calibration)
             if continuous and wanted is not None:
                 _stream(current, opened, wanted, out, burst_count)
@@ -112,6 +118,40 @@ def capture(
         current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
         current.say(f"wrote {out}")
         current.result |= _summary(burst, counts) | {"seconds": seconds, "files": [out]}
+
+
+def _nothing_to_do(
+    current: Session, out: Path, plan: ShiftPlan | None, *, resume: bool, continuous: bool
+) -> bool:
+    """Look at the files before anything moves; tell whether the capture is complete already."""
+    from lensshift.capture.journal import check_target, finished
+
+    if continuous:
+        _refuse_earlier(out)
+        return False
+    done = finished(out, "scan" if plan is None else plan.name) if resume else None
+    if done is None:
+        check_target(out, resume=resume)
+        return False
+    current.say(f"nothing to do: {out} is complete, {done.frame_count} frames")
+    current.result |= _summary(done, {}) | {"files": [out]}
+    return True
+
+
+def _refuse_earlier(out: Path) -> None:
+    """Refuse the name of an earlier stream of bursts."""
+    from lensshift.io.capture_file import refuse_taken
+
+    refuse_taken(_numbered(out, 1))
+    name = re.compile(rf"{re.escape(out.stem)}-\d{{4,}}{re.escape(out.suffix)}")
+    earlier = sorted(file for file in out.parent.iterdir() if name.fullmatch(file.name))
+    if earlier:
+        problem = "there is a burst of this name from before; choose another name"
+        raise DataError(problem, source=earlier[0])
+
+
+def _numbered(out: Path, number: int) -> Path:
+    return out.with_stem(f"{out.stem}-{number:04d}")
 
 
 def _plan(text: str) -> ShiftPlan:
@@ -156,7 +196,7 @@ def _stream(
     stream = rig.bursts(plan)
     try:
         for number, burst in enumerate(stream, start=1):
-            file = out.with_stem(f"{out.stem}-{number:04d}")
+            file = _numbered(out, number)
             save_burst(burst, file)
             files.append(file)
             current.say(f"wrote {file}: {burst.frame_count} frames")

@@ -2,16 +2,47 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from lensshift.cli.session import Session
 from lensshift.core.errors import DeviceTimeout
 
+if TYPE_CHECKING:
+    from lensshift.capture.rig import OnHoming
+
+YesOption = Annotated[
+    bool, typer.Option("--yes", help="Home the axes without asking, if the rig file says to ask.")
+]
 _FIRST_FRAME_S = 5.0
 _COUNTED = 10  # frames, for the rate
+
+
+def on_terminal() -> bool:
+    """Tell whether somebody sits there who can be asked."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def homing_asked(*, yes: bool) -> OnHoming:
+    """Return what says how far homing takes each axis, and asks on a terminal if it must."""
+
+    def answer(way: str, ask: bool) -> bool:
+        typer.echo(f"homing: {way}", err=True)
+        if yes or not ask:
+            return True
+        if not on_terminal():
+            return False
+        try:
+            return typer.confirm("Home both axes now?", err=True)
+        except typer.Abort:
+            return False
+
+    return answer
 
 
 def say_ports(current: Session) -> None:
@@ -30,13 +61,16 @@ def say_ports(current: Session) -> None:
 
 
 def say_rig(current: Session, file: Path) -> None:
-    """Open a rig, say what its devices answer, and count the frames that come."""
+    """Open a rig without moving it, say what its devices answer, count the frames that come."""
     from lensshift.capture.opening import open_rig
 
-    with open_rig(file) as rig:
+    with open_rig(file, home="never") as rig:
         row, col = rig.stage.position_mm()
         current.say(f"stage       {rig.stage.name}, at {row:.4f}, {col:.4f} mm (row, col)")
-        _say_mapping(current, rig.stage.describe())
+        known = rig.stage.describe()
+        if any(known.get(axis, {}).get("homed") is False for axis in ("row", "col")):
+            current.say("zero        not known: positions count from where it was switched on")
+        _say_mapping(current, known)
         rows, cols = rig.camera.grid.shape
         current.say(f"camera      {rig.camera.name}, {rows} x {cols} px")
         rate_hz = _rate_hz(rig.camera)
@@ -49,7 +83,7 @@ def say_rig(current: Session, file: Path) -> None:
         for line in per_mm:
             current.say(f"            {line[0]:+9.4f} {line[1]:+9.4f}")
         current.result |= {
-            "stage": {"name": rig.stage.name, "position_mm": [row, col], **rig.stage.describe()},
+            "stage": {"name": rig.stage.name, "position_mm": [row, col], **known},
             "camera": {
                 "name": rig.camera.name,
                 "shape": rig.camera.grid.shape,

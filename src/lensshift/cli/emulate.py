@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import DebugOption, Session, session
 
 if TYPE_CHECKING:
     from lensshift.capture.emulators.rig import EmulatedWorld
@@ -20,6 +20,10 @@ emulate = typer.Typer(
     help="Emulate devices over their real protocols until Ctrl-C, on this computer only.",
 )
 
+JsonOption = Annotated[
+    bool,
+    typer.Option("--json", help="Print ports as a line of JSON when ready, the result at the end."),
+]
 SpeedOption = Annotated[float, typer.Option(min=0.1, help="Of the stages, times their own.")]
 PlayOption = Annotated[float, typer.Option("--play-um", min=0.0, help="Play of the stages.")]
 NoiseOption = Annotated[float, typer.Option("--noise-um", min=0.0, help="Noise of the encoders.")]
@@ -211,6 +215,7 @@ def _until_stopped(
     seconds: float | None, counts: Callable[[], dict[str, int]], current: Session
 ) -> None:
     """Wait for Ctrl-C, or so long; then say what was sent."""
+    current.ready()
     with _interruptible():
         end_s = None if seconds is None else time.monotonic() + seconds
         if seconds is None:

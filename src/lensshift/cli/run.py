@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lensshift.cli.devices import YesOption
 from lensshift.cli.reconstruct import channels_of, check_method, describe, say_channels
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
@@ -41,6 +42,7 @@ def run(
     seed: SeedOption = None,
     rig: RigOption = "simulated",
     print_config: PrintOption = False,
+    yes: YesOption = False,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -69,7 +71,10 @@ def run(
                 raise typer.BadParameter("CONFIG is for the simulated rig; leave it or --rig out")
             from lensshift.cli.run_rig import run_rig
 
-            run_rig(current, rig, out, scale=scale or 2, method=method or "auto", seed=seed or 0)
+            run_rig(
+                current, rig, out,
+                scale=scale or 2, method=method or "auto", seed=seed or 0, yes=yes,
+            )  # fmt: skip
             return
         from lensshift.pipeline import run as run_pipeline
 

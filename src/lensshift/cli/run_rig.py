@@ -7,11 +7,14 @@ from pathlib import Path
 import typer
 
 from lensshift.cli.capture import Show
+from lensshift.cli.devices import homing_asked
 from lensshift.cli.reconstruct import channels_of, describe, say_channels
 from lensshift.cli.session import Session
 
 
-def run_rig(current: Session, rig: str, out: Path, *, scale: int, method: str, seed: int) -> None:
+def run_rig(
+    current: Session, rig: str, out: Path, *, scale: int, method: str, seed: int, yes: bool
+) -> None:
     """Carry out the verb and say what it gave."""
     if rig == "emulated":
         _emulated(current, out, scale, method, seed)
@@ -23,7 +26,12 @@ def run_rig(current: Session, rig: str, out: Path, *, scale: int, method: str, s
     show = Show(current)
     try:
         result, files = run_bench(
-            rig, out, scale=scale, method=method, on_step=lambda _, now: show(now)
+            rig,
+            out,
+            scale=scale,
+            method=method,
+            on_step=lambda _, now: show(now),
+            on_homing=homing_asked(yes=yes),
         )
     finally:
         show.close()

@@ -16,6 +16,7 @@ from typing import Annotated, Any, TextIO
 
 import typer
 
+from lensshift.core.ending import ended_by_signals
 from lensshift.core.errors import QualityWarning
 
 JsonOption = Annotated[
@@ -49,6 +50,11 @@ class Session:
         if not self.as_json:
             typer.echo(text)
 
+    def ready(self) -> None:
+        """With --json: print the result so far, on one line, for who waits for it."""
+        if self.as_json:
+            typer.echo(json.dumps(_plain(self.result)))
+
     def warn(
         self,
         message: Warning | str,
@@ -69,7 +75,7 @@ class Session:
 def session(*, as_json: bool, debug: bool) -> Iterator[Session]:
     """Run the body of a verb; print its result, or its error on one line and exit with 1."""
     current = Session(as_json)
-    with warnings.catch_warnings():
+    with ended_by_signals(), warnings.catch_warnings():
         warnings.simplefilter("always", QualityWarning)
         warnings.showwarning = current.warn
         try:

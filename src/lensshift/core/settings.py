@@ -7,6 +7,7 @@ a file adds its name (`DataError.in_file`).
 from __future__ import annotations
 
 import inspect
+import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -145,7 +146,7 @@ def fit(value: Any, kind: Any, where: str) -> Any:
         if isinstance(value, str) and value in kinds:
             return value
     elif kind is float:
-        if type(value) in (int, float):
+        if type(value) is float or (type(value) is int and abs(value) <= sys.float_info.max):
             return float(value)
     elif kind is Path:
         if isinstance(value, str | Path):

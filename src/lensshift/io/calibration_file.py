@@ -27,6 +27,13 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
+    content = calibration_content(calibration)
+    with written_whole(path) as part:
+        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def calibration_content(calibration: Calibration) -> dict[str, Any]:
+    """Return what a calibration file says: plain text, numbers and lists."""
     stage_map = calibration.stage_map
     content: dict[str, Any] = {
         "schema": SCHEMA,
@@ -39,8 +46,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     content |= {name: getattr(calibration, name) for name in _NUMBERS}
     content["notes"] = dict(calibration.notes)
     content["field_px_per_mm"] = _listed(stage_map.field_px_per_mm)
-    with written_whole(path) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return content
 
 
 def load_calibration(path: str | Path) -> Calibration:

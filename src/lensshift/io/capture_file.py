@@ -68,15 +68,8 @@ class CaptureWriter:
         DataError
             If there is a file of that name already, or it cannot be written.
         """
-        target = writable_target(path)
         payload = to_json({**header, "schema": _SCHEMA}, "header").encode()
-        try:
-            file = target.open("xb", buffering=0)
-        except FileExistsError as error:
-            problem = "there is a file of this name; resume it or choose another name"
-            raise DataError(problem, source=path) from error
-        except OSError as error:
-            raise DataError(f"cannot write: {error.strerror}", source=path) from error
+        target, file = _new_file(path)
         with ExitStack() as undo:
             undo.callback(target.unlink, missing_ok=True)
             undo.callback(file.close)
@@ -158,6 +151,30 @@ class CaptureWriter:
             self._file.truncate(length)
         except OSError:
             return
+
+
+def refuse_taken(path: str | Path) -> None:
+    """Refuse a name at which no journal can begin, before any device is opened for it.
+
+    Raises
+    ------
+    DataError
+        If there is a file of that name already, or it cannot be written.
+    """
+    target, file = _new_file(path)
+    file.close()
+    target.unlink()
+
+
+def _new_file(path: str | Path) -> tuple[Path, BinaryIO]:
+    target = writable_target(path)
+    try:
+        return target, target.open("xb", buffering=0)
+    except FileExistsError as error:
+        problem = "there is a file of this name; resume it or choose another name"
+        raise DataError(problem, source=path) from error
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror}", source=path) from error
 
 
 def is_capture(path: str | Path) -> bool:

@@ -18,11 +18,13 @@ from lensshift.capture.acquire import Acquisition, Progress
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 from lensshift.capture.opening import nominal_calibration, open_rig
 from lensshift.capture.plan import named_plan
+from lensshift.capture.rig import OnHoming
 from lensshift.core.calibration import Calibration
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import fidelity
 from lensshift.io import save_reconstruction
 from lensshift.io.calibration_file import save_calibration
+from lensshift.io.capture_file import refuse_taken
 from lensshift.pipeline.calibrate import calibrate_rig
 from lensshift.pipeline.experiment import images_of
 from lensshift.pipeline.run import made_folder, writable_folder
@@ -146,6 +148,7 @@ def run_bench(
     method: str = "auto",
     plan: str = "square",
     on_step: Callable[[str, Progress], None] | None = None,
+    on_homing: OnHoming | None = None,
 ) -> tuple[Reconstruction, tuple[Path, ...]]:
     """Capture a burst with a rig and reconstruct it; return the result and the files written.
 
@@ -154,6 +157,7 @@ def run_bench(
     rig_file : TOML, see `lensshift.capture.opening.open_rig`
     out_dir : folder for burst.nc, result.nc and preview.png
     on_step : called with "burst" and how far it is
+    on_homing : see `open_rig`
 
     Raises
     ------
@@ -167,7 +171,8 @@ def run_bench(
     folder = made_folder(writable_folder(out_dir))
     names = ("burst.nc", "result.nc", "preview.png")
     burst_file, result_file, preview = files = tuple(folder / name for name in names)
-    with open_rig(rig_file) as rig:
+    refuse_taken(burst_file)
+    with open_rig(rig_file, on_homing=on_homing) as rig:
         told = None if on_step is None else partial(on_step, "burst")
         burst = rig.capture(plan, burst_file, on_step=told)
         burst, field = rig.calibration.applied_to(burst)

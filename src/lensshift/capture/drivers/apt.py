@@ -19,26 +19,34 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.capture.drivers.apt_axis import AptAxis
 from lensshift.capture.drivers.apt_link import find_port
 from lensshift.capture.drivers.apt_settings import AptSettings
+from lensshift.capture.rig import OnHoming
 from lensshift.core.errors import DeviceError
 
 __all__ = ["AptAxis", "AptSettings", "AptStage", "open_apt_stage"]
 
 
-def open_apt_stage(row: str, col: str, settings: AptSettings | None = None) -> AptStage:
-    """Connect both controllers, write their parameters, enable and home them.
+def open_apt_stage(
+    row: str,
+    col: str,
+    settings: AptSettings | None = None,
+    on_homing: OnHoming | None = None,
+) -> AptStage:
+    """Connect both controllers, write their parameters, enable them, and home them if allowed.
 
     Parameters
     ----------
     row, col : port of the axis: a USB serial number ("83000001"), a device path, or any URL of
         pyserial ("socket://host:port")
     settings : see `AptSettings`; the default ones if None
+    on_homing : hears how far each axis will go before it is homed, and gives leave
 
     Raises
     ------
     ValueError
         If both axes are one device.
     DeviceError
-        If a device cannot be found, opened, set up or homed; nothing stays open.
+        If a device cannot be found, opened, set up or homed, or must not be homed; nothing stays
+        open.
     """
     settings = settings or AptSettings()
     ports = find_port(row), find_port(col)
@@ -52,7 +60,7 @@ def open_apt_stage(row: str, col: str, settings: AptSettings | None = None) -> A
         if axes[0].name == axes[1].name:
             raise DeviceError("both axes are this device", device=axes[0].name, command="open")
         stage = AptStage(axes[0], axes[1], settings)
-        stage.prepare()
+        stage.prepare(on_homing)
         opened.pop_all()
     return stage
 
@@ -74,13 +82,23 @@ class AptStage:
         """[2 2] (axis; lowest, highest) position that leaves room for the approach."""
         return np.array([self.settings.reachable_mm] * 2)
 
-    def prepare(self) -> None:
+    def prepare(self, on_homing: OnHoming | None = None) -> None:
         """Write all parameters and read them back, enable, and home if the settings say so."""
         for axis in self.axes:
             axis.prepare()
         wanted = self.settings.home
-        if wanted == "always" or (wanted == "if_needed" and not all(a.homed for a in self.axes)):
-            self.home()
+        if wanted == "never" or (wanted != "always" and all(axis.homed for axis in self.axes)):
+            return
+        way = f"row: {self.axes[0].homing_way()}; col: {self.axes[1].homing_way()}"
+        allowed = on_homing is not None and on_homing(way, wanted == "ask")
+        if wanted == "ask" and not allowed:
+            raise DeviceError(
+                'nobody has allowed it: use --yes or home = "if_needed" in the rig file, or open '
+                f'with home = "never". It would move them ({way})',
+                device=self.name,
+                command="home",
+            )
+        self.home()
 
     def home(self) -> NDArray[np.float64]:
         """Let both axes look for their zero at once, return the position [2].

@@ -111,6 +111,7 @@ class AptAxis:
             "notes": self.info.notes,
             "stage_id": self.info.stage_id,
             "counts_per_mm": self._counts_per_mm,
+            "homed": self.homed,
             "resyncs": self._cube.link.resyncs,
             "repeated_requests": self._cube.link.repeated,
             "repeated_moves": self.repeated_moves,
@@ -154,12 +155,25 @@ class AptAxis:
         why = f" ({_why(bits)})" if bits & apt.FAULTS else ""
         raise self._error(f"cannot be enabled{why}")
 
+    def homing_way(self) -> str:
+        """Tell in words how far homing takes it."""
+        offset_mm = self.settings.home_offset_mm
+        if self.homed:
+            at_mm = self.position_mm()
+            way = f"goes from {at_mm:.3f} mm back {at_mm + offset_mm:.3f} mm to its switch"
+        else:
+            way = f"is anywhere and goes back until its switch, {self._farthest_mm:g} mm at most"
+        return f"{self.name} {way}, then {offset_mm:g} mm forward to its zero"
+
+    @property
+    def _farthest_mm(self) -> float:
+        far_mm = max(abs(end_mm) for end_mm in self.settings.travel_mm)
+        return far_mm + self.settings.home_offset_mm + _BEYOND_MM
+
     def homing(self) -> Generator[float, None, float]:
         """Look for the zero step by step; the result is the position (mm)."""
         wanted = self.settings
-        way_mm = max(abs(end_mm) for end_mm in wanted.travel_mm)
-        way_mm += wanted.home_offset_mm + _BEYOND_MM
-        limit_s = self._limit_s(way_mm, wanted.home_velocity_mmps)
+        limit_s = self._limit_s(self._farthest_mm, wanted.home_velocity_mmps)
         with self._doing("home"):
             for _ in range(wanted.max_retries):
                 if (yield from self._home_once(time.monotonic() + limit_s)):

@@ -21,7 +21,8 @@ class AptSettings:
     velocity_mmps, acceleration_mmps2 : speed and acceleration of every move (mm/s, mm/s^2)
     home_velocity_mmps : speed while looking for the zero
     home_offset_mm : from the switch to the zero
-    home : look for the zero on opening if the controller does not know it, always, or never
+    home : look for the zero on opening, which takes the lens to the end of its way: after asking
+        if a controller does not know it ("ask"), so without asking ("if_needed"), "always", "never"
     approach_mm : every position is reached by a forward move of at least this length, so that the
         play behind the encoder always lies on one side; longer than the play
     travel_mm : (lowest, highest) position the motor may go to
@@ -38,7 +39,7 @@ class AptSettings:
     acceleration_mmps2: float = 4.0
     home_velocity_mmps: float = 1.0
     home_offset_mm: float = 0.3
-    home: Literal["if_needed", "always", "never"] = "if_needed"
+    home: Literal["ask", "if_needed", "always", "never"] = "ask"
     approach_mm: float = 0.02
     travel_mm: tuple[float, float] = (0.0, 6.0)
     tolerance_mm: float = 0.001
@@ -71,8 +72,10 @@ class AptSettings:
                 "expected settle_polls >= 2 and max_retries >= 1, "
                 f"got {self.settle_polls} and {self.max_retries}"
             )
-        if self.home not in ("if_needed", "always", "never"):
-            raise ValueError(f"expected home 'if_needed', 'always' or 'never', got {self.home!r}")
+        if self.home not in ("ask", "if_needed", "always", "never"):
+            raise ValueError(
+                f"expected home 'ask', 'if_needed', 'always' or 'never', got {self.home!r}"
+            )
         low, high = self.travel_mm
         if not (math.isfinite(low) and math.isfinite(high) and high - low > self.approach_mm):
             raise ValueError(f"expected travel_mm longer than the approach, got {self.travel_mm}")

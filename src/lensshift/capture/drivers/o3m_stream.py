@@ -18,14 +18,14 @@ from lensshift.capture.drivers.o3m_layout import (
     read_diagnosis,
     read_image,
 )
-from lensshift.capture.drivers.o3m_packets import ChannelMessage, Reassembler, read_header
+from lensshift.capture.drivers.o3m_packets import QUIET_S, ChannelMessage, Reassembler, read_header
 from lensshift.capture.drivers.receiver import counter_steps
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.types import Frame
 
 Address = tuple[str, int]
-_MAX_SENDERS = 8  # more are not told apart: their packets count as foreign
+_MAX_SENDERS = 64  # the one that has been silent for longest makes room for another
 _MAX_NOTED = 16  # channels named in a message
 
 
@@ -37,12 +37,14 @@ class StreamCounts:
     ----------
     datagrams : all of them
     foreign : no O3M packets
-    other : O3M packets of a sender that was not asked for
+    packets : O3M packets of the camera, of whoever sends while it is not known yet
+    other : O3M packets of a sender that was not asked for, or is not the camera
     wrong : whole messages of an unknown layout, version or size
     """
 
     datagrams: int = 0
     foreign: int = 0
+    packets: int = 0
     other: int = 0
     wrong: int = 0
 
@@ -59,6 +61,10 @@ class Snapshot:
 class O3MStream:
     """Takes datagrams, returns frames of one camera.
 
+    The camera is who sends pixels that can be read, whatever else comes to the port. Its other
+    channels may come from other ports of its address. Another sender takes its place only after it
+    has fallen silent.
+
     Parameters
     ----------
     source : address of the camera, "192.168.1.1" or "192.168.1.1:50000"; None: whoever sends
@@ -71,7 +77,10 @@ class O3MStream:
         self.parameters = b""
         self.image: O3MImage | None = None
         self._senders: dict[Address, Reassembler] = {}
+        self._heard_s: dict[Address, float] = {}
         self._chosen: Address | None = None
+        self._seen_s = 0.0  # when its last image was whole
+        self._informant = ""  # host that told diagnosis and parameters
         self._channels: dict[int, int] = {}  # packets of each channel
         self._stranger = ""
         self._wrong = ""
@@ -84,8 +93,8 @@ class O3MStream:
 
     def newest_cycle(self) -> int:
         """Return the unwrapped counter of the newest image that has begun to arrive, or -1."""
-        address = self._chosen or next(iter(self._senders), None)
-        return -1 if address is None else self._senders[address].newest_cycle(PIXEL_CHANNEL)
+        sender = None if self._chosen is None else self._senders.get(self._chosen)
+        return -1 if sender is None else sender.newest_cycle(PIXEL_CHANNEL)
 
     def push(
         self, datagram: bytes | bytearray | memoryview, address: Address, arrived_s: float
@@ -95,65 +104,96 @@ class O3MStream:
         Raises
         ------
         DeviceError
-            If the camera has started anew, or a second one sends to the same port. Later
+            If the camera has started anew, or a second one sends images to the same port. Later
             datagrams may be pushed all the same.
         """
         self.counts.datagrams += 1
         header = read_header(datagram)
         if header is None:
-            self._refuse(address)
+            self.counts.foreign += 1
+            self._stranger = _named(address)
             return None
         if not self._is_wanted(address):
             self.counts.other += 1
             self._stranger = _named(address)
             return None
-        sender = self._senders.get(address)
-        if sender is None:
-            if len(self._senders) >= _MAX_SENDERS:
-                self._refuse(address)
-                return None
-            sender = self._senders[address] = Reassembler(CHANNELS)
-        if header.channel in self._channels or len(self._channels) < _MAX_NOTED:
-            self._channels[header.channel] = self._channels.get(header.channel, 0) + 1
+        if self._is_camera(address, header.channel):
+            self.counts.packets += 1
+            if header.channel in self._channels or len(self._channels) < _MAX_NOTED:
+                self._channels[header.channel] = self._channels.get(header.channel, 0) + 1
+        else:
+            self.counts.other += 1
+            self._stranger = _named(address)
+        sender = self._sender(address, arrived_s)
         restarts = sender.restarts(PIXEL_CHANNEL)
         message = sender.push(header, datagram, arrived_s)
-        if sender.restarts(PIXEL_CHANNEL) != restarts:
+        if address == self._chosen and sender.restarts(PIXEL_CHANNEL) != restarts:
             raise DeviceError(
                 "the camera has started anew: its cycle counter jumped back to "
                 f"{header.cycle_counter}"
             )
         return None if message is None else self._take(message, address, arrived_s)
 
-    def _refuse(self, address: Address) -> None:
-        self.counts.foreign += 1
-        self._stranger = _named(address)
-
     def _is_wanted(self, address: Address) -> bool:
         return self.source is None or self.source in (address[0], _named(address))
+
+    def _is_camera(self, address: Address, channel: int) -> bool:
+        """Tell whether a packet is the camera's; anybody's may be while it is not known yet."""
+        camera = self._chosen
+        if camera is None or address == camera:
+            return True
+        return channel != PIXEL_CHANNEL and address[0] == camera[0]
+
+    def _sender(self, address: Address, arrived_s: float) -> Reassembler:
+        if address not in self._senders:
+            if len(self._senders) >= _MAX_SENDERS:
+                others = (one for one in self._senders if one != self._chosen)
+                idle = min(others, key=self._heard_s.__getitem__)
+                del self._senders[idle], self._heard_s[idle]
+            self._senders[address] = Reassembler(CHANNELS)
+        self._heard_s[address] = arrived_s
+        return self._senders[address]
 
     def _take(
         self, message: ChannelMessage, address: Address, arrived_s: float
     ) -> CameraFrame | None:
         """Read a whole message."""
-        if self._chosen is None:
-            self._chosen = address
-        if address != self._chosen:
-            raise DeviceError(
-                f"two cameras send to this port, {_named(self._chosen)} and {_named(address)}: "
-                "name one of them as source (if there is one only, it has changed its port: "
-                "close and open again)"
-            )
         try:
-            if message.channel == DIAGNOSIS_CHANNEL:
-                self.diagnosis = read_diagnosis(message.content)
-            elif message.channel == PARAMETER_CHANNEL:
-                self.parameters = message.content
-            else:
-                return self._frame(read_image(message.content), message.cycle, arrived_s)
+            if message.channel == PIXEL_CHANNEL:
+                image = read_image(message.content)
+                self._choose(address, arrived_s)
+                return self._frame(image, message.cycle, arrived_s)
+            if self._is_camera(address, message.channel):
+                if message.channel == DIAGNOSIS_CHANNEL:
+                    self.diagnosis = read_diagnosis(message.content)
+                elif message.channel == PARAMETER_CHANNEL:
+                    self.parameters = message.content
+                self._informant = address[0]
         except DataError as error:
-            self.counts.wrong += 1
-            self._wrong = str(error)
+            if self._is_camera(address, message.channel):
+                self.counts.wrong += 1
+                self._wrong = str(error)
         return None
+
+    def _choose(self, address: Address, arrived_s: float) -> None:
+        """Let the sender of an image be the camera, unless there is one."""
+        before = self._chosen
+        if address != before and before is not None and arrived_s - self._seen_s <= QUIET_S:
+            raise DeviceError(
+                f"two cameras send to this port, {_named(before)} and {_named(address)}: "
+                "name one of them as source, with its port if the address is the same"
+            )
+        self._seen_s = arrived_s
+        if address == before:
+            return
+        self._chosen, self.image = address, None
+        if self._informant != address[0]:
+            self.diagnosis, self.parameters = None, b""
+        if before is not None:  # cycles and times are those of another counter from here on
+            raise DeviceError(
+                f"the camera at {_named(before)} has fallen silent, images come from "
+                f"{_named(address)} now"
+            )
 
     def _frame(self, image: O3MImage, cycle: int, arrived_s: float) -> CameraFrame:
         if self.image is None:
@@ -165,10 +205,12 @@ class O3MStream:
         return CameraFrame(frame, cycle, arrived_s, image.raw)
 
     def totals(self) -> dict[str, int]:
-        """Return everything counted, over all senders that are wanted."""
-        each = [sender.counts for sender in list(self._senders.values())]
+        """Return everything counted: of the camera, of all senders while it is not known yet."""
+        senders = dict(self._senders)
+        camera = senders.get(self._chosen) if self._chosen is not None else None
+        each = [one.counts for one in (senders.values() if camera is None else [camera])]
         return {
-            "packets": sum(one.packets for one in each),
+            "packets": self.counts.packets,
             "foreign_packets": self.counts.foreign,
             "other_cameras_packets": self.counts.other,
             "lost_packets": sum(one.lost for one in each),
@@ -193,7 +235,8 @@ class O3MStream:
             )
         if not came["packets"]:
             if came["other_cameras_packets"]:
-                return f"packets come only from {self._stranger}, none from {self.source}"
+                wanted = self.source or self.address
+                return f"packets come only from {self._stranger}, none from {wanted}"
             return f"{came['foreign_packets']} datagrams came from {self._stranger}, none an O3M's"
         if came["wrong_size_or_version"]:
             return f"{came['wrong_size_or_version']} messages of an unknown version or size" + (

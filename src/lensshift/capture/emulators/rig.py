@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera import RunningCamera, TofCamera, camera_preset
+from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
 from lensshift.core.types import Frame
@@ -140,7 +141,9 @@ class EmulatedRig:
         row, col = self.stages.urls
         rest = ", ".join(f"{x:g}" for x in one.rest_mm)
         return (
-            f'[stage]\nrow = "{row}"\ncol = "{col}"\nenable_wait_s = 0.1\n'
+            f'[stage]\nrow = "{row}"\ncol = "{col}"\n'
+            'home = "if_needed"  # nothing real moves\n'
+            f"enable_wait_s = {AptSettings().enable_wait_s / one.speed:g}\n"
             "timeout_margin_s = 10.0  # this computer emulates as well\n"
             f"tolerance_mm = {max(0.001, 5.0 * one.encoder_noise_mm):g}\n\n"
             f'[camera]\nkind = "o3m"\nport = {self._port}\nhost = "127.0.0.1"\n'

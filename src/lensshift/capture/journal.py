@@ -1,0 +1,140 @@
+"""The journal of a capture: what its header says, and whether it may be gone on with."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.capture.rig import Camera, Stage
+from lensshift.core.calibration import Calibration
+from lensshift.core.errors import DataError
+from lensshift.core.types import Burst
+from lensshift.io import load_burst
+from lensshift.io.calibration_file import calibration_content
+from lensshift.io.capture_file import CaptureWriter, is_capture, refuse_taken
+
+# What must be the same before and after a break: else the frames of one burst do not fit together.
+_SAME = ("plan", "frames", "average", "pitch_mm", "shape")
+_SAME_MM = 1e-6  # far below what an encoder resolves, far above what rounding does
+
+
+def capture_header(
+    stage: Stage,
+    camera: Camera,
+    position_mm: NDArray[Any],
+    calibration: Calibration,
+    settings: Mapping[str, Any],
+    plan_name: str,
+) -> dict[str, Any]:
+    """Return what a journal says of the whole capture; `settings` are those of `Acquisition`."""
+    return {
+        "plan": plan_name,
+        "frames": settings["frames"],
+        "average": settings["average"],
+        "shape": list(camera.grid.shape),
+        "pitch_mm": list(camera.grid.pitch_mm),
+        "modulation_hz": camera.modulation_hz,
+        "position_mm": position_mm.tolist(),
+        "offset_source": calibration.offset_source,
+        "calibration": _identified(calibration),
+        "meta": {
+            "plan": plan_name,
+            "stage": {"name": stage.name, **stage.describe()},
+            "camera": {"name": camera.name, **camera.describe()},
+            "acquisition": dict(settings),
+            "rest_mm": np.asarray(calibration.rest_mm).tolist(),
+            "px_per_mm": np.asarray(calibration.stage_map.px_per_mm).tolist(),
+        },
+    }
+
+
+def finished(path: str | Path, plan_name: str) -> Burst | None:
+    """Return the burst of a capture that is complete: there is nothing to resume.
+
+    Raises
+    ------
+    DataError
+        If there is a file that is no capture, or holds another plan.
+    """
+    if not Path(path).exists() or is_capture(path):
+        return None
+    burst = load_burst(path)
+    if "acquisition" not in burst.meta:
+        raise DataError("nothing to resume: this is no capture", source=path)
+    if burst.meta.get("plan") != plan_name:
+        problem = f"the capture is complete, with plan {burst.meta.get('plan')!s:.60}"
+        raise DataError(f"{problem}, not {plan_name}", field="plan", source=path)
+    return burst
+
+
+def check_target(path: str | Path, *, resume: bool) -> None:
+    """Refuse a file that cannot be begun or gone on with, before any device is opened for it.
+
+    Raises
+    ------
+    DataError
+        As `opened`; whether it was begun in the same way is seen only there.
+    """
+    if resume and is_capture(path):
+        CaptureWriter.resume(path).close()
+    else:
+        refuse_taken(path)
+
+
+def opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> CaptureWriter:
+    """Begin a journal, or go on with the one that is there if it was begun in the same way.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written, exists already, or was begun otherwise.
+    """
+    if not resume or not Path(path).exists():
+        return CaptureWriter.create(path, header)
+    file = CaptureWriter.resume(path)
+    try:
+        _check_same(file.header, header, path)
+    except DataError:
+        file.close()
+        raise
+    return file
+
+
+def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str | Path) -> None:
+    for name in _SAME:
+        if begun.get(name) != wanted[name]:
+            problem = f"the capture was begun with {name} {begun.get(name)!s:.60}"
+            raise DataError(f"{problem}, not {wanted[name]!s:.60}", field=name, source=path)
+    ours = wanted["calibration"]["sha256"]
+    theirs = begun.get("calibration", {}).get("sha256", "unknown")
+    if ours != theirs:
+        raise DataError(
+            f"the capture was begun with another calibration (sha256 {theirs:.12}, not "
+            f"{ours:.12}); resume it with that one, or begin a new file",
+            field="calibration",
+            source=path,
+        )
+    before, now = (np.asarray(one["position_mm"], dtype=float) for one in (begun, wanted))
+    if before.shape != now.shape or not _same_places(before, now):
+        raise DataError(
+            "the capture was begun with other positions", field="position_mm", source=path
+        )
+
+
+def _same_places(before_mm: NDArray[Any], now_mm: NDArray[Any]) -> bool:
+    """Compare positions [step 2] in any order: that depends on where the stage stood."""
+    near = np.abs(before_mm[:, None] - now_mm).max(axis=-1) <= _SAME_MM
+    return bool(near.any(axis=0).all() and near.any(axis=1).all())
+
+
+def _identified(calibration: Calibration) -> dict[str, Any]:
+    """Return a calibration and the hash of it; notes, such as the date, do not count."""
+    content = {k: v for k, v in calibration_content(calibration).items() if k != "notes"}
+    text = json.dumps(content, sort_keys=True)
+    return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
