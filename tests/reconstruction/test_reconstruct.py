@@ -16,6 +16,7 @@ from pixel_camera import (
     truth,
 )
 
+from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, ShiftField, Status
 from lensshift.reconstruction.methods import method_names, method_summary
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -217,20 +218,32 @@ def test_every_method_can_predict() -> None:
 def test_a_constant_shift_field_equals_the_offsets(method: str) -> None:
     burst = make_burst(_noisy())
     field = ShiftField(np.broadcast_to(SQUARE_PX[:, None, None, :], (4, *SHAPE, 2)).copy())
-    nowhere = make_burst(burst.amplitude, np.zeros((4, 2)))
+    elsewhere = make_burst(burst.amplitude, SQUARE_PX + 0.4)
     settings = _weight(method)
     expected = _image(burst, method, **settings)
-    found = _image(nowhere, method, shift_field=field, **settings)
+    found = _image(elsewhere, method, shift_field=field, **settings)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_a_shift_field_is_selected_with_its_frames() -> None:
     burst = make_burst(_noisy())
     field = ShiftField(np.broadcast_to(SQUARE_PX[:, None, None, :], (4, *SHAPE, 2)).copy())
-    nowhere = make_burst(burst.amplitude, np.zeros((4, 2)))
-    found = _image(nowhere, "tikhonov", shift_field=field, frames=(3, 1), prior_weight=0.01)
+    elsewhere = make_burst(burst.amplitude, SQUARE_PX + 0.4)
+    found = _image(elsewhere, "tikhonov", shift_field=field, frames=(3, 1), prior_weight=0.01)
     expected = _image(burst, "tikhonov", frames=(3, 1), prior_weight=0.01)
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_the_shift_field_of_another_burst_is_refused() -> None:
+    burst = make_burst(_noisy())
+    swapped = np.tile(SQUARE_PX[[0, 1, 3, 2], None, None], (1, *SHAPE, 1))
+    with pytest.raises(DataError, match=r"offset_px: .* 0\.50 px more in 2 of 4 frames, frame 2"):
+        reconstruct(burst, shift_field=ShiftField(swapped))
+    own = np.tile(SQUARE_PX[:, None, None], (1, *SHAPE, 1))
+    with pytest.raises(DataError, match=r"pitch_mm: .* pixels of \(0\.01, 0\.01\) mm, got"):
+        reconstruct(burst, shift_field=ShiftField(own, (0.1, 0.155)))
+    with pytest.raises(DataError, match="shift field of"):
+        reconstruct(burst, shift_field=ShiftField(own[:3]))
 
 
 def test_gain_and_bias_are_found_on_request() -> None:

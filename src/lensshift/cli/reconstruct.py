@@ -148,7 +148,7 @@ def _located(
     if shift_map is not None:
         from lensshift.io import load_shift_field
 
-        return burst, {"shift_field": load_shift_field(shift_map)}
+        return burst, {"shift_field": load_shift_field(shift_map, burst)}
     if calibration is not None:
         from lensshift.io.calibration_file import load_calibration
 

@@ -62,7 +62,8 @@ def reconstruct(
     noise_sigma : noise of one LR pixel in units of the channel (phasor: of the amplitude, for
         the real and for the imaginary part), if it is known
     pixel_variance : [frame row col] known noise variance of each LR pixel
-    shift_field : offset of every pixel of every frame instead of `burst.offset_px`
+    shift_field : offset of every pixel of every frame instead of `burst.offset_px`, which it must
+        agree with in the middle of the sensor
     photometric : whether to estimate gain and bias of each frame
     non_negative : whether negative values are forbidden
     seed : of everything random
@@ -79,7 +80,8 @@ def reconstruct(
     Raises
     ------
     ValueError
-        If an argument is out of range or unknown to the method.
+        If an argument is out of range or unknown to the method, or a shift field is not of this
+        burst.
 
     Warns
     -----
@@ -91,7 +93,10 @@ def reconstruct(
     blur = make_blur(psf_sigma_px, fill_factor)
     used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
     part = burst if frames is None else burst.select(used)
-    field = None if shift_field is None else _select_field(shift_field, used, burst)
+    field = None
+    if shift_field is not None:
+        shift_field.check_belongs(burst.offset_px, burst.grid)
+        field = ShiftField(shift_field.offset_px[list(used)])
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
@@ -177,13 +182,6 @@ def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
     if len(set(numbers)) != len(numbers):
         raise ValueError(f"expected each frame once, got {list(frames)}")
     return numbers
-
-
-def _select_field(field: ShiftField, used: tuple[int, ...], burst: Burst) -> ShiftField:
-    expected = (*burst.amplitude.shape, 2)
-    if field.offset_px.shape != expected:
-        raise ValueError(f"expected a shift field of {expected}, got {field.offset_px.shape}")
-    return ShiftField(field.offset_px[list(used)])
 
 
 def _check(
