@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +30,7 @@ def measure_binned(
     region: Region,
     wanted_lpmm: Vector | None,
     method: str,
-    order: int,
-    window: Literal["tukey", "hamming"],
+    options: dict[str, Any],
 ) -> EdgeResult:
     """Measure one region of one frame with sfrmat3 or sfrmat5.
 
@@ -50,7 +49,7 @@ def measure_binned(
     missing = int(np.count_nonzero(np.isnan(image)))
     if missing:
         raise ValueError(f"expected valid pixels for {method}, got {missing} invalid in {region}")
-    found = sfrmat3(image) if method == "sfrmat3" else sfrmat5(image, order=order, window=window)
+    found = (sfrmat3 if method == "sfrmat3" else sfrmat5)(image, **options)
     pitch_mm = frames.pitch_mm[0]
     own_lpmm = found.frequency_cpp / pitch_mm
     if wanted_lpmm is None:

@@ -39,16 +39,20 @@ class LikelySettings:
     """Options of the default method; see `measure_edges`."""
 
     aperture_px: float
-    most_bends: int
-    tilt: bool | None
-    seed: int
+    most_bends: int = 4
+    tilt: bool | None = None
     noise_covariance: Matrix | None = None
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.aperture_px) and 0.0 <= self.aperture_px <= 64.0):
             raise ValueError(f"expected an aperture_px from 0 to 64, got {self.aperture_px}")
-        if not 0 <= self.most_bends <= 8:
-            raise ValueError(f"expected most_bends from 0 to 8, got {self.most_bends}")
+        if self.most_bends not in range(9):
+            raise ValueError(f"expected whole most_bends from 0 to 8, got {self.most_bends}")
+        if self.tilt not in (None, True, False):
+            raise ValueError(f"expected tilt True, False or None, got {self.tilt!r}")
+        if self.seed != int(self.seed) or self.seed < 0:
+            raise ValueError(f"expected a whole seed from 0, got {self.seed}")
 
 
 def measure_likely(
