@@ -214,6 +214,22 @@ def test_every_method_can_predict() -> None:
         assert reconstruct(burst, method=method).amplitude.predict(1).shape == SHAPE
 
 
+def test_the_blur_is_that_of_the_burst_unless_told() -> None:
+    told = make_burst(_noisy(), meta={"psf_sigma_px": 0.2})
+    settings = {"method": "tikhonov", "prior_weight": 0.01}
+    by_burst = reconstruct(told, **settings)
+    assert (by_burst.settings["psf_sigma_px"], by_burst.settings["psf_source"]) == (0.2, "burst")
+    np.testing.assert_array_equal(
+        by_burst.amplitude.image, _image(make_burst(_noisy()), psf_sigma_px=0.2, **settings)
+    )
+    assert reconstruct(told, psf_sigma_px=0.4, **settings).settings["psf_source"] == "given"
+    assert reconstruct(make_burst(_noisy()), **settings).settings["psf_source"] == "assumed"
+    alone = reconstruct(told, fill_factor=0.5, **settings)  # that of the burst holds the pixel
+    assert alone.settings["psf_source"] == "assumed"
+    with pytest.raises(DataError, match=r"meta\.psf_sigma_px: expected a number, got 'wide'"):
+        reconstruct(make_burst(_noisy(), meta={"psf_sigma_px": "wide"}))
+
+
 @pytest.mark.parametrize("method", ["auto", "tikhonov", "irwsr", "shift-and-add", "bicubic"])
 def test_a_constant_shift_field_equals_the_offsets(method: str) -> None:
     burst = make_burst(_noisy())

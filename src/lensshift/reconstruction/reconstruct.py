@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.methods import Method, find_method
@@ -20,13 +22,15 @@ from lensshift.reconstruction.request import Request
 
 Array = NDArray[Any]
 
+DEFAULT_WIDTH_PX = 0.3  # of the pixel response: a square pixel behind a fair lens
+
 
 def reconstruct(
     burst: Burst,
     scale: int = 2,
     method: str = "auto",
     channel: Channel = "auto",
-    psf_sigma_px: float = 0.3,
+    psf_sigma_px: float | None = None,
     prior_weight: float | Literal["cross-validation"] | None = None,
     *,
     frames: Sequence[int] | None = None,
@@ -53,8 +57,9 @@ def reconstruct(
     channel : "amplitude", "distance"; "phasor": both from phasors, the way a pixel mixes them; or
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
-    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289.
-        With `fill_factor`: width of the optical spot alone
+    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289. None:
+        `burst.meta["psf_sigma_px"]`, or 0.3. With `fill_factor`: width of the optical spot alone,
+        0.3 if None
     prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
         "cross-validation"
     frames : numbers of the frames to use, by default all; the others can be predicted
@@ -90,7 +95,8 @@ def reconstruct(
     """
     chosen = find_method(method)
     _check(chosen, method, options, scale, prior_weight, noise_sigma)
-    blur = make_blur(psf_sigma_px, fill_factor)
+    width_px, width_source = _response(burst, psf_sigma_px, fill_factor)
+    blur = make_blur(width_px, fill_factor)
     used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
     part = burst if frames is None else burst.select(used)
     field = None
@@ -102,6 +108,7 @@ def reconstruct(
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, method, request, given=given)
+    settings |= {"psf_sigma_px": width_px, "psf_source": width_source}
     settings |= {"channel": choice.channel, "channel_reason": choice.reason}
     found: dict[str, Estimate] = {}
     flying = None
@@ -173,6 +180,20 @@ def _channels(burst: Burst, channel: str) -> dict[str, Array]:
     if channel in ("separate", "distance") and burst.distance_m is not None:
         found["distance"] = burst.distance_m
     return found
+
+
+def _response(
+    burst: Burst, psf_sigma_px: float | None, fill_factor: float | None
+) -> tuple[float, str]:
+    """Return the width of the blur in LR pixels, and where it is from."""
+    if psf_sigma_px is not None:
+        return psf_sigma_px, "given"
+    told = burst.meta.get("psf_sigma_px")
+    if told is None or fill_factor is not None:  # that of the burst holds the pixel as well
+        return DEFAULT_WIDTH_PX, "assumed"
+    if isinstance(told, bool) or not isinstance(told, Real):
+        raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
+    return float(told), "burst"
 
 
 def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
