@@ -17,6 +17,7 @@ from lensshift.evaluation import noise_autocovariance
 from lensshift.evaluation.slanted_edge import (
     EdgeResult,
     Region,
+    average_curves,
     average_interval,
     find_regions,
     measure_edge,
@@ -251,6 +252,21 @@ def test_all_edges_of_a_card_are_measured() -> None:
     curve = slanted_edge_mtf(card(), aperture_px=0.0)
     assert "4" in curve.label
     assert curve.std is not None
+
+
+def test_an_edge_that_cannot_be_used_is_not_averaged() -> None:
+    upright = box_edge((30, 32), angle_deg=0.0, sigma_px=0.15)
+    image = noisy(np.concatenate([upright, box_edge((30, 48))[:, ::-1]], axis=1), 0.005)
+    with pytest.warns(QualityWarning, match="tilted by 0"):
+        results = measure_edges(image)
+    assert [result.usable for result in results] == [True, False]
+    assert results[0].region.col_start > 32
+    with pytest.warns(QualityWarning, match="tilted by 0"):
+        curve = slanted_edge_mtf(image)
+    np.testing.assert_array_equal(curve.modulation, results[0].mtf.modulation)
+    np.testing.assert_array_equal(  # better than nothing
+        average_curves(results[1:]).modulation, results[1].mtf.modulation
+    )
 
 
 def test_doubts_come_with_numbers() -> None:

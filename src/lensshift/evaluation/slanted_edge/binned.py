@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.slanted_edge.checks import doubts, largest_phase_gap_px
+from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_px
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.frames import EdgeFrames
 from lensshift.evaluation.slanted_edge.result import (
@@ -61,7 +60,7 @@ def measure_binned(
     result = _result(found, region, frames, curve, method)
     lines = np.arange(min(image.shape) if found.rotated else image.shape[0], dtype=np.float64)
     gap_px = largest_phase_gap_px(lines, found.angle_rad)
-    return replace(result, notes=tuple(doubts(result, lines.size, gap_px, image.ravel())))
+    return doubted(result, lines.size, gap_px, image.ravel())
 
 
 def _result(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.bending import rms_bend_px
 from lensshift.evaluation.slanted_edge.checks import (
-    doubts,
+    doubted,
     largest_phase_gap_px,
     phase_displacement_px,
 )
@@ -96,7 +96,7 @@ def measure_likely(
     lines = _lines(edge)
     gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
     count = np.unique(np.round(lines, 6)).size
-    return replace(result, notes=tuple(doubts(result, count, gap_px, pixels.values)))
+    return doubted(result, count, gap_px, pixels.values)
 
 
 def _result(

@@ -56,7 +56,7 @@ def slanted_edge_mtf(
 
         MTF(f) = | F[LSF](f) | / F[LSF](0)
 
-    Several edges are averaged, weighted by their variances.
+    Several usable edges are averaged, weighted by their variances.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def slanted_edge_mtf(
 def measure_edge(
     image: ArrayLike, pitch_mm: float | tuple[float, float] = 1.0, **options: Unpack[EdgeOptions]
 ) -> EdgeResult:
-    """Measure one slanted edge, the longest if several are found; see `measure_edges`."""
+    """Measure one slanted edge, the first that `measure_edges` returns."""
     return measure_edges(image, pitch_mm, **options)[0]
 
 
@@ -96,7 +96,7 @@ def measure_edges(
     frequency_lpmm: ArrayLike | None = None,
     **options: Unpack[MethodOptions],
 ) -> list[EdgeResult]:
-    """Measure every slanted edge of an image, the longest first.
+    """Measure every slanted edge of an image, usable ones first, of these the longest.
 
     The default method models all pixels of a region at once: a straight or bent edge, a line
     spread function that is a Gaussian seen by a square pixel of unknown fill plus a spline with
@@ -148,7 +148,7 @@ def measure_edges(
             result = measure_binned(frames, place, wanted, method, given)
         warn_of(list(result.notes), result.region)
         results.append(result)
-    return sorted(results, key=_length, reverse=True)
+    return sorted(results, key=lambda one: (one.usable, _length(one)), reverse=True)
 
 
 def _known(method: Method, options: MethodOptions) -> dict[str, Any]:
