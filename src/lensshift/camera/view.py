@@ -80,18 +80,17 @@ def response_width_px(side_px: float, blur: float | SpotBlur, shape: tuple[int, 
     """
     from scipy.optimize import brentq
 
-    def modulation(frequency_cpp: float, axis: int) -> float:
-        pixel = np.sinc(side_px * frequency_cpp)
+    def contrast(f: float, axis: int) -> float:
+        pixel = np.sinc(side_px * f)
         if not isinstance(blur, SpotBlur):
-            return float(pixel * np.exp(-2.0 * (np.pi * blur * frequency_cpp) ** 2))
+            return float(pixel * np.exp(-2.0 * (np.pi * blur * f) ** 2))
         landing, weight = blur.at(*(np.array([0.5 * (size - 1)]) for size in shape))
-        waves = np.exp(2j * np.pi * frequency_cpp * landing[0, 0, :, axis])
+        waves = np.exp(2j * np.pi * f * landing[0, 0, :, axis])
         return float(pixel * np.abs(weight[0, 0] @ waves))
 
     first_zero_cpp = 1.0 / side_px
     half_cpp = [
-        brentq(lambda f, axis=axis: modulation(f, axis) - 0.5, 0.0, first_zero_cpp)
-        for axis in (0, 1)
+        brentq(lambda f, axis=axis: contrast(f, axis) - 0.5, 0.0, first_zero_cpp) for axis in (0, 1)
     ]
     return float(np.mean([gaussian_width(f) for f in half_cpp]))
 

@@ -95,21 +95,17 @@ def reconstruct(
     """
     chosen = find_method(method)
     _check(chosen, method, options, scale, prior_weight, noise_sigma)
-    width_px, width_source = _response(burst, psf_sigma_px, fill_factor)
-    blur = make_blur(width_px, fill_factor)
+    response = _response(burst, psf_sigma_px, fill_factor)
+    blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
     part = burst if frames is None else burst.select(used)
-    field = None
-    if shift_field is not None:
-        shift_field.check_belongs(burst.offset_px, burst.grid)
-        field = ShiftField(shift_field.offset_px[list(used)])
+    field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, method, request, given=given)
-    settings |= {"psf_sigma_px": width_px, "psf_source": width_source}
-    settings |= {"channel": choice.channel, "channel_reason": choice.reason}
+    settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     found: dict[str, Estimate] = {}
     flying = None
     if choice.channel == "phasor":
@@ -184,16 +180,16 @@ def _channels(burst: Burst, channel: str) -> dict[str, Array]:
 
 def _response(
     burst: Burst, psf_sigma_px: float | None, fill_factor: float | None
-) -> tuple[float, str]:
+) -> dict[str, Any]:
     """Return the width of the blur in LR pixels, and where it is from."""
     if psf_sigma_px is not None:
-        return psf_sigma_px, "given"
+        return {"psf_sigma_px": psf_sigma_px, "psf_source": "given"}
     told = burst.meta.get("psf_sigma_px")
     if told is None or fill_factor is not None:  # that of the burst holds the pixel as well
-        return DEFAULT_WIDTH_PX, "assumed"
+        return {"psf_sigma_px": DEFAULT_WIDTH_PX, "psf_source": "assumed"}
     if isinstance(told, bool) or not isinstance(told, Real):
         raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
-    return float(told), "burst"
+    return {"psf_sigma_px": float(told), "psf_source": "burst"}
 
 
 def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
@@ -203,6 +199,11 @@ def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
     if len(set(numbers)) != len(numbers):
         raise ValueError(f"expected each frame once, got {list(frames)}")
     return numbers
+
+
+def _select_field(field: ShiftField, used: tuple[int, ...], burst: Burst) -> ShiftField:
+    field.check_belongs(burst.offset_px, burst.grid)
+    return ShiftField(field.offset_px[list(used)])
 
 
 def _check(
