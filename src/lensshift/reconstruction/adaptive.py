@@ -19,7 +19,7 @@ from lensshift.reconstruction.least_squares import (
     solve_penalised,
 )
 from lensshift.reconstruction.noise import estimate_noise
-from lensshift.reconstruction.outliers import confidence
+from lensshift.reconstruction.outliers import HUBER_SIGMAS, confidence
 from lensshift.reconstruction.selection import prior_share
 
 Array = NDArray[Any]
@@ -110,7 +110,7 @@ class SparseGradient:
         on_iteration: OnIteration | None = None,
     ) -> Estimate:
         """Return the estimate [row col] from frames and their weights [frame row col]."""
-        sigma, inlier = self._noise(A, y, weight)
+        noise_sigma, sigma, inlier = self._noise(A, y, weight)
         state = _State(weight=weight * inlier, lone_edges=0.0)
         state.x = smooth_fit(A, y, state.weight, 0.03, 30) if x0 is None else x0.copy()
         square = mean_column_square(A)
@@ -121,7 +121,7 @@ class SparseGradient:
             before = state.x
             coefficients = self._coefficients(state, sigma)
             if t > 0 and self.robust:
-                state.weight = self._confidence(A, y, weight, sigma, state)
+                state.weight = self._confidence(A, y, weight, sigma, state, inlier)
             state.x = solve_penalised(
                 A, y, state.weight, coefficients, before, self.inner_iterations,
                 column_square=square,
@@ -138,16 +138,17 @@ class SparseGradient:
             if settled and np.max(np.abs(state.x - before)) < self.tolerance:
                 status = Status.CONVERGED
                 break
-        return state.estimate(status, sigma, self)
+        return state.estimate(status, noise_sigma, self)
 
-    def _noise(self, A: LinearOperator, y: Array, weight: Array) -> tuple[float, Array]:
-        """Return sigma, and the pixels that are no outliers at first sight."""
+    def _noise(self, A: LinearOperator, y: Array, weight: Array) -> tuple[float, float, Array]:
+        """Return the noise, what to weigh with, and the pixels that are no outliers at first."""
         if self.noise_sigma is not None and not self.robust:
-            return self.noise_sigma, weight > 0
+            return self.noise_sigma, self.noise_sigma, weight > 0
         noise = estimate_noise(A, y, weight, lone_outliers=self.adapt and self.even_noise)
         if not self.robust:
-            return max(noise.total, 1e-6), weight > 0
-        return max(self.noise_sigma or noise.sigma, 1e-6), noise.inlier
+            return max(noise.sigma, 1e-6), max(noise.total, 1e-6), weight > 0
+        sigma = max(self.noise_sigma or noise.sigma, 1e-6)
+        return sigma, max(self.noise_sigma or noise.effective, 1e-6), noise.inlier
 
     def _coefficients(self, state: _State, sigma: float) -> Array:
         """Return the quadratic that touches the penalty from above at x; updates lambda."""
@@ -186,9 +187,13 @@ class SparseGradient:
         return np.asarray(a)
 
     def _confidence(
-        self, A: LinearOperator, y: Array, weight: Array, sigma: float, state: _State
+        self, A: LinearOperator, y: Array, weight: Array, sigma: float, state: _State, inlier: Array
     ) -> Array:
-        """Return the weight of each LR pixel: outliers, odd frames and edges count less."""
+        """Return the weight of each LR pixel: outliers, odd frames and edges count less.
+
+        What was an outlier at first sight stays out until the picture agrees with it: where hardly
+        another pixel says what belongs there, the least weight would draw the picture to it.
+        """
         across, down, *diagonals = state.square
         gradient = 0.5 * (across + down + 0.5 * sum(diagonals))
         edge_error_px = EDGE_ERROR_PX * state.lone_edges if state.judged else CAUTIOUS_EDGE_ERROR_PX
@@ -196,7 +201,9 @@ class SparseGradient:
             edge_error_px = 0.0
         error2 = edge_error_px**2 + self.shift_error_hr_px**2
         scale = np.sqrt(sigma**2 + error2 * np.maximum(A.forward(gradient), 0.0))
-        trust = confidence(y - A.forward(state.x), weight, scale)
+        residual = y - A.forward(state.x)
+        trust = confidence(residual, weight, scale)
+        trust *= inlier | (np.abs(residual) <= HUBER_SIGMAS * scale)
         state.trust = float(np.mean(trust[weight > 0]))
         return np.asarray(weight * trust * (sigma / scale) ** 2)
 

@@ -76,7 +76,7 @@ def _noise_power(problem: Problem, solver: Irwsr | ReweightedFit) -> float:
     if sigma is None:
         noise = estimate_noise(problem.model.operator, problem.y, problem.weight)
         # Squares feel the outliers; the other data terms hardly do.
-        sigma = noise.total if data_term == "l2" else noise.sigma
+        sigma = noise.total if data_term == "l2" else noise.effective
     sigma = max(sigma, 1e-6)
     share = prior_share(problem.blur_sigma_px * problem.scale)
     return share * (sigma if data_term == "l1" else 2.0 * sigma**2)

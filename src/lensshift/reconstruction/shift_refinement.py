@@ -118,7 +118,7 @@ def _noise(problem: Problem) -> float:
     if problem.noise_sigma is not None:
         return problem.noise_sigma
     noise = estimate_noise(problem.model.operator, problem.y, problem.weight)
-    return max(noise.sigma, 1e-6)
+    return max(noise.effective, 1e-6)
 
 
 def _picture(problem: Problem, start: Array | None, sigma: float) -> tuple[Array, Array]:
