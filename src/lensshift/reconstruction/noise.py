@@ -170,13 +170,13 @@ def _best_followed(
     Both from the low pass that follows the scene best there.
     """
     unit = [robust_scale(reference[inlier]) for reference in references]
-    usual = np.stack([_usual_size(r) / u for r, u in zip(residuals, unit, strict=True)])
+    usual = np.stack([usual_size(r) / u for r, u in zip(residuals, unit, strict=True)])
     best = usual.argmin(axis=0)
     size = np.choose(best, [np.abs(r) / u for r, u in zip(residuals, unit, strict=True)])
     return size, usual.min(axis=0)
 
 
-def _usual_size(residual: Array) -> Array:
+def usual_size(residual: Array) -> Array:
     """Return [row col] the robust scale of residuals [frame row col] around each pixel.
 
     From the upper quartile: the median says nothing of lines and corners that fill less than half

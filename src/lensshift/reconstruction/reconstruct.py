@@ -17,6 +17,7 @@ from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
 from lensshift.reconstruction.problem import Problem, make_blur, make_problem, predictor
 from lensshift.reconstruction.request import Request
+from lensshift.reconstruction.shift_check import warn_of_doubtful_shifts
 
 Array = NDArray[Any]
 
@@ -84,7 +85,8 @@ def reconstruct(
     Warns
     -----
     QualityWarning
-        If the frames do not fit the shifts.
+        If the frames do not fit the shifts, or ("auto" and phasors) fit another sign, order of
+        axes, unit or order of frames better.
     """
     chosen = find_method(method)
     _check(chosen, method, options, scale, prior_weight, noise_sigma)
@@ -98,6 +100,11 @@ def reconstruct(
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, method, request, given=given)
     settings |= {"channel": choice.channel, "channel_reason": choice.reason}
+    if method == "auto" or choice.channel == "phasor":
+        warn_of_doubtful_shifts(
+            part.amplitude, part.offset_px if field is None else field.offset_px,
+            scale=scale, valid=part.valid,
+        )  # fmt: skip
     found: dict[str, Estimate] = {}
     flying = None
     if choice.channel == "phasor":
