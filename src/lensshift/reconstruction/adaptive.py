@@ -140,11 +140,16 @@ class SparseGradient:
                 break
         return state.estimate(status, noise_sigma, self)
 
+    @property
+    def _lone_outliers(self) -> bool:
+        """Whether an outlier has to stand out among its neighbours: edges do not then."""
+        return self.adapt and self.even_noise
+
     def _noise(self, A: LinearOperator, y: Array, weight: Array) -> tuple[float, float, Array]:
         """Return the noise, what to weigh with, and the pixels that are no outliers at first."""
         if self.noise_sigma is not None and not self.robust:
             return self.noise_sigma, self.noise_sigma, weight > 0
-        noise = estimate_noise(A, y, weight, lone_outliers=self.adapt and self.even_noise)
+        noise = estimate_noise(A, y, weight, lone_outliers=self._lone_outliers)
         if not self.robust:
             return max(noise.sigma, 1e-6), max(noise.total, 1e-6), weight > 0
         sigma = max(self.noise_sigma or noise.sigma, 1e-6)
@@ -191,8 +196,8 @@ class SparseGradient:
     ) -> Array:
         """Return the weight of each LR pixel: outliers, odd frames and edges count less.
 
-        What was an outlier at first sight stays out until the picture agrees with it: where hardly
-        another pixel says what belongs there, the least weight would draw the picture to it.
+        What stood out alone at first sight stays out until the picture agrees with it: where
+        hardly another pixel says what belongs there, the least weight would draw the picture to it.
         """
         across, down, *diagonals = state.square
         gradient = 0.5 * (across + down + 0.5 * sum(diagonals))
@@ -203,7 +208,8 @@ class SparseGradient:
         scale = np.sqrt(sigma**2 + error2 * np.maximum(A.forward(gradient), 0.0))
         residual = y - A.forward(state.x)
         trust = confidence(residual, weight, scale)
-        trust *= inlier | (np.abs(residual) <= HUBER_SIGMAS * scale)
+        if self._lone_outliers:
+            trust *= inlier | (np.abs(residual) <= HUBER_SIGMAS * scale)
         state.trust = float(np.mean(trust[weight > 0]))
         return np.asarray(weight * trust * (sigma / scale) ** 2)
 

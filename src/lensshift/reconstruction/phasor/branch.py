@@ -143,7 +143,7 @@ def _noise(problem: Problem, noise_sigma: float | None, variance: Array | None) 
         noise_sigma = float(np.sqrt(np.min(variance[problem.weight > 0])))
     if noise_sigma is not None:
         return noise_sigma / problem.intensity
-    found = estimate_noise(problem.model.operator, problem.y, problem.weight).effective
+    found = estimate_noise(problem.model.operator, problem.y, problem.weight).unexplained
     return max(found, LEAST_NOISE)
 
 
