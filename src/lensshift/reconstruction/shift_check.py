@@ -131,9 +131,15 @@ def doubtful_shifts(
     values, seen, given = _part(values, seen, np.asarray(offset_px, np.float64))
     if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
         return None
-    values = _alike(values, seen)
-    seen = seen & ~_lone(values)
-    values = np.where(seen, values, 0.0)
+    values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)
+    seen = seen & ~_lone(np.where(seen, values, 0.0))
+    # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
+    return _doubt(np.where(seen, values, 0.0), seen, given, scale, seed) and _doubt(
+        _alike(values, seen), seen, given, scale, seed
+    )
+
+
+def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> Doubt | None:
     trial = _Trial(values, seen, given, seed)
     found = _found_shifts(values, seen, given)
     if found is None:
