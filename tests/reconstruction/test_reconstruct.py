@@ -348,8 +348,8 @@ def test_iterations_are_an_option() -> None:
         ({"prior_weight": -0.1}, "at least 0"),
         ({"prior_weight": np.nan}, "at least 0"),
         ({"prior_weight": "guess"}, "cross-validation"),
-        ({"noise_sigma": 0.0}, "positive noise_sigma"),
-        ({"noise_sigma": np.inf}, "positive noise_sigma"),
+        ({"noise_sigma": 0.0}, "noise_sigma: expected a positive"),
+        ({"noise_sigma": np.inf}, "noise_sigma: expected a positive"),
         ({"frames": ()}, "frames from 0 to 3"),
         ({"frames": (0, 4)}, "frames from 0 to 3"),
         ({"frames": (-1, 0)}, "frames from 0 to 3"),
@@ -367,6 +367,40 @@ def test_iterations_are_an_option() -> None:
 def test_a_wrong_argument_says_what_was_expected(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         reconstruct(make_burst(_noisy()), **settings)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("auto", {"iterations": 0}),
+        ("auto", {"iterations": 2.5}),
+        ("tv", {"iterations": -3}),
+        ("tv", {"iterations": "5"}),
+        ("l1-btv", {"iterations": 0}),
+        ("l1-btv", {"alpha": np.nan}),
+        ("irwsr", {"window": 1.5}),
+        ("irwsr", {"sparsity": 0}),
+        ("irwsr", {"inner_iterations": True}),
+        ("irwsr-toolbox", {"iterations": 1.5}),
+        ("irwsr-toolbox", {"noise_sigma": 0.01}),
+        ("map", {"threshold": -1.0, "prior": "huber"}),
+        ("map", {"data_term": 2}),
+        ("nearest", {"frame": True}),
+        ("bicubic", {"frame": 1, "combine": "mean"}),
+        ("bicubic", {"prior_weight": 0.1}),
+        ("shift-and-add", {"combine": 3}),
+        ("shift-and-add", {"combine": "first"}),
+        ("drizzle", {"pixfrac": "a"}),
+        ("drizzle", {"kernel": "round"}),
+        ("deconvolution", {"algorithm": "magic"}),
+        ("auto", {"photometric": "false"}),
+        ("auto", {"std": 1}),
+        ("auto", {"seed": 0.5}),
+    ],
+)
+def test_no_method_takes_an_impossible_or_idle_option(method: str, options: dict) -> None:
+    with pytest.raises(ValueError, match=next(iter(options))):
+        reconstruct(make_burst(_noisy()), method=method, **options)
 
 
 def test_offsets_far_beyond_the_frame_are_refused() -> None:

@@ -19,6 +19,7 @@ from lensshift.reconstruction.least_squares import (
     solve_penalised,
 )
 from lensshift.reconstruction.noise import estimate_noise
+from lensshift.reconstruction.options import check_settings
 from lensshift.reconstruction.outliers import HUBER_SIGMAS, confidence
 from lensshift.reconstruction.selection import prior_share
 
@@ -100,6 +101,9 @@ class SparseGradient:
     first_steps: int = 6
     tolerance: float = 2e-4
     non_negative: bool = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     def __call__(
         self,

@@ -38,8 +38,6 @@ def l1_btv(problem: Problem, request: Request) -> Estimate:
 def maximum_a_posteriori(problem: Problem, request: Request) -> Estimate:
     """A data term and a prior of the caller's choice."""
     name = request.options.get("prior", "tv")
-    if name not in PRIORS:
-        raise ValueError(f"expected prior {', '.join(PRIORS)}, got {name!r}")
     names = {"btv": ("window", "alpha"), "huber": ("threshold",), "tv": ()}[name]
     unknown = {"window", "alpha", "threshold"} & set(request.options) - set(names)
     if unknown:
@@ -56,6 +54,8 @@ def irwsr_toolbox(problem: Problem, request: Request) -> Estimate:
 
     if request.non_negative:
         raise ValueError("the published toolbox has no non-negative option; use irwsr")
+    if problem.noise_sigma is not None:
+        raise ValueError("the published toolbox finds its own noise, got noise_sigma; use irwsr")
     if not isinstance(problem.model.offset_px, np.ndarray):
         raise ValueError("irwsr-toolbox takes one offset per frame, got a shift field; use irwsr")
     callback = request.on_iteration

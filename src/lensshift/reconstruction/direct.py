@@ -74,9 +74,11 @@ def drizzle(problem: Problem, request: Request) -> Estimate:
 
 def _frame(problem: Problem, request: Request) -> int:
     frame = request.options.get("frame", 0)
-    if not isinstance(frame, int) or not 0 <= frame < len(problem.y):
+    if frame >= len(problem.y):
         raise ValueError(f"expected a frame from 0 to {len(problem.y) - 1}, got {frame}")
-    return frame
+    if "frame" in request.options and request.options.get("combine", "first") != "first":
+        raise ValueError(f"combine {request.options['combine']!r} takes all frames, got frame")
+    return int(frame)
 
 
 def _estimate(problem: Problem, request: Request, found: baselines.Baseline) -> Estimate:

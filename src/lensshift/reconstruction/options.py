@@ -34,7 +34,7 @@ def whole(least: int) -> Rule:
     return Rule(
         f"a whole number of at least {least}",
         lambda value: (
-            isinstance(value, Integral) and not isinstance(value, bool) and value >= least
+            isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
         ),
     )
 
@@ -64,7 +64,7 @@ def truth() -> Rule:
     return Rule("True or False", lambda value: isinstance(value, bool | np.bool_))
 
 
-# Options that mean the same wherever they occur, also as settings of a solver.
+# Arguments that mean the same wherever they occur, also as settings of a solver.
 RULES: Mapping[str, Rule] = {
     "iterations": whole(1),
     "inner_iterations": whole(1),
@@ -76,7 +76,11 @@ RULES: Mapping[str, Rule] = {
     "smoothing": positive(),
     "prior_weight": at_least_zero(),
     "data_term": one_of("l2", "l1", "huber"),
-    "prior": one_of("tv", "huber", "btv"),
+    "seed": whole(0),
+    "noise_sigma": positive(),
+    "photometric": truth(),
+    "non_negative": truth(),
+    "std": truth(),
     "frame": whole(0),
     "pixfrac": positive(1.0),
     "kernel": one_of("square", "point"),
@@ -120,4 +124,6 @@ def check_settings(settings: Any) -> None:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return (
+        isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
+    )

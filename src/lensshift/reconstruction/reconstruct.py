@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.methods import Method, find_method
+from lensshift.reconstruction.options import RULES, check_options
 from lensshift.reconstruction.phasor.branch import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
@@ -89,7 +90,11 @@ def reconstruct(
         axes, unit or order of frames better.
     """
     chosen = find_method(method)
-    _check(chosen, method, options, scale, prior_weight, noise_sigma)
+    _check(
+        chosen, method, options, scale, prior_weight,
+        seed=seed, noise_sigma=noise_sigma, photometric=photometric, non_negative=non_negative,
+        std=std,
+    )  # fmt: skip
     blur = make_blur(psf_sigma_px, fill_factor)
     used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
     part = burst if frames is None else burst.select(used)
@@ -199,12 +204,12 @@ def _check(
     options: dict[str, Any],
     scale: int,
     prior_weight: float | str | None,
-    noise_sigma: float | None,
+    **common: Any,
 ) -> None:
-    unknown = sorted(set(options) - set(method.options))
-    if unknown:
-        known = ", ".join(method.options) or "none"
-        raise ValueError(f"{name} does not know {', '.join(unknown)}; its options: {known}")
+    check_options(name, options, method.options)
+    for argument, value in common.items():
+        if not (argument == "noise_sigma" and value is None):
+            RULES[argument].check(argument, value)
     if isinstance(scale, bool) or scale != int(scale) or not 1 <= scale <= 8:
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale}")
     if isinstance(prior_weight, str):
@@ -212,10 +217,10 @@ def _check(
             raise ValueError(
                 f'expected prior_weight a number, None or "cross-validation", got {prior_weight!r}'
             )
-    elif prior_weight is not None and not (np.isfinite(prior_weight) and prior_weight >= 0):
-        raise ValueError(f"expected a prior_weight of at least 0, got {prior_weight}")
-    if noise_sigma is not None and not (np.isfinite(noise_sigma) and noise_sigma > 0):
-        raise ValueError(f"expected a positive noise_sigma, got {noise_sigma}")
+    elif prior_weight is not None:
+        RULES["prior_weight"].check("prior_weight", prior_weight)
+    if prior_weight is not None and not method.weighs_prior:
+        raise ValueError(f"{name} has no prior to weigh, got prior_weight {prior_weight!r}")
 
 
 def _settings(
