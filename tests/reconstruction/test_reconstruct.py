@@ -16,9 +16,11 @@ from pixel_camera import (
     truth,
 )
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, ShiftField, Status
 from lensshift.reconstruction.methods import method_names, method_summary
 from lensshift.reconstruction.reconstruct import reconstruct
+from lensshift.reconstruction.toolbox import irwsr_toolbox
 
 SHAPE, HR_SHAPE = (9, 13), (18, 26)
 LINEAR = ("nearest", "bicubic", "shift-and-add", "drizzle", "tikhonov")
@@ -174,7 +176,78 @@ def test_a_given_noise_is_believed() -> None:
     assert loud.image[flat].std() < quiet.image[flat].std()
 
 
+def _error(image: np.ndarray, reference: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((image - reference)[4:-4, 4:-4] ** 2)))
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv", "irwsr"])
+def test_a_large_level_costs_no_quality(method: str) -> None:
+    """A scene of 290 K with a contrast of 2 K: what was relative to 290 K lost it."""
+    frames, reference = _noisy(edge_scene, (16, 24)), truth(edge_scene, (16, 24), 2)
+    plain = _error(_image(make_burst(frames), method, std=False), reference)
+    lifted = reconstruct(make_burst(290.0 + frames), method=method, std=False).amplitude
+    assert _error(lifted.image - 290.0, reference) < 1.25 * plain
+    np.testing.assert_allclose(lifted.predict(1), 290.0 + frames[1], atol=0.15)
+
+
+def test_gain_and_bias_are_found_on_a_large_level() -> None:
+    frames, gain = _noisy(edge_scene, (16, 24)), np.array([1.0, 1.002, 1.0, 0.998])
+    frames = gain[:, None, None] * (100.0 + frames)
+    estimate = reconstruct(make_burst(frames), photometric=True, std=False).amplitude
+    for k in range(4):
+        assert abs(np.median((frames[k] - estimate.predict(k))[2:-2, 2:-2])) < 0.01
+
+
+@pytest.mark.parametrize("shape", [SHAPE, (16, 24)])
+def test_an_even_picture_raises_no_doubt(shape: tuple[int, int]) -> None:
+    for level in (0.0, 0.5, 290.0):
+        noise = 0.01 * np.random.default_rng(1).standard_normal((4, *shape))
+        for burst in (make_burst(level + noise), make_burst(np.full((4, *shape), level))):
+            np.testing.assert_allclose(_image(burst, std=False), level, atol=0.05)
+
+
+@pytest.mark.parametrize("reference_px", [0.66, 0.0])
+def test_an_error_that_all_shifts_share_does_not_blur(reference_px: float) -> None:
+
+    def rings(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        return 0.5 + 0.4 * np.cos(0.056 * ((row - 8) ** 2 + (col - 12) ** 2))
+
+    frames, reference = _noisy(rings, (16, 24)), truth(rings, (16, 24), 2)
+    told_px = np.full((4, 2), 0.66)
+    told_px[0] = reference_px
+    untold, told = (
+        _error(_image(make_burst(frames, **fields), std=False), reference)
+        for fields in ({}, {"offset_sigma_px": told_px})
+    )
+    assert told < 1.25 * untold
+
+
+def test_a_fill_factor_stands_for_the_whole_response() -> None:
+    burst = make_burst(_noisy(edge_scene))
+    alone = _image(burst, "tikhonov", fill_factor=1.0, prior_weight=0.01)
+    no_optics = _image(burst, "tikhonov", fill_factor=1.0, psf_sigma_px=0.0, prior_weight=0.01)
+    np.testing.assert_array_equal(alone, no_optics)
+
+
+def test_a_response_of_many_pixels_is_questioned_or_refused() -> None:
+    burst = make_burst(_noisy())
+    with pytest.warns(QualityWarning, match="psf_sigma_px 3: so wide"):
+        reconstruct(burst, psf_sigma_px=3.0, iterations=1, std=False)
+    with pytest.raises(ValueError, match="psf_sigma_px: expected 0 to 10"):
+        reconstruct(burst, psf_sigma_px=30.0)
+    reconstruct(burst, psf_sigma_px=1.0, iterations=1, std=False)
+
+
 # ---- frames, shift fields, prediction
+
+
+def test_the_toolbox_sees_every_pixel_as_published() -> None:
+    """Pixels that look beyond the picture take part there, with the taps that are left."""
+    offset_px = 3.0 * SQUARE_PX
+    frames = photograph(edge_scene, SHAPE, offset_px)
+    image = _image(make_burst(frames, offset_px), "irwsr-toolbox", prior_weight=0.01)
+    published = irwsr_toolbox(frames, offset_px, 2, prior_weight=0.01).image
+    np.testing.assert_allclose(image, published, atol=1e-9)
 
 
 def test_only_the_frames_asked_for_are_used() -> None:

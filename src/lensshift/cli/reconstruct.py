@@ -53,7 +53,7 @@ PsfOption = Annotated[
     typer.Option(
         "--psf-sigma-px", min=0.0,
         help="Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
-        "px; default: from --calibration, or 0.3.",
+        "px; default: from --calibration, or 0.3 (with --fill-factor: 0).",
     ),
 ]  # fmt: skip
 WeightOption = Annotated[

@@ -74,7 +74,7 @@ class SparseGradient:
     prior_weight : lambda (that at differences of average size, if it is uneven), or None
     noise_sigma : noise of an LR pixel (per component if complex), or None to estimate it
     blur_hr_px : width of the pixel response in HR pixels
-    shift_error_hr_px : standard deviation of the shifts in HR pixels, if they are uncertain;
+    shift_error_hr_px : [frame] standard deviation of the shifts in HR pixels, if uncertain;
         an LR pixel is believed less the steeper the picture is there
     robust : whether outliers and frames that do not fit lose weight
     adapt : whether to look at the kind of scene
@@ -92,7 +92,7 @@ class SparseGradient:
     prior_weight: float | None = None
     noise_sigma: float | None = None
     blur_hr_px: float = 0.6
-    shift_error_hr_px: float = 0.0
+    shift_error_hr_px: Array | float = 0.0
     robust: bool = True
     adapt: bool = True
     even_noise: bool = True
@@ -208,7 +208,7 @@ class SparseGradient:
         edge_error_px = EDGE_ERROR_PX * state.lone_edges if state.judged else CAUTIOUS_EDGE_ERROR_PX
         if not self.adapt:
             edge_error_px = 0.0
-        error2 = edge_error_px**2 + self.shift_error_hr_px**2
+        error2 = edge_error_px**2 + np.reshape(self.shift_error_hr_px, (-1, 1, 1)) ** 2
         scale = np.sqrt(sigma**2 + error2 * np.maximum(A.forward(gradient), 0.0))
         residual = y - A.forward(state.x)
         trust = confidence(residual, weight, scale)

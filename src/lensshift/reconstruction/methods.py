@@ -26,6 +26,7 @@ class Method:
     intensity : what the frames are divided by before
     options : keyword arguments of `reconstruct` that only this method knows, and what they may be
     weighs_prior : whether it takes a `prior_weight`
+    take_level, keep_outside : as in `make_problem`
     """
 
     summary: str
@@ -33,6 +34,8 @@ class Method:
     intensity: Callable[..., float] = brightness_of
     options: Mapping[str, Rule] = field(default_factory=dict)
     weighs_prior: bool = True
+    take_level: bool = True
+    keep_outside: bool = False
 
 
 METHODS: Mapping[str, Method] = {
@@ -58,6 +61,7 @@ METHODS: Mapping[str, Method] = {
         direct.deconvolution,
         options=options("frame", "algorithm"),
         weighs_prior=False,
+        take_level=False,  # Richardson and Lucy want no negative values
     ),
     "shift-and-add": Method(
         "every LR sample dropped into the nearest HR pixel, holes filled",
@@ -102,6 +106,8 @@ METHODS: Mapping[str, Method] = {
         bilateral.irwsr_toolbox,
         peak_of,
         options=options("window", "alpha", "sparsity", "iterations", "inner_iterations"),
+        take_level=False,
+        keep_outside=True,
     ),
 }
 

@@ -28,7 +28,7 @@ def reconstruct(
     scale: int = 2,
     method: str = "auto",
     channel: Channel = "auto",
-    psf_sigma_px: float = 0.3,
+    psf_sigma_px: float | None = None,
     prior_weight: float | Literal["cross-validation"] | None = None,
     *,
     frames: Sequence[int] | None = None,
@@ -55,8 +55,8 @@ def reconstruct(
     channel : "amplitude", "distance"; "phasor": both from phasors, the way a pixel mixes them; or
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
-    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289.
-        With `fill_factor`: width of the optical spot alone
+    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289, the
+        default is 0.3. With `fill_factor`: width of the optical spot alone, by default 0
     prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
         "cross-validation"
     frames : numbers of the frames to use, by default all; the others can be predicted
@@ -123,6 +123,7 @@ def reconstruct(
         problem = make_problem(
             part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
             intensity=chosen.intensity, pixel_variance=variance, even_noise=name != "distance",
+            take_level=chosen.take_level and not non_negative, keep_outside=chosen.keep_outside,
         )  # fmt: skip
         found[name] = _solve(burst, problem, used, chosen, request, photometric)
     return Reconstruction(
@@ -150,9 +151,10 @@ def _solve(
         gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.weight)
         problem = problem.with_photometry(gain, bias)
     estimate = method.run(problem, request)
-    unit = problem.intensity
-    image = np.asarray(estimate.image) * unit
-    notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": (bias * unit).tolist()}
+    unit, level = problem.intensity, problem.level
+    image = np.asarray(estimate.image) * unit + level
+    bias = bias * unit + level * (1.0 - gain)
+    notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": bias.tolist()}
                                     if photometric else {})  # fmt: skip
     std = estimate.uncertainty
     if callable(std):
@@ -165,7 +167,7 @@ def _solve(
         image=image,
         uncertainty=scaled,
         noise_sigma=None if estimate.noise_sigma is None else estimate.noise_sigma * unit,
-        predict=predictor(burst, problem, used, gain, bias * unit, image),
+        predict=predictor(burst, problem, used, gain, bias, image),
         notes=notes,
     )
 

@@ -38,7 +38,7 @@ _OVERCONFIDENCE = 3.5
 def refine_shifts(
     burst: Burst,
     scale: int = 2,
-    psf_sigma_px: float = 0.3,
+    psf_sigma_px: float | None = None,
     *,
     fill_factor: float | None = None,
     noise_sigma: float | None = None,
@@ -87,8 +87,9 @@ def refine_shifts(
     for _ in range(max_rounds):
         moved = replace(burst, offset_px=offset_px)
         problem = make_problem(
-            moved, burst.amplitude, scale, blur=blur, shift_field=None, noise_sigma=noise_sigma
-        )
+            moved, burst.amplitude, scale, blur=blur, shift_field=None, noise_sigma=noise_sigma,
+            take_level=True,
+        )  # fmt: skip
         sigma = _noise(problem)
         image, prior = _picture(problem, image, sigma)
         score, information = _normal(problem, image, prior, blur, sigma)
