@@ -106,10 +106,8 @@ def reconstruct(
     choice = choose_channel(part, channel, method, request, given=given)
     settings |= {"channel": choice.channel, "channel_reason": choice.reason}
     if method == "auto" or choice.channel == "phasor":
-        warn_of_doubtful_shifts(
-            part.amplitude, part.offset_px if field is None else field.offset_px,
-            scale=scale, valid=part.valid,
-        )  # fmt: skip
+        shifts = part.offset_px if field is None else field.offset_px
+        warn_of_doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
     found: dict[str, Estimate] = {}
     flying = None
     if choice.channel == "phasor":
