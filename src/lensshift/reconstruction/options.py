@@ -47,9 +47,16 @@ def positive(most: float = np.inf) -> Rule:
     )
 
 
-def at_least_zero() -> Rule:
-    """Allow finite numbers from 0 on."""
-    return Rule("a number of at least 0", lambda value: _is_number(value) and value >= 0.0)
+def weight() -> Rule:
+    """Allow finite numbers from 0 on, and the name of the way to find one."""
+    return Rule(
+        'a number of at least 0 or "cross-validation"',
+        lambda value: (
+            value == "cross-validation"
+            if isinstance(value, str)
+            else _is_number(value) and value >= 0.0
+        ),
+    )
 
 
 def one_of(*names: str) -> Rule:
@@ -74,7 +81,7 @@ RULES: Mapping[str, Rule] = {
     "threshold": positive(),
     "bias_threshold": positive(),
     "smoothing": positive(),
-    "prior_weight": at_least_zero(),
+    "prior_weight": weight(),
     "data_term": one_of("l2", "l1", "huber"),
     "seed": whole(0),
     "noise_sigma": positive(),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.methods import Method, find_method
-from lensshift.reconstruction.options import RULES, check_options
+from lensshift.reconstruction.options import RULES, check_options, check_settings
 from lensshift.reconstruction.phasor.branch import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
@@ -90,17 +90,13 @@ def reconstruct(
         axes, unit or order of frames better.
     """
     chosen = find_method(method)
-    _check(
-        chosen, method, options, scale, prior_weight,
-        seed=seed, noise_sigma=noise_sigma, photometric=photometric, non_negative=non_negative,
-        std=std,
-    )  # fmt: skip
+    request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
+    _check(chosen, method, scale, request, noise_sigma, photometric)
     blur = make_blur(psf_sigma_px, fill_factor)
     used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
-    request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, method, request, given=given)
@@ -201,26 +197,20 @@ def _select_field(field: ShiftField, used: tuple[int, ...], burst: Burst) -> Shi
 def _check(
     method: Method,
     name: str,
-    options: dict[str, Any],
     scale: int,
-    prior_weight: float | str | None,
-    **common: Any,
+    request: Request,
+    noise_sigma: float | None,
+    photometric: bool,
 ) -> None:
-    check_options(name, options, method.options)
-    for argument, value in common.items():
-        if not (argument == "noise_sigma" and value is None):
-            RULES[argument].check(argument, value)
+    check_options(name, request.options, method.options)
+    check_settings(request)
+    RULES["photometric"].check("photometric", photometric)
+    if noise_sigma is not None:
+        RULES["noise_sigma"].check("noise_sigma", noise_sigma)
     if isinstance(scale, bool) or scale != int(scale) or not 1 <= scale <= 8:
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale}")
-    if isinstance(prior_weight, str):
-        if prior_weight != "cross-validation":
-            raise ValueError(
-                f'expected prior_weight a number, None or "cross-validation", got {prior_weight!r}'
-            )
-    elif prior_weight is not None:
-        RULES["prior_weight"].check("prior_weight", prior_weight)
-    if prior_weight is not None and not method.weighs_prior:
-        raise ValueError(f"{name} has no prior to weigh, got prior_weight {prior_weight!r}")
+    if request.prior_weight is not None and not method.weighs_prior:
+        raise ValueError(f"{name} has no prior to weigh, got prior_weight {request.prior_weight!r}")
 
 
 def _settings(
