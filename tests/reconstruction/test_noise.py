@@ -161,3 +161,16 @@ def test_outliers_among_fine_rings_are_found() -> None:
     noise = estimate_noise(_operator(SQUARE_PX), y, np.ones(y.shape), lone_outliers=True)
     assert np.mean(noise.inlier[hit]) < 0.2
     assert np.mean(noise.inlier[~hit]) > 0.97
+
+
+def test_quiet_pixels_do_not_speak_for_noisy_ones() -> None:
+    """Distances of a bright card are quiet, those of the dark wall are what has to be smoothed."""
+    spread = np.where(np.arange(SHAPE[1]) < 8, 0.002, 0.05)
+    y = photograph(smooth_scene, SHAPE, SQUARE_PX)
+    y += spread * _white(y.shape)
+    even, uneven = (
+        estimate_noise(_operator(SQUARE_PX), y, np.ones(y.shape), even=even)
+        for even in (True, False)
+    )
+    assert even.sigma < 0.01
+    assert uneven.sigma == uneven.effective == uneven.unexplained > 3.0 * even.sigma

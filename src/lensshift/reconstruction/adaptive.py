@@ -156,7 +156,9 @@ class SparseGradient:
         """Return the noise, what to weigh with, and the pixels that are no outliers at first."""
         if self.noise_sigma is not None and not self.robust:
             return self.noise_sigma, self.noise_sigma, weight > 0
-        noise = estimate_noise(A, y, weight, lone_outliers=self._lone_outliers)
+        noise = estimate_noise(
+            A, y, weight, even=self.even_noise, lone_outliers=self._lone_outliers
+        )
         if not self.robust:
             return max(noise.sigma, 1e-6), max(noise.total, 1e-6), weight > 0
         sigma = max(self.noise_sigma or noise.sigma, 1e-6)

@@ -74,7 +74,9 @@ def _noise_power(problem: Problem, solver: Irwsr | ReweightedFit) -> float:
     data_term = solver.data_term if isinstance(solver, ReweightedFit) else "huber"
     sigma = problem.noise_sigma
     if sigma is None:
-        noise = estimate_noise(problem.model.operator, problem.y, problem.weight)
+        noise = estimate_noise(
+            problem.model.operator, problem.y, problem.weight, even=problem.even_noise
+        )
         # Squares feel the outliers; the other data terms hardly do.
         sigma = noise.total if data_term == "l2" else noise.effective
     sigma = max(sigma, 1e-6)

@@ -86,6 +86,8 @@ def _estimate(problem: Problem, request: Request, found: baselines.Baseline) -> 
     sigma, std = problem.noise_sigma, None
     if request.std and found.noise_gain is not None:
         if sigma is None:
-            sigma = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
+            sigma = estimate_noise(
+                problem.model.operator, problem.y, problem.weight, even=problem.even_noise
+            ).sigma
         std = found.noise_gain * sigma
     return Estimate(image=image, uncertainty=std, status=Status.DIRECT, noise_sigma=sigma)

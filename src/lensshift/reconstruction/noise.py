@@ -79,6 +79,7 @@ def estimate_noise(
     passes: int = 3,
     seed: int = 0,
     *,
+    even: bool = True,
     lone_outliers: bool = False,
 ) -> Noise:
     """Estimate the noise of the frames and mark the pixels that are not outliers.
@@ -96,6 +97,8 @@ def estimate_noise(
     ----------
     A : HR image [row col] to frames [frame row col]
     y, weight : [frame row col]
+    even : whether all pixels have about the same noise; else the quietest say nothing of the
+        others, and `sigma` is `unexplained`
     lone_outliers : whether an outlier has to stand out among its neighbours in all frames too, in
         the low pass that follows them best: what misses them all is the scene, unless noise or
         outliers come in clumps
@@ -119,7 +122,7 @@ def estimate_noise(
         for pair in zip(residuals, references, strict=True):
             quietest, of_noise = (_quietest(r, inlier) for r in pair)
             bounds.append(quietest / max(of_noise, 1e-12))
-        sigma = min(bounds)
+        sigma = min(bounds) if even else unexplained
         if lone_outliers:
             size, usual = _best_followed(residuals, references, inlier)
             found = used & (size <= OUTLIER_SIGMAS * np.maximum(usual, max(sigma, 1e-12)))
