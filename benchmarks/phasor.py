@@ -55,7 +55,7 @@ def noisy(phasor: NDArray[np.complex128], snr: float, seed: int) -> NDArray[np.c
 
 def boxes(seed: int) -> Iterator[Case]:
     camera = replace(camera_preset("o3m151"), output="float")
-    burst, truth = simulate_tof_burst(four_boxes(), camera, seed=seed)
+    burst, truth = simulate_tof_burst(four_boxes(), camera, OFFSETS_PX, seed=seed)
     yield Case(f"boxes, camera noise, {seed}", burst, truth.distance_m, truth.valid, ASSUMED_O3M)
     phasor = burst.amplitude * np.exp(1j * distance_to_phase(burst.distance_m, MODULATION_HZ))
     for snr in (50, 15):
@@ -69,7 +69,7 @@ def boxes(seed: int) -> Iterator[Case]:
 def bench(seed: int) -> Iterator[Case]:
     for snr in (50, 15):
         camera = paper_camera(snr, WALL_LIGHT, BRIGHTEST_LIGHT, optics="petzval_a")
-        burst, truth = simulate_tof_burst(four_boxes(), camera, seed=seed)
+        burst, truth = simulate_tof_burst(four_boxes(), camera, OFFSETS_PX, seed=seed)
         assumed = {"psf_sigma_px": ASSUMED[1]}
         yield Case(f"bench, SNR {snr}, {seed}", burst, truth.distance_m, truth.valid, assumed)
 

@@ -29,6 +29,7 @@ WIDE, SQUARE = (Grid(shape, (PITCH_MM, PITCH_MM)) for shape in ((16, 64), (40, 4
 CYCLES = 12
 ERRORS_PX = (0.0, 0.01, 0.02, 0.05, 0.1)
 LEAST_TOLD_PX = 0.02
+PLANNED_PX = ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25))
 # Noise of a pixel at half of full scale, as a share of full scale: full well and read noise.
 NOISES = {0.005: (20_000.0, 20.0), 0.02: (1_250.0, 5.0)}
 Measure = Callable[[float, float, int], float]
@@ -39,7 +40,7 @@ def taken(
 ) -> tuple[Burst, Truth]:
     """Return a burst as its rig describes it, and what nobody knows."""
     sensor = Sensor(grid, *NOISES[noise])
-    burst, truth = simulate_burst(target, sensor, shift_error_px=error_px, seed=seed)
+    burst, truth = simulate_burst(target, sensor, PLANNED_PX, shift_error_px=error_px, seed=seed)
     common_px = (truth.offset_px - burst.offset_px).mean(axis=0)
     told_px = np.full((4, 2), max(error_px, LEAST_TOLD_PX))
     burst = replace(burst, offset_px=burst.offset_px + common_px, offset_sigma_px=told_px)

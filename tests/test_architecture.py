@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -159,3 +160,12 @@ def without_unit(tree: ast.Module) -> Iterator[str]:
 def test_floats_with_a_dimension_say_their_unit() -> None:
     found = {named(path): list(without_unit(parsed(path))) for path in MODULES}
     assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+def test_every_extra_that_is_named_exists() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    texts = [path.read_text(encoding="utf-8") for path in (*MODULES, ROOT / "CHANGELOG.md")]
+    named = set(re.findall(r"lensshift\[(\w+)\]|extra `(\w+)`", "\n".join(texts)))
+    extras = {first or second for first, second in named}
+    assert extras
+    assert extras <= set(project["optional-dependencies"])

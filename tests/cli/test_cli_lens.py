@@ -75,6 +75,25 @@ def test_shift_map_moves_the_centre_by_what_was_asked(call: Call, tmp_path: Path
     assert predicted == pytest.approx(field[:, 2, 4], abs=1e-3)
 
 
+@pytest.mark.parametrize("pattern", ["square", "3x3"])
+def test_shift_map_belongs_to_a_simulated_burst(call: Call, tmp_path: Path, pattern: str) -> None:
+    small, burst, out = tmp_path / "small.toml", tmp_path / "b.nc", tmp_path / "map.npz"
+    small.write_text("[camera.grid]\nshape = [5, 9]\npitch_mm = [0.3, 0.3]\n")
+    taken = "--camera", small, "--lens", "petzval_b", "--pattern", pattern, "--shift-error-px", "0"
+    assert call("simulate", "slanted_edge", *taken, "-o", burst).exit_code == 0
+    sensor = "--sensor", "9x5", "--pitch-mm", "0.3", "--pattern", pattern
+    assert call("lens", "shiftmap", "petzval_b", *sensor, "-o", out).exit_code == 0
+    with np.load(tmp_path / "b.truth.npz") as truth:
+        true_px = truth["offset_field_px"]
+    np.testing.assert_allclose(load_shift_field(out).offset_px, true_px, atol=2e-3)
+    usual = "reconstruct", burst, "--method", "bicubic", "--shift-map", out
+    assert call(*usual).exit_code == 0
+    assert call("lens", "shiftmap", "petzval_b", *sensor[:2], "-o", out).exit_code == 0
+    refused = call(*usual)
+    assert refused.exit_code == 1
+    assert "map.npz: " in refused.output
+
+
 def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:
     sensor = "--sensor", "8x3", "--pitch-mm", "1.2,0.8"
     found = numbers(call, "which", "petzval_a", "--csv", tmp_path / "which.csv", *sensor)

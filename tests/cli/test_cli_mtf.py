@@ -38,6 +38,14 @@ def test_numbers_units_and_csv(call: Call, tmp_path: Path) -> None:
     )
 
 
+def test_the_mean_leaves_out_what_cannot_be_used(call: Call, tmp_path: Path) -> None:
+    beside = np.where(np.arange(20) < 10, 0.8, 0.2)  # an upright edge
+    np.save(tmp_path / "two.npy", np.concatenate([edge(), np.tile(beside, (16, 1))], axis=1))
+    found = json.loads(call("evaluate", "mtf", tmp_path / "two.npy", "--json").stdout)
+    assert [one["usable"] for one in found["edges"]] == [True, False]
+    assert found["mean"]["mtf50"]["value"] == found["edges"][0]["mtf50"]["value"]
+
+
 def test_all_frames_of_a_burst_together(call: Call, tmp_path: Path) -> None:
     frames = np.stack([edge(0.0), edge(0.5)])
     burst = Burst.from_arrays(frames, offset_px=[[0.0, 0.0], [0.0, 0.5]], pitch_mm=0.1)

@@ -55,6 +55,16 @@ def test_burst_with_truth_and_phases_beside_it(call: Call, small: Path, tmp_path
     np.testing.assert_allclose(burst.amplitude, electrons / full, rtol=1e-6)
 
 
+def test_reconstruct_says_that_the_burst_knows_its_blur(
+    call: Call, small: Path, tmp_path: Path
+) -> None:
+    burst = tmp_path / "b.nc"
+    assert call("simulate", "slanted_edge", "--camera", small, "-o", burst).exit_code == 0
+    bicubic = "reconstruct", burst, "--method", "bicubic"
+    assert "blur 0.224 px, as the burst says" in call(*bicubic).stdout
+    assert "blur 0.4 px, as told" in call(*bicubic, "--psf-sigma-px", 0.4).stdout
+
+
 def test_options_change_the_camera(call: Call, small: Path, tmp_path: Path) -> None:
     def taken(*options: object) -> Any:
         out = tmp_path / "b.nc"

@@ -21,6 +21,7 @@ from lensshift.evaluation.edge_gradient import (
     profile_edge,
     split_index,
 )
+from lensshift.evaluation.steps import steps_of
 
 Floats = NDArray[np.float64]
 SLANT = np.tan(np.radians(10))
@@ -200,6 +201,28 @@ def test_edges_that_miss_a_limit() -> None:
         edge_gradient(negative, step_mm=1.0, limits="literal")
     with pytest.raises(ValueError, match="reaches the high limit"):
         edge_gradient([1, 1, 1, 6, 1, 1, 5, 5, 5, 5, 5.0], step_mm=1.0, plateaus="extremes")
+
+
+@pytest.mark.parametrize("levels", [(0.0, 1.0, 0.3), (0.0, 0.5, 1.0), (1.0, 0.0, 0.4)])
+def test_two_edges_in_the_region_are_refused(levels: tuple[float, float, float]) -> None:
+    first, second = (slanted_box_pixels(12, 48, 1.0, at) for at in (-10.0, 8.0))
+    values = levels[0] + np.diff(levels) @ np.stack([first, second]).reshape(2, -1)
+    noise = 0.02 * np.random.default_rng(0).standard_normal((12, 48))
+    with pytest.raises(
+        ValueError, match=r"got several in 12 of 12 lines, as after samples 1\d and"
+    ):
+        edge_gradient(values.reshape(12, 48) + noise, step_mm=1.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize("width", [1.0, 6.0])
+def test_one_edge_is_one_edge(width: float, noise: float) -> None:
+    rng = np.random.default_rng(1)
+    lines = box_pixels(np.arange(48.0), width, rng.uniform(20, 28, (200, 1)))
+    lines += noise * rng.standard_normal(lines.shape)
+    assert sum(len(steps_of(line)) > 1 for line in lines) <= 4
+    overshot = [0, 0, 0, 0, 0, -0.15, 0.5, 1.4, 1, 1, 1, 1, 1, 0, 1, 1, 1]  # a dead pixel as well
+    assert len(steps_of(np.array(overshot, dtype=float))) == 1
 
 
 def test_unslanted_lines_warn_and_are_not_averaged() -> None:

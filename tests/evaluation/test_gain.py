@@ -104,3 +104,5 @@ def test_edges_are_paired_by_their_place() -> None:
     pairs = pair_edges(fine, [here, there], 2)
     assert [(a.region.col_start, b.region.col_start) for a, b in pairs] == [(2, 0), (82, 40)]
     assert pair_edges([replace(one, region=Region(0, 20, 200, 240))], [here], 2) == []
+    spoiled = [replace(fine[0], usable=False), *fine[1:]]
+    assert [one.region.col_start for one, _ in pair_edges(spoiled, [here, there], 2)] == [2]

@@ -17,6 +17,7 @@ from lensshift.evaluation import noise_autocovariance
 from lensshift.evaluation.slanted_edge import (
     EdgeResult,
     Region,
+    average_curves,
     average_interval,
     find_regions,
     measure_edge,
@@ -253,6 +254,21 @@ def test_all_edges_of_a_card_are_measured() -> None:
     assert curve.std is not None
 
 
+def test_an_edge_that_cannot_be_used_is_not_averaged() -> None:
+    upright = box_edge((30, 32), angle_deg=0.0, sigma_px=0.15)
+    image = noisy(np.concatenate([upright, box_edge((30, 48))[:, ::-1]], axis=1), 0.005)
+    with pytest.warns(QualityWarning, match="tilted by 0"):
+        results = measure_edges(image)
+    assert [result.usable for result in results] == [True, False]
+    assert results[0].region.col_start > 32
+    with pytest.warns(QualityWarning, match="tilted by 0"):
+        curve = slanted_edge_mtf(image)
+    np.testing.assert_array_equal(curve.modulation, results[0].mtf.modulation)
+    np.testing.assert_array_equal(  # better than nothing
+        average_curves(results[1:]).modulation, results[1].mtf.modulation
+    )
+
+
 def test_doubts_come_with_numbers() -> None:
     image = noisy(box_edge((17, 49)), 0.01)
     with pytest.warns(QualityWarning, match=r"contrast of the edge is 6\.\d %"):
@@ -310,7 +326,15 @@ def test_aliasing_that_is_left_shows() -> None:
         ({"method": "guess"}, "expected a method"),
         ({"scale": 0}, "expected a scale"),
         ({"aperture_px": -1.0}, "expected an aperture_px"),
-        ({"most_bends": 99}, "expected most_bends"),
+        ({"most_bends": 99}, "expected whole most_bends"),
+        ({"most_bends": 1.5}, "expected whole most_bends"),
+        ({"tilt": "flat"}, "expected tilt"),
+        ({"seed": -1}, "expected a whole seed"),
+        ({"order": 5, "window": "nonsense"}, "ml does not know order, window; its options: ape"),
+        ({"method": "sfrmat5", "order": 99}, "an order from 1 to 5"),
+        ({"method": "sfrmat5", "window": "nonsense"}, "the window 'tukey' or 'hamming'"),
+        ({"method": "sfrmat5", "aperture_px": -5}, "sfrmat5 does not know aperture_px; its opt"),
+        ({"method": "sfrmat3", "noise_covariance": np.ones((1, 1))}, "noise_covariance.*: none"),
         ({"valid": np.ones((2, 2))}, "expected a mask"),
         ({"frequency_lpmm": [0.3, 0.1]}, "expected frequency_lpmm"),
     ],

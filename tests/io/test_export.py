@@ -106,13 +106,14 @@ def test_nothing_is_left_where_it_cannot_be_written(tmp_path: Path, name: str) -
 
 
 def test_reconstruction_as_npz_has_every_field(tmp_path: Path) -> None:
-    reconstruction = make_reconstruction()
+    reconstruction = make_reconstruction(flying=np.arange(140).reshape(10, 14) % 3 == 0)
     assert export_reconstruction(reconstruction, tmp_path / "a.npz") is None
     assert reconstruction.amplitude is not None
     with np.load(tmp_path / "a.npz", allow_pickle=False) as read:
         np.testing.assert_array_equal(read["amplitude"], reconstruction.amplitude.image)
         np.testing.assert_array_equal(read["amplitude_std"], reconstruction.amplitude.std)
         np.testing.assert_array_equal(read["distance_m_objective"], [1.0])
+        np.testing.assert_array_equal(read["flying"], reconstruction.flying)
         assert "distance_m_std" not in read
         assert str(read["amplitude_status"]) == Status.MAX_ITERATIONS.name.lower()
         assert (int(read["scale"]), str(read["method"])) == (2, "irwsr")

@@ -7,6 +7,7 @@ import pytest
 
 from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftField, StageMap
+from lensshift.core.types import Burst
 from lensshift.io import load_shift_field, load_stage_map, save_shift_map
 
 FIELD = ShiftField(np.random.default_rng(0).normal(size=(4, 3, 5, 2)))
@@ -23,6 +24,22 @@ def test_comes_back_exactly(tmp_path: Path) -> None:
     assert found.sigma_px == 0.01
     with np.load(tmp_path / "map.npz") as archive:
         assert np.array_equal(archive["stage_mm"], np.eye(4, 2))
+
+
+def test_a_map_of_other_pixels_is_refused_by_name(tmp_path: Path) -> None:
+    offset_px = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.25, -0.25]])
+    field = ShiftField(np.tile(offset_px[:, None, None], (1, 3, 5, 1)), (0.1, 0.1))
+    save_shift_map(tmp_path / "map.npz", field)
+    frames = np.ones((4, 3, 5))
+    own = Burst.from_arrays(frames, offset_px=offset_px + 3.0, pitch_mm=0.1)
+    assert load_shift_field(tmp_path / "map.npz", own).pitch_mm == (0.1, 0.1)
+    for other, message in (
+        (Burst.from_arrays(frames, offset_px=offset_px, pitch_mm=0.155), "pitch_mm: expected"),
+        (own.select([0, 1, 3, 2]), r"offset_px: expected .* 0\.50 px more in 2 of 4 frames"),
+        (own.select([0, 1, 2]), r"offset_px: expected a shift field of \(3, 3, 5, 2\)"),
+    ):
+        with pytest.raises(DataError, match=r"map\.npz: " + message):
+            load_shift_field(tmp_path / "map.npz", other)
 
 
 def test_a_bare_field_has_no_stage_map(tmp_path: Path) -> None:

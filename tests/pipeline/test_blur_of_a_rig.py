@@ -1,13 +1,17 @@
 """The blur of a rig from the straight edges of a scene, against its closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from lensshift.camera import PlainOptics, camera_preset, simulate_tof_burst
 from lensshift.core.types import Burst
 from lensshift.pipeline.calibrate import psf_width_px
+from lensshift.pipeline.experiment_file import named_optics, named_scene
 
 SHAPE = (15, 29)
 TURN_RAD = 0.2
@@ -48,6 +52,16 @@ def test_width_of_optics_and_pixel() -> None:
     width_px, error_px = found
     assert width_px == pytest.approx(np.sqrt(np.log(2) / 2) / np.pi / half, abs=0.006)
     assert error_px < 0.006
+
+
+@pytest.mark.parametrize("optics", [PlainOptics(42.7, 2.1, blur_sigma_px=0.2), "petzval_b"])
+def test_a_simulated_burst_tells_the_width_that_its_edges_show(optics: PlainOptics | str) -> None:
+    traced = optics if isinstance(optics, PlainOptics) else named_optics(optics, 1)
+    camera = replace(camera_preset("o3m151"), optics=traced, scatter=None, output="float")
+    burst, _ = simulate_tof_burst(named_scene("slanted_edge"), camera, shift_error_px=0.0)
+    found = psf_width_px(burst)
+    assert found is not None
+    assert burst.meta["psf_sigma_px"] == pytest.approx(found[0], abs=0.015)
 
 
 def test_no_edge_no_width() -> None:

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lensshift import fidelity, reconstruct
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.io import load_burst, load_reconstruction
 from lensshift.pipeline import demo_burst, run
+from lensshift.pipeline.experiment import carry_out, simulate
+from lensshift.pipeline.experiment_file import default_experiment
 
 
 def test_run_writes_what_it_says_and_beats_the_yardsticks(tmp_path: Path) -> None:
@@ -39,6 +42,15 @@ def test_run_writes_what_it_says_and_beats_the_yardsticks(tmp_path: Path) -> Non
     assert edge_m["auto"] < 0.8 * edge_m["bicubic"] < edge_m["nearest"]
     assert seen
     assert summary.seconds > 0
+
+
+def test_a_simulated_burst_is_reconstructed_as_well_as_by_run() -> None:
+    experiment = default_experiment()
+    capture = simulate(experiment)
+    image = reconstruct(capture.burst, std=False).amplitude
+    assert image is not None
+    alone_db = fidelity(image.image, capture.truth.amplitude).psnr_db
+    assert alone_db > carry_out(experiment).fidelity["auto"]["psnr_db"] - 0.5
 
 
 def test_same_seed_same_numbers(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lensshift import Burst, reconstruct
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Reconstruction
 from lensshift.core.units import (
     SPEED_OF_LIGHT_MPS,
@@ -229,7 +230,7 @@ def test_auto_chooses_phasors_only_where_they_can_be_had() -> None:
         (replace(burst, distance_m=None), {}, "separate"),
         (burst, {"method": "bicubic"}, "separate"),
         (burst, {"noise_sigma": 0.01}, "separate"),
-        (burst, {"prior_weight": 0.1}, "separate"),
+        (burst, {"photometric": True}, "separate"),
     ]
     for given, settings, expected in cases:
         chosen = reconstruct(given, std=False, **settings).settings
@@ -242,7 +243,7 @@ def test_auto_chooses_phasors_only_where_they_can_be_had() -> None:
     [
         ({"distance_m": None}, {}, "no distance_m"),
         ({}, {"method": "irwsr"}, "among auto, tikhonov, tv"),
-        ({}, {"prior_weight": 0.1}, "prior_weight None"),
+        ({}, {"prior_weight": 0.1}, "no prior to weigh"),
         ({}, {"photometric": True}, "photometric"),
         ({"amplitude": np.full((4, *SHAPE), -1.0)}, {}, "at least 0"),
         ({"amplitude": np.ones((4, *SHAPE), complex), "modulation_hz": None}, {}, "modulation_hz"),
@@ -324,3 +325,11 @@ def test_noise_that_grows_with_the_light_is_noticed(slope: float) -> None:
     np.testing.assert_allclose(of_steps, expected[0, 0, ::13], rtol=0.25)
     small = relative_variance(phasor[:, :5, :5], weight[:, :5, :5])
     np.testing.assert_array_equal(small, 1.0)
+
+
+def test_frames_of_another_brightness_raise_a_warning() -> None:
+    """Phasors that contradict each other were averaged without a word."""
+    burst = card_burst(0.004)
+    gain = np.array([1.0, 1.3, 1.0, 0.7])[:, None, None]
+    with pytest.warns(QualityWarning, match="rejected"):
+        reconstruct(replace(burst, amplitude=gain * burst.amplitude), std=False)

@@ -16,9 +16,11 @@ from pixel_camera import (
     truth,
 )
 
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, ShiftField, Status
 from lensshift.reconstruction.methods import method_names, method_summary
 from lensshift.reconstruction.reconstruct import reconstruct
+from lensshift.reconstruction.toolbox import irwsr_toolbox
 
 SHAPE, HR_SHAPE = (9, 13), (18, 26)
 LINEAR = ("nearest", "bicubic", "shift-and-add", "drizzle", "tikhonov")
@@ -38,7 +40,7 @@ def _image(burst: Burst, method: str = "auto", **settings: Any) -> np.ndarray:
 
 
 def _weight(method: str) -> dict[str, Any]:
-    return {} if method in PLAIN else {"prior_weight": 0.01}
+    return {} if method in (*PLAIN, "auto") else {"prior_weight": 0.01}
 
 
 # ---- every method
@@ -169,12 +171,82 @@ def test_a_given_noise_is_believed() -> None:
     quiet = reconstruct(burst, noise_sigma=0.005).amplitude
     loud = reconstruct(burst, noise_sigma=0.05).amplitude
     assert (quiet.noise_sigma, loud.noise_sigma) == (pytest.approx(0.005), pytest.approx(0.05))
-    assert quiet.prior_weight < loud.prior_weight
     flat = (slice(6, -6), slice(-12, -4))
     assert loud.image[flat].std() < quiet.image[flat].std()
 
 
+def _error(image: np.ndarray, reference: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((image - reference)[4:-4, 4:-4] ** 2)))
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv", "irwsr"])
+def test_a_large_level_costs_no_quality(method: str) -> None:
+    """A scene of 290 K with a contrast of 2 K: what was relative to 290 K lost it."""
+    frames, reference = _noisy(edge_scene, (16, 24)), truth(edge_scene, (16, 24), 2)
+    plain = _error(_image(make_burst(frames), method, std=False), reference)
+    lifted = reconstruct(make_burst(290.0 + frames), method=method, std=False).amplitude
+    assert _error(lifted.image - 290.0, reference) < 1.25 * plain
+    np.testing.assert_allclose(lifted.predict(1), 290.0 + frames[1], atol=0.15)
+
+
+def test_gain_and_bias_are_found_on_a_large_level() -> None:
+    frames, gain = _noisy(edge_scene, (16, 24)), np.array([1.0, 1.002, 1.0, 0.998])
+    frames = gain[:, None, None] * (100.0 + frames)
+    estimate = reconstruct(make_burst(frames), photometric=True, std=False).amplitude
+    for k in range(4):
+        assert abs(np.median((frames[k] - estimate.predict(k))[2:-2, 2:-2])) < 0.01
+
+
+@pytest.mark.parametrize("shape", [SHAPE, (16, 24)])
+def test_an_even_picture_raises_no_doubt(shape: tuple[int, int]) -> None:
+    for level in (0.0, 0.5, 290.0):
+        noise = 0.01 * np.random.default_rng(1).standard_normal((4, *shape))
+        for burst in (make_burst(level + noise), make_burst(np.full((4, *shape), level))):
+            np.testing.assert_allclose(_image(burst, std=False), level, atol=0.05)
+
+
+@pytest.mark.parametrize("reference_px", [0.66, 0.0])
+def test_an_error_that_all_shifts_share_does_not_blur(reference_px: float) -> None:
+
+    def rings(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        return 0.5 + 0.4 * np.cos(0.056 * ((row - 8) ** 2 + (col - 12) ** 2))
+
+    frames, reference = _noisy(rings, (16, 24)), truth(rings, (16, 24), 2)
+    told_px = np.full((4, 2), 0.66)
+    told_px[0] = reference_px
+    untold, told = (
+        _error(_image(make_burst(frames, **fields), std=False), reference)
+        for fields in ({}, {"offset_sigma_px": told_px})
+    )
+    assert told < 1.25 * untold
+
+
+def test_a_fill_factor_stands_for_the_whole_response() -> None:
+    burst = make_burst(_noisy(edge_scene))
+    alone = _image(burst, "tikhonov", fill_factor=1.0, prior_weight=0.01)
+    no_optics = _image(burst, "tikhonov", fill_factor=1.0, psf_sigma_px=0.0, prior_weight=0.01)
+    np.testing.assert_array_equal(alone, no_optics)
+
+
+def test_a_response_of_many_pixels_is_questioned_or_refused() -> None:
+    burst = make_burst(_noisy())
+    with pytest.warns(QualityWarning, match="psf_sigma_px 3: so wide"):
+        reconstruct(burst, psf_sigma_px=3.0, std=False)
+    with pytest.raises(ValueError, match="psf_sigma_px: expected 0 to 10"):
+        reconstruct(burst, psf_sigma_px=30.0)
+    reconstruct(burst, psf_sigma_px=1.0, std=False)
+
+
 # ---- frames, shift fields, prediction
+
+
+def test_the_toolbox_sees_every_pixel_as_published() -> None:
+    """Pixels that look beyond the picture take part there, with the taps that are left."""
+    offset_px = 3.0 * SQUARE_PX
+    frames = photograph(edge_scene, SHAPE, offset_px)
+    image = _image(make_burst(frames, offset_px), "irwsr-toolbox", prior_weight=0.01)
+    published = irwsr_toolbox(frames, offset_px, 2, prior_weight=0.01).image
+    np.testing.assert_allclose(image, published, atol=1e-9)
 
 
 def test_only_the_frames_asked_for_are_used() -> None:
@@ -213,24 +285,52 @@ def test_every_method_can_predict() -> None:
         assert reconstruct(burst, method=method).amplitude.predict(1).shape == SHAPE
 
 
+def test_the_blur_is_that_of_the_burst_unless_told() -> None:
+    told = make_burst(_noisy(), meta={"psf_sigma_px": 0.2})
+    settings = {"method": "tikhonov", "prior_weight": 0.01}
+    by_burst = reconstruct(told, **settings)
+    assert (by_burst.settings["psf_sigma_px"], by_burst.settings["psf_source"]) == (0.2, "burst")
+    np.testing.assert_array_equal(
+        by_burst.amplitude.image, _image(make_burst(_noisy()), psf_sigma_px=0.2, **settings)
+    )
+    assert reconstruct(told, psf_sigma_px=0.4, **settings).settings["psf_source"] == "given"
+    assert reconstruct(make_burst(_noisy()), **settings).settings["psf_source"] == "assumed"
+    alone = reconstruct(told, fill_factor=0.5, **settings)  # that of the burst holds the pixel
+    assert alone.settings["psf_source"] == "assumed"
+    with pytest.raises(DataError, match=r"meta\.psf_sigma_px: expected a number, got 'wide'"):
+        reconstruct(make_burst(_noisy(), meta={"psf_sigma_px": "wide"}))
+
+
 @pytest.mark.parametrize("method", ["auto", "tikhonov", "irwsr", "shift-and-add", "bicubic"])
 def test_a_constant_shift_field_equals_the_offsets(method: str) -> None:
     burst = make_burst(_noisy())
     field = ShiftField(np.broadcast_to(SQUARE_PX[:, None, None, :], (4, *SHAPE, 2)).copy())
-    nowhere = make_burst(burst.amplitude, np.zeros((4, 2)))
+    elsewhere = make_burst(burst.amplitude, SQUARE_PX + 0.4)
     settings = _weight(method)
     expected = _image(burst, method, **settings)
-    found = _image(nowhere, method, shift_field=field, **settings)
+    found = _image(elsewhere, method, shift_field=field, **settings)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_a_shift_field_is_selected_with_its_frames() -> None:
     burst = make_burst(_noisy())
     field = ShiftField(np.broadcast_to(SQUARE_PX[:, None, None, :], (4, *SHAPE, 2)).copy())
-    nowhere = make_burst(burst.amplitude, np.zeros((4, 2)))
-    found = _image(nowhere, "tikhonov", shift_field=field, frames=(3, 1), prior_weight=0.01)
+    elsewhere = make_burst(burst.amplitude, SQUARE_PX + 0.4)
+    found = _image(elsewhere, "tikhonov", shift_field=field, frames=(3, 1), prior_weight=0.01)
     expected = _image(burst, "tikhonov", frames=(3, 1), prior_weight=0.01)
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_the_shift_field_of_another_burst_is_refused() -> None:
+    burst = make_burst(_noisy())
+    swapped = np.tile(SQUARE_PX[[0, 1, 3, 2], None, None], (1, *SHAPE, 1))
+    with pytest.raises(DataError, match=r"offset_px: .* 0\.50 px more in 2 of 4 frames, frame 2"):
+        reconstruct(burst, shift_field=ShiftField(swapped))
+    own = np.tile(SQUARE_PX[:, None, None], (1, *SHAPE, 1))
+    with pytest.raises(DataError, match=r"pitch_mm: .* pixels of \(0\.01, 0\.01\) mm, got"):
+        reconstruct(burst, shift_field=ShiftField(own, (0.1, 0.155)))
+    with pytest.raises(DataError, match="shift field of"):
+        reconstruct(burst, shift_field=ShiftField(own[:3]))
 
 
 def test_gain_and_bias_are_found_on_request() -> None:
@@ -287,7 +387,7 @@ def test_cross_validation_is_repeatable(method: str) -> None:
     np.testing.assert_array_equal(first.image, second.image)
 
 
-@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv", "l1-btv", "map", "irwsr"])
+@pytest.mark.parametrize("method", ["tikhonov", "tv", "l1-btv", "map", "irwsr"])
 def test_a_given_weight_is_kept_and_its_std_is_repeatable(method: str) -> None:
     burst = make_burst(_noisy(edge_scene))
     first, second = (reconstruct(burst, method=method, prior_weight=0.02).amplitude for _ in "ab")
@@ -311,7 +411,7 @@ def test_progress_is_reported_and_can_stop_the_work(method: str) -> None:
     burst = make_burst(_noisy())
     calls: list[tuple[int, float]] = []
     reconstruct(
-        burst, method=method, prior_weight=0.01,
+        burst, method=method, **_weight(method),
         on_iteration=lambda step, value: calls.append((step, value)),
     )  # fmt: skip
     steps = [step for step, _ in calls]
@@ -327,7 +427,7 @@ def test_progress_is_reported_and_can_stop_the_work(method: str) -> None:
 
 
 def test_iterations_are_an_option() -> None:
-    estimate = reconstruct(make_burst(_noisy()), iterations=2).amplitude
+    estimate = reconstruct(make_burst(_noisy()), method="tv", iterations=2).amplitude
     assert len(estimate.objective) == 2
     assert estimate.status is Status.MAX_ITERATIONS
 
@@ -336,7 +436,7 @@ def test_iterations_are_an_option() -> None:
     ("settings", "message"),
     [
         ({"method": "magic"}, "auto, nearest, bicubic"),
-        ({"window": 2}, "auto does not know window; its options: iterations"),
+        ({"window": 2}, "auto does not know window; its options: none"),
         ({"method": "tikhonov", "pixfrac": 1.0}, "its options: none"),
         ({"scale": 0}, "whole scale from 1 to 8"),
         ({"scale": 9}, "whole scale from 1 to 8"),
@@ -348,8 +448,8 @@ def test_iterations_are_an_option() -> None:
         ({"prior_weight": -0.1}, "at least 0"),
         ({"prior_weight": np.nan}, "at least 0"),
         ({"prior_weight": "guess"}, "cross-validation"),
-        ({"noise_sigma": 0.0}, "positive noise_sigma"),
-        ({"noise_sigma": np.inf}, "positive noise_sigma"),
+        ({"noise_sigma": 0.0}, "noise_sigma: expected a positive"),
+        ({"noise_sigma": np.inf}, "noise_sigma: expected a positive"),
         ({"frames": ()}, "frames from 0 to 3"),
         ({"frames": (0, 4)}, "frames from 0 to 3"),
         ({"frames": (-1, 0)}, "frames from 0 to 3"),
@@ -367,6 +467,41 @@ def test_iterations_are_an_option() -> None:
 def test_a_wrong_argument_says_what_was_expected(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         reconstruct(make_burst(_noisy()), **settings)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("auto", {"iterations": 2}),
+        ("auto", {"prior_weight": 0.1}),
+        ("tv", {"iterations": 2.5}),
+        ("tv", {"iterations": -3}),
+        ("tv", {"iterations": "5"}),
+        ("l1-btv", {"iterations": 0}),
+        ("l1-btv", {"alpha": np.nan}),
+        ("irwsr", {"window": 1.5}),
+        ("irwsr", {"sparsity": 0}),
+        ("irwsr", {"inner_iterations": True}),
+        ("irwsr-toolbox", {"iterations": 1.5}),
+        ("irwsr-toolbox", {"noise_sigma": 0.01}),
+        ("map", {"threshold": -1.0, "prior": "huber"}),
+        ("map", {"data_term": 2}),
+        ("nearest", {"frame": True}),
+        ("bicubic", {"frame": 1, "combine": "mean"}),
+        ("bicubic", {"prior_weight": 0.1}),
+        ("shift-and-add", {"combine": 3}),
+        ("shift-and-add", {"combine": "first"}),
+        ("drizzle", {"pixfrac": "a"}),
+        ("drizzle", {"kernel": "round"}),
+        ("deconvolution", {"algorithm": "magic"}),
+        ("auto", {"photometric": "false"}),
+        ("auto", {"std": 1}),
+        ("auto", {"seed": 0.5}),
+    ],
+)
+def test_no_method_takes_an_impossible_or_idle_option(method: str, options: dict) -> None:
+    with pytest.raises(ValueError, match=next(iter(options))):
+        reconstruct(make_burst(_noisy()), method=method, **options)
 
 
 def test_offsets_far_beyond_the_frame_are_refused() -> None:

@@ -43,7 +43,7 @@ def test_auto_predicts_the_held_out_frames_of_the_chart(reference_dir: Path) -> 
         for k in range(16)
         if k not in SQUARE
     ]
-    assert np.sqrt(np.mean(np.square(residuals))) <= 7.4
+    assert np.sqrt(np.mean(np.square(residuals))) <= 7.6  # 7.26 by the prior of decision 6
 
 
 @pytest.mark.slow

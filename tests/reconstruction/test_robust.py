@@ -12,12 +12,12 @@ from lensshift.evaluation import psnr_db
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.priors import BilateralTotalVariation
-from lensshift.reconstruction.robust import DATA_TERMS, ReweightedFit
+from lensshift.reconstruction.robust import ReweightedFit
 
 SQUARE_PX = [(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)]
 
 
-@pytest.mark.parametrize("data_term", DATA_TERMS)
+@pytest.mark.parametrize("data_term", ["l2", "l1", "huber"])
 def test_finds_a_simple_scene(data_term: str) -> None:
     model = forward_model((12, 14), 2, SQUARE_PX)
     truth = np.where(np.arange(28) > 13, 0.8, 0.2) * np.ones((24, 1))

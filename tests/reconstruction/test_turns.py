@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lensshift import Burst, reconstruct
+from lensshift.core.errors import QualityWarning
 from lensshift.core.units import unambiguous_range_m
 from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.phasor.turns import settle_turns
@@ -90,3 +91,28 @@ def test_the_phasor_channel_survives_miscounted_turns() -> None:
     off_m = np.abs(result.distance_m.image - reference)[4:-4, 4:-4]
     assert np.median(off_m) < 0.03
     assert np.mean(off_m > 2.0) < 0.002
+
+
+def test_a_dark_surface_that_all_frames_see_a_turn_nearer_stays_there() -> None:
+    """Dark pixels took the turn of the wall around them, though no frame doubted it."""
+    rng = np.random.default_rng(1)
+    distance_m = np.full((4, *SHAPE), 9.0)
+    distance_m[:, 10:14, 15:20] = 4.2
+    phase_rad = 0.05 * rng.standard_normal(distance_m.shape)
+    distance_m += phase_rad / (2 * np.pi) * unambiguous_range_m(MODULATION_HZ)
+    burst = Burst.from_arrays(
+        np.full(distance_m.shape, 0.15),
+        distance_m=distance_m,
+        offset_px=np.zeros((4, 2)),
+        pitch_mm=0.03,
+        modulation_hz=MODULATION_HZ,
+    )
+    frames = polar_frames(burst)
+    settled = settle_turns(frames, SIGMA)
+    np.testing.assert_allclose(frames.scale.distance_m(settled.phase_rad), distance_m, atol=1e-9)
+
+
+def test_contested_turns_raise_a_warning() -> None:
+    burst, _, _ = slipping_burst(0.4)
+    with pytest.warns(QualityWarning, match="how often the phase has turned"):
+        reconstruct(burst, 2, channel="phasor", std=False)

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.grid import Grid
+from lensshift.core.pattern import named_pattern_px
 from lensshift.core.types import Burst
 from lensshift.scene import Target
 
 # Four frames that encircle the centred position, as (row, col).
-QUARTER_SQUARE_PX = ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25))
+QUARTER_SQUARE_PX = named_pattern_px("square")
+QUARTER_SQUARE_PX.setflags(write=False)
 _SAMPLES_PER_HR_PX = 10
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 _SAMPLES_AT_ONCE = 2_000_000  # a few hundred MB at most

@@ -15,7 +15,7 @@ from lensshift.camera.output import Image, O3mImages, image_of
 from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
 from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
 from lensshift.camera.settings import LensOptics, Scatter, TofCamera
-from lensshift.camera.view import motions
+from lensshift.camera.view import motions, response_width_px
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
 from lensshift.core.units import unambiguous_range_m
@@ -136,7 +136,7 @@ def simulate_tof(
     The order: light and phase of the surfaces, indirect light; lens, moved; mean over the
     aperture; scattered light; drift; taps with harmonics, sunlight and dark current; shot noise,
     background suppression, full well, read noise, converter; amplitude, phase, unwrapping,
-    validity, output. The burst holds the planned offsets.
+    validity, output. The burst holds the planned offsets and the width of the pixel response.
 
     Parameters
     ----------
@@ -174,6 +174,8 @@ def simulate_tof(
     ]
     images = [image_of(reading, camera) for reading in readings]
     notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
+    # What `calibrate` would tell of a real camera.
+    notes["psf_sigma_px"] = response_width_px(side_px, rest.blur, camera.grid.shape)
     flying = np.stack([_flying(seen, camera) for seen in frames])
     field = None
     if isinstance(camera.optics, LensOptics) and camera.optics.element is not None:

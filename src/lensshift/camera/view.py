@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
 from lensshift.core.grid import Grid
+from lensshift.core.optical import gaussian_width
 from lensshift.optics.lens import Lens
 
 Array = NDArray[Any]
@@ -64,6 +65,34 @@ def motions(camera: TofCamera, offset_px: Array) -> list[Motion]:
         sigma_px = camera.optics.blur_sigma_px
         return [Motion(offset[None, None, :], sigma_px) for offset in offset_px]
     return _lens_motions(camera.optics, camera.grid, offset_px)
+
+
+def response_width_px(side_px: float, blur: float | SpotBlur, shape: tuple[int, int]) -> float:
+    """Return the Gaussian width of a pixel and what blurs it, as `calibrate` finds it at an edge.
+
+    The width is that of the MTF50 in the middle of the sensor, the mean of both axes.
+
+    Parameters
+    ----------
+    side_px : of the sensitive square of a pixel
+    blur : as in `Motion`
+    shape : of the sensor
+    """
+    from scipy.optimize import brentq
+
+    def contrast(f: float, axis: int) -> float:
+        pixel = np.sinc(side_px * f)
+        if not isinstance(blur, SpotBlur):
+            return float(pixel * np.exp(-2.0 * (np.pi * blur * f) ** 2))
+        landing, weight = blur.at(*(np.array([0.5 * (size - 1)]) for size in shape))
+        waves = np.exp(2j * np.pi * f * landing[0, 0, :, axis])
+        return float(pixel * np.abs(weight[0, 0] @ waves))
+
+    first_zero_cpp = 1.0 / side_px
+    half_cpp = [
+        brentq(lambda f, axis=axis: contrast(f, axis) - 0.5, 0.0, first_zero_cpp) for axis in (0, 1)
+    ]
+    return float(np.mean([gaussian_width(f) for f in half_cpp]))
 
 
 class View:

@@ -31,6 +31,16 @@ class FrameAxis(StrEnum):
         return 0 if self is FrameAxis.FIRST else -1
 
 
+class Pattern(StrEnum):
+    """Where the image is sent in each frame, see `lensshift.core.pattern`."""
+
+    SQUARE = "square"
+    NINE = "3x3"
+    SIXTEEN = "4x4"
+    STILL = "still"
+
+
+PatternOption = Annotated[Pattern, typer.Option("--pattern", help="Where the image is sent.")]
 OffsetsOption = Annotated[
     Path | None,
     typer.Option("--offsets", help="Shifts of an image stack: CSV (row,col) or JSON, in LR px."),

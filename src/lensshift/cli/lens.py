@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensshift.cli.inputs import Pattern, PatternOption
 from lensshift.cli.lens_design import budget, optimise, tolerance
 from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
 from lensshift.cli.optics import (
@@ -62,8 +63,6 @@ MtfFigureOption = Annotated[MtfFigure, typer.Option("--figure", help="What --plo
 OutOption = Annotated[Path | None, typer.Option("-o", "--out", help="Write the shift map (.npz).")]
 
 _CURVE_STEPS = 80
-# The quarter-pixel square of four frames, as signs of (row, col).
-_SQUARE = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 
 
 @lens_verbs.callback()
@@ -248,6 +247,7 @@ def _curves(
 def shiftmap(
     lens: LensArgument,
     element: ElementOption = 1,
+    pattern: PatternOption = Pattern.SQUARE,
     shift_px: ShiftOption = SHIFT_PX,
     sensor: SensorOption = SENSOR,
     pitch_mm: PitchOption = PITCH_MM,
@@ -259,10 +259,12 @@ def shiftmap(
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
-    """Trace how far the image moves at every pixel for the four frames of a shift square.
+    """Trace how far the image moves at every pixel for the frames of a pattern.
 
-    Writes the offsets of every pixel, the travel of the element for each frame and the stage map;
-    `reconstruct --shift-map` takes the file.
+    The frames are those of `simulate --pattern` and `capture --plan`, in their order; another
+    --shift-px than 0.25 makes the pattern wider or narrower. Writes the offsets of every pixel,
+    the travel of the element for each frame and the stage map; `reconstruct --shift-map` takes the
+    file and refuses one that does not belong to its burst.
 
     \b
     Example:
@@ -272,6 +274,7 @@ def shiftmap(
     with session(as_json=as_json, debug=debug) as current:
         import numpy as np
 
+        from lensshift.core.pattern import named_pattern_px
         from lensshift.io import save_shift_map
         from lensshift.optics.shift import (
             decenter_for_shift,
@@ -283,7 +286,7 @@ def shiftmap(
         check_outputs([], csv, plot)
         model = read_lens(lens, wavelength_nm, temperature_c)
         grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
-        wanted_px = shift_px * np.array(_SQUARE, dtype=float)
+        wanted_px = shift_px / SHIFT_PX * named_pattern_px(pattern.value)
         travel_mm = decenter_for_shift(model, moved, wanted_px, grid)
         field = shift_map(model, moved, travel_mm, grid)
         stage = stage_map(model, moved, grid)

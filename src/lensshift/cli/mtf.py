@@ -81,7 +81,7 @@ def mtf(
     """Measure the MTF of slanted edges, with 95 % intervals.
 
     Every edge of the image is found and measured, unless a region is given; numbers of several
-    edges are averaged with their variances.
+    edges are averaged with their variances, those of edges that cannot be used left out.
 
     \b
     Example:
@@ -90,7 +90,7 @@ def mtf(
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
     with session(as_json=as_json, debug=debug) as current:
-        from lensshift.evaluation.slanted_edge import average_curves, measure_edges
+        from lensshift.evaluation.slanted_edge import average_curves, measure_edges, usable_edges
 
         place = parse_region(region)
         check_outputs([image], csv, plot)
@@ -111,9 +111,10 @@ def mtf(
         )
         for result in results:
             say_edge(current, result, unit, measured.length)
-        mean = _mean(results)
+        used = usable_edges(results)
+        mean = _mean(used)
         if len(results) > 1:
-            current.say(f"mean of {len(results)} edges")
+            current.say(f"mean of {len(used)} usable of {len(results)} edges")
             _say_numbers(current, mean, unit, measured.length)
         curve = average_curves(results)
         frequency = curve.frequency_lpmm * unit.factor
@@ -184,5 +185,5 @@ def edge_row(result: EdgeResult, unit: Unit) -> dict[str, Any]:
         row[name] = interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
     for name in ("method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm"):
         row[name] = getattr(result, name)
-    row["notes"] = list(result.notes)
+    row |= {"notes": list(result.notes), "usable": result.usable}
     return row

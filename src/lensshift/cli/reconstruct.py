@@ -26,6 +26,11 @@ from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, se
 if TYPE_CHECKING:
     from lensshift.core.types import Burst, Estimate, Reconstruction
 
+_WIDTH_SOURCES = {
+    "given": "as told",
+    "burst": "as the burst says",
+    "assumed": "assumed: --psf-sigma-px or --calibration may know better",
+}
 EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz")
 
 
@@ -53,7 +58,7 @@ PsfOption = Annotated[
     typer.Option(
         "--psf-sigma-px", min=0.0,
         help="Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
-        "px; default: from --calibration, or 0.3.",
+        "px; default: from --calibration or the burst, or 0.3 (with --fill-factor: 0).",
     ),
 ]  # fmt: skip
 WeightOption = Annotated[
@@ -148,7 +153,7 @@ def _located(
     if shift_map is not None:
         from lensshift.io import load_shift_field
 
-        return burst, {"shift_field": load_shift_field(shift_map)}
+        return burst, {"shift_field": load_shift_field(shift_map, burst)}
     if calibration is not None:
         from lensshift.io.calibration_file import load_calibration
 
@@ -229,6 +234,9 @@ def _reconstruct(
     _preview(burst, result, settings, files.preview)
     shape = result.grid.shape
     current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")
+    if "psf_source" in result.settings:
+        width_px, told_by = (result.settings[name] for name in ("psf_sigma_px", "psf_source"))
+        current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}")
     say_channels(current, result)
     current.say("wrote " + ", ".join(str(path) for path in files.all))
     current.result |= {

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.inputs import refuse_overwriting
+from lensshift.cli.inputs import Pattern, PatternOption, refuse_overwriting
 from lensshift.cli.session import DebugOption, JsonOption, session
 
 if TYPE_CHECKING:
     from lensshift.camera import TofCamera, TofCapture
-
-
-class Pattern(StrEnum):
-    """Where the image is sent in each frame."""
-
-    SQUARE = "square"
-    NINE = "3x3"
-    SIXTEEN = "4x4"
-    STILL = "still"
 
 
 SceneArgument = Annotated[
@@ -42,7 +32,6 @@ LensOption = Annotated[
 ElementOption = Annotated[
     int, typer.Option("--element", min=0, help="Element that moves, from 1; 0: the sensor moves.")
 ]
-PatternOption = Annotated[Pattern, typer.Option("--pattern", help="Where the image is sent.")]
 ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Truth pixels per pixel.")]
 ErrorOption = Annotated[
     float, typer.Option("--shift-error-px", min=0.0, help="Rms error of each shift, unknown.")

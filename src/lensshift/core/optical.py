@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from lensshift.core.arrays import frozen
 
 
+def gaussian_width(mtf50: float) -> float:
+    """Return the width of the Gaussian that has its MTF50 there: exp(-2 (pi sigma f)^2) = 1/2."""
+    return float(np.sqrt(np.log(2.0) / 2.0) / (np.pi * mtf50))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Psf:
     """A point spread function sampled every `step_px` LR pixels.

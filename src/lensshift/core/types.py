@@ -81,7 +81,8 @@ class Burst:
     time_s : [frame] or None
     modulation_hz : modulation frequency, or None
     raw : name -> [frame ...] what the camera sent, as it sent it
-    meta : anything else worth keeping, text and numbers
+    meta : anything else worth keeping, text and numbers. `psf_sigma_px`, the Gaussian width of the
+        pixel response in LR pixels, is what `reconstruct` assumes unless it is told another
 
     Raises
     ------

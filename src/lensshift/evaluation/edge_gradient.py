@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.steps import refuse_two_edges
 
 Floats = NDArray[np.float64]
 Limits = Literal["range", "literal"]
@@ -144,8 +145,8 @@ def edge_gradient(
     Raises
     ------
     ValueError
-        If an argument is out of range, the lines do not all rise or all fall, or a line has no
-        edge or does not reach a limit.
+        If an argument is out of range, most lines cross more than one edge, the lines do not all
+        rise or all fall, or a line has no edge or does not reach a limit.
 
     Warns
     -----
@@ -157,6 +158,7 @@ def edge_gradient(
     """
     lines = _lines(values)
     _check(step_mm, limits, share, plateaus)
+    refuse_two_edges(lines)
     place_mm = np.arange(lines.shape[1], dtype=np.float64) * step_mm
     edges = []
     for number, line in enumerate(lines):

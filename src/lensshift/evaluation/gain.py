@@ -109,7 +109,7 @@ def average_gain(gains: Sequence[ResolutionGain]) -> ResolutionGain:
 def pair_edges(
     fine: Sequence[EdgeResult], coarse: Sequence[EdgeResult], scale: float
 ) -> list[tuple[EdgeResult, EdgeResult]]:
-    """Return the edges that both images show, as (fine, coarse).
+    """Return the edges that both images show, as (fine, coarse): the usable ones if there are any.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def pair_edges(
         ]
         if apart and min(apart) <= _MAX_APART * length_px:
             pairs.append((left.pop(int(np.argmin(apart))), there))
-    return pairs
+    return [pair for pair in pairs if pair[0].usable and pair[1].usable] or pairs
 
 
 def _geometric_mean(ratios: Sequence[Interval]) -> Interval:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -118,6 +118,22 @@ class ForwardModel:
             self.lr_shape,
             lambda x: stack.forward(x)[0],
             lambda y: stack.adjoint(y[None]),
+        )
+
+    def crop(self, rows: slice, cols: slice) -> ForwardModel:
+        """Return the model of a part of the frames (LR rows and columns) and of the HR image."""
+        lr_shape = (rows.stop - rows.start, cols.stop - cols.start)
+        hr_shape = (lr_shape[0] * self.scale, lr_shape[1] * self.scale)
+        at = [taps.position_hr_px for taps in (self.rows, self.cols)]
+        at = [p[:, rows, cols] for p in at] if at[0].ndim == 3 else [at[0][:, rows], at[1][:, cols]]
+        row_at, col_at = at[0] - rows.start * self.scale, at[1] - cols.start * self.scale
+        return replace(
+            self,
+            lr_shape=lr_shape,
+            hr_shape=hr_shape,
+            rows=_taps(self.blur, row_at, self.scale, hr_shape[0]),
+            cols=_taps(self.blur, col_at, self.scale, hr_shape[1]),
+            inside=_inside(row_at, col_at, hr_shape),
         )
 
     @property

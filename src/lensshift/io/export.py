@@ -141,6 +141,7 @@ def export_reconstruction(
         "scale": reconstruction.scale,
         "method": reconstruction.method,
         "settings": to_json(reconstruction.settings, "settings"),
+        "flying": reconstruction.flying,
     }
     for name, estimate in channels.items():
         fields |= _estimate_fields(name, estimate)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftField, StageMap
+from lensshift.core.types import Burst
 from lensshift.io.atomic import written_whole
 from lensshift.io.image_file import load_named_arrays
 
@@ -28,9 +29,9 @@ def save_shift_map(
 ) -> None:
     """Write a shift map as a NumPy archive (.npz).
 
-    Arrays: `offset_px` [frame row col 2]; if given, `px_per_mm` [2 2], `field_px_per_mm`
-    [row col 2 2] and `sigma_px` of the stage map, and `stage_mm` [frame 2], where the stage has to
-    go for each frame. `schema` tells the version.
+    Arrays: `offset_px` [frame row col 2]; if known, `pitch_mm` [2]; if given, `px_per_mm` [2 2],
+    `field_px_per_mm` [row col 2 2] and `sigma_px` of the stage map, and `stage_mm` [frame 2], where
+    the stage has to go for each frame. `schema` tells the version.
 
     Raises
     ------
@@ -39,6 +40,8 @@ def save_shift_map(
     """
     arrays: dict[str, NDArray[np.generic]] = {"offset_px": field.offset_px}
     arrays["schema"] = np.array(SCHEMA)
+    if field.pitch_mm is not None:
+        arrays["pitch_mm"] = np.array(field.pitch_mm)
     if stage_map is not None:
         arrays |= {"px_per_mm": stage_map.px_per_mm, "sigma_px": np.array(stage_map.sigma_px)}
         if stage_map.field_px_per_mm is not None:
@@ -49,15 +52,32 @@ def save_shift_map(
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def load_shift_field(path: str | Path) -> ShiftField:
+def load_shift_field(path: str | Path, burst: Burst | None = None) -> ShiftField:
     """Read the offsets [frame row col 2] of a shift map.
+
+    Parameters
+    ----------
+    burst : the burst that the map has to belong to, if that is wanted
 
     Raises
     ------
     DataError
-        If the file is missing, no such archive, or holds no field of offsets.
+        If the file is missing, no such archive, holds no field of offsets or that of another burst.
     """
-    return _built(path, "offset_px", lambda arrays: ShiftField(arrays["offset_px"]))
+    field = _built(path, "offset_px", _field)
+    if burst is not None:
+        try:
+            field.check_belongs(burst.offset_px, burst.grid)
+        except DataError as error:
+            raise error.in_file(path) from error
+    return field
+
+
+def _field(arrays: dict[str, NDArray[Any]]) -> ShiftField:
+    if "pitch_mm" not in arrays:
+        return ShiftField(arrays["offset_px"])
+    row_mm, col_mm = np.asarray(arrays["pitch_mm"], dtype=np.float64)
+    return ShiftField(arrays["offset_px"], (float(row_mm), float(col_mm)))
 
 
 def load_stage_map(path: str | Path) -> StageMap:

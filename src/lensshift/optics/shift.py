@@ -58,7 +58,7 @@ def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> S
     moved_mm = spots(lens, fields, build=moved, rings=_RINGS).centroid_mm
     resting_mm = spots(lens, fields, rings=_RINGS).centroid_mm
     offset_px = (moved_mm - resting_mm) / np.asarray(grid.pitch_mm)
-    return ShiftField(offset_px.reshape(len(moves), *grid.shape, 2))
+    return ShiftField(offset_px.reshape(len(moves), *grid.shape, 2), grid.pitch_mm)
 
 
 def stage_map(lens: Lens, element: int, grid: Grid) -> StageMap:

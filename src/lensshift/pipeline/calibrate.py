@@ -11,6 +11,7 @@ import numpy as np
 
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
+from lensshift.core.optical import gaussian_width
 from lensshift.core.types import Burst
 from lensshift.registration.calibrate import ScanFit, fit_scan
 
@@ -22,8 +23,6 @@ _MOST_FRAMES = 12
 _LEAST_ERROR_PX = 0.005  # errors of the shifts, edges of few pixels: 0.007 px on the emulated rig
 _LEAST_PX = 4  # lines and columns of an edge
 _MOST_ASYMMETRY = 0.05  # over the contrast; what stands beside an edge makes it asymmetric
-# Gaussian width times MTF50: exp(-2 (pi sigma f)^2) = 1/2.
-_WIDTH_BY_MTF50 = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +127,7 @@ def psf_width_px(burst: Burst) -> tuple[float, float] | None:
         half = edge.mtf50_lpmm
         told = np.all(np.isfinite([half.value, half.low, half.high])) and half.low > 0.0
         if told and edge.asymmetry.value < _MOST_ASYMMETRY:
-            widths.append([_WIDTH_BY_MTF50 / f for f in (half.high, half.value, half.low)])
+            widths.append([gaussian_width(f) for f in (half.high, half.value, half.low)])
     if not widths:
         return None
     low, value, high = np.array(widths).T

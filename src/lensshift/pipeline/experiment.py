@@ -39,7 +39,8 @@ class Experiment:
     method, channel : of the reconstruction
     shifts : what the reconstruction is told: the planned ones; the true ones of the middle of
         the sensor; or, for a traced lens, the planned ones with their field over the sensor
-    psf_sigma_px : pixel response that the reconstruction assumes, in LR pixels
+    psf_sigma_px : pixel response that the reconstruction assumes, in LR pixels; None: that of the
+        camera
     name : for titles
     """
 
@@ -52,7 +53,7 @@ class Experiment:
     method: str = "auto"
     channel: Channel = "auto"
     shifts: Shifts = "planned"
-    psf_sigma_px: float = 0.3
+    psf_sigma_px: float | None = None
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -66,7 +67,8 @@ class Experiment:
             raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
 
         width_px, scale = self.psf_sigma_px, self.scale
-        if not isinstance(width_px, (int, float)) or not 0.0 <= width_px < np.inf:
+        known = isinstance(width_px, (int, float))
+        if width_px is not None and not (known and 0.0 <= width_px < np.inf):
             raise ValueError(f"expected psf_sigma_px of at least 0, got {width_px!r}")
         if scale not in range(1, MAX_SCALE + 1):
             raise ValueError(f"expected an integer scale from 1 to {MAX_SCALE}, got {scale!r}")

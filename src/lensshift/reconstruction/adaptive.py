@@ -19,6 +19,7 @@ from lensshift.reconstruction.least_squares import (
     solve_penalised,
 )
 from lensshift.reconstruction.noise import estimate_noise
+from lensshift.reconstruction.options import check_settings
 from lensshift.reconstruction.outliers import confidence
 from lensshift.reconstruction.selection import prior_share
 
@@ -27,6 +28,9 @@ OnIteration = Callable[[int, float], None]
 
 # Diagonal neighbours are farther away: their differences count 1 / length.
 SHARE = (1.0 / np.sqrt((NEIGHBOURS**2).sum(axis=1))).reshape(-1, 1, 1)
+# An outlier at first sight counts again once the picture comes so near to it: finest detail does,
+# salt and pepper do not (photographs of 256 px, and 8 scenes with 2 and 5 % of salt and pepper).
+READMITTED_SIGMAS = 10.0
 # How clumped the gradient of a picture is where lone edges end and texture begins.
 LONE_EDGES, TEXTURE = 0.262, 0.288
 CLUMP_WINDOW_HR_PX = 17
@@ -73,7 +77,7 @@ class SparseGradient:
     prior_weight : lambda (that at differences of average size, if it is uneven), or None
     noise_sigma : noise of an LR pixel (per component if complex), or None to estimate it
     blur_hr_px : width of the pixel response in HR pixels
-    shift_error_hr_px : standard deviation of the shifts in HR pixels, if they are uncertain;
+    shift_error_hr_px : [frame] standard deviation of the shifts in HR pixels, if uncertain;
         an LR pixel is believed less the steeper the picture is there
     robust : whether outliers and frames that do not fit lose weight
     adapt : whether to look at the kind of scene
@@ -91,7 +95,7 @@ class SparseGradient:
     prior_weight: float | None = None
     noise_sigma: float | None = None
     blur_hr_px: float = 0.6
-    shift_error_hr_px: float = 0.0
+    shift_error_hr_px: Array | float = 0.0
     robust: bool = True
     adapt: bool = True
     even_noise: bool = True
@@ -100,6 +104,9 @@ class SparseGradient:
     first_steps: int = 6
     tolerance: float = 2e-4
     non_negative: bool = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     def __call__(
         self,
@@ -110,8 +117,8 @@ class SparseGradient:
         on_iteration: OnIteration | None = None,
     ) -> Estimate:
         """Return the estimate [row col] from frames and their weights [frame row col]."""
-        sigma, inlier = self._noise(A, y, weight)
-        state = _State(weight=weight * inlier, lone_edges=0.0)
+        noise_sigma, sigma, inlier = self._noise(A, y, weight)
+        state = _State(weight * inlier, lone_edges=0.0, inlier=inlier, noise_sigma=noise_sigma)
         state.x = smooth_fit(A, y, state.weight, 0.03, 30) if x0 is None else x0.copy()
         square = mean_column_square(A)
         status = Status.MAX_ITERATIONS
@@ -138,16 +145,24 @@ class SparseGradient:
             if settled and np.max(np.abs(state.x - before)) < self.tolerance:
                 status = Status.CONVERGED
                 break
-        return state.estimate(status, sigma, self)
+        return state.estimate(status, noise_sigma, self)
 
-    def _noise(self, A: LinearOperator, y: Array, weight: Array) -> tuple[float, Array]:
-        """Return sigma, and the pixels that are no outliers at first sight."""
+    @property
+    def _lone_outliers(self) -> bool:
+        """Whether an outlier has to stand out among its neighbours: edges do not then."""
+        return self.adapt and self.even_noise
+
+    def _noise(self, A: LinearOperator, y: Array, weight: Array) -> tuple[float, float, Array]:
+        """Return the noise, what to weigh with, and the pixels that are no outliers at first."""
         if self.noise_sigma is not None and not self.robust:
-            return self.noise_sigma, weight > 0
-        noise = estimate_noise(A, y, weight, lone_outliers=self.adapt and self.even_noise)
+            return self.noise_sigma, self.noise_sigma, weight > 0
+        noise = estimate_noise(
+            A, y, weight, even=self.even_noise, lone_outliers=self._lone_outliers
+        )
         if not self.robust:
-            return max(noise.total, 1e-6), weight > 0
-        return max(self.noise_sigma or noise.sigma, 1e-6), noise.inlier
+            return max(noise.sigma, 1e-6), max(noise.total, 1e-6), weight > 0
+        sigma = max(self.noise_sigma or noise.sigma, 1e-6)
+        return sigma, max(self.noise_sigma or noise.effective, 1e-6), noise.inlier
 
     def _coefficients(self, state: _State, sigma: float) -> Array:
         """Return the quadratic that touches the penalty from above at x; updates lambda."""
@@ -188,15 +203,23 @@ class SparseGradient:
     def _confidence(
         self, A: LinearOperator, y: Array, weight: Array, sigma: float, state: _State
     ) -> Array:
-        """Return the weight of each LR pixel: outliers, odd frames and edges count less."""
+        """Return the weight of each LR pixel: outliers, odd frames and edges count less.
+
+        What stood out alone at first sight stays out until the picture agrees with it: where
+        hardly another pixel says what belongs there, the least weight would draw the picture to it.
+        """
         across, down, *diagonals = state.square
         gradient = 0.5 * (across + down + 0.5 * sum(diagonals))
         edge_error_px = EDGE_ERROR_PX * state.lone_edges if state.judged else CAUTIOUS_EDGE_ERROR_PX
         if not self.adapt:
             edge_error_px = 0.0
-        error2 = edge_error_px**2 + self.shift_error_hr_px**2
+        error2 = edge_error_px**2 + np.reshape(self.shift_error_hr_px, (-1, 1, 1)) ** 2
         scale = np.sqrt(sigma**2 + error2 * np.maximum(A.forward(gradient), 0.0))
-        trust = confidence(y - A.forward(state.x), weight, scale)
+        residual = y - A.forward(state.x)
+        trust = confidence(residual, weight, scale)
+        if self._lone_outliers:
+            noise = np.sqrt(scale**2 - sigma**2 + state.noise_sigma**2)
+            trust *= state.inlier | (np.abs(residual) <= READMITTED_SIGMAS * noise)
         state.trust = float(np.mean(trust[weight > 0]))
         return np.asarray(weight * trust * (sigma / scale) ** 2)
 
@@ -225,6 +248,8 @@ class SparseGradient:
 class _State:
     weight: Array
     lone_edges: float
+    inlier: Array | bool = True
+    noise_sigma: float = 0.0
     judged: bool = False
     smoothing: float = START_SMOOTHING
     prior_weight: float | None = None

@@ -38,8 +38,6 @@ def l1_btv(problem: Problem, request: Request) -> Estimate:
 def maximum_a_posteriori(problem: Problem, request: Request) -> Estimate:
     """A data term and a prior of the caller's choice."""
     name = request.options.get("prior", "tv")
-    if name not in PRIORS:
-        raise ValueError(f"expected prior {', '.join(PRIORS)}, got {name!r}")
     names = {"btv": ("window", "alpha"), "huber": ("threshold",), "tv": ()}[name]
     unknown = {"window", "alpha", "threshold"} & set(request.options) - set(names)
     if unknown:
@@ -56,6 +54,8 @@ def irwsr_toolbox(problem: Problem, request: Request) -> Estimate:
 
     if request.non_negative:
         raise ValueError("the published toolbox has no non-negative option; use irwsr")
+    if problem.noise_sigma is not None:
+        raise ValueError("the published toolbox finds its own noise, got noise_sigma; use irwsr")
     if not isinstance(problem.model.offset_px, np.ndarray):
         raise ValueError("irwsr-toolbox takes one offset per frame, got a shift field; use irwsr")
     callback = request.on_iteration
@@ -74,9 +74,11 @@ def _noise_power(problem: Problem, solver: Irwsr | ReweightedFit) -> float:
     data_term = solver.data_term if isinstance(solver, ReweightedFit) else "huber"
     sigma = problem.noise_sigma
     if sigma is None:
-        noise = estimate_noise(problem.model.operator, problem.y, problem.weight)
+        noise = estimate_noise(
+            problem.model.operator, problem.y, problem.weight, even=problem.even_noise
+        )
         # Squares feel the outliers; the other data terms hardly do.
-        sigma = noise.total if data_term == "l2" else noise.sigma
+        sigma = noise.total if data_term == "l2" else noise.effective
     sigma = max(sigma, 1e-6)
     share = prior_share(problem.blur_sigma_px * problem.scale)
     return share * (sigma if data_term == "l1" else 2.0 * sigma**2)

@@ -74,9 +74,11 @@ def drizzle(problem: Problem, request: Request) -> Estimate:
 
 def _frame(problem: Problem, request: Request) -> int:
     frame = request.options.get("frame", 0)
-    if not isinstance(frame, int) or not 0 <= frame < len(problem.y):
+    if frame >= len(problem.y):
         raise ValueError(f"expected a frame from 0 to {len(problem.y) - 1}, got {frame}")
-    return frame
+    if "frame" in request.options and request.options.get("combine", "first") != "first":
+        raise ValueError(f"combine {request.options['combine']!r} takes all frames, got frame")
+    return int(frame)
 
 
 def _estimate(problem: Problem, request: Request, found: baselines.Baseline) -> Estimate:
@@ -84,6 +86,8 @@ def _estimate(problem: Problem, request: Request, found: baselines.Baseline) -> 
     sigma, std = problem.noise_sigma, None
     if request.std and found.noise_gain is not None:
         if sigma is None:
-            sigma = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
+            sigma = estimate_noise(
+                problem.model.operator, problem.y, problem.weight, even=problem.even_noise
+            ).sigma
         std = found.noise_gain * sigma
     return Estimate(image=image, uncertainty=std, status=Status.DIRECT, noise_sigma=sigma)

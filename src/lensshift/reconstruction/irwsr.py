@@ -19,6 +19,7 @@ from lensshift.reconstruction.differences import (
     half_plane,
 )
 from lensshift.reconstruction.irwsr_systems import System, fastest_system, start_image
+from lensshift.reconstruction.options import check_settings
 
 Array = NDArray[Any]
 Single = NDArray[np.float32]
@@ -70,17 +71,7 @@ class Irwsr:
     smoothing: float = 1e-2
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.prior_weight) and self.prior_weight >= 0):
-            raise ValueError(f"expected a prior_weight of at least 0, got {self.prior_weight}")
-        for name in ("window", "iterations", "inner_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"expected {name} of at least 1, got {getattr(self, name)}")
-        for name in ("alpha", "sparsity"):
-            if not 0 < getattr(self, name) <= 1:
-                raise ValueError(f"expected {name} in (0, 1], got {getattr(self, name)}")
-        for name in ("bias_threshold", "smoothing"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"expected a positive {name}, got {getattr(self, name)}")
+        check_settings(self)
 
     def __call__(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,12 +15,16 @@ from lensshift.reconstruction.least_squares import NEIGHBOURS, smooth_fit
 
 Array = NDArray[Any]
 
-# The residual of the soft low pass is judged on the calmest share of the pixels only.
+# The residual of soft low passes, from stiff to soft: the soft ones follow fine texture.
+STIFFNESS = (0.1, 0.01, 0.001)
+# Of the stiffest, the calmest share of the pixels only is judged.
 CALM_SHARE = 0.3
-LOW_PASS_STIFFNESS = 0.1
 CALM_STIFFNESS = 3.0
+# Of each, the quietest blocks; at most about so many of them, whatever the size of the frames.
+BLOCK_PX, MOST_BLOCKS, QUIET_SHARE = 6, 1500, 0.1
 OUTLIER_SIGMAS = 4.0
 GAUSSIAN_MAD = 1.4826
+GAUSSIAN_UPPER_QUARTILE = 1.1503  # of |values| in standard deviations
 # Pixels of all frames among which an outlier has to stand out.
 NEIGHBOURHOOD_PX = 3
 
@@ -41,13 +46,30 @@ class Noise:
     Parameters
     ----------
     sigma : standard deviation of one LR pixel, per real component, outliers left out
-    total : the same with the outliers: what a method feels that cannot leave them out
+    unexplained : what a smooth picture leaves over in the calmest parts: noise, fine texture and
+        errors of the model
+    excess : by how much the outliers widen it, at least 1
     inlier : [frame row col] False at outliers
     """
 
     sigma: float
-    total: float
+    unexplained: float
+    excess: float
     inlier: NDArray[np.bool_]
+
+    @property
+    def effective(self) -> float:
+        """What to weigh a prior with: the geometric mean of `sigma` and `unexplained`.
+
+        The noise alone trusts the model too far where the blur or a shift is wrong; what is
+        unexplained blurs fine texture away. Between the two lay the best pictures.
+        """
+        return float(np.sqrt(self.sigma * self.unexplained))
+
+    @property
+    def total(self) -> float:
+        """`effective` with the outliers: what a method feels that cannot leave them out."""
+        return self.excess * self.effective
 
 
 def estimate_noise(
@@ -57,62 +79,119 @@ def estimate_noise(
     passes: int = 3,
     seed: int = 0,
     *,
+    even: bool = True,
     lone_outliers: bool = False,
 ) -> Noise:
     """Estimate the noise of the frames and mark the pixels that are not outliers.
 
-        sigma = MAD(r(y)) / MAD(r(white noise)),   r = residual of a soft low pass of all frames
+        sigma = min over low passes of  MAD(r(y)) / MAD(r(white noise)),   r = y - low pass
 
-    Together the shifted frames sample the scene more finely than its blur, so the highest
-    frequencies of the burst hold little but noise. The same linear filter applied to unit white
-    noise gives the factor exactly, whatever shifts, borders and gaps there are. Only the pixels
-    where the picture is calm (small gradient of a much smoother fit, which the noise hardly
-    moves) are counted; pixels beyond 4 sigma are left out of the next pass.
+    Whatever a low pass of all frames misses of the scene makes its residual larger, never smaller:
+    each gives an upper bound, and the lowest of several is taken. The same linear filter applied
+    to unit white noise gives the factor exactly, whatever shifts, borders and gaps there are. A
+    residual is judged where it is quietest: in the tenth of the blocks, and for `unexplained` at
+    the pixels where the picture is calm (small gradient of a much smoother fit, which the noise
+    hardly moves). Pixels beyond 4 sigma are left out of the next pass.
 
     Parameters
     ----------
     A : HR image [row col] to frames [frame row col]
     y, weight : [frame row col]
-    lone_outliers : whether pixels whose neighbours in all frames are off as well are kept: what
-        the low pass misses there is the scene, unless noise or outliers come in clumps
+    even : whether all pixels have about the same noise; else the quietest say nothing of the
+        others, and `sigma` is `unexplained`
+    lone_outliers : whether an outlier has to stand out among its neighbours in all frames too, in
+        the low pass that follows them best: what misses them all is the scene, unless noise or
+        outliers come in clumps
     """
-    from scipy.ndimage import uniform_filter
-
     noise = np.random.default_rng(seed).standard_normal(y.shape)
-    kept = (weight > 0).astype(np.float64)
-    inlier: NDArray[np.bool_] = kept > 0
-    sigma = total = 0.0
-    low = low_noise = smooth = None  # each pass begins where the one before it ended
+    used: NDArray[np.bool_] = weight > 0
+    inlier, kept = used, used.astype(np.float64)
+    references = [noise - A.forward(smooth_fit(A, noise, kept, s)) for s in STIFFNESS]
+    lows: list[Array | None] = [None] * len(STIFFNESS)
+    smooth = None  # each pass begins where the one before it ended
+    sigma = unexplained = spread = 0.0
     for _ in range(passes):
-        low = smooth_fit(A, y, kept, LOW_PASS_STIFFNESS, x0=low)
-        low_noise = smooth_fit(A, noise, kept, LOW_PASS_STIFFNESS, x0=low_noise)
+        lows = [smooth_fit(A, y, kept, s, x0=low) for s, low in zip(STIFFNESS, lows, strict=True)]
+        residuals = [np.where(used, y - A.forward(low), 0.0) for low in lows if low is not None]
         smooth = smooth_fit(A, y, kept, CALM_STIFFNESS, x0=smooth)
-        residual, reference = y - A.forward(low), noise - A.forward(low_noise)
-        steps = np.empty((len(NEIGHBOURS), *A.in_shape), smooth.dtype)
-        differences(smooth, NEIGHBOURS, steps)
-        unrest = A.forward(uniform_filter((np.abs(steps) ** 2).sum(axis=0), 5))
-        calm = inlier & (unrest <= np.quantile(unrest[inlier], CALM_SHARE))
-        sigma = robust_scale(residual[calm]) / max(robust_scale(reference[calm]), 1e-12)
-        if total == 0.0:
-            total = max(sigma, _spread(residual[calm]) / max(_spread(reference[calm]), 1e-12))
-        usual: Array | float = max(sigma, 1e-12)
+        calm = inlier & _calm(A, smooth, inlier)
+        unexplained = _ratio(robust_scale, residuals[0][calm], references[0][calm])
+        bounds = [unexplained]
+        if spread == 0.0:
+            spread = _ratio(_spread, residuals[0][calm], references[0][calm])
+        for pair in zip(residuals, references, strict=True):
+            quietest, of_noise = (_quietest(r, inlier) for r in pair)
+            bounds.append(quietest / max(of_noise, 1e-12))
+        sigma = min(bounds) if even else unexplained
         if lone_outliers:
-            usual = np.maximum(usual, _usual_size(np.where(weight > 0, residual, 0.0)))
-        found = (np.abs(residual) <= OUTLIER_SIGMAS * usual) & (weight > 0)
-        if np.count_nonzero(found) < 0.5 * np.count_nonzero(weight > 0):
-            break
-        if np.array_equal(found, inlier):
+            size, usual = _best_followed(residuals, references, inlier)
+            found = used & (size <= OUTLIER_SIGMAS * np.maximum(usual, max(sigma, 1e-12)))
+        else:
+            found = used & (np.abs(residuals[0]) <= OUTLIER_SIGMAS * max(unexplained, 1e-12))
+        if np.count_nonzero(found) < 0.5 * np.count_nonzero(used) or np.array_equal(found, inlier):
             break
         inlier, kept = found, found.astype(np.float64)
-    return Noise(sigma, total, inlier)
+    excess = max(1.0, spread / max(unexplained, 1e-12))
+    return Noise(sigma, unexplained, excess, inlier)
 
 
-def _usual_size(residual: Array) -> Array:
-    """Return [row col] the robust scale of residuals [frame row col] around each pixel."""
+def _ratio(scale: Callable[[Array], float], residual: Array, reference: Array) -> float:
+    return scale(residual) / max(scale(reference), 1e-12)
+
+
+def _calm(A: LinearOperator, smooth: Array, inlier: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels [frame row col] where a smooth picture [row col] has the least gradient."""
+    from scipy.ndimage import uniform_filter
+
+    steps = np.empty((len(NEIGHBOURS), *A.in_shape), smooth.dtype)
+    differences(smooth, NEIGHBOURS, steps)
+    unrest = A.forward(uniform_filter((np.abs(steps) ** 2).sum(axis=0), 5))
+    return np.asarray(unrest <= np.quantile(unrest[inlier], CALM_SHARE))
+
+
+def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
+    """Return the robust scale that the quietest blocks of all frames stay below."""
+    if residual.dtype.kind == "c":
+        residual, kept = np.concatenate([residual.real, residual.imag]), np.concatenate([kept] * 2)
+    rows, cols = residual.shape[1:]
+    side = min(BLOCK_PX, max(3, min(rows, cols) // 3), rows, cols)
+    step = max(side // 2, int(np.sqrt(rows * cols / MOST_BLOCKS)))
+    sizes = np.where(kept, np.abs(residual), np.nan)
+    blocks = np.lib.stride_tricks.sliding_window_view(sizes, (side, side), (1, 2))
+    blocks = np.moveaxis(blocks[:, ::step, ::step], 0, 2).reshape(-1, len(sizes) * side * side)
+    full = np.isfinite(blocks).mean(axis=1) > 1 / 3
+    if not full.any():
+        full = np.isfinite(blocks).any(axis=1)
+    ordered = np.sort(blocks[full], axis=1)  # NaN last; nanmedian takes ten times as long
+    last = np.isfinite(ordered).sum(axis=1) - 1
+    middle = [np.take_along_axis(ordered, k[:, None], 1) for k in (last // 2, (last + 1) // 2)]
+    return float(GAUSSIAN_MAD * np.quantile(np.mean(middle, axis=0), QUIET_SHARE))
+
+
+def _best_followed(
+    residuals: Sequence[Array], references: Sequence[Array], inlier: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return |residual| [frame row col] and its usual size around [row col], in units of noise.
+
+    Both from the low pass that follows the scene best there.
+    """
+    unit = [robust_scale(reference[inlier]) for reference in references]
+    usual = np.stack([usual_size(r) / u for r, u in zip(residuals, unit, strict=True)])
+    best = usual.argmin(axis=0)
+    size = np.choose(best, [np.abs(r) / u for r, u in zip(residuals, unit, strict=True)])
+    return size, usual.min(axis=0)
+
+
+def usual_size(residual: Array) -> Array:
+    """Return [row col] the robust scale of residuals [frame row col] around each pixel.
+
+    From the upper quartile: the median says nothing of lines and corners that fill less than half
+    of the neighbourhood, and outliers that fill a quarter of it are no outliers.
+    """
     reach = NEIGHBOURHOOD_PX // 2
     padded = np.pad(np.abs(residual), ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (NEIGHBOURHOOD_PX,) * 2, (1, 2))
-    return np.asarray(GAUSSIAN_MAD * np.median(windows, axis=(0, 3, 4)))
+    return np.asarray(np.quantile(windows, 0.75, axis=(0, 3, 4)) / GAUSSIAN_UPPER_QUARTILE)
 
 
 def _spread(values: Array) -> float:

@@ -12,6 +12,8 @@ Array = NDArray[Any]
 HUBER_SIGMAS = 2.0
 # A frame whose median residual exceeds this (of a range of 0 .. 1) has another brightness.
 BIAS_LIMIT = 0.02
+# Noise alone moves no median by so many of its standard errors, 1.253 x 1.483 |r| / sqrt(n).
+BIAS_SIGMAS, MEDIAN_ERROR = 4.0, 1.858
 # A frame whose residual is wider than that of the median frame by more than this loses weight.
 SPREAD_LIMIT, SPREAD_POWER = 1.5, 10
 
@@ -38,12 +40,13 @@ def frame_confidence(residual: Array, weight: Array) -> NDArray[np.float64]:
     """
     used = weight > 0
     seen = np.any(used, axis=(1, 2))
-    bias, spread = np.zeros(len(residual)), np.zeros(len(residual))
+    bias, spread, error = np.zeros((3, len(residual)))
     for k in np.flatnonzero(seen):
         values = residual[k][used[k]]
         bias[k] = abs(np.median(values.real))
         spread[k] = np.median(np.abs(values))
-    even = bias < BIAS_LIMIT
+        error[k] = MEDIAN_ERROR * spread[k] / np.sqrt(values.size)
+    even = bias < np.maximum(BIAS_LIMIT, BIAS_SIGMAS * error)
     if not np.any(even & seen):
         return np.asarray(seen, np.float64)
     typical = np.median(spread[even & seen])

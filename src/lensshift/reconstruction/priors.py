@@ -21,6 +21,7 @@ from lensshift.reconstruction.differences import (
     differences,
     half_plane,
 )
+from lensshift.reconstruction.options import check_settings
 
 Array = NDArray[Any]
 
@@ -91,6 +92,9 @@ class Huber:
 
     threshold: float = 0.02
 
+    def __post_init__(self) -> None:
+        check_settings(self)
+
     @property
     def directions(self) -> Directions:
         """Across, down and both diagonals."""
@@ -132,10 +136,7 @@ class BilateralTotalVariation:
     beta: Array | None = None
 
     def __post_init__(self) -> None:
-        if self.window < 1 or not 0 < self.alpha <= 1:
-            raise ValueError(
-                f"expected window >= 1 and alpha in (0, 1], got {self.window} and {self.alpha}"
-            )
+        check_settings(self)
 
     @property
     def directions(self) -> Directions:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, ShiftField
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
@@ -18,6 +20,15 @@ Array = NDArray[Any]
 
 # Float frames with nearly all pixels below this count as normalised already.
 NORMALISED_LIMIT = 1.5
+# A Gaussian of 1 px lets 0.7 % of the contrast at the Nyquist frequency of a frame through: beyond
+# it there is nothing left to resolve. Ten times that is no pixel response but another unit.
+QUESTIONED_BLUR_PX, MOST_BLUR_PX = 1.0, 10.0
+# The pixel and optics together where nothing is known; a square pixel alone has 0.289.
+NOMINAL_BLUR_PX = 0.3
+# Errors of the shifts up to this make better pictures if they are told, larger ones blur them.
+MOST_SHIFT_ERROR_PX = 0.05
+# A scene this many times its contrast away from 0 loses quality (0.5 dB at 30 times, of a photo).
+LARGE_LEVEL = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,13 +37,16 @@ class Problem:
 
     Parameters
     ----------
-    y : [frame row col] float64 or complex128, divided by `intensity`; 0 where weight is 0
+    y : [frame row col] float64 or complex128, without `level` and divided by `intensity`; 0 where
+        weight is 0
     weight : [frame row col] 0 .. 1; 0 at pixels that are invalid or look outside the HR image
     model : forward model of these frames, gain and bias included
     intensity : what 1 stands for in the units of the burst
+    level : what 0 stands for
     blur_sigma_px : width of the pixel response in LR pixels
     noise_sigma : noise of an LR pixel in units of `intensity`, or None
-    shift_error_px : standard deviation of the offsets (rms over frames and axes), 0 if not known
+    shift_error_px : [frame] standard deviation of the offsets about their common part, 0 if not
+        known
     even_noise : whether all pixels have about the same noise, as amplitudes do and distances do not
     """
 
@@ -42,7 +56,8 @@ class Problem:
     intensity: float
     blur_sigma_px: float
     noise_sigma: float | None
-    shift_error_px: float = 0.0
+    shift_error_px: NDArray[np.float64] | float = 0.0
+    level: float = 0.0
     even_noise: bool = True
 
     @property
@@ -106,6 +121,8 @@ def make_problem(
     intensity: Callable[[Array, NDArray[np.bool_]], float] = brightness_of,
     pixel_variance: Array | None = None,
     even_noise: bool = True,
+    take_level: bool = False,
+    keep_outside: bool = False,
 ) -> Problem:
     """Prepare one channel of a burst.
 
@@ -115,6 +132,9 @@ def make_problem(
     intensity : (values, used) -> what to divide them by, `brightness_of` or `peak_of`
     pixel_variance : [frame row col] known noise variance of each LR pixel, or None
     even_noise : as in `Problem`
+    take_level : whether a level far above the contrast is taken off: what is relative to the size
+        of the values would not see the scene
+    keep_outside : whether pixels count that look outside the HR image
     """
     usable = burst.valid if burst.valid is not None else np.ones(values.shape, np.bool_)
     if shift_field is not None:
@@ -131,28 +151,58 @@ def make_problem(
     weight = (usable & model.inside).astype(np.float64)
     if not weight.any():
         raise ValueError("no valid pixel sees the scene; are the offsets in pixels?")
+    if keep_outside:
+        weight = usable.astype(np.float64)
     if pixel_variance is not None:
         weight *= _variance_weight(pixel_variance, weight)
-    unit = intensity(values, weight > 0)
     kind = np.complex128 if values.dtype.kind == "c" else np.float64
-    y = np.where(weight > 0, values, 0).astype(kind) / unit
+    used = weight > 0
+    level, unit = _large_level(values, used) if take_level else (0.0, 0.0)
+    unit = unit or intensity(values, used)
+    y = (np.where(used, values, level).astype(kind) - level) / unit
     return Problem(
         y=y,
         weight=weight,
         model=model,
         intensity=unit,
+        level=level,
         blur_sigma_px=blur_width_px(blur),
         noise_sigma=None if noise_sigma is None else noise_sigma / unit,
-        shift_error_px=_rms(burst.offset_sigma_px),
+        shift_error_px=_own_error_px(burst.offset_sigma_px, burst.frame_count),
         even_noise=even_noise,
     )
 
 
-def make_blur(psf_sigma_px: float, fill_factor: float | None) -> Blur:
-    """Return the pixel response: a Gaussian, or the aperture behind optics of that width."""
+def make_blur(psf_sigma_px: float | None, fill_factor: float | None) -> Blur:
+    """Return the pixel response: a Gaussian, or the aperture behind optics of that width.
+
+    Without a width the Gaussian has 0.3 px, and the optics behind an aperture none.
+
+    Raises
+    ------
+    ValueError
+        If the width can be none in LR pixels.
+
+    Warns
+    -----
+    QualityWarning
+        If it leaves nothing to resolve.
+    """
+    if psf_sigma_px is not None:
+        if not (np.isfinite(psf_sigma_px) and 0.0 <= psf_sigma_px <= MOST_BLUR_PX):
+            raise ValueError(
+                f"psf_sigma_px: expected 0 to {MOST_BLUR_PX:g} LR pixels, got {psf_sigma_px}"
+            )
+        if psf_sigma_px > QUESTIONED_BLUR_PX:
+            warnings.warn(
+                f"psf_sigma_px {psf_sigma_px:g}: so wide a response leaves nothing between the "
+                "pixels to resolve; is it in LR pixels (a square pixel has 0.29)?",
+                QualityWarning,
+                stacklevel=3,
+            )
     if fill_factor is None:
-        return GaussianBlur(psf_sigma_px)
-    return ApertureBlur(fill_factor, psf_sigma_px)
+        return GaussianBlur(NOMINAL_BLUR_PX if psf_sigma_px is None else psf_sigma_px)
+    return ApertureBlur(fill_factor, psf_sigma_px or 0.0)
 
 
 def blur_width_px(blur: Blur) -> float:
@@ -187,8 +237,28 @@ def predictor(
     return FramePredictor(image, model.scale, model.blur, burst.offset_px, gains, biases, field_px)
 
 
-def _rms(values: Array | None) -> float:
-    return 0.0 if values is None else float(np.sqrt(np.mean(values**2)))
+def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return median and contrast of frames far from 0 for their contrast, 0 and 0 of others."""
+    if values.dtype.kind == "c":
+        return 0.0, 0.0
+    low, level, high = np.percentile(values[used], (0.5, 50.0, 99.5))
+    if abs(level) <= LARGE_LEVEL * (high - low):
+        return 0.0, 0.0
+    return float(level), float(high - low)
+
+
+def _own_error_px(sigma_px: Array | None, count: int) -> NDArray[np.float64]:
+    """Return the error [frame] of each shift that another picture would not make up for.
+
+    Shifts about a frame that is known exactly share the error of that frame, which moves the
+    picture as a whole.
+    """
+    if sigma_px is None:
+        return np.zeros(count)
+    variance = np.mean(sigma_px**2, axis=1)
+    if np.any(variance == 0.0) and np.any(variance > 0.0):
+        variance = np.maximum(variance - variance[variance > 0.0].min(), 0.0)
+    return np.asarray(np.minimum(np.sqrt(variance), MOST_SHIFT_ERROR_PX))
 
 
 def _variance_weight(pixel_variance: Array, weight: Array) -> NDArray[np.float64]:

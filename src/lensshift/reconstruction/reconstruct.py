@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.methods import Method, find_method
+from lensshift.reconstruction.options import RULES, check_options, check_settings
 from lensshift.reconstruction.phasor.branch import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
-from lensshift.reconstruction.problem import Problem, make_blur, make_problem, predictor
+from lensshift.reconstruction.problem import (
+    NOMINAL_BLUR_PX,
+    Problem,
+    make_blur,
+    make_problem,
+    predictor,
+)
 from lensshift.reconstruction.request import Request
+from lensshift.reconstruction.shift_check import warn_of_doubtful_shifts
 
 Array = NDArray[Any]
 
@@ -26,7 +36,7 @@ def reconstruct(
     scale: int = 2,
     method: str = "auto",
     channel: Channel = "auto",
-    psf_sigma_px: float = 0.3,
+    psf_sigma_px: float | None = None,
     prior_weight: float | Literal["cross-validation"] | None = None,
     *,
     frames: Sequence[int] | None = None,
@@ -53,8 +63,9 @@ def reconstruct(
     channel : "amplitude", "distance"; "phasor": both from phasors, the way a pixel mixes them; or
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
-    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289.
-        With `fill_factor`: width of the optical spot alone
+    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289. None:
+        `burst.meta["psf_sigma_px"]`, or 0.3. With `fill_factor`: width of the optical spot alone,
+        0 if None
     prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
         "cross-validation"
     frames : numbers of the frames to use, by default all; the others can be predicted
@@ -62,7 +73,8 @@ def reconstruct(
     noise_sigma : noise of one LR pixel in units of the channel (phasor: of the amplitude, for
         the real and for the imaginary part), if it is known
     pixel_variance : [frame row col] known noise variance of each LR pixel
-    shift_field : offset of every pixel of every frame instead of `burst.offset_px`
+    shift_field : offset of every pixel of every frame instead of `burst.offset_px`, which it must
+        agree with in the middle of the sensor
     photometric : whether to estimate gain and bias of each frame
     non_negative : whether negative values are forbidden
     seed : of everything random
@@ -79,25 +91,31 @@ def reconstruct(
     Raises
     ------
     ValueError
-        If an argument is out of range or unknown to the method.
+        If an argument is out of range or unknown to the method, or a shift field is not of this
+        burst.
 
     Warns
     -----
     QualityWarning
-        If the frames do not fit the shifts.
+        If the frames do not fit the shifts, or ("auto" and phasors) fit another sign, order of
+        axes, unit or order of frames better.
     """
     chosen = find_method(method)
-    _check(chosen, method, options, scale, prior_weight, noise_sigma)
-    blur = make_blur(psf_sigma_px, fill_factor)
-    used = tuple(range(burst.frame_count)) if frames is None else _frame_numbers(burst, frames)
+    request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
+    _check(chosen, method, scale, request, noise_sigma, photometric)
+    response = _response(burst, psf_sigma_px, fill_factor)
+    blur = make_blur(response["psf_sigma_px"], fill_factor)
+    used = _frame_numbers(burst, frames)
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
-    request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, method, request, given=given)
-    settings |= {"channel": choice.channel, "channel_reason": choice.reason}
+    settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
+    shifts = part.offset_px if field is None else field.offset_px
+    if method == "auto" or choice.channel == "phasor":
+        warn_of_doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
     found: dict[str, Estimate] = {}
     flying = None
     if choice.channel == "phasor":
@@ -111,17 +129,13 @@ def reconstruct(
         problem = make_problem(
             part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
             intensity=chosen.intensity, pixel_variance=variance, even_noise=name != "distance",
+            take_level=chosen.take_level and not non_negative, keep_outside=chosen.keep_outside,
         )  # fmt: skip
         found[name] = _solve(burst, problem, used, chosen, request, photometric, field)
     return Reconstruction(
-        amplitude=found.get("amplitude"),
-        distance_m=found.get("distance"),
-        grid=burst.grid.refine(scale),
-        scale=scale,
-        method=method,
-        settings=settings,
-        flying=flying,
-    )
+        found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, method,
+        settings, flying,
+    )  # fmt: skip
 
 
 def _solve(
@@ -139,9 +153,10 @@ def _solve(
         gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.weight)
         problem = problem.with_photometry(gain, bias)
     estimate = method.run(problem, request)
-    unit = problem.intensity
-    image = np.asarray(estimate.image) * unit
-    notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": (bias * unit).tolist()}
+    unit, level = problem.intensity, problem.level
+    image = np.asarray(estimate.image) * unit + level
+    bias = bias * unit + level * (1.0 - gain)
+    notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": bias.tolist()}
                                     if photometric else {})  # fmt: skip
     std = estimate.uncertainty
     if callable(std):
@@ -154,7 +169,7 @@ def _solve(
         image=image,
         uncertainty=scaled,
         noise_sigma=None if estimate.noise_sigma is None else estimate.noise_sigma * unit,
-        predict=predictor(burst, problem, used, image, field, gain, bias * unit),
+        predict=predictor(burst, problem, used, image, field, gain, bias),
         notes=notes,
     )
 
@@ -171,7 +186,24 @@ def _channels(burst: Burst, channel: str) -> dict[str, Array]:
     return found
 
 
-def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
+def _response(
+    burst: Burst, psf_sigma_px: float | None, fill_factor: float | None
+) -> dict[str, Any]:
+    """Return the width of the blur in LR pixels, and where it is from."""
+    if psf_sigma_px is not None:
+        return {"psf_sigma_px": psf_sigma_px, "psf_source": "given"}
+    told = burst.meta.get("psf_sigma_px")
+    if told is None or fill_factor is not None:  # that of the burst holds the pixel as well
+        width_px = NOMINAL_BLUR_PX if fill_factor is None else 0.0
+        return {"psf_sigma_px": width_px, "psf_source": "assumed"}
+    if isinstance(told, bool) or not isinstance(told, Real):
+        raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
+    return {"psf_sigma_px": float(told), "psf_source": "burst"}
+
+
+def _frame_numbers(burst: Burst, frames: Sequence[int] | None) -> tuple[int, ...]:
+    if frames is None:
+        return tuple(range(burst.frame_count))
     numbers = tuple(int(k) for k in frames)
     if not numbers or min(numbers) < 0 or max(numbers) >= burst.frame_count:
         raise ValueError(f"expected frames from 0 to {burst.frame_count - 1}, got {list(frames)}")
@@ -181,35 +213,27 @@ def _frame_numbers(burst: Burst, frames: Sequence[int]) -> tuple[int, ...]:
 
 
 def _select_field(field: ShiftField, used: tuple[int, ...], burst: Burst) -> ShiftField:
-    expected = (*burst.amplitude.shape, 2)
-    if field.offset_px.shape != expected:
-        raise ValueError(f"expected a shift field of {expected}, got {field.offset_px.shape}")
+    field.check_belongs(burst.offset_px, burst.grid)
     return ShiftField(field.offset_px[list(used)])
 
 
 def _check(
     method: Method,
     name: str,
-    options: dict[str, Any],
     scale: int,
-    prior_weight: float | str | None,
+    request: Request,
     noise_sigma: float | None,
+    photometric: bool,
 ) -> None:
-    unknown = sorted(set(options) - set(method.options))
-    if unknown:
-        known = ", ".join(method.options) or "none"
-        raise ValueError(f"{name} does not know {', '.join(unknown)}; its options: {known}")
+    check_options(name, request.options, method.options)
+    check_settings(request)
+    RULES["photometric"].check("photometric", photometric)
+    if noise_sigma is not None:
+        RULES["noise_sigma"].check("noise_sigma", noise_sigma)
     if isinstance(scale, bool) or scale != int(scale) or not 1 <= scale <= 8:
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale}")
-    if isinstance(prior_weight, str):
-        if prior_weight != "cross-validation":
-            raise ValueError(
-                f'expected prior_weight a number, None or "cross-validation", got {prior_weight!r}'
-            )
-    elif prior_weight is not None and not (np.isfinite(prior_weight) and prior_weight >= 0):
-        raise ValueError(f"expected a prior_weight of at least 0, got {prior_weight}")
-    if noise_sigma is not None and not (np.isfinite(noise_sigma) and noise_sigma > 0):
-        raise ValueError(f"expected a positive noise_sigma, got {noise_sigma}")
+    if request.prior_weight is not None and not method.weighs_prior:
+        raise ValueError(f"{name} has no prior to weigh, got prior_weight {request.prior_weight!r}")
 
 
 def _settings(

@@ -17,11 +17,11 @@ from lensshift.reconstruction.least_squares import (
     solve_penalised,
 )
 from lensshift.reconstruction.noise import robust_scale
+from lensshift.reconstruction.options import check_settings
 from lensshift.reconstruction.priors import BilateralTotalVariation, Prior
 
 Array = NDArray[Any]
 DataTerm = Literal["l2", "l1", "huber"]
-DATA_TERMS: tuple[DataTerm, ...] = ("l2", "l1", "huber")
 
 # Below this residual the L1 term is quadratic, so that its weights stay finite.
 L1_SMOOTHING = 5e-3
@@ -57,8 +57,7 @@ class ReweightedFit:
     tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.data_term not in DATA_TERMS:
-            raise ValueError(f"expected data_term {', '.join(DATA_TERMS)}, got {self.data_term!r}")
+        check_settings(self)
 
     def __call__(
         self,

@@ -38,7 +38,7 @@ _OVERCONFIDENCE = 3.5
 def refine_shifts(
     burst: Burst,
     scale: int = 2,
-    psf_sigma_px: float = 0.3,
+    psf_sigma_px: float | None = None,
     *,
     fill_factor: float | None = None,
     noise_sigma: float | None = None,
@@ -87,8 +87,9 @@ def refine_shifts(
     for _ in range(max_rounds):
         moved = replace(burst, offset_px=offset_px)
         problem = make_problem(
-            moved, burst.amplitude, scale, blur=blur, shift_field=None, noise_sigma=noise_sigma
-        )
+            moved, burst.amplitude, scale, blur=blur, shift_field=None, noise_sigma=noise_sigma,
+            take_level=True,
+        )  # fmt: skip
         sigma = _noise(problem)
         image, prior = _picture(problem, image, sigma)
         score, information = _normal(problem, image, prior, blur, sigma)
@@ -118,7 +119,7 @@ def _noise(problem: Problem) -> float:
     if problem.noise_sigma is not None:
         return problem.noise_sigma
     noise = estimate_noise(problem.model.operator, problem.y, problem.weight)
-    return max(noise.sigma, 1e-6)
+    return max(noise.effective, 1e-6)
 
 
 def _picture(problem: Problem, start: Array | None, sigma: float) -> tuple[Array, Array]:

@@ -25,14 +25,6 @@ Array = NDArray[Any]
 REJECTED_LIMIT, BELIEVED_LIMIT = 0.2, 0.6
 
 
-def auto(problem: Problem, request: Request) -> Estimate:
-    """Robust fit with the sparse prior that sets itself."""
-    solver = SparseGradient(
-        shift_error_hr_px=problem.shift_error_px * problem.scale, even_noise=problem.even_noise
-    )
-    return warn_of_misfit(problem, _sparse(problem, request, solver))
-
-
 def tikhonov(problem: Problem, request: Request) -> Estimate:
     """Least squares with squared differences: one linear solve at the weight that it settles on."""
     return _sparse(
@@ -51,6 +43,7 @@ def _sparse(problem: Problem, request: Request, solver: SparseGradient) -> Estim
     solver = replace(
         solver,
         noise_sigma=problem.noise_sigma,
+        even_noise=problem.even_noise,
         blur_hr_px=problem.blur_sigma_px * problem.scale,
         non_negative=request.non_negative,
         iterations=request.options.get("iterations", solver.iterations),

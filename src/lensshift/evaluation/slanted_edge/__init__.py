@@ -1,6 +1,10 @@
 """The MTF from slanted edges: maximum likelihood by default, the published algorithms beside it."""
 
-from lensshift.evaluation.slanted_edge.average import average_curves, average_interval
+from lensshift.evaluation.slanted_edge.average import (
+    average_curves,
+    average_interval,
+    usable_edges,
+)
 from lensshift.evaluation.slanted_edge.measure import (
     METHODS,
     measure_edge,
@@ -22,4 +26,5 @@ __all__ = [
     "measure_edge",
     "measure_edges",
     "slanted_edge_mtf",
+    "usable_edges",
 ]

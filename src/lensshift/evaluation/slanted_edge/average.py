@@ -14,13 +14,20 @@ _INTERVAL_SIGMAS = 3.92  # of a normal distribution in its 95 % interval
 _LEAST_STD = 1e-6
 
 
+def usable_edges(results: Sequence[EdgeResult]) -> list[EdgeResult]:
+    """Return the edges whose MTF can be trusted; all of them if there is none."""
+    return [result for result in results if result.usable] or list(results)
+
+
 def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:
     """Return the mean curve; edges count by their mean variance, so that the mean stays an MTF.
 
     Parameters
     ----------
-    results : edges; curves at other frequencies than the first one's are interpolated
+    results : edges, of which `usable_edges` are taken; curves at other frequencies than the first
+        one's are interpolated
     """
+    results = usable_edges(results)
     if len(results) == 1:
         return results[0].mtf
     frequency_lpmm = results[0].mtf.frequency_lpmm

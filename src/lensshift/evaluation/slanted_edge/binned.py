@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.slanted_edge.checks import doubts, largest_phase_gap_px
+from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_px
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.frames import EdgeFrames
 from lensshift.evaluation.slanted_edge.result import (
@@ -30,8 +29,7 @@ def measure_binned(
     region: Region,
     wanted_lpmm: Vector | None,
     method: str,
-    order: int,
-    window: Literal["tukey", "hamming"],
+    options: dict[str, Any],
 ) -> EdgeResult:
     """Measure one region of one frame with sfrmat3 or sfrmat5.
 
@@ -50,7 +48,7 @@ def measure_binned(
     missing = int(np.count_nonzero(np.isnan(image)))
     if missing:
         raise ValueError(f"expected valid pixels for {method}, got {missing} invalid in {region}")
-    found = sfrmat3(image) if method == "sfrmat3" else sfrmat5(image, order=order, window=window)
+    found = (sfrmat3 if method == "sfrmat3" else sfrmat5)(image, **options)
     pitch_mm = frames.pitch_mm[0]
     own_lpmm = found.frequency_cpp / pitch_mm
     if wanted_lpmm is None:
@@ -62,7 +60,7 @@ def measure_binned(
     result = _result(found, region, frames, curve, method)
     lines = np.arange(min(image.shape) if found.rotated else image.shape[0], dtype=np.float64)
     gap_px = largest_phase_gap_px(lines, found.angle_rad)
-    return replace(result, notes=tuple(doubts(result, lines.size, gap_px, image.ravel())))
+    return doubted(result, lines.size, gap_px, image.ravel())
 
 
 def _result(

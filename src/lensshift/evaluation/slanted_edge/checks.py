@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,11 @@ _LEAST_LINES = 8
 _NO_NOISE = 1e-9  # of the contrast
 
 
-def doubts(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> list[str]:
-    """Return what speaks against the result.
+def doubted(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> EdgeResult:
+    """Return the result with what speaks against it.
+
+    Contrast, clipping and how the lines cross the pixels make an edge unusable; what its profile
+    shows may be true of the whole image.
 
     Parameters
     ----------
@@ -51,6 +55,7 @@ def doubts(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> lis
             f"the lines leave {gap_px:.2f} px of the pixel unsampled at {angle_deg:.2f} degrees; "
             "take more lines or another angle"
         )
+    usable = not found
     if result.bend_px > _LEAST_BEND_PX:
         found.append(f"the edge is not straight: it bends by {result.bend_px:.2f} px rms")
     asymmetry = result.asymmetry
@@ -64,7 +69,7 @@ def doubts(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> lis
             f"the edge moves by {result.aliasing_px:.2f} px rms with the phase of the pixels: "
             "aliasing is left, the MTF depends on where the edge lies"
         )
-    return found
+    return replace(result, notes=tuple(found), usable=usable)
 
 
 def warn_of(found: list[str], region: object) -> None:

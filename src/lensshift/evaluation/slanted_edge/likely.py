@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.bending import rms_bend_px
 from lensshift.evaluation.slanted_edge.checks import (
-    doubts,
+    doubted,
     largest_phase_gap_px,
     phase_displacement_px,
 )
@@ -39,16 +39,20 @@ class LikelySettings:
     """Options of the default method; see `measure_edges`."""
 
     aperture_px: float
-    most_bends: int
-    tilt: bool | None
-    seed: int
+    most_bends: int = 4
+    tilt: bool | None = None
     noise_covariance: Matrix | None = None
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.aperture_px) and 0.0 <= self.aperture_px <= 64.0):
             raise ValueError(f"expected an aperture_px from 0 to 64, got {self.aperture_px}")
-        if not 0 <= self.most_bends <= 8:
-            raise ValueError(f"expected most_bends from 0 to 8, got {self.most_bends}")
+        if self.most_bends not in range(9):
+            raise ValueError(f"expected whole most_bends from 0 to 8, got {self.most_bends}")
+        if self.tilt not in (None, True, False):
+            raise ValueError(f"expected tilt True, False or None, got {self.tilt!r}")
+        if self.seed != int(self.seed) or self.seed < 0:
+            raise ValueError(f"expected a whole seed from 0, got {self.seed}")
 
 
 def measure_likely(
@@ -92,7 +96,7 @@ def measure_likely(
     lines = _lines(edge)
     gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
     count = np.unique(np.round(lines, 6)).size
-    return replace(result, notes=tuple(doubts(result, count, gap_px, pixels.values)))
+    return doubted(result, count, gap_px, pixels.values)
 
 
 def _result(

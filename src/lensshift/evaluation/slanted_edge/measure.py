@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, TypedDict, Unpack
+from dataclasses import fields
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +19,26 @@ from lensshift.evaluation.slanted_edge.result import EdgeResult, Region
 
 Method = Literal["ml", "sfrmat3", "sfrmat5"]
 METHODS: tuple[Method, ...] = ("ml", "sfrmat3", "sfrmat5")
+_OPTIONS: dict[Method, tuple[str, ...]] = {
+    "ml": tuple(field.name for field in fields(LikelySettings)),
+    "sfrmat3": (),
+    "sfrmat5": ("order", "window"),
+}
 
 
-class EdgeOptions(TypedDict, total=False):
+class MethodOptions(TypedDict, total=False):
+    """Options of `measure_edges` that only one method knows."""
+
+    aperture_px: float | None
+    most_bends: int
+    tilt: bool | None
+    noise_covariance: ArrayLike | None
+    seed: int
+    order: int
+    window: Literal["tukey", "hamming"]
+
+
+class EdgeOptions(MethodOptions, total=False):
     """Options of `measure_edges`."""
 
     method: Method
@@ -28,14 +46,7 @@ class EdgeOptions(TypedDict, total=False):
     offset_px: ArrayLike | None
     valid: ArrayLike | None
     scale: int
-    aperture_px: float | None
     frequency_lpmm: ArrayLike | None
-    most_bends: int
-    tilt: bool | None
-    noise_covariance: ArrayLike | None
-    order: int
-    window: Literal["tukey", "hamming"]
-    seed: int
 
 
 def slanted_edge_mtf(
@@ -45,7 +56,7 @@ def slanted_edge_mtf(
 
         MTF(f) = | F[LSF](f) | / F[LSF](0)
 
-    Several edges are averaged, weighted by their variances.
+    Several usable edges are averaged, weighted by their variances.
 
     Parameters
     ----------
@@ -69,7 +80,7 @@ def slanted_edge_mtf(
 def measure_edge(
     image: ArrayLike, pitch_mm: float | tuple[float, float] = 1.0, **options: Unpack[EdgeOptions]
 ) -> EdgeResult:
-    """Measure one slanted edge, the longest if several are found; see `measure_edges`."""
+    """Measure one slanted edge, the first that `measure_edges` returns."""
     return measure_edges(image, pitch_mm, **options)[0]
 
 
@@ -82,16 +93,10 @@ def measure_edges(
     offset_px: ArrayLike | None = None,
     valid: ArrayLike | None = None,
     scale: int = 1,
-    aperture_px: float | None = None,
     frequency_lpmm: ArrayLike | None = None,
-    most_bends: int = 4,
-    tilt: bool | None = None,
-    noise_covariance: ArrayLike | None = None,
-    order: int = 5,
-    window: Literal["tukey", "hamming"] = "tukey",
-    seed: int = 0,
+    **options: Unpack[MethodOptions],
 ) -> list[EdgeResult]:
-    """Measure every slanted edge of an image, the longest first.
+    """Measure every slanted edge of an image, usable ones first, of these the longest.
 
     The default method models all pixels of a region at once: a straight or bent edge, a line
     spread function that is a Gaussian seen by a square pixel of unknown fill plus a spline with
@@ -108,48 +113,58 @@ def measure_edges(
     offset_px : [frame 2] how far the content moved in each frame, in pixels of the image
     valid : mask like `image`; pixels that are NaN are invalid as well
     scale : of a super-resolved image: its LR pixels are that many pixels wide
-    aperture_px : side of the largest pixel that the base of the LSF allows, in pixels of the
-        image; `scale` by default. A smaller one is found if the image says so.
     frequency_lpmm : [f] where the curve is wanted; 0 to 1 cycles per pixel in steps of 0.01
         if None
-    most_bends : most bending terms of the edge; 0 keeps it straight
-    tilt : whether the illumination is uneven; None lets the plateaus tell
-    noise_covariance : [2 m + 1, 2 n + 1] of the noise at the lags (row, col), its variance in the
-        middle, as `noise_autocovariance` returns; None lets the plateaus tell
+    aperture_px : of ml: side of the largest pixel that the base of the LSF allows, in pixels of
+        the image; `scale` by default. A smaller one is found if the image says so.
+    most_bends : of ml: most bending terms of the edge, 4 by default; 0 keeps it straight
+    tilt : of ml: whether the illumination is uneven; None lets the plateaus tell
+    noise_covariance : of ml: [2 m + 1, 2 n + 1] of the noise at the lags (row, col), its variance
+        in the middle, as `noise_autocovariance` returns; None lets the plateaus tell
+    seed : of ml: of the draws
     order, window : of sfrmat5, which defaults to order 5 and the Tukey window
-    seed : of the draws
 
     Raises
     ------
     ValueError
-        If there is no edge, a shape or an option does not fit.
+        If there is no edge, a shape or an option does not fit, or the method does not know it.
 
     Source: restricted maximum likelihood after Patterson and Thompson, Biometrika 58 (1971) 545.
     """
     if method not in METHODS:
         raise ValueError(f"expected a method of {', '.join(METHODS)}, got {method!r}")
+    given = _known(method, options)
+    likely = _likely(given, scale) if method == "ml" else None
     frames = take_frames(image, pitch_mm, offset_px=offset_px, valid=valid, scale=scale)
     places = [_given(region, frames)] if region is not None else find_regions(frames.first)
     wanted = None if frequency_lpmm is None else np.asarray(frequency_lpmm, dtype=np.float64)
-    covariance = None if noise_covariance is None else np.asarray(noise_covariance, dtype=float)
     results = []
     for place in places:
-        if method == "ml":
-            settings = LikelySettings(
-                aperture_px=float(scale if aperture_px is None else aperture_px),
-                most_bends=most_bends,
-                tilt=tilt,
-                seed=seed,
-                noise_covariance=covariance,
-            )
-            result = measure_likely(frames, place, wanted, settings)
+        if likely is not None:
+            result = measure_likely(frames, place, wanted, likely)
         else:
             from lensshift.evaluation.slanted_edge.binned import measure_binned
 
-            result = measure_binned(frames, place, wanted, method, order, window)
+            result = measure_binned(frames, place, wanted, method, given)
         warn_of(list(result.notes), result.region)
         results.append(result)
-    return sorted(results, key=_length, reverse=True)
+    return sorted(results, key=lambda one: (one.usable, _length(one)), reverse=True)
+
+
+def _known(method: Method, options: MethodOptions) -> dict[str, Any]:
+    foreign = sorted(set(options) - set(_OPTIONS[method]))
+    if foreign:
+        known = ", ".join(_OPTIONS[method]) or "none"
+        raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
+    return dict(options)
+
+
+def _likely(given: dict[str, Any], scale: int) -> LikelySettings:
+    if given.get("aperture_px") is None:
+        given["aperture_px"] = scale
+    if given.get("noise_covariance") is not None:
+        given["noise_covariance"] = np.asarray(given["noise_covariance"], dtype=float)
+    return LikelySettings(**given)
 
 
 def _length(result: EdgeResult) -> int:

@@ -124,6 +124,8 @@ class EdgeResult:
     aliasing_px : rms displacement of the edge between pixel phases; NaN where not asked
     asymmetry : largest departure of the ESF from point symmetry
     pitch_mm : along the edge normal
+    notes : what speaks against the result
+    usable : whether nothing among that spoils the MTF of this edge alone, see `average_curves`
     """
 
     method: str
@@ -155,6 +157,7 @@ class EdgeResult:
     asymmetry: Interval
     pitch_mm: float
     notes: tuple[str, ...] = field(default=())
+    usable: bool = True
 
     @property
     def contrast(self) -> float:

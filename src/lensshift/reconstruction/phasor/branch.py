@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,19 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Estimate, ShiftField, Status
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.adaptive import SparseGradient
 from lensshift.reconstruction.noise import estimate_noise
+from lensshift.reconstruction.outliers import confidence
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.joint import JointPhasor, PolarImage
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.turns import settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
 from lensshift.reconstruction.request import Request
-from lensshift.reconstruction.sparse import tikhonov, total_variation
+from lensshift.reconstruction.sparse import tikhonov, total_variation, warn_of_misfit
 from lensshift.reconstruction.uncertainty import propagated_std
 
 Array = NDArray[Any]
@@ -31,6 +34,8 @@ METHODS = ("auto", "tikhonov", "tv")
 # Of the brightness of the frames. No frame has less, and with less the few steps of the joint fit
 # would not settle the corners, which hardly a pixel sees.
 LEAST_NOISE = 5e-4
+# Of the pixels: with more of them turned a picture is not shown without a warning.
+TURNED_LIMIT = 0.01
 # Standard deviation of a phase that may be anything.
 NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 # A pixel between two surfaces keeps this share of their step to both of them.
@@ -106,7 +111,9 @@ def reconstruct_phasor(
     problem = replace(problem, noise_sigma=noise)
     if method == "auto":
         settled = settle_turns(frames, noise * problem.intensity)
+        _warn_of_turns(frames, settled, problem.weight > 0)
         fit = _joint(problem, _apart(prepare, settled), noise, request)
+        _warn_of_misfit(problem, fit)
     else:
         fit = _linear(problem, method, request)
     frame = predictor(burst, problem, used, fit.image.phasor * problem.intensity, shift_field)
@@ -133,11 +140,6 @@ def _check(method: str, request: Request, photometric: bool) -> None:
         )
     if photometric:
         raise ValueError("photometric estimation expects real frames, not the phasor channel")
-    if method == "auto" and request.prior_weight is not None:
-        raise ValueError(
-            "expected prior_weight None for the phasor channel by auto, which weighs two priors "
-            f"itself, got {request.prior_weight!r}"
-        )
 
 
 def _noise(problem: Problem, noise_sigma: float | None, variance: Array | None) -> float:
@@ -146,8 +148,32 @@ def _noise(problem: Problem, noise_sigma: float | None, variance: Array | None) 
         noise_sigma = float(np.sqrt(np.min(variance[problem.weight > 0])))
     if noise_sigma is not None:
         return noise_sigma / problem.intensity
-    found = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
+    found = estimate_noise(problem.model.operator, problem.y, problem.weight).unexplained
     return max(found, LEAST_NOISE)
+
+
+def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.bool_]) -> None:
+    turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
+    if turned > TURNED_LIMIT:
+        warnings.warn(
+            f"the frames do not agree how often the phase has turned: {100 * turned:.0f} % of the "
+            "pixels, dark ones, took the turns of their surroundings; a dark surface may be whole "
+            "turns off",
+            QualityWarning,
+            stacklevel=4,
+        )
+
+
+def _warn_of_misfit(problem: Problem, fit: _Fit) -> None:
+    """Warn of frames that contradict, as the amplitude alone would."""
+    phasor = fit.image.phasor
+    residual = problem.y - problem.model.operator.forward(phasor)
+    used = problem.weight > 0
+    # Two components, and the noise of each pixel.
+    scale = fit.noise_sigma * np.sqrt(2.0 / np.where(used, problem.weight, 1.0))
+    trust = float(np.mean(confidence(residual, problem.weight, scale)[used]))
+    seen = Estimate(image=phasor, noise_sigma=fit.noise_sigma, notes={"trust": trust})
+    warn_of_misfit(problem, seen)
 
 
 def _apart(prepare: Callable[[Array], Problem], frames: PolarFrames) -> PolarImage:

@@ -127,7 +127,7 @@ class JointPhasor:
     ----------
     noise_sigma : noise of a component of an LR pixel
     blur_hr_px : width of the pixel response in HR pixels
-    shift_error_hr_px : standard deviation of the shifts in HR pixels
+    shift_error_hr_px : [frame] standard deviation of the shifts in HR pixels
     robust : whether pixels and frames that do not fit lose weight
     iterations, inner_iterations : Gauss-Newton steps, and conjugate gradients in each
     tolerance : stop when no phasor moves by more than this
@@ -135,7 +135,7 @@ class JointPhasor:
 
     noise_sigma: float
     blur_hr_px: float = 0.6
-    shift_error_hr_px: float = 0.0
+    shift_error_hr_px: Array | float = 0.0
     robust: bool = True
     iterations: int = 14
     inner_iterations: int = 15
@@ -280,7 +280,7 @@ class JointPhasor:
         surface beside a bright one says of its phase stands across and is kept.
         """
         across, down, *diagonals = _differences(x)
-        error2 = EDGE_ERROR_PX**2 + self.shift_error_hr_px**2
+        error2 = EDGE_ERROR_PX**2 + np.reshape(self.shift_error_hr_px, (-1, 1, 1)) ** 2
         power = np.abs(across) ** 2 + np.abs(down) ** 2
         square = across**2 + down**2
         for step in diagonals:

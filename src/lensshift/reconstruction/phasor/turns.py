@@ -16,6 +16,9 @@ WINDOW_PX = 9
 # Cameras compare several modulation frequencies to count the turns; where a phase is as noisy as
 # this, the count is a guess. Brighter pixels keep theirs: they may be small objects.
 DOUBTFUL_SNR = 30.0
+# Where so many pairs of frames have the same turn at a pixel, around, the count was no guess.
+# A pixel takes part if its turn is that of such a share of the 3 x 3 around, over all frames.
+AGREEMENT, NEAR_PX, SHARED = 0.67, 5, 0.25
 
 
 def settle_turns(frames: PolarFrames, noise_sigma: float) -> PolarFrames:
@@ -23,7 +26,8 @@ def settle_turns(frames: PolarFrames, noise_sigma: float) -> PolarFrames:
 
         phi = theta + w + 2 pi n,   |w| <= pi,   n -> the most frequent n around, over all frames
 
-    with the direction theta of the mean phasor around, where the amplitude is below 30 sigma.
+    with the direction theta of the mean phasor around, where the amplitude is below 30 sigma and
+    the frames disagree: a dark surface that all of them see a turn nearer is a turn nearer.
     The phasors stay what they are; only where the joint fit begins changes, and with it which
     distance a phase stands for.
 
@@ -43,13 +47,31 @@ def settle_turns(frames: PolarFrames, noise_sigma: float) -> PolarFrames:
     for number in np.unique(turns[known]):
         count = _around(((turns == number) & known).astype(np.float64))
         usual, most = np.where(count > most, number, usual), np.maximum(count, most)
-    doubtful = known & (frames.amplitude < DOUBTFUL_SNR * noise_sigma)
+    doubtful = known & (frames.amplitude < DOUBTFUL_SNR * noise_sigma) & ~_agreed(turns, known)
     settled = theta + within + 2.0 * np.pi * usual
     return replace(frames, phase_rad=np.where(doubtful, settled, frames.phase_rad))
 
 
-def _around(values: Array) -> Array:
+def _agreed(turns: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where [frame row col] frames have the same turns and close pixels have this one too.
+
+    One pixel in a few that slips by itself has nobody beside it that did.
+    """
+    agree = np.zeros(turns.shape[1:])
+    shared = np.zeros(turns.shape, np.bool_)
+    total = _around(known.astype(np.float64), 3)
+    for number in np.unique(turns[known]):
+        alike = (turns == number) & known
+        votes = alike.sum(axis=0)
+        agree += votes * (votes - 1.0)
+        shared |= alike & (_around(alike.astype(np.float64), 3) >= SHARED * total)
+    pairs = known.sum(axis=0) * (known.sum(axis=0) - 1.0)
+    around, counted = _around(agree[None], NEAR_PX), _around(pairs[None], NEAR_PX)
+    return np.asarray(shared & (around > AGREEMENT * counted))
+
+
+def _around(values: Array, window_px: int = WINDOW_PX) -> Array:
     """Return [row col]: the mean over all frames and a window; beyond the border all is 0."""
     from scipy.ndimage import uniform_filter
 
-    return np.asarray(uniform_filter(values.mean(axis=0), WINDOW_PX, mode="constant"))
+    return np.asarray(uniform_filter(values.mean(axis=0), window_px, mode="constant"))

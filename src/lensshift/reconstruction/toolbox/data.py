@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.reconstruction.options import check_settings, positive
+
 Vector = NDArray[np.float64]
 
 
@@ -37,18 +39,8 @@ class ToolboxSettings:
     inner_iterations: int = 5
 
     def __post_init__(self) -> None:
-        for name in ("psf_sigma_px", "alpha"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"expected a positive {name}, got {value}")
-        if not 0 < self.sparsity <= 1:
-            raise ValueError(f"expected a sparsity in (0, 1], got {self.sparsity}")
-        weight = self.prior_weight
-        if weight is not None and not (np.isfinite(weight) and weight >= 0):
-            raise ValueError(f"expected a prior_weight of at least 0, got {weight}")
-        for name in ("window", "iterations", "inner_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"expected {name} of at least 1, got {getattr(self, name)}")
+        check_settings(self)
+        positive().check("psf_sigma_px", self.psf_sigma_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,138 @@
+"""The learned prior of one stage: four small convolutions on the picture folded 2 x 2.
+
+No layer has a bias and the first does not see the level of the picture, so the prior commutes with
+a u + b. Weights come from `training/`; this module only applies them, in NumPy, one matrix
+product for a strip of rows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
+
+WEIGHTS = "weights.npz"
+# Of the file, so that a damaged installation says so; written by training/export.py.
+WEIGHTS_SHA256 = "6701dca92d3ecb3b74c831ef2c4742c569d06ff0a229a1cc3addf46a619c87e3"
+# Numbers in the strip that one matrix product takes: fits the second-level cache of a core.
+STRIP = 1 << 18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """The weights of one stage.
+
+    Parameters
+    ----------
+    layers : [9 in, out] of each convolution, taps of 3 x 3 in row order, then channel
+    facts : [fact, gain] and gain_offset [gain], what modulates the first two layers
+    """
+
+    layers: tuple[Single, ...]
+    facts: Single
+    gain_offset: Single
+
+    def __call__(self, pictures: Single, facts: Single) -> Single:
+        """Return [row col out] for folded pictures [row col in] and the facts of the burst."""
+        gains = np.split(1 + facts @ self.facts + self.gain_offset, 2)
+        x = np.pad(pictures, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        for number, weight in enumerate(self.layers):
+            if number in (1, 2):  # the gain of a layer rides on the weights of the next
+                weight = weight * np.tile(gains[number - 1], 9)[:, None]
+            x = _convolved(x, weight, last=number + 1 == len(self.layers))
+        return x
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """All that was learned: the stages, and the numbers of the data steps (`solver.py`)."""
+
+    stages: tuple[Prior, ...]
+    numbers: dict[str, NDArray[np.float64]]
+
+
+def _convolved(x: Single, weight: Single, *, last: bool) -> Single:
+    """Return the 3 x 3 convolution of x, which has a margin of one pixel.
+
+    Inner layers are cut at 0 and come with the margin (of zeros) that the next one needs.
+    """
+    rows, cols, channels = x.shape[0] - 2, x.shape[1] - 2, x.shape[2]
+    outputs = weight.shape[1]
+    margin = 0 if last else 1
+    out = np.zeros((rows + 2 * margin, cols + 2 * margin, outputs), np.float32)
+    step = max(1, STRIP // (cols * 9 * channels))
+    strip = np.empty((min(step, rows) * cols, 9 * channels), np.float32)
+    product = np.empty((len(strip), outputs), np.float32)
+    for top in range(0, rows, step):
+        count = min(step, rows - top)
+        part = strip[: count * cols]
+        taps = part.reshape(count, cols, 9, channels)
+        for tap in range(9):
+            i, j = divmod(tap, 3)
+            taps[:, :, tap] = x[top + i : top + i + count, j : j + cols]
+        np.matmul(part, weight, out=product[: count * cols])
+        found = product[: count * cols].reshape(count, cols, outputs)
+        if last:
+            out[top : top + count] = found
+        else:
+            np.maximum(found, 0, out=out[top + 1 : top + 1 + count, 1:-1])
+    return out
+
+
+def fold(pictures: list[Single]) -> Single:
+    """Return pictures [row col] as channels [row/2 col/2 4 n], repeated at an odd end."""
+    rows, cols = pictures[0].shape
+    even = np.empty((len(pictures), rows + rows % 2, cols + cols % 2), np.float32)
+    for target, picture in zip(even, pictures, strict=True):
+        target[:rows, :cols] = picture
+    even[:, rows:] = even[:, rows - 1 : rows]
+    even[:, :, cols:] = even[:, :, cols - 1 : cols]
+    blocks = even.reshape(len(pictures), even.shape[1] // 2, 2, even.shape[2] // 2, 2)
+    folded: Single = blocks.transpose(1, 3, 0, 2, 4).reshape(*blocks.shape[1:4:2], -1)
+    return folded
+
+
+def unfold(channels: Single, shape: tuple[int, int]) -> Single:
+    """Return the picture [row col] of four channels [row/2 col/2 4]."""
+    rows, cols = channels.shape[:2]
+    blocks = channels.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3)
+    return np.ascontiguousarray(blocks.reshape(2 * rows, 2 * cols)[: shape[0], : shape[1]])
+
+
+@lru_cache(maxsize=1)
+def learned_weights() -> Weights:
+    """Return the weights that came with the package.
+
+    Raises
+    ------
+    OSError
+        If the file is not the one that belongs to this version.
+    """
+    content = (resources.files(__package__) / WEIGHTS).read_bytes()
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != WEIGHTS_SHA256:
+        raise OSError(f"{WEIGHTS} is damaged (sha256 {digest[:12]}...); install lensshift again")
+    with (resources.files(__package__) / WEIGHTS).open("rb") as file, np.load(file) as stored:
+        return _weights_of(dict(stored))
+
+
+def _weights_of(stored: dict[str, NDArray[Any]]) -> Weights:
+    stages: list[Prior] = []
+    while f"layer_{len(stages)}_0" in stored:
+        t = len(stages)
+        layers = tuple(
+            np.ascontiguousarray(stored[f"layer_{t}_{n}"], np.float32)
+            for n in range(sum(name.startswith(f"layer_{t}_") for name in stored))
+        )
+        facts, offset = (stored[f"{name}_{t}"].astype(np.float32) for name in ("facts", "gain"))
+        stages.append(Prior(layers, facts, offset))
+    numbers = {name: stored[name].astype(np.float64)
+               for name in ("trust", "forgive", "floor", "doubt", "lowest")}  # fmt: skip
+    return Weights(tuple(stages), numbers)

@@ -1,0 +1,310 @@
+"""Whether the frames fit another reading of the shifts better: sign, axes, unit, order.
+
+As many frames as a square of the scale determine the picture, so wrong shifts fit them to the
+noise, and no residual shows it. Pixels that the fit has not seen do: under the right shifts their
+neighbours from the other frames predict them best.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
+from lensshift.reconstruction.least_squares import smooth_fit
+from lensshift.reconstruction.noise import usual_size
+
+Array = NDArray[Any]
+Shifts = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# A part of the sensor and some of the frames tell enough, at a bounded price.
+MOST_PX, MOST_FRAMES = 48, 9
+LEAST_PX, LEAST_HELD_OUT = 8, 50
+# Of each trial the pixels of one fold, drawn at random, are held out.
+FOLDS, CONFIRMING_FOLDS = 4, 2
+# A smooth fit of little stiffness follows the scene; what it assumes of the blur hardly matters.
+STIFFNESS, ITERATIONS, BLUR_PX, SCALE = 0.03, 15, 0.3, 2
+# Errors count up to this many robust deviations, or this part of the spread of the scene.
+CLIP_SIGMAS, GAUSSIAN_MAD, CLIP_CONTRAST = 5.0, 1.4826, 0.5
+# A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
+LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
+# Directions whose gradients have a smaller part than this of the power of the others tell nothing.
+LEAST_TOLD = 0.03
+# Readings whose shifts differ by less from those given are the same.
+SAME_PX = 0.02
+# How much worse the given shifts have to predict: for a closer look, to name a mistake, and where
+# none explains it; and by how many standard errors. Of 1266 right bursts only lone gratings beyond
+# the Nyquist frequency were doubted; of 96 wrong ones 3 were not (two that cannot be told apart).
+SUSPICIOUS, NAMED, UNNAMED, LEAST_T = 1.03, 1.05, 1.2, 5.0
+# Where no mistake explains it so many frames have to be off; fewer are left out by the solvers.
+LEAST_OFF_PX, LEAST_OFF_SHARE = 0.2, 0.25
+
+# Of two readings that do as well the first is named.
+CURES: Mapping[str, str] = {
+    "their sign": "negate offset_px: positive means that the content moved down and right",
+    "the sign of the rows": "negate offset_px[:, 0]: positive means that the content moved down",
+    "the sign of the columns": "negate offset_px[:, 1]: positive means that it moved right",
+    "rows and columns swapped": "give offset_px as (row, col)",
+    "rows and columns swapped, and a sign": "give offset_px as (row, col), positive down and right",
+    "their unit (HR pixels)": "divide offset_px by the scale: it is in LR pixels",
+    "their unit (too small)": "multiply offset_px by the scale: it is in LR pixels",
+    "shifts that did not happen": "the frames lie at one place: check whether the lens moved",
+    "the order of the frames": "bring the frames into the order of offset_px",
+    "no simple mistake": "check offset_px, or let `lensshift.register` find it",
+}
+NO_MISTAKE = "no simple mistake"
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A reading of the shifts that predicts pixels better than the given one.
+
+    Parameters
+    ----------
+    mistake : the likely one, a key of `CURES`
+    ratio : error at unseen pixels under the given shifts over that under the other reading
+    """
+
+    mistake: str
+    ratio: float
+
+    @property
+    def cure(self) -> str:
+        """What to do about it."""
+        return CURES[self.mistake]
+
+
+def warn_of_doubtful_shifts(
+    frames: ArrayLike, offset_px: ArrayLike, *, stacklevel: int = 2, **settings: Any
+) -> None:
+    """Warn of what `doubtful_shifts` finds, with the cure.
+
+    Warns
+    -----
+    QualityWarning
+        If another reading of the shifts predicts the frames better.
+    """
+    doubt = doubtful_shifts(frames, offset_px, **settings)
+    if doubt is not None:
+        warnings.warn(
+            f"the frames contradict offset_px: pixels left out are predicted {doubt.ratio:.2f} "
+            f"times worse than under another reading; likely {doubt.mistake}: {doubt.cure}",
+            QualityWarning,
+            stacklevel=stacklevel + 1,
+        )
+
+
+def doubtful_shifts(
+    frames: ArrayLike,
+    offset_px: ArrayLike,
+    *,
+    scale: int = 2,
+    valid: Mask | None = None,
+    seed: int = 0,
+) -> Doubt | None:
+    """Return what seems to be wrong with the shifts of some frames, or None.
+
+    A smooth picture is fitted to three quarters of the pixels, under the given shifts and under
+    others: negated, rows for columns, in another unit, as the frames themselves tell them, and in
+    the order that comes closest to that. The reading that predicts the remaining pixels best is
+    named if the given one errs more by 5 % (20 % where no simple mistake explains it), and by five
+    standard errors of the difference. What white noise alone does to a reading does not count.
+    A lone grating beyond the Nyquist frequency of a frame passes for its alias.
+
+    Parameters
+    ----------
+    frames : [frame row col], complex ones count by their size
+    offset_px : [frame 2], or [frame row col 2]
+    scale : HR pixels per LR pixel, by which a wrong unit would be off
+    valid : [frame row col], None: all pixels are
+    """
+    values = np.abs(np.asarray(frames))
+    seen = np.ones(values.shape, np.bool_) if valid is None else np.asarray(valid, np.bool_)
+    values, seen, given = _part(values, seen, np.asarray(offset_px, np.float64))
+    if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
+        return None
+    values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)
+    seen = seen & ~_lone(np.where(seen, values, 0.0))
+    # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
+    return _doubt(np.where(seen, values, 0.0), seen, given, scale, seed) and _doubt(
+        _alike(values, seen), seen, given, scale, seed
+    )
+
+
+def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> Doubt | None:
+    trial = _Trial(values, seen, given, seed)
+    found = _found_shifts(values, seen, given)
+    if found is None:
+        return None
+    first = (found, given / scale, given * scale)
+    if all(trial.compare(other, 1)[0] < SUSPICIOUS for other in first):
+        return None
+    apart_px = found - given
+    off = np.abs(apart_px - np.median(apart_px, axis=0)).max(axis=1) >= LEAST_OFF_PX
+    doubts = []
+    for mistake, other in _readings(given, found, scale):
+        ratio, sure = trial.compare(other, CONFIRMING_FOLDS)
+        if mistake == NO_MISTAKE and (off.mean() < LEAST_OFF_SHARE or ratio < UNNAMED):
+            continue
+        if sure >= LEAST_T and ratio >= NAMED:
+            doubts.append(Doubt(mistake, ratio))
+    likely = max((doubt.ratio for doubt in doubts), default=0.0) / SUSPICIOUS
+    return next((doubt for doubt in doubts if doubt.ratio >= likely), None)
+
+
+class _Trial:
+    """Fits to a part of the pixels, and how well they predict the others."""
+
+    def __init__(self, values: Array, seen: Mask, given_px: Shifts, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.values, self.seen, self.given_px = values, seen, given_px
+        self.fold = rng.integers(0, FOLDS, values.shape)
+        self.noise = rng.standard_normal(values.shape)
+        self.cache: dict[tuple[bytes, int, bool], Array] = {}
+
+    def compare(self, other_px: Shifts, folds: int) -> tuple[float, float]:
+        """Return the mean error as given over that of a reading, and how sure it is larger.
+
+        The ratio is the smaller one of that of the frames and that beyond what white noise has;
+        the second number is the difference in its standard errors.
+        """
+        if np.abs(other_px - self.given_px).max() < SAME_PX:
+            return 1.0, 0.0
+        one, two = self._errors(self.given_px, folds), self._errors(other_px, folds)
+        both = np.isfinite(one) & np.isfinite(two)
+        if both.sum() < max(LEAST_HELD_OUT, 0.5 * np.isfinite(one).sum()):
+            return 1.0, 0.0
+        one, two = one[both], two[both]
+        quiet = GAUSSIAN_MAD * min(np.median(one), np.median(two))
+        clip = max(CLIP_SIGMAS * quiet, CLIP_CONTRAST)
+        one, two = np.minimum(one, clip), np.minimum(two, clip)
+        if one.mean() >= SUSPICIOUS * two.mean():
+            noise = [self._errors(o, FOLDS, noise=True) for o in (self.given_px, other_px)]
+            two = two * max(1.0, float(np.nanmean(noise[0]) / np.nanmean(noise[1])))
+        sure = (one.mean() - two.mean()) / max(float(np.std(one - two)), 1e-300)
+        return float(one.mean() / max(two.mean(), 1e-300)), float(sure * np.sqrt(one.size))
+
+    def _errors(self, offset_px: Shifts, folds: int, *, noise: bool = False) -> Array:
+        """Return |error| [fold frame row col] at the pixels held out, NaN elsewhere."""
+        return np.stack([self._fold_errors(offset_px, fold, noise) for fold in range(folds)])
+
+    def _fold_errors(self, offset_px: Shifts, fold: int, noise: bool) -> Array:
+        key = (offset_px.tobytes(), fold, noise)
+        if key not in self.cache:
+            y = self.noise if noise else self.values
+            model = forward_model(y.shape[1:], SCALE, offset_px, blur=GaussianBlur(BLUR_PX))
+            usable = self.seen & model.inside
+            held = usable & (self.fold == fold)
+            A, weight = model.operator, np.where(held, 0.0, usable)
+            error = y - A.forward(smooth_fit(A, y, weight, STIFFNESS, ITERATIONS))
+            self.cache[key] = np.where(held, np.abs(error), np.nan)
+        return self.cache[key]
+
+
+def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str, Shifts]]:
+    """Return likely mistakes and the shifts without them."""
+    from scipy.optimize import linear_sum_assignment
+
+    flip_row, flip_col = np.array([-1.0, 1.0]), np.array([1.0, -1.0])
+    swapped = given_px[:, ::-1].copy()
+    apart = np.sum((found_px[:, None, :] - given_px[None, :, :]) ** 2, axis=-1)
+    return [
+        ("their sign", -given_px),
+        ("the sign of the rows", given_px * flip_row),
+        ("the sign of the columns", given_px * flip_col),
+        ("rows and columns swapped", swapped),
+        ("rows and columns swapped, and a sign", -swapped),
+        ("rows and columns swapped, and a sign", swapped * flip_row),
+        ("rows and columns swapped, and a sign", swapped * flip_col),
+        ("their unit (HR pixels)", given_px / scale),
+        ("their unit (too small)", given_px * scale),
+        ("shifts that did not happen", np.zeros_like(given_px)),
+        ("the order of the frames", given_px[linear_sum_assignment(apart)[1]]),
+        (NO_MISTAKE, found_px),
+    ]
+
+
+def _found_shifts(values: Array, seen: Mask, given_px: Shifts) -> Shifts | None:
+    """Return the shifts [frame 2] about their mean as the frames tell them.
+
+    Along edges that all run one way nothing tells the shift: there it is the given one. None where
+    the low pass leaves less than it would of white noise: the frames show little but aliases,
+    which move in any direction.
+    """
+    from scipy.ndimage import gaussian_filter, shift
+
+    width = (0, LOW_PASS_PX, LOW_PASS_PX)
+    smooth = gaussian_filter(values, width)
+    smooth /= np.maximum(gaussian_filter(seen.astype(np.float64), width), 1e-3)
+    if np.mean(smooth**2) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * np.mean(values**2):
+        return None
+    offset_px = np.zeros((len(values), 2))
+    inner = np.s_[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+    told = np.eye(2)
+    for _ in range(FINDING_ROUNDS):
+        pairs = zip(smooth, -offset_px, strict=True)
+        moved = np.stack([shift(frame, by, order=3, mode="nearest") for frame, by in pairs])
+        common = moved.mean(axis=0)
+        slope = np.stack([g[inner].ravel() for g in np.gradient(common)], axis=1)
+        size, direction = np.linalg.eigh(slope.T @ slope)
+        told = direction * (size > LEAST_TOLD * size[1]) @ direction.T
+        inverse = direction / np.maximum(size, LEAST_TOLD * size[1] + 1e-300) @ direction.T
+        rest = (common - moved)[inner].reshape(len(values), -1)
+        step = np.clip(rest @ slope @ inverse @ told, -1.0, 1.0)
+        offset_px += step - step.mean(axis=0)
+        if np.abs(step).max() < FOUND_PX:
+            break
+    return np.asarray(given_px + (offset_px - given_px) @ told)
+
+
+def _alike(values: Array, seen: Mask) -> Array:
+    """Return the frames about their means, in units of their spread: no gain, no bias."""
+    share = np.maximum(seen.mean(axis=(1, 2), keepdims=True), 1e-12)
+    about = np.where(
+        seen, values - np.where(seen, values, 0.0).mean((1, 2), keepdims=True) / share, 0.0
+    )
+    spread = np.sqrt((about**2).mean(axis=(1, 2), keepdims=True) / share)
+    return np.asarray(about / np.maximum(spread, 1e-300))
+
+
+def _lone(values: Array) -> Mask:
+    """Return the pixels [frame row col] that stand out among their neighbours in all frames.
+
+    Salt and pepper draws a fit to itself, and least where all frames lie at one place.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
+    )
+    apart = values - np.median(windows, axis=(0, 3, 4))
+    usual = np.maximum(usual_size(apart), GAUSSIAN_MAD * np.median(np.abs(apart)))
+    return np.asarray(np.abs(apart) > CLIP_SIGMAS * usual)
+
+
+def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Shifts]:
+    """Return the busiest square of some frames, and their shifts about the mean."""
+    from scipy.ndimage import uniform_filter
+
+    count = len(values)
+    some = np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int))
+    first = np.where(seen[0], values[0], 0.0)
+    down, right = np.gradient(first) if min(first.shape) > 1 else (first, first)
+    edge = seen[0] & np.roll(seen[0], 1, 0) & np.roll(seen[0], 1, 1)
+    busy = [uniform_filter(np.where(edge, g, 0.0) ** 2, MOST_PX) for g in (down, right)]
+    middle = np.unravel_index(int(np.argmax(np.minimum(*busy))), first.shape)
+    starts = (
+        max(0, min(int(at) - MOST_PX // 2, size - MOST_PX))
+        for at, size in zip(middle, first.shape, strict=True)
+    )
+    window = tuple(slice(start, start + MOST_PX) for start in starts)
+    if offset_px.ndim == 4:
+        offset_px = offset_px[:, *window].mean(axis=(1, 2))
+    offset_px = offset_px[some] - offset_px[some].mean(axis=0)
+    return values[some][:, *window].astype(np.float64), seen[some][:, *window], offset_px

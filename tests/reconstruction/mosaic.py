@@ -1,0 +1,84 @@
+"""Bursts of mosaics: another generator of worlds than the one that trained the solver.
+
+Cells around random points, each with a tone, a ramp or a wave; LR pixels are block means of a fine
+canvas, so shifts are whole fine samples and the integral over the pixel is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SAMPLES = 12  # fine samples along an LR pixel
+MARGIN_PX = 2
+
+
+@dataclass(frozen=True)
+class MosaicBurst:
+    """Frames [frame row col], their offsets, the truth on the HR grid and the noise."""
+
+    y: NDArray[np.float64]
+    offset_px: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    sigma: float
+    scale: int
+
+
+def square(scale: int) -> NDArray[np.float64]:
+    """Return the pattern that puts every LR pixel on an HR pixel."""
+    line = (np.arange(scale) - (scale - 1) / 2) / scale
+    return np.array([(a, b) for a in line for b in line])
+
+
+def canvas(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return a mosaic on the fine grid of frames of that shape, with its margin."""
+    rows, cols = ((n + 2 * MARGIN_PX) * SAMPLES for n in shape)
+    row, col = np.mgrid[:rows, :cols] / SAMPLES
+    count = int(rng.integers(4, 25))
+    points = rng.uniform(0, 1, (count, 2)) * (row.max(), col.max())
+    nearest = np.argmin([(row - p[0]) ** 2 + (col - p[1]) ** 2 for p in points], axis=0)
+    ground = np.zeros((rows, cols))
+    for cell in range(count):
+        turn, frequency = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.6)  # cycles per LR px
+        along = row * np.sin(turn) + col * np.cos(turn)
+        wave = 0.2 * np.sin(2 * np.pi * frequency * along)
+        more = (0, 0, 0.02 * (along - along.mean()), wave)[rng.integers(4)]
+        ground = np.where(nearest == cell, rng.uniform(0.1, 0.9) + more, ground)
+    return ground
+
+
+def observe(
+    fine: NDArray[np.float64],
+    shape: tuple[int, int],
+    *,
+    scale: int = 2,
+    offset_px: NDArray[np.float64] | None = None,
+    snr: float = 50.0,
+    rng: np.random.Generator,
+) -> MosaicBurst:
+    """Return the burst that a camera with full square pixels takes of the canvas."""
+    offset = square(scale) if offset_px is None else offset_px
+    sigma = 0.8 / snr
+    frames = [_means(fine, shape, SAMPLES, np.rint(-o * SAMPLES).astype(int)) for o in offset]
+    y = np.stack(frames) + sigma * rng.standard_normal((len(offset), *shape))
+    hr = (shape[0] * scale, shape[1] * scale)
+    return MosaicBurst(
+        y, offset, _means(fine, hr, SAMPLES // scale, np.zeros(2, int)), sigma, scale
+    )
+
+
+def mosaic_burst(seed: int, shape: tuple[int, int] = (21, 26), **settings: float) -> MosaicBurst:
+    """Return a burst of a random mosaic."""
+    rng = np.random.default_rng(seed)
+    return observe(canvas(rng, shape), shape, rng=rng, **settings)  # type: ignore[arg-type]
+
+
+def _means(
+    fine: NDArray[np.float64], shape: tuple[int, int], size: int, shift: NDArray[np.int_]
+) -> NDArray[np.float64]:
+    top, left = MARGIN_PX * SAMPLES + shift
+    part = fine[top : top + shape[0] * size, left : left + shape[1] * size]
+    means: NDArray[np.float64] = part.reshape(shape[0], size, shape[1], size).mean(axis=(1, 3))
+    return means

@@ -1,0 +1,211 @@
+"""The learned solver: laws that it obeys by construction, and worlds it was not trained on."""
+
+import hashlib
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
+
+from lensshift import Burst
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
+from lensshift.reconstruction.learned import prior, solver
+from lensshift.reconstruction.learned.method import WINDOW_PX, WINDOWS, noise_of
+from lensshift.reconstruction.problem import make_problem
+
+BOX_PX = 1 / np.sqrt(12)
+INNER = (slice(4, -4), slice(4, -4))
+
+
+def solved(burst, *, a=1.0, b=0.0, sigma=None):
+    model = forward_model(
+        burst.y.shape[1:], burst.scale, burst.offset_px, blur=GaussianBlur(BOX_PX)
+    )
+    noise = np.full(burst.y.shape, burst.sigma) if sigma is None else sigma
+    return solver.solve(model, a * burst.y + b, a * noise, blur_px=BOX_PX)
+
+
+def error_of(burst, solution):
+    return (solution.image - burst.truth)[INNER]
+
+
+@pytest.mark.parametrize(("a", "b"), [(1.0, 290.0), (4000.0, -17.0), (1e-6, 0.0), (-1.0, 0.5)])
+def test_level_and_contrast_mean_nothing(a, b):
+    burst = mosaic_burst(1)
+    plain = solved(burst)
+    other = solver.solve(
+        forward_model(burst.y.shape[1:], 2, burst.offset_px, blur=GaussianBlur(BOX_PX)),
+        a * burst.y + b, np.full(burst.y.shape, abs(a) * burst.sigma), blur_px=BOX_PX,
+    )  # fmt: skip
+    if a > 0:
+        assert np.abs((other.image - b) / a - plain.image).max() < 0.01 * plain.std.min()
+        np.testing.assert_allclose(other.std / a, plain.std, rtol=1e-3)
+    else:  # nothing forces a negative to mirror its positive, but training showed both
+        assert np.sqrt(np.mean((((other.image - b) / a - plain.image) / plain.std) ** 2)) < 1
+
+
+def test_the_same_burst_gives_the_same_picture():
+    burst = mosaic_burst(2)
+    np.testing.assert_array_equal(solved(burst).image, solved(burst).image)
+
+
+@pytest.mark.parametrize("scale", [2, 3])
+def test_a_scene_a_whole_pixel_further_is_the_picture_a_pixel_further(scale):
+    fine = canvas(np.random.default_rng(4), (24, 30))
+    pair = []
+    for rows in (0, 1):
+        moved = np.roll(fine, (SAMPLES * rows, 0), (0, 1))
+        burst = observe(moved, (24, 30), scale=scale, snr=1e6, rng=np.random.default_rng(0))
+        pair.append(solved(replace(burst, sigma=0.004)))
+    here = (slice(6 * scale, -8 * scale), slice(6, -6))
+    there = (slice(7 * scale, -7 * scale), slice(6, -6))
+    off = (pair[1].image[there] - pair[0].image[here]) / pair[0].std[here]
+    # Pictures are folded 2 x 2, which a shift of an even number of HR pixels does not feel.
+    assert np.sqrt(np.mean(off**2)) < (0.02 if scale == 2 else 0.8)
+
+
+@pytest.mark.parametrize("turn", ["rows", "cols", "transposed"])
+def test_a_mirrored_burst_gives_a_mirrored_picture(turn):
+    inside = []
+    for seed in range(6):
+        burst = mosaic_burst(seed, (20, 25))
+        plain = solved(burst)
+        flip = {
+            "rows": lambda x: x[..., ::-1, :],
+            "cols": lambda x: x[..., ::-1],
+            "transposed": lambda x: np.swapaxes(x, -1, -2),
+        }[turn]
+        sign = {"rows": [-1, 1], "cols": [1, -1], "transposed": [1, 1]}[turn]
+        offset = burst.offset_px * sign
+        offset = offset[:, ::-1] if turn == "transposed" else offset
+        turned = replace(burst, y=np.ascontiguousarray(flip(burst.y)), offset_px=offset)
+        back = flip(solved(turned).image)
+        inside.append(np.mean(np.abs(back - plain.image) < 2 * plain.std))
+    assert np.mean(inside) > 0.95
+
+
+def test_tiles_are_not_seen(monkeypatch):
+    burst = mosaic_burst(3, (70, 41), snr=200)
+    whole = solved(burst)
+    monkeypatch.setattr(solver, "TILE_HR_PX", 44)
+    parts = solved(burst)
+    assert np.abs((parts.image - whole.image) / whole.std).max() < 0.01
+    np.testing.assert_allclose(parts.weight, whole.weight, atol=0.01)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_what_one_half_holds_does_not_cost_the_other(order):
+    rng = np.random.default_rng(8)
+    smooth, busy = canvas(rng, (20, 24)), rng.random((24 * SAMPLES, 28 * SAMPLES)) > 0.5
+    fine = [smooth, busy.astype(float)]
+    alone = observe(smooth, (20, 24), rng=np.random.default_rng(9))
+    cut = MARGIN_PX * SAMPLES
+    both = np.concatenate(
+        [fine[order[0]][:, :-cut], fine[order[1]][:, cut:]], axis=1
+    )  # two scenes that meet at a line
+    mixed = observe(both, (20, 48), rng=np.random.default_rng(9))
+    near = 8  # HR pixels by the seam
+    part = slice(4, 48 - near) if order[0] == 0 else slice(48 + near, -4)
+    inside = slice(4, 48 - near) if order[0] == 0 else slice(near, -4)
+    rms = [
+        float(np.sqrt(np.mean((s.image - b.truth)[4:-4, p] ** 2)))
+        for s, b, p in ((solved(alone), alone, inside), (solved(mixed), mixed, part))
+    ]
+    assert 20 * np.log10(rms[1] / rms[0]) < 0.5
+
+
+def test_noise_alone_gives_no_structure():
+    rng = np.random.default_rng(5)
+    burst = mosaic_burst(1, (30, 41))
+    flat = replace(burst, y=0.5 + burst.sigma * rng.standard_normal(burst.y.shape))
+    found = solved(flat)
+    assert found.image.std() < 0.3 * burst.sigma  # the mean of four frames has 0.5
+    assert np.mean(np.abs(found.image - 0.5) < 2 * found.std) > 0.9
+
+
+def test_data_decide_as_noise_falls():
+    """Sixteen frames of a picture that the model describes exactly: nearer with less noise."""
+    rng = np.random.default_rng(6)
+    row, col = np.mgrid[:36, :44]
+    truth = 0.5 + 0.3 * np.sin(0.9 * row) * np.cos(0.7 * col)
+    model = forward_model((18, 22), 2, rng.uniform(-0.5, 0.5, (16, 2)), blur=GaussianBlur(0.3))
+    errors = []
+    for sigma in (1e-2, 1e-3, 1e-4):
+        y = model.operator(truth) + sigma * rng.standard_normal((16, 18, 22))
+        found = solver.solve(model, y, np.full(y.shape, sigma), blur_px=0.3)
+        errors.append(float(np.sqrt(np.mean((found.image - truth)[INNER] ** 2))))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 0.01 * 0.6  # of the contrast; what noise is left would allow far less
+
+
+@pytest.mark.parametrize("spoil", ["dead", "salt"])
+def test_pixels_that_lie_are_left_out(spoil):
+    burst = mosaic_burst(7, offset_px=np.tile(square(2), (2, 1)))
+    clean = np.sqrt(np.mean(error_of(burst, solved(burst)) ** 2))
+    bad = np.random.default_rng(1).random(burst.y.shape) < 0.02
+    y = np.where(bad, 5.0, burst.y)
+    noise = np.where(bad & (spoil == "dead"), np.inf, burst.sigma)
+    found = solved(replace(burst, y=y), sigma=noise)
+    assert np.sqrt(np.mean(error_of(burst, found) ** 2)) < (1.15 if spoil == "dead" else 2) * clean
+    assert found.weight[bad].mean() < 0.3
+
+
+@pytest.mark.parametrize(("scale", "snr"), [(2, 15), (2, 50), (2, 200), (3, 30), (4, 30)])
+def test_the_truth_lies_within_the_error_bars(scale, snr):
+    inside = []
+    for seed in range(10):
+        burst = mosaic_burst(100 + seed, scale=scale, snr=snr)
+        found = solved(burst)
+        size = np.abs(error_of(burst, found)) / found.std[INNER]
+        inside.append([np.mean(size < 1), np.mean(size < 2)])
+    one, two = np.mean(inside, axis=0)
+    assert 0.6 < one < 0.93
+    assert two > 0.93
+
+
+def test_the_noise_of_a_large_sensor_is_that_of_windows():
+    rng = np.random.default_rng(2)
+    y = mosaic_burst(11, (70, 260), snr=40).y
+    burst = Burst.from_arrays(y, offset_px=square(2), pitch_mm=0.1)
+    problem = make_problem(burst, y, 2, blur=GaussianBlur(BOX_PX), shift_field=None,
+                           noise_sigma=None)  # fmt: skip
+    assert problem.model.lr_shape[0] * problem.model.lr_shape[1] > (WINDOWS * WINDOW_PX) ** 2
+    assert noise_of(problem) * problem.intensity == pytest.approx(0.8 / 40.0, rel=0.15)
+    flat = replace(problem, y=0.03 * rng.standard_normal(y.shape))
+    assert noise_of(flat) == pytest.approx(0.03, rel=0.1)  # the lowest bounds lie a little low
+
+
+def test_a_damaged_file_of_weights_is_refused(monkeypatch):
+    prior.learned_weights.cache_clear()
+    monkeypatch.setattr(prior, "WEIGHTS_SHA256", hashlib.sha256(b"").hexdigest())
+    with pytest.raises(OSError, match="install lensshift again"):
+        prior.learned_weights()
+    prior.learned_weights.cache_clear()
+
+
+def test_it_is_the_chain_that_was_trained():
+    """The PyTorch chain of `training/` with the weights that came with the package."""
+    torch = pytest.importorskip("torch", reason="the training extra is not installed")
+    sys.path.insert(0, str(Path(__file__).parents[2] / "training"))
+    from bursts import dense_taps
+    from export import load_exported
+    from network import Solver
+
+    chain = Solver()
+    load_exported(chain, prior.learned_weights())
+    chain.eval()
+    rng = np.random.default_rng(0)
+    model = forward_model((13, 18), 3, rng.uniform(-0.5, 0.5, (5, 2)), blur=GaussianBlur(0.3))
+    y = model.operator(rng.random(model.hr_shape)) + 0.02 * rng.standard_normal((5, 13, 18))
+    sigma = 0.02 * rng.uniform(0.8, 1.2, y.shape)
+    found = solver.solve(model, y, sigma, blur_px=0.3)
+    with torch.no_grad():
+        tensors = [torch.tensor(v, dtype=torch.float32) for v in
+                   ((y - np.median(y))[None], np.ones((1, *y.shape)), sigma[None],
+                    dense_taps(model.rows, 39), dense_taps(model.cols, 54))]  # fmt: skip
+        stages, std = chain(*tensors, 0.9, 3)
+    np.testing.assert_allclose(stages[-1][0].numpy() + np.median(y), found.image, atol=2e-5)
+    np.testing.assert_allclose(solver.STD_SCALE * std[0].numpy(), found.std, rtol=1e-3, atol=1e-6)

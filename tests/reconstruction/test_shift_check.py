@@ -1,0 +1,126 @@
+"""Shifts that are wrong as people get them wrong are named; right ones are left in peace."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import ShiftField
+from lensshift.reconstruction.reconstruct import reconstruct
+from lensshift.reconstruction.shift_check import doubtful_shifts
+
+SHAPE = (24, 30)
+RNG = np.random.default_rng(2)
+SCATTERED_PX = RNG.uniform(-0.7, 0.7, (7, 2))
+PAIR_PX = SQUARE_PX[[0, 3]]
+SIGMA = 0.016
+
+
+def _boxes(row: Array, col: Array) -> Array:
+    """Boxes at several angles."""
+    found = np.full(np.broadcast(row, col).shape, 0.2)
+    for y, x, half, angle, level in (
+        (7, 8, 4, 0.3, 0.8), (15, 20, 5, 1.0, 0.5), (18, 7, 3, 0.7, 0.95), (6, 24, 3, 0.1, 0.6),
+    ):  # fmt: skip
+        across = (row - y) * np.cos(angle) + (col - x) * np.sin(angle)
+        along = (col - x) * np.cos(angle) - (row - y) * np.sin(angle)
+        found = np.where((np.abs(across) < half) & (np.abs(along) < half), level, found)
+    return found
+
+
+def _weave(row: Array, col: Array) -> Array:
+    """Waves in many directions, up to 0.4 cycles per LR pixel."""
+    waves = np.random.default_rng(5).uniform(-0.4, 0.4, (20, 2))
+    phases = 2 * np.pi * (waves[:, 0, None, None] * row + waves[:, 1, None, None] * col)
+    return 0.5 + 0.06 * np.sin(phases + np.arange(20)[:, None, None]).sum(axis=0)
+
+
+def _upright(row: Array, col: Array) -> Array:
+    """An edge along the columns: shifts down it show nowhere."""
+    return np.where(col > 14.3, 0.8, 0.2) * np.ones(np.broadcast(row, col).shape)
+
+
+def _even(row: Array, col: Array) -> Array:
+    return np.full(np.broadcast(row, col).shape, 0.5)
+
+
+def _frames(scene: Callable[..., Array], offset_px: Array, sigma: float, seed: int = 0) -> Array:
+    y = photograph(scene, SHAPE, offset_px)
+    return y + sigma * np.random.default_rng(seed).standard_normal(y.shape)
+
+
+@pytest.mark.parametrize("scene", [_boxes, _weave])
+@pytest.mark.parametrize("offset_px", [SQUARE_PX, SCATTERED_PX], ids=["square", "scattered"])
+@pytest.mark.parametrize(
+    ("wrong", "mistake"),
+    [
+        (lambda d: -d, "their sign"),
+        (lambda d: d * [-1, 1], "sign of the rows"),
+        (lambda d: d[:, ::-1], "rows and columns swapped"),
+        (lambda d: 2 * d, r"HR pixels.*divide"),
+        (lambda d: 0.5 * d, r"too small.*multiply"),
+        (lambda d: 0 * d, r"register"),
+        (lambda d: np.roll(d, 1, axis=0), r"order of the frames|swapped, and a sign"),
+    ],
+    ids=["sign", "sign of rows", "swap", "HR pixels", "too small", "zero", "order"],
+)
+def test_a_wrong_reading_of_the_shifts_is_named(
+    scene: Callable[..., Array], offset_px: Array, wrong: Callable[[Array], Array], mistake: str
+) -> None:
+    burst = make_burst(_frames(scene, offset_px, SIGMA), wrong(offset_px))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", QualityWarning)
+        reconstruct(burst, std=False)
+    texts = [str(w.message) for w in caught if "contradict offset_px" in str(w.message)]
+    assert len(texts) == 1
+    assert caught[0].filename == __file__
+    with pytest.raises(AssertionError, match=mistake):
+        raise AssertionError(texts[0])
+
+
+@pytest.mark.parametrize("scene", [_boxes, _weave, _upright, edge_scene, _even])
+@pytest.mark.parametrize(
+    "offset_px",
+    [SQUARE_PX, SCATTERED_PX, PAIR_PX, 0 * SQUARE_PX, 6 * SQUARE_PX, SQUARE_PX[:1]],
+    ids=["square", "scattered", "two", "none", "far", "one frame"],
+)
+@pytest.mark.parametrize("sigma", [0.0, SIGMA, 0.16])
+def test_right_shifts_are_not_doubted(
+    scene: Callable[..., Array], offset_px: Array, sigma: float
+) -> None:
+    assert doubtful_shifts(_frames(scene, offset_px, sigma), offset_px) is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("offset_px", [SQUARE_PX, SCATTERED_PX])
+def test_noise_alone_doubts_nothing(offset_px: Array, seed: int) -> None:
+    y = np.random.default_rng(seed).standard_normal((len(offset_px), *SHAPE))
+    assert doubtful_shifts(y, offset_px) is None
+
+
+def test_gain_outliers_and_dead_pixels_are_no_wrong_shifts() -> None:
+    y = _frames(edge_scene, SQUARE_PX, SIGMA)
+    rng = np.random.default_rng(1)
+    gain, bias = 1 + 0.1 * rng.standard_normal(4), 0.03 * rng.standard_normal(4)
+    assert doubtful_shifts(gain[:, None, None] * y + bias[:, None, None], SQUARE_PX) is None
+    hit = rng.random(y.shape) < 0.03
+    assert doubtful_shifts(np.where(hit, rng.integers(0, 2, y.shape), y), SQUARE_PX) is None
+    assert doubtful_shifts(np.where(hit, np.nan, y), SQUARE_PX, valid=~hit) is None
+
+
+def test_a_part_of_a_large_sensor_tells_with_shift_fields_and_phasors_too() -> None:
+    y = np.zeros((4, 120, 90))
+    y[:, 60:84, 40:70] = _frames(_boxes, SQUARE_PX, 0.0)
+    y += SIGMA * np.random.default_rng(3).standard_normal(y.shape)
+    field = np.broadcast_to(-SQUARE_PX[:, None, None, :], (*y.shape, 2))
+    doubt = doubtful_shifts(y * np.exp(0.4j), field)
+    assert doubt is not None
+    assert doubt.mistake == "their sign"
+    burst = make_burst(np.abs(y), -SQUARE_PX, modulation_hz=15e6, distance_m=np.full(y.shape, 3.0))
+    with pytest.warns(QualityWarning, match="their sign: negate offset_px"):
+        reconstruct(burst, channel="phasor", std=False, shift_field=ShiftField(field))
