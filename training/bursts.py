@@ -1,0 +1,209 @@
+"""Draw bursts from scenes, with everything that goes wrong in a camera, for training.
+
+The world side (apertures integrated over fine samples) is written here and shares nothing with the
+assumed model, whose taps come from `lensshift.forward`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import Taps, forward_model
+
+Array = NDArray[np.float64]
+Tensor = torch.Tensor
+Generator = np.random.Generator
+
+MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What all bursts of one batch share."""
+
+    scale: int
+    shape: tuple[int, int]
+    offset_px: Array
+    samples: int
+    told_px: float
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Frames of a batch, what the solver is told of them, and the truth."""
+
+    frames: Tensor  # [burst frame row col]
+    valid: Tensor  # same shape, 0 or 1
+    sigma: Tensor  # same shape, what the solver believes
+    noise: Tensor  # same shape, what it is
+    truth: Tensor  # [burst row col] on the HR grid
+    rows: Tensor  # [frame row HR row]
+    cols: Tensor  # [frame col HR col]
+    blur_hr_px: float
+    scale: int
+
+
+def dense_taps(taps: Taps, size: int) -> Array:
+    """Return the taps of one axis as matrices [frame pixel size]."""
+    dense = np.zeros((*taps.start.shape, size))
+    index = taps.start[..., None] + np.arange(taps.weight.shape[-1])
+    np.put_along_axis(dense, index, taps.weight, axis=-1)
+    return dense
+
+
+def draw_geometry(rng: Generator, hr_side: int = 56) -> Geometry:
+    """Return scale, shape and shifts of a burst, half of them on the usual square patterns."""
+    scale = int(rng.choice([1, 2, 3, 4, 5, 6, 8], p=[0.02, 0.6, 0.16, 0.16, 0.02, 0.02, 0.02]))
+    side = min(hr_side // scale, 28)
+    shape = (side, side) if rng.random() < 0.7 else (side, max(side - int(rng.integers(1, 4)), 4))
+    few = {1: [1, 2, 4], 2: [1, 2, 3, 4, 4, 4, 4, 4, 5, 9, 16], 3: [2, 4, 5, 9, 9, 12, 16]}
+    count = int(rng.choice(few.get(scale, [3, 4, 9, 16, 16])))
+    side = round(count**0.5)
+    kind = rng.random()
+    if side * side == count and kind < 0.6:
+        step = 1.0 / side if rng.random() < 0.85 else 1.0 / scale
+        line = (np.arange(side) - (side - 1) / 2) * step
+        offset = np.array([(a, b) for a in line for b in line])
+        if rng.random() < 0.3:
+            offset = offset + rng.uniform(-0.5, 0.5, 2)
+        if rng.random() < 0.3:
+            offset = offset + rng.integers(-1, 2, offset.shape)
+    else:
+        offset = rng.uniform(-1, 1, (count, 2)) * (0.5 if kind < 0.9 else 1.5)
+    samples = int(rng.choice([10, 12, 13] if scale < 3 else [12, 15, 16]))
+    return Geometry(scale, shape, np.clip(offset, -1.6, 1.6), samples, 0.0)
+
+
+def _overlap(centre: Array, width: float, samples: int, size: int) -> Array:
+    """Return the mean over [centre - width/2, centre + width/2] LR pixels of fine samples."""
+    low = (centre - width / 2 + MARGIN + 0.5) * samples
+    high = (centre + width / 2 + MARGIN + 0.5) * samples
+    edge = np.arange(size + 1)
+    part = np.minimum(high[..., None], edge[1:]) - np.maximum(low[..., None], edge[:-1])
+    part = np.clip(part, 0, None)
+    return part / part.sum(-1, keepdims=True)
+
+
+def _spread(matrix: Array, sigma_samples: float) -> Array:
+    """Return an aperture blurred by the optics in front of it."""
+    if sigma_samples < 0.2:
+        return matrix
+    return gaussian_filter1d(matrix, sigma_samples, axis=-1, mode="nearest")
+
+
+def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
+    """Return bursts of one geometry from scenes of the pool."""
+    g = draw_geometry(rng)
+    size = [(n + 2 * MARGIN) * g.samples for n in g.shape]
+    fill = 1.0 if rng.random() < 0.55 else float(rng.uniform(0.4, 1))
+    optics = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.03, 0.35))
+    # Most users want what smaller pixels behind the same lens see, some the scene itself; and
+    # what they tell of the blur is the pixel's, that of pixel and lens, or just wrong.
+    behind = rng.random() < 0.6
+    lens = optics if not behind or rng.random() < 0.25 else 0.0
+    nominal = rng.random() < 0.4  # the world blurs as the model says: a Gaussian of HR pixels
+    told = np.sqrt(fill**2 / 12 + lens**2)
+    if rng.random() < 0.25:
+        told *= np.exp(rng.normal(0, 0.22))
+    elif fill == 1.0 and lens == 0.0 and rng.random() < 0.5:
+        told = 0.3
+    model = forward_model(g.shape, g.scale, g.offset_px, blur=GaussianBlur(float(told)))
+    hr = model.hr_shape
+    row_taps, col_taps = dense_taps(model.rows, hr[0]), dense_taps(model.cols, hr[1])
+    scenes = torch.tensor(np.stack([_crop(rng, pool, size) for _ in range(count)]))
+    fine = [_overlap((np.arange(n) + 0.5) / g.scale - 0.5, 1 / g.scale, g.samples, m)
+            for n, m in zip(hr, size, strict=True)]  # fmt: skip
+    seen = optics * g.samples if behind and not nominal else 0.0
+    fine = [_spread(part, seen) for part in fine]
+    truth = _float(fine[0]) @ scenes @ _float(fine[1]).T
+    # Most rigs are calibrated, most users tell the truth; what is rarer is seen often enough.
+    errors = [0.01, 0.02, 0.05, rng.uniform(0, 0.12)]
+    error = 0.0 if rng.random() < 0.6 else float(rng.choice(errors))
+    wrong = error * rng.standard_normal((count, *g.offset_px.shape))
+    odd = rng.random(count) < (0.2 if rng.random() < 0.25 else 0.0)  # a frame of elsewhere
+    which = rng.integers(0, len(g.offset_px), count)
+    for k in np.flatnonzero(odd):
+        wrong[k, which[k]] += rng.uniform(-1, 1, 2) * 1.4
+    if nominal and not wrong.any():
+        frames = torch.einsum("kuh,bhw,kvw->bkuv", _float(row_taps), truth, _float(col_taps))
+    else:
+        offset = np.clip(g.offset_px + wrong, -1.9, 1.9)
+        at = [np.arange(n)[None, None] - offset[..., axis, None]
+              for axis, n in enumerate(g.shape)]  # fmt: skip
+        a, b = (_float(_spread(_overlap(c, fill, g.samples, m), optics * g.samples))
+                for c, m in zip(at, size, strict=True))  # fmt: skip
+        frames = torch.einsum("bkuh,bhw,bkvw->bkuv", a, scenes, b)
+    frames, valid, sigma, noise = _spoil(rng, frames.numpy())
+    seen_by_solver = (_float(frames), _float(valid), _float(sigma), _float(noise))
+    taps = (_float(row_taps), _float(col_taps))
+    return Batch(*seen_by_solver, truth, *taps, float(told * g.scale), g.scale)
+
+
+def _float(values: NDArray[np.floating]) -> Tensor:
+    return torch.tensor(np.ascontiguousarray(values, np.float32))
+
+
+def _crop(rng: Generator, pool: NDArray[np.float16], size: list[int]) -> NDArray[np.float32]:
+    scene = pool[rng.integers(len(pool))]
+    top, left = (int(rng.integers(0, n - m + 1)) for n, m in zip(scene.shape, size, strict=True))
+    part = scene[top : top + size[0], left : left + size[1]].astype(np.float32)
+    turn = rng.integers(8)
+    if turn & 1:
+        part = part[::-1]
+    if turn & 2:
+        part = part[:, ::-1]
+    if turn & 4:
+        whole = scene[left : left + size[1], top : top + size[0]].astype(np.float32)
+        if whole.shape == (size[1], size[0]):
+            part = whole.T
+    return np.ascontiguousarray(part)
+
+
+def _spoil(rng: Generator, y: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    """Return frames with noise and faults, valid mask, sigma as believed and as it is."""
+    bursts, count = y.shape[:2]
+    one = (bursts, 1, 1, 1)
+    sigma = 0.8 / np.exp(rng.uniform(np.log(3.0), np.log(1500.0), one))
+    share = np.where(rng.random(one) < 0.3, rng.uniform(0.3, 1, one), 0.0)
+    light = np.clip(y, 0.02, None) / 0.8
+    true = sigma * np.sqrt(1 - share + share * light)
+    noisy = y + true * rng.standard_normal(y.shape)
+    if rng.random() < 0.12:
+        noisy = noisy * (1 + 0.02 * rng.standard_normal((bursts, count, 1, 1)))
+        noisy = noisy + 0.01 * rng.standard_normal((bursts, count, 1, 1))
+    if rng.random() < 0.12:
+        bits = int(rng.integers(6, 11))
+        noisy = np.round(noisy * 2**bits) / 2**bits
+    if rng.random() < 0.12:  # salt and pepper
+        draw, part = rng.random(y.shape), float(rng.choice([0.003, 0.01, 0.02, 0.05]))
+        noisy = np.where(draw < part / 2, 0.0, np.where(draw > 1 - part / 2, 1.0, noisy))
+    if rng.random() < 0.08:
+        noisy = _move(rng, noisy)
+    valid = np.ones(y.shape, np.float32)
+    if rng.random() < 0.1:
+        valid *= rng.random((bursts, 1, *y.shape[2:])) > 0.03
+    if rng.random() < 0.05:
+        valid *= rng.random(y.shape) > 0.05
+    known = rng.random(one) < 0.6
+    mean = np.sqrt(np.mean(true**2, axis=(1, 2, 3), keepdims=True))
+    smooth = sigma * np.sqrt(1 - share + share * np.clip(noisy, 0.02, None) / 0.8)
+    told = np.where(known, smooth, mean) * np.exp(0.08 * rng.standard_normal(one))
+    return noisy * valid, valid, np.broadcast_to(told, y.shape), np.broadcast_to(true, y.shape)
+
+
+def _move(rng: Generator, y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shift a part of one frame by a pixel or two: something moved."""
+    y = y.copy()
+    rows, cols = y.shape[2:]
+    for burst in y:
+        frame = burst[rng.integers(len(burst))]
+        top, left = rng.integers(0, max(rows - 3, 1)), rng.integers(0, max(cols - 3, 1))
+        part = (slice(top, top + rows // 2), slice(left, left + cols // 2))
+        frame[part] = np.roll(frame, rng.integers(-2, 3, 2), (0, 1))[part]
+    return y

@@ -1,0 +1,75 @@
+"""Write trained weights in the form that the package reads, and print their checksum.
+
+python training/export.py solver.pt src/lensshift/reconstruction/learned/weights.npz
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import io
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+from network import Solver
+
+from lensshift.reconstruction.learned.prior import Weights
+
+
+def arrays_of(state: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
+    """Return the arrays of `weights.npz`: half precision for layers, the level already left out."""
+    found = {name: state[name].numpy().astype(np.float32)
+             for name in ("trust", "forgive", "floor", "doubt", "lowest")}  # fmt: skip
+    for name, values in state.items():
+        if match := re.fullmatch(r"priors\.(\d+)\.layers\.(\d+)\.weight", name):
+            stage, layer = match.groups()
+            weight = values.double().numpy().copy()
+            if layer == "0":
+                weight[:, :4] -= weight[:, :4].mean((1, 2, 3), keepdims=True)
+            out_channels = weight.shape[0]
+            taps = weight.transpose(2, 3, 1, 0).reshape(-1, out_channels)
+            found[f"layer_{stage}_{layer}"] = taps.astype(np.float32)
+        elif match := re.fullmatch(r"priors\.(\d+)\.facts\.(weight|bias)", name):
+            kind = "facts" if match[2] == "weight" else "gain"
+            found[f"{kind}_{match[1]}"] = values.numpy().T.astype(np.float32)
+    return found
+
+
+def load_exported(solver: Solver, weights: Weights) -> None:
+    """Put weights of the package back into the chain that is trained, to go on or to compare."""
+    state = {name: torch.tensor(values) for name, values in weights.numbers.items()}
+    for t, stage in enumerate(weights.stages):
+        for n, taps in enumerate(stage.layers):
+            shape = (3, 3, len(taps) // 9, taps.shape[1])
+            state[f"priors.{t}.layers.{n}.weight"] = torch.tensor(
+                taps.reshape(shape).transpose(3, 2, 0, 1)
+            )
+        state[f"priors.{t}.facts.weight"] = torch.tensor(stage.facts.T)
+        state[f"priors.{t}.facts.bias"] = torch.tensor(stage.gain_offset)
+    solver.load_state_dict(state)
+
+
+def main() -> None:
+    """Export a checkpoint of `train.py`."""
+    ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    ask.add_argument("checkpoint", type=Path)
+    ask.add_argument("out", type=Path)
+    given = ask.parse_args()
+    file = io.BytesIO()
+    np.savez(file, **arrays_of(torch.load(given.checkpoint)["solver"]))
+    given.out.write_bytes(file.getvalue())
+    digest = hashlib.sha256(file.getvalue()).hexdigest()
+    size = given.out.stat().st_size / 1e6
+    sys.stdout.write(f"{given.out}: {size:.2f} MB, WEIGHTS_SHA256 = {digest!r}\n")
+    prior = given.out.with_name("prior.py")
+    if prior.exists():
+        text = re.sub(r'WEIGHTS_SHA256 = ".*"', f'WEIGHTS_SHA256 = "{digest}"',
+                      prior.read_text().replace('"0" * 64', '""'))  # fmt: skip
+        prior.write_text(text)
+
+
+if __name__ == "__main__":
+    main()

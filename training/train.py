@@ -1,0 +1,134 @@
+"""Train the prior of the unrolled solver; resumable, seeds fixed.
+
+python training/worlds.py --count 6000 --seed 1 --out worlds.npy
+python training/train.py worlds.npy --minutes 120 --out solver.pt
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from bursts import Batch, draw_batch
+from export import load_exported
+from network import Solver
+
+from lensshift.reconstruction.learned.prior import learned_weights
+
+BATCH = 16
+LEARNING_RATE = 1.5e-3
+BORDER = 2  # HR pixels left out of the loss
+FLOOR = 3e-7  # mean squared error that counts as none
+
+
+def loss_of(found: list[torch.Tensor], std: torch.Tensor, truth: torch.Tensor) -> tuple:
+    """Return what is minimised and the mean PSNR of the last estimate."""
+    inner = (slice(None), slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+    error = [(x - truth)[inner] for x in found]
+    logs = [torch.log((e * e).mean((1, 2)) + FLOOR).mean() for e in error]
+    last, s = error[-1].detach(), std[inner]
+    s = torch.sqrt(s * s + 1e-8)
+    likelihood = (torch.log(s) + 0.5 * torch.clamp((last / s) ** 2, max=50.0)).mean()
+    early = sum(logs[1:-1]) / max(len(logs) - 2, 1)
+    return logs[-1] + 0.15 * early + 0.1 * likelihood, -4.343 * logs[-1].item()
+
+
+def drawn(worlds: Path, seed: int, step: int, ahead: int = 6) -> Iterator[Batch]:
+    """Yield the batches from a step onwards, drawn by another process, the same in every run."""
+    with ProcessPoolExecutor(1) as worker:
+        waiting = deque(worker.submit(_draw, worlds, seed, step + k) for k in range(ahead))
+        while True:
+            step += 1
+            waiting.append(worker.submit(_draw, worlds, seed, step + ahead - 1))
+            yield waiting.popleft().result()
+
+
+@lru_cache(maxsize=1)
+def _pool(worlds: Path) -> np.ndarray:
+    torch.set_num_threads(1)
+    return np.load(worlds, mmap_mode="r")
+
+
+def _draw(worlds: Path, seed: int, step: int) -> Batch:
+    return draw_batch(np.random.default_rng((seed, step)), _pool(worlds), BATCH)
+
+
+def rate(step: int, done: float) -> float:
+    """Return the learning rate: a short rise, then half a cosine over the time that is given."""
+    return (
+        LEARNING_RATE * min(1.0, (step + 1) / 300) * (0.5 + 0.5 * math.cos(math.pi * done) + 0.005)
+    )
+
+
+def main() -> None:
+    """Train for some minutes, writing weights and optimiser every few hundred steps."""
+    ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    ask.add_argument("worlds", type=Path)
+    ask.add_argument("--minutes", type=float, default=120)
+    ask.add_argument("--out", type=Path, default=Path("solver.pt"))
+    ask.add_argument("--seed", type=int, default=0)
+    ask.add_argument("--threads", type=int, default=1)
+    ask.add_argument("--peak", type=float, default=1.0, help="factor of the learning rate")
+    ask.add_argument("--go-on", action="store_true", help="begin with the weights of the package")
+    given = ask.parse_args()
+    torch.set_num_threads(given.threads)
+    torch.manual_seed(given.seed)
+    solver = Solver()
+    optimiser = torch.optim.AdamW(solver.parameters(), LEARNING_RATE, weight_decay=1e-4)
+    stored = None
+    if given.out.exists():
+        stored = torch.load(given.out)
+        solver.load_state_dict(stored["solver"])
+        optimiser.load_state_dict(stored["optimiser"])
+    elif given.go_on:
+        load_exported(solver, learned_weights())
+    began, seen, bad = time.monotonic(), [], 0
+    step = stored["step"] if stored else 0
+    batches = drawn(given.worlds, given.seed, step)
+    while (done := (time.monotonic() - began) / 60 / given.minutes) < 1:
+        for group in optimiser.param_groups:
+            group["lr"] = given.peak * rate(step, done)
+        batch = next(batches)
+        optimiser.zero_grad()
+        loss, psnr = forward(solver, batch)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(solver.parameters(), 1.0)
+        if torch.isfinite(norm):
+            optimiser.step()
+        else:
+            bad += 1
+        seen.append(psnr)
+        step += 1
+        if step % 200 == 0:
+            spent = time.monotonic() - began
+            sys.stdout.write(f"{step} {spent:.0f} s {np.mean(seen):.3f} dB, {bad} left out\n")
+            sys.stdout.flush()
+            seen = []
+            torch.save(stored_of(solver, optimiser, step), given.out)
+    sys.stdout.write(f"{step} steps\n")
+    torch.save(stored_of(solver, optimiser, step), given.out)
+
+
+def stored_of(solver: Solver, optimiser: torch.optim.Optimizer, step: int) -> dict:
+    """Return all that a later run needs to go on."""
+    return {"solver": solver.state_dict(), "optimiser": optimiser.state_dict(), "step": step}
+
+
+def forward(solver: Solver, batch: Batch) -> tuple:
+    """Return loss and PSNR of one batch; convolutions in bfloat16, data steps in float32."""
+    found, std = solver(batch.frames, batch.valid, batch.sigma, batch.rows, batch.cols,
+                        batch.blur_hr_px, batch.scale)  # fmt: skip
+    return loss_of(found, std, batch.truth)
+
+
+if __name__ == "__main__":
+    main()
