@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
 
-from lensshift import Burst
+from lensshift import Burst, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned import prior, solver
@@ -176,6 +176,14 @@ def test_the_noise_of_a_large_sensor_is_that_of_windows():
     assert noise_of(problem) * problem.intensity == pytest.approx(0.8 / 40.0, rel=0.15)
     flat = replace(problem, y=0.03 * rng.standard_normal(y.shape))
     assert noise_of(flat) == pytest.approx(0.03, rel=0.1)  # the lowest bounds lie a little low
+
+
+def test_an_error_bar_is_not_passed_off_as_noise():
+    burst = mosaic_burst(12)
+    given = Burst.from_arrays(burst.y, offset_px=burst.offset_px, pitch_mm=0.1)
+    estimate = reconstruct(given).amplitude
+    assert estimate.std is not None
+    assert estimate.noise_gain is None
 
 
 def test_a_damaged_file_of_weights_is_refused(monkeypatch):

@@ -284,6 +284,8 @@ class Estimate:
     @property
     def noise_gain(self) -> float | None:
         """Noise of an HR pixel over noise of an LR pixel (rms over the image), or None."""
+        if self.notes.get("std_of") == "error":  # not the noise alone: `auto`
+            return None
         if self.noise_sigma is None or self.noise_sigma <= 0 or self.std is None:
             return None
         return float(np.sqrt(np.mean(self.std**2)) / self.noise_sigma)

@@ -57,6 +57,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
         status=_status(image, found),
         confidence=np.min([s.weight for s in found], axis=0).astype(np.float64),
         noise_sigma=sigma,
+        notes={"std_of": "error"},
     )
     return _judged(estimate, used)
 
