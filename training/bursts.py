@@ -109,8 +109,8 @@ def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
     lens = optics if not behind or rng.random() < 0.25 else 0.0
     nominal = rng.random() < 0.4  # the world blurs as the model says: a Gaussian of HR pixels
     told = np.sqrt(fill**2 / 12 + lens**2)
-    if rng.random() < 0.25:
-        told *= np.exp(rng.normal(0, 0.22))
+    if rng.random() < 0.3:
+        told *= np.exp(rng.normal(0, 0.25))
     elif fill == 1.0 and lens == 0.0 and rng.random() < 0.5:
         told = 0.3
     model = forward_model(g.shape, g.scale, g.offset_px, blur=GaussianBlur(float(told)))
@@ -169,7 +169,7 @@ def _spoil(rng: Generator, y: NDArray[np.float32]) -> tuple[NDArray[np.float32],
     """Return frames with noise and faults, valid mask, sigma as believed and as it is."""
     bursts, count = y.shape[:2]
     one = (bursts, 1, 1, 1)
-    sigma = 0.8 / np.exp(rng.uniform(np.log(3.0), np.log(1500.0), one))
+    sigma = 0.8 / np.exp(rng.uniform(np.log(3.0), np.log(4000.0), one))
     share = np.where(rng.random(one) < 0.3, rng.uniform(0.3, 1, one), 0.0)
     light = np.clip(y, 0.02, None) / 0.8
     true = sigma * np.sqrt(1 - share + share * light)

@@ -27,7 +27,7 @@ from lensshift.reconstruction.learned.prior import learned_weights
 BATCH = 16
 LEARNING_RATE = 1.5e-3
 BORDER = 2  # HR pixels left out of the loss
-FLOOR = 3e-7  # mean squared error that counts as none
+FLOOR = 1e-7  # mean squared error that counts as none
 
 
 def loss_of(found: list[torch.Tensor], std: torch.Tensor, truth: torch.Tensor) -> tuple:
