@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter
 
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import Taps, forward_model
@@ -31,18 +31,22 @@ class Geometry:
     shape: tuple[int, int]
     offset_px: Array
     samples: int
-    told_px: float
+
+    @property
+    def fine_shape(self) -> list[int]:
+        """Samples [row col] of a scene under the frame and its margin."""
+        return [(n + 2 * MARGIN) * self.samples for n in self.shape]
 
 
 @dataclass(frozen=True)
 class Batch:
     """Frames of a batch, what the solver is told of them, and the truth."""
 
-    frames: Tensor  # [burst frame row col]
-    valid: Tensor  # same shape, 0 or 1
+    frames: Tensor  # [burst frame row col], phasors [burst component frame row col]
+    valid: Tensor  # [burst frame row col], 0 or 1
     sigma: Tensor  # same shape, what the solver believes
     noise: Tensor  # same shape, what it is
-    truth: Tensor  # [burst row col] on the HR grid
+    truth: Tensor  # [burst row col] on the HR grid, phasors [burst component row col]
     rows: Tensor  # [frame row HR row]
     cols: Tensor  # [frame col HR col]
     blur_hr_px: float
@@ -77,7 +81,7 @@ def draw_geometry(rng: Generator, hr_side: int = 56) -> Geometry:
     else:
         offset = rng.uniform(-1, 1, (count, 2)) * (0.5 if kind < 0.9 else 1.5)
     samples = int(rng.choice([10, 12, 13] if scale < 3 else [12, 15, 16]))
-    return Geometry(scale, shape, np.clip(offset, -1.6, 1.6), samples, 0.0)
+    return Geometry(scale, shape, np.clip(offset, -1.6, 1.6), samples)
 
 
 def _overlap(centre: Array, width: float, samples: int, size: int) -> Array:
@@ -97,17 +101,47 @@ def _spread(matrix: Array, sigma_samples: float) -> Array:
     return gaussian_filter1d(matrix, sigma_samples, axis=-1, mode="nearest")
 
 
-def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
-    """Return bursts of one geometry from scenes of the pool."""
+@dataclass(frozen=True)
+class Bench:
+    """A camera before scenes: what it does to them, and what is told of it."""
+
+    geometry: Geometry
+    told_px: float
+    rows: Tensor
+    cols: Tensor
+    fine: tuple[Tensor, Tensor]  # [HR row sample], what an HR pixel is the mean of
+    fill: float
+    optics_px: float
+    nominal: bool  # the world blurs as the model says: a Gaussian of HR pixels
+
+    def truth(self, scenes: Tensor) -> Tensor:
+        """Return the pictures [... row col] that are wanted of scenes."""
+        return self.fine[0] @ scenes @ self.fine[1].T
+
+    def frames(self, scenes: Tensor, wrong: Array) -> Tensor:
+        """Return [burst frame row col] with the shifts of each burst off by `wrong`."""
+        g = self.geometry
+        if self.nominal and not wrong.any():
+            truth = self.truth(scenes)
+            return torch.einsum("kuh,bhw,kvw->bkuv", self.rows, truth, self.cols)
+        offset = np.clip(g.offset_px + wrong, -1.9, 1.9)
+        seen = []
+        for axis, n in enumerate(g.shape):
+            at = np.arange(n)[None, None] - offset[..., axis, None]
+            aperture = _overlap(at, self.fill, g.samples, scenes.shape[1 + axis])
+            seen.append(_float(_spread(aperture, self.optics_px * g.samples)))
+        return torch.einsum("bkuh,bhw,bkvw->bkuv", seen[0], scenes, seen[1])
+
+
+def draw_bench(rng: Generator) -> Bench:
+    """Return a camera; what is told of its blur is the pixel's, pixel's and lens's, or wrong."""
     g = draw_geometry(rng)
-    size = [(n + 2 * MARGIN) * g.samples for n in g.shape]
     fill = 1.0 if rng.random() < 0.55 else float(rng.uniform(0.4, 1))
     optics = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.03, 0.35))
-    # Most users want what smaller pixels behind the same lens see, some the scene itself; and
-    # what they tell of the blur is the pixel's, that of pixel and lens, or just wrong.
+    # Most users want what smaller pixels behind the same lens see, some the scene itself.
     behind = rng.random() < 0.6
     lens = optics if not behind or rng.random() < 0.25 else 0.0
-    nominal = rng.random() < 0.4  # the world blurs as the model says: a Gaussian of HR pixels
+    nominal = rng.random() < 0.4
     told = np.sqrt(fill**2 / 12 + lens**2)
     if rng.random() < 0.3:
         told *= np.exp(rng.normal(0, 0.25))
@@ -115,13 +149,18 @@ def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
         told = 0.3
     model = forward_model(g.shape, g.scale, g.offset_px, blur=GaussianBlur(float(told)))
     hr = model.hr_shape
-    row_taps, col_taps = dense_taps(model.rows, hr[0]), dense_taps(model.cols, hr[1])
-    scenes = torch.tensor(np.stack([_crop(rng, pool, size) for _ in range(count)]))
-    fine = [_overlap((np.arange(n) + 0.5) / g.scale - 0.5, 1 / g.scale, g.samples, m)
-            for n, m in zip(hr, size, strict=True)]  # fmt: skip
     seen = optics * g.samples if behind and not nominal else 0.0
-    fine = [_spread(part, seen) for part in fine]
-    truth = _float(fine[0]) @ scenes @ _float(fine[1]).T
+    fine = tuple(
+        _float(_spread(_overlap((np.arange(n) + 0.5) / g.scale - 0.5, 1 / g.scale, g.samples, m),
+                       seen))
+        for n, m in zip(hr, g.fine_shape, strict=True)
+    )  # fmt: skip
+    taps = (_float(dense_taps(t, n)) for t, n in zip((model.rows, model.cols), hr, strict=True))
+    return Bench(g, float(told), *taps, fine, fill, optics, nominal)
+
+
+def draw_errors(rng: Generator, g: Geometry, count: int) -> Array:
+    """Return what the shifts of bursts are off by, [burst frame 2] in pixels."""
     # Most rigs are calibrated, most users tell the truth; what is rarer is seen often enough.
     errors = [0.01, 0.02, 0.05, rng.uniform(0, 0.12)]
     error = 0.0 if rng.random() < 0.6 else float(rng.choice(errors))
@@ -130,19 +169,34 @@ def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
     which = rng.integers(0, len(g.offset_px), count)
     for k in np.flatnonzero(odd):
         wrong[k, which[k]] += rng.uniform(-1, 1, 2) * 1.4
-    if nominal and not wrong.any():
-        frames = torch.einsum("kuh,bhw,kvw->bkuv", _float(row_taps), truth, _float(col_taps))
-    else:
-        offset = np.clip(g.offset_px + wrong, -1.9, 1.9)
-        at = [np.arange(n)[None, None] - offset[..., axis, None]
-              for axis, n in enumerate(g.shape)]  # fmt: skip
-        a, b = (_float(_spread(_overlap(c, fill, g.samples, m), optics * g.samples))
-                for c, m in zip(at, size, strict=True))  # fmt: skip
-        frames = torch.einsum("bkuh,bhw,bkvw->bkuv", a, scenes, b)
+    return wrong
+
+
+def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
+    """Return bursts of one geometry from scenes of the pool."""
+    bench = draw_bench(rng)
+    g = bench.geometry
+    scenes = torch.tensor(np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)]))
+    frames = bench.frames(scenes, draw_errors(rng, g, count))
     frames, valid, sigma, noise = _spoil(rng, frames.numpy())
     seen_by_solver = (_float(frames), _float(valid), _float(sigma), _float(noise))
-    taps = (_float(row_taps), _float(col_taps))
-    return Batch(*seen_by_solver, truth, *taps, float(told * g.scale), g.scale)
+    return Batch(*seen_by_solver, bench.truth(scenes), bench.rows, bench.cols,
+                 bench.told_px * g.scale, g.scale)  # fmt: skip
+
+
+def draw_phasors(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
+    """Return bursts of phasors [burst component ...] of one geometry, turned by random phases."""
+    bench = draw_bench(rng)
+    g = bench.geometry
+    scenes = np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)])
+    light, phase = scenes[:, 0], scenes[:, 1] + rng.uniform(0, 2 * np.pi, (count, 1, 1))
+    parts = [light * np.cos(phase), light * np.sin(phase), light]
+    wrong = draw_errors(rng, g, count)
+    seen = np.stack([bench.frames(_float(part), wrong).numpy() for part in parts], 1)
+    truth = torch.stack([bench.truth(_float(part)) for part in parts[:2]], 1)
+    frames, valid, sigma, noise = _spoil_phasors(rng, seen[:, :2], seen[:, 2])
+    seen_by_solver = (_float(frames), _float(valid), _float(sigma), _float(noise))
+    return Batch(*seen_by_solver, truth, bench.rows, bench.cols, bench.told_px * g.scale, g.scale)
 
 
 def _float(values: NDArray[np.floating]) -> Tensor:
@@ -150,18 +204,18 @@ def _float(values: NDArray[np.floating]) -> Tensor:
 
 
 def _crop(rng: Generator, pool: NDArray[np.float16], size: list[int]) -> NDArray[np.float32]:
+    """Return a part of a scene [... row col], mirrored and turned at random."""
     scene = pool[rng.integers(len(pool))]
-    top, left = (int(rng.integers(0, n - m + 1)) for n, m in zip(scene.shape, size, strict=True))
-    part = scene[top : top + size[0], left : left + size[1]].astype(np.float32)
-    turn = rng.integers(8)
-    if turn & 1:
-        part = part[::-1]
-    if turn & 2:
-        part = part[:, ::-1]
-    if turn & 4:
-        whole = scene[left : left + size[1], top : top + size[0]].astype(np.float32)
-        if whole.shape == (size[1], size[0]):
-            part = whole.T
+    if rng.random() < 0.5:
+        scene = np.swapaxes(scene, -1, -2)
+    top, left = (
+        int(rng.integers(0, n - m + 1)) for n, m in zip(scene.shape[-2:], size, strict=True)
+    )
+    part = scene[..., top : top + size[0], left : left + size[1]].astype(np.float32)
+    if rng.random() < 0.5:
+        part = part[..., ::-1, :]
+    if rng.random() < 0.5:
+        part = part[..., ::-1]
     return np.ascontiguousarray(part)
 
 
@@ -197,13 +251,45 @@ def _spoil(rng: Generator, y: NDArray[np.float32]) -> tuple[NDArray[np.float32],
     return noisy * valid, valid, np.broadcast_to(told, y.shape), np.broadcast_to(true, y.shape)
 
 
-def _move(rng: Generator, y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shift a part of one frame by a pixel or two: something moved."""
+def _move(rng: Generator, y: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Shift a part of one frame [burst ... frame row col] by a pixel or two: something moved."""
     y = y.copy()
-    rows, cols = y.shape[2:]
+    rows, cols = y.shape[-2:]
     for burst in y:
-        frame = burst[rng.integers(len(burst))]
+        frame = burst[..., rng.integers(burst.shape[-3]), :, :]
         top, left = rng.integers(0, max(rows - 3, 1)), rng.integers(0, max(cols - 3, 1))
-        part = (slice(top, top + rows // 2), slice(left, left + cols // 2))
-        frame[part] = np.roll(frame, rng.integers(-2, 3, 2), (0, 1))[part]
+        part = (..., slice(top, top + rows // 2), slice(left, left + cols // 2))
+        frame[part] = np.roll(frame, rng.integers(-2, 3, 2), (-2, -1))[part]
     return y
+
+
+def _spoil_phasors(
+    rng: Generator, z: NDArray[np.float32], light: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], ...]:
+    """Return phasors with noise and faults, valid mask, sigma of a component as told and as is.
+
+    Shot noise follows all light of a pixel, also where two surfaces cancel in its phasor.
+    """
+    bursts, count = light.shape[:2]
+    one = (bursts, 1, 1, 1)
+    usual = np.maximum(np.median(light, axis=(1, 2, 3)), 1e-3).reshape(one)
+    sigma = usual / np.exp(rng.uniform(np.log(3.0), np.log(500.0), one))
+    share = rng.uniform(0, 1, one)
+    true = sigma * np.sqrt(1 - share + share * light / usual)
+    noisy = z + true[:, None] * rng.standard_normal(z.shape)
+    if rng.random() < 0.12:
+        noisy = noisy * (1 + 0.02 * rng.standard_normal((bursts, 1, count, 1, 1)))
+    if rng.random() < 0.15:
+        noisy = _move(rng, noisy)
+    valid = np.ones(light.shape, np.float32)
+    if rng.random() < 0.12:
+        valid *= rng.random((bursts, 1, *light.shape[2:])) > 0.03
+    if rng.random() < 0.08:  # pixels that say anything
+        wild = rng.random(light.shape) < 0.01
+        noisy = noisy + 3 * usual[:, None] * wild[:, None] * rng.standard_normal(z.shape)
+    amplitude = np.hypot(noisy[:, 0], noisy[:, 1])
+    around = uniform_filter(amplitude, (0, 0, 3, 3), mode="nearest")
+    law = sigma * np.sqrt(1 - share + share * around / usual)
+    even = np.sqrt(np.mean(true**2, axis=(1, 2, 3), keepdims=True))
+    told = np.where(rng.random(one) < 0.75, law, even) * np.exp(0.08 * rng.standard_normal(one))
+    return noisy * valid[:, None], valid, np.broadcast_to(told, light.shape), true

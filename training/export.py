@@ -1,6 +1,7 @@
-"""Write trained weights in the form that the package reads, and print their checksum.
+"""Write trained weights in the form that the package reads, and their checksum beside them.
 
-python training/export.py solver.pt src/lensshift/reconstruction/learned/weights.npz
+python training/export.py solver.pt src/lensshift/reconstruction/learned/brightness.npz
+python training/export.py phasor.pt src/lensshift/reconstruction/learned/phasor.npz
 """
 
 from __future__ import annotations
@@ -15,33 +16,41 @@ from pathlib import Path
 import numpy as np
 import torch
 from network import Solver
+from phasor_network import PhasorSolver
 
-from lensshift.reconstruction.learned.prior import Weights
+from lensshift.reconstruction.learned.network import Network
 
 
-def arrays_of(state: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
-    """Return the arrays of `weights.npz`: half precision for layers, the level already left out."""
-    found = {name: state[name].numpy().astype(np.float32)
-             for name in ("trust", "forgive", "floor", "doubt", "lowest")}  # fmt: skip
+def arrays_of(state: dict[str, torch.Tensor], phasor: bool) -> dict[str, np.ndarray]:
+    """Return the arrays of the file: the level of brightness already left out.
+
+    Phasors need no more than half precision, and two files are to stay below 1.5 MB.
+    """
+    precision = np.float16 if phasor else np.float32
+    found = {}
     for name, values in state.items():
         if match := re.fullmatch(r"priors\.(\d+)\.layers\.(\d+)\.weight", name):
             stage, layer = match.groups()
             weight = values.double().numpy().copy()
-            if layer == "0":
+            if layer == "0" and not phasor:
                 weight[:, :4] -= weight[:, :4].mean((1, 2, 3), keepdims=True)
             out_channels = weight.shape[0]
             taps = weight.transpose(2, 3, 1, 0).reshape(-1, out_channels)
-            found[f"layer_{stage}_{layer}"] = taps.astype(np.float32)
+            found[f"layer_{stage}_{layer}"] = taps.astype(precision)
         elif match := re.fullmatch(r"priors\.(\d+)\.facts\.(weight|bias)", name):
             kind = "facts" if match[2] == "weight" else "gain"
             found[f"{kind}_{match[1]}"] = values.numpy().T.astype(np.float32)
+        else:
+            found[name] = values.numpy().astype(np.float32)
     return found
 
 
-def load_exported(solver: Solver, weights: Weights) -> None:
+def load_exported(
+    solver: Solver | PhasorSolver, stages: tuple[Network, ...], numbers: dict[str, np.ndarray]
+) -> None:
     """Put weights of the package back into the chain that is trained, to go on or to compare."""
-    state = {name: torch.tensor(values) for name, values in weights.numbers.items()}
-    for t, stage in enumerate(weights.stages):
+    state = {name: torch.tensor(values) for name, values in numbers.items()}
+    for t, stage in enumerate(stages):
         for n, taps in enumerate(stage.layers):
             shape = (3, 3, len(taps) // 9, taps.shape[1])
             state[f"priors.{t}.layers.{n}.weight"] = torch.tensor(
@@ -59,16 +68,16 @@ def main() -> None:
     ask.add_argument("out", type=Path)
     given = ask.parse_args()
     file = io.BytesIO()
-    np.savez(file, **arrays_of(torch.load(given.checkpoint)["solver"]))
+    name = given.out.stem
+    np.savez(file, **arrays_of(torch.load(given.checkpoint)["solver"], name == "phasor"))
     given.out.write_bytes(file.getvalue())
     digest = hashlib.sha256(file.getvalue()).hexdigest()
     size = given.out.stat().st_size / 1e6
-    sys.stdout.write(f"{given.out}: {size:.2f} MB, WEIGHTS_SHA256 = {digest!r}\n")
-    prior = given.out.with_name("prior.py")
-    if prior.exists():
-        text = re.sub(r'WEIGHTS_SHA256 = ".*"', f'WEIGHTS_SHA256 = "{digest}"',
-                      prior.read_text().replace('"0" * 64', '""'))  # fmt: skip
-        prior.write_text(text)
+    sys.stdout.write(f"{given.out}: {size:.2f} MB, sha256 {digest}\n")
+    reader = given.out.with_name("network.py")
+    if reader.exists():
+        text = re.sub(f'"{name}": "[0-9a-f]*"', f'"{name}": "{digest}"', reader.read_text())
+        reader.write_text(text)
 
 
 if __name__ == "__main__":

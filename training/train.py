@@ -2,6 +2,8 @@
 
 python training/worlds.py --count 6000 --seed 1 --out worlds.npy
 python training/train.py worlds.npy --minutes 120 --out solver.pt
+python training/depths.py --count 3000 --seed 2 --out depths.npy
+python training/train.py depths.npy --minutes 60 --phasor --out phasor.pt
 """
 
 from __future__ import annotations
@@ -18,16 +20,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from bursts import Batch, draw_batch
+from bursts import Batch, draw_batch, draw_phasors
 from export import load_exported
 from network import Solver
+from phasor_network import PhasorSolver
 
-from lensshift.reconstruction.learned.prior import learned_weights
+from lensshift.reconstruction.learned.network import learned_weights
 
 BATCH = 16
 LEARNING_RATE = 1.5e-3
 BORDER = 2  # HR pixels left out of the loss
 FLOOR = 1e-7  # mean squared error that counts as none
+FAINT = 0.02  # amplitude below which a phasor has no phase to get wrong
 
 
 def loss_of(found: list[torch.Tensor], std: torch.Tensor, truth: torch.Tensor) -> tuple:
@@ -42,13 +46,40 @@ def loss_of(found: list[torch.Tensor], std: torch.Tensor, truth: torch.Tensor) -
     return logs[-1] + 0.15 * early + 0.1 * likelihood, -4.343 * logs[-1].item()
 
 
-def drawn(worlds: Path, seed: int, step: int, ahead: int = 6) -> Iterator[Batch]:
+def loss_of_phasors(found: list[torch.Tensor], spread: torch.Tensor, truth: torch.Tensor) -> tuple:
+    """Return what is minimised, and the rms of the error of the last estimate over the truth, dB.
+
+    The error counts both as it is and over the amplitude: dark surfaces have a distance as well.
+    """
+    inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+    power = (truth[inner] ** 2).sum(1)
+    logs = []
+    for x in found:
+        square = ((x - truth)[inner] ** 2).sum(1)
+        share = torch.clamp(square / (power + FAINT**2), max=4.0).mean((1, 2))
+        logs.append(torch.log(square.mean((1, 2)) + FLOOR) + 0.7 * torch.log(share + 1e-6))
+    means = [log.mean() for log in logs]
+    error = (found[-1].detach() - truth)[inner]
+    u = found[-1].detach()[inner]
+    u = u / (u.norm(dim=1, keepdim=True) + 1e-9)
+    along = error[:, 0] * u[:, 0] + error[:, 1] * u[:, 1]
+    across = error[:, 1] * u[:, 0] - error[:, 0] * u[:, 1]
+    log_along, log_across, both = spread[inner].unbind(1)
+    a, b, rest = along / log_along.exp(), across / log_across.exp(), 1 - both**2
+    misfit = torch.clamp((a * a - 2 * both * a * b + b * b) / rest, max=50.0)
+    likelihood = (log_along + log_across + 0.5 * torch.log(rest) + 0.5 * misfit).mean()
+    early = sum(means[1:-1]) / max(len(means) - 2, 1)
+    shown = -4.343 * torch.log(share).mean().item()
+    return means[-1] + 0.15 * early + 0.1 * likelihood, shown
+
+
+def drawn(given: argparse.Namespace, step: int, ahead: int = 6) -> Iterator[Batch]:
     """Yield the batches from a step onwards, drawn by another process, the same in every run."""
     with ProcessPoolExecutor(1) as worker:
-        waiting = deque(worker.submit(_draw, worlds, seed, step + k) for k in range(ahead))
+        waiting = deque(worker.submit(_draw, given, step + k) for k in range(ahead))
         while True:
             step += 1
-            waiting.append(worker.submit(_draw, worlds, seed, step + ahead - 1))
+            waiting.append(worker.submit(_draw, given, step + ahead - 1))
             yield waiting.popleft().result()
 
 
@@ -58,8 +89,9 @@ def _pool(worlds: Path) -> np.ndarray:
     return np.load(worlds, mmap_mode="r")
 
 
-def _draw(worlds: Path, seed: int, step: int) -> Batch:
-    return draw_batch(np.random.default_rng((seed, step)), _pool(worlds), BATCH)
+def _draw(given: argparse.Namespace, step: int) -> Batch:
+    draw = draw_phasors if given.phasor else draw_batch
+    return draw(np.random.default_rng((given.seed, step)), _pool(given.worlds), BATCH)
 
 
 def rate(step: int, done: float) -> float:
@@ -78,11 +110,12 @@ def main() -> None:
     ask.add_argument("--seed", type=int, default=0)
     ask.add_argument("--threads", type=int, default=1)
     ask.add_argument("--peak", type=float, default=1.0, help="factor of the learning rate")
+    ask.add_argument("--phasor", action="store_true", help="train the solver for phasors")
     ask.add_argument("--go-on", action="store_true", help="begin with the weights of the package")
     given = ask.parse_args()
     torch.set_num_threads(given.threads)
     torch.manual_seed(given.seed)
-    solver = Solver()
+    solver = PhasorSolver() if given.phasor else Solver()
     optimiser = torch.optim.AdamW(solver.parameters(), LEARNING_RATE, weight_decay=1e-4)
     stored = None
     if given.out.exists():
@@ -90,10 +123,10 @@ def main() -> None:
         solver.load_state_dict(stored["solver"])
         optimiser.load_state_dict(stored["optimiser"])
     elif given.go_on:
-        load_exported(solver, learned_weights())
+        load_exported(solver, *learned_weights("phasor" if given.phasor else "brightness"))
     began, seen, bad = time.monotonic(), [], 0
     step = stored["step"] if stored else 0
-    batches = drawn(given.worlds, given.seed, step)
+    batches = drawn(given, step)
     while (done := (time.monotonic() - began) / 60 / given.minutes) < 1:
         for group in optimiser.param_groups:
             group["lr"] = given.peak * rate(step, done)
@@ -123,11 +156,12 @@ def stored_of(solver: Solver, optimiser: torch.optim.Optimizer, step: int) -> di
     return {"solver": solver.state_dict(), "optimiser": optimiser.state_dict(), "step": step}
 
 
-def forward(solver: Solver, batch: Batch) -> tuple:
+def forward(solver: Solver | PhasorSolver, batch: Batch) -> tuple:
     """Return loss and PSNR of one batch; convolutions in bfloat16, data steps in float32."""
     found, std = solver(batch.frames, batch.valid, batch.sigma, batch.rows, batch.cols,
                         batch.blur_hr_px, batch.scale)  # fmt: skip
-    return loss_of(found, std, batch.truth)
+    judge = loss_of_phasors if isinstance(solver, PhasorSolver) else loss_of
+    return judge(found, std, batch.truth)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ Generator = np.random.Generator
 
 SIZE = 416  # samples along a side: 26 LR pixels of 16 samples
 UNIT = 5.0  # samples in a typical HR pixel; features are drawn from 0.6 of it upwards
+POLE = 4  # among the shapes
 
 _FONTS = [
     path
@@ -164,13 +165,13 @@ def _cover(rng: Generator, canvas: Canvas, radius: float, plain: float, soft: fl
     """Lay one shape of about that radius on the canvas, in place."""
     size = len(canvas)
     row, col = rng.uniform(-0.05 * size, 1.05 * size, 2)
-    shape, reach = _shape(rng, radius)
+    inside, reach = shape(rng, radius)
     top, left = max(int(row - reach), 0), max(int(col - reach), 0)
     bottom, right = min(int(row + reach) + 2, size), min(int(col + reach) + 2, size)
     if bottom - top < 1 or right - left < 1:
         return
     v, u = np.mgrid[top:bottom, left:right].astype(np.float32)
-    mask = shape(v - row, u - col).astype(np.float32)
+    mask = inside(v - row, u - col).astype(np.float32)
     if soft:
         mask = gaussian_filter(mask, soft)
     value = rng.uniform(0, 1) if rng.random() < plain else paint(rng, bottom - top, right - left)
@@ -178,9 +179,10 @@ def _cover(rng: Generator, canvas: Canvas, radius: float, plain: float, soft: fl
     part += mask * (value - part)
 
 
-def _shape(rng: Generator, radius: float):
+def shape(rng: Generator, radius: float, kind: int | None = None):
     """Return a function of (row, col) from the centre that is true inside, and its reach."""
-    kind, angle = rng.integers(0, 7), rng.uniform(0, np.pi)
+    kind = rng.integers(0, 7) if kind is None else kind
+    angle = rng.uniform(0, np.pi)
     if rng.random() < 0.25:
         angle = rng.choice([0, np.pi / 2]) + rng.normal(0, 0.05)
     c, s = np.cos(angle), np.sin(angle)
@@ -198,7 +200,7 @@ def _shape(rng: Generator, radius: float):
             lambda v, u: (u * c + v * s) ** 2 + ((v * c - u * s) / squeeze) ** 2 < radius**2,
             radius,
         )
-    if kind == 4:  # a pole or a line
+    if kind == POLE:  # a pole or a line
         half, length = UNIT * log_uniform(rng, 0.25, 3), radius * rng.uniform(1, 4)
         return (
             lambda v, u: (abs(u * c + v * s) < length) & (abs(v * c - u * s) < half),

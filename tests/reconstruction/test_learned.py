@@ -12,7 +12,7 @@ from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
 from lensshift import Burst, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.learned import prior, solver
+from lensshift.reconstruction.learned import network, solver
 from lensshift.reconstruction.learned.method import WINDOW_PX, WINDOWS, noise_of
 from lensshift.reconstruction.problem import make_problem
 
@@ -187,33 +187,64 @@ def test_an_error_bar_is_not_passed_off_as_noise():
 
 
 def test_a_damaged_file_of_weights_is_refused(monkeypatch):
-    prior.learned_weights.cache_clear()
-    monkeypatch.setattr(prior, "WEIGHTS_SHA256", hashlib.sha256(b"").hexdigest())
+    network.learned_weights.cache_clear()
+    monkeypatch.setitem(network.WEIGHTS_SHA256, "phasor", hashlib.sha256(b"").hexdigest())
     with pytest.raises(OSError, match="install lensshift again"):
-        prior.learned_weights()
-    prior.learned_weights.cache_clear()
+        network.learned_weights("phasor")
+    network.learned_weights.cache_clear()
+
+
+def _trained(name):
+    """Return the PyTorch chain of `training/` with the weights that came with the package."""
+    pytest.importorskip("torch", reason="the training extra is not installed")
+    sys.path.insert(0, str(Path(__file__).parents[2] / "training"))
+    from export import load_exported
+    from network import Solver
+    from phasor_network import PhasorSolver
+
+    chain = Solver() if name == "brightness" else PhasorSolver()
+    load_exported(chain, *network.learned_weights(name))
+    return chain.eval()
+
+
+def _run(chain, model, y, sigma, blur_hr_px):
+    import torch
+    from bursts import dense_taps
+
+    rows, cols = model.hr_shape
+    values = (y[None], np.ones((1, *sigma.shape)), sigma[None],
+              dense_taps(model.rows, rows), dense_taps(model.cols, cols))  # fmt: skip
+    with torch.no_grad():
+        stages, spread = chain(
+            *(torch.tensor(v, dtype=torch.float32) for v in values), blur_hr_px, model.scale
+        )
+    return stages[-1][0].numpy(), spread[0].numpy()
 
 
 def test_it_is_the_chain_that_was_trained():
-    """The PyTorch chain of `training/` with the weights that came with the package."""
-    torch = pytest.importorskip("torch", reason="the training extra is not installed")
-    sys.path.insert(0, str(Path(__file__).parents[2] / "training"))
-    from bursts import dense_taps
-    from export import load_exported
-    from network import Solver
-
-    chain = Solver()
-    load_exported(chain, prior.learned_weights())
-    chain.eval()
+    chain = _trained("brightness")
     rng = np.random.default_rng(0)
     model = forward_model((13, 18), 3, rng.uniform(-0.5, 0.5, (5, 2)), blur=GaussianBlur(0.3))
     y = model.operator(rng.random(model.hr_shape)) + 0.02 * rng.standard_normal((5, 13, 18))
     sigma = 0.02 * rng.uniform(0.8, 1.2, y.shape)
     found = solver.solve(model, y, sigma, blur_px=0.3)
-    with torch.no_grad():
-        tensors = [torch.tensor(v, dtype=torch.float32) for v in
-                   ((y - np.median(y))[None], np.ones((1, *y.shape)), sigma[None],
-                    dense_taps(model.rows, 39), dense_taps(model.cols, 54))]  # fmt: skip
-        stages, std = chain(*tensors, 0.9, 3)
-    np.testing.assert_allclose(stages[-1][0].numpy() + np.median(y), found.image, atol=2e-5)
-    np.testing.assert_allclose(solver.STD_SCALE * std[0].numpy(), found.std, rtol=1e-3, atol=1e-6)
+    image, std = _run(chain, model, y - np.median(y), sigma, 0.9)
+    np.testing.assert_allclose(image + np.median(y), found.image, atol=2e-5)
+    np.testing.assert_allclose(solver.STD_SCALE * std, found.std, rtol=1e-3, atol=1e-6)
+
+
+def test_phasors_run_through_the_chain_that_was_trained():
+    chain = _trained("phasor")
+    rng = np.random.default_rng(1)
+    model = forward_model((13, 16), 2, rng.uniform(-0.5, 0.5, (5, 2)), blur=GaussianBlur(0.3))
+    scene = rng.random(model.hr_shape) * np.exp(2j * np.cumsum(rng.random(model.hr_shape), 0) / 9)
+    noise = rng.standard_normal((2, 5, 13, 16))
+    y = model.operator(scene) + 0.02 * (noise[0] + 1j * noise[1])
+    sigma = 0.02 * rng.uniform(0.8, 1.2, y.shape)
+    found = solver.solve_phasor(model, y, sigma, blur_px=0.3)
+    image, spread = _run(chain, model, np.stack([y.real, y.imag]), sigma, 0.6)
+    np.testing.assert_allclose(image[0] + 1j * image[1], found.image, atol=2e-5)
+    np.testing.assert_allclose(
+        solver.PHASOR_STD_SCALE * np.exp(spread[:2]), found.std[:2], rtol=2e-3
+    )
+    np.testing.assert_allclose(spread[2], found.std[2], atol=2e-3)

@@ -1,13 +1,14 @@
-"""The learned prior of one stage: four small convolutions on the picture folded 2 x 2.
+"""The network of one stage: four small convolutions without bias on pictures folded 2 x 2.
 
-No layer has a bias and the first does not see the level of the picture, so the prior commutes with
-a u + b. Weights come from `training/`; this module only applies them, in NumPy, one matrix
-product for a strip of rows.
+That of brightness does not see the level of the picture, so its prior commutes with a u + b.
+Weights come from `training/`; this module only applies them, in NumPy, one matrix product for a
+strip of rows.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -18,15 +19,17 @@ from numpy.typing import NDArray
 
 Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
 
-WEIGHTS = "weights.npz"
-# Of the file, so that a damaged installation says so; written by training/export.py.
-WEIGHTS_SHA256 = "6701dca92d3ecb3b74c831ef2c4742c569d06ff0a229a1cc3addf46a619c87e3"
+# Of the files, so that a damaged installation says so; written by training/export.py.
+WEIGHTS_SHA256 = {
+    "brightness": "6701dca92d3ecb3b74c831ef2c4742c569d06ff0a229a1cc3addf46a619c87e3",
+    "phasor": "da16858c733302514cc8fc8dd0b5816330643a9e8f051430450bff3f0eaba056",
+}
 # Numbers in the strip that one matrix product takes: fits the second-level cache of a core.
 STRIP = 1 << 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
+class Network:
     """The weights of one stage.
 
     Parameters
@@ -48,14 +51,6 @@ class Prior:
                 weight = weight * np.tile(gains[number - 1], 9)[:, None]
             x = _convolved(x, weight, last=number + 1 == len(self.layers))
         return x
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Weights:
-    """All that was learned: the stages, and the numbers of the data steps (`solver.py`)."""
-
-    stages: tuple[Prior, ...]
-    numbers: dict[str, NDArray[np.float64]]
 
 
 def _convolved(x: Single, weight: Single, *, last: bool) -> Single:
@@ -99,32 +94,39 @@ def fold(pictures: list[Single]) -> Single:
     return folded
 
 
-def unfold(channels: Single, shape: tuple[int, int]) -> Single:
+def unfold(channels: Single, shape: tuple[Any, ...]) -> Single:
     """Return the picture [row col] of four channels [row/2 col/2 4]."""
     rows, cols = channels.shape[:2]
     blocks = channels.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3)
     return np.ascontiguousarray(blocks.reshape(2 * rows, 2 * cols)[: shape[0], : shape[1]])
 
 
-@lru_cache(maxsize=1)
-def learned_weights() -> Weights:
-    """Return the weights that came with the package.
+@lru_cache
+def learned_weights(name: str) -> tuple[tuple[Network, ...], dict[str, NDArray[np.float64]]]:
+    """Return what was learned and came with the package: networks, numbers of the data steps.
+
+    Parameters
+    ----------
+    name : "brightness" or "phasor"
 
     Raises
     ------
     OSError
         If the file is not the one that belongs to this version.
     """
-    content = (resources.files(__package__) / WEIGHTS).read_bytes()
+    file = resources.files(__package__) / f"{name}.npz"
+    content = file.read_bytes()
     digest = hashlib.sha256(content).hexdigest()
-    if digest != WEIGHTS_SHA256:
-        raise OSError(f"{WEIGHTS} is damaged (sha256 {digest[:12]}...); install lensshift again")
-    with (resources.files(__package__) / WEIGHTS).open("rb") as file, np.load(file) as stored:
-        return _weights_of(dict(stored))
+    if digest != WEIGHTS_SHA256[name]:
+        raise OSError(f"{file.name} is damaged (sha256 {digest[:12]}...); install lensshift again")
+    with np.load(io.BytesIO(content)) as stored:
+        return _networks_of(dict(stored))
 
 
-def _weights_of(stored: dict[str, NDArray[Any]]) -> Weights:
-    stages: list[Prior] = []
+def _networks_of(
+    stored: dict[str, NDArray[Any]],
+) -> tuple[tuple[Network, ...], dict[str, NDArray[np.float64]]]:
+    stages: list[Network] = []
     while f"layer_{len(stages)}_0" in stored:
         t = len(stages)
         layers = tuple(
@@ -132,7 +134,8 @@ def _weights_of(stored: dict[str, NDArray[Any]]) -> Weights:
             for n in range(sum(name.startswith(f"layer_{t}_") for name in stored))
         )
         facts, offset = (stored[f"{name}_{t}"].astype(np.float32) for name in ("facts", "gain"))
-        stages.append(Prior(layers, facts, offset))
-    numbers = {name: stored[name].astype(np.float64)
-               for name in ("trust", "forgive", "floor", "doubt", "lowest")}  # fmt: skip
-    return Weights(tuple(stages), numbers)
+        stages.append(Network(layers, facts, offset))
+    kinds = ("layer_", "facts_", "gain_")
+    numbers = {name: values.astype(np.float64)
+               for name, values in stored.items() if not name.startswith(kinds)}  # fmt: skip
+    return tuple(stages), numbers

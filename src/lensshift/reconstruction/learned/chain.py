@@ -1,0 +1,196 @@
+"""The unrolled solver: data steps with the exact forward model, prior steps learned.
+
+    v_0      = argmin |y - A v|^2_W + c |grad v|^2
+    x_t, s_t = prior_t(v_(t-1), residuals, noise of each HR pixel)
+    v_t      = argmin |y - A v|^2_W + k_t |(v - x_t) / s_t|^2
+
+W is the inverse noise variance, less where a pixel contradicts the picture. As noise falls, W grows
+and the data decide. All numbers but the network's are the same everywhere: there is no switch and
+no scale for the whole picture. `training/network.py` is the same chain in PyTorch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from lensshift.forward.operator import LinearOperator
+
+Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
+Picture = NDArray[Any]  # float32, or complex64 for phasors
+
+# The form of the chain that the weights were trained in (training/network.py); not to be tuned.
+START_STEPS, DATA_STEPS, LAST_STEPS = 8, 4, 8
+START_STIFFNESS = np.float32(0.02)
+LEAST_DENSITY = 0.02
+PRECISION_RANGE = (1e-3, 1e4)
+TINY = np.float32(1e-12)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """What a prior is shown of a picture before a stage, in units of the noise.
+
+    Parameters
+    ----------
+    v, past : [row col] the picture and what it was a stage before
+    gradient : [row col] where the frames want it to go, each HR pixel by its own sum of weights
+    misfit : [row col] rms residual of the frames around
+    noise, trusted : [row col] noise of the frames at an HR pixel, and of what is believed of them
+    """
+
+    v: Picture
+    past: Picture
+    gradient: Picture
+    misfit: Single
+    noise: Single
+    trusted: Single
+
+
+class LearnedPrior(Protocol):
+    """What improves a picture: the networks of all stages, and the numbers of the data steps."""
+
+    @property
+    def numbers(self) -> Mapping[str, NDArray[np.float64]]:
+        """Learned numbers of the data steps: lowest eigenvalue, trust, forgive, doubt."""
+        ...
+
+    def improve(
+        self, t: int, state: State, facts: Single, memory: Single | None
+    ) -> tuple[Picture, Single, Single]:
+        """Return x, its standard deviation, and all channels of stage t."""
+        ...
+
+    def spread(self, channels: Single, state: State) -> Single:
+        """Return [picture row col], what the last stage says of the error."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """One burst in units of its noise: frames y, their relative sigma and weight 1 / sigma^2."""
+
+    A: LinearOperator
+    y: Picture
+    sigma: Single
+    weight: Single
+    facts: Single
+    scale: int
+
+    def run(
+        self, prior: LearnedPrior, on_stage: Callable[[int, float], None] | None = None
+    ) -> tuple[Picture, Single, Single, float]:
+        """Return picture, what is said of its error, the weights, rms of the last step over s."""
+        density = self.A.adjoint(self.weight)
+        floor = np.float32(LEAST_DENSITY * len(self.y) / self.scale**2)
+        noise: Single = 1 / np.sqrt(density + floor)
+        past: Picture = self.A.adjoint(self.weight * self.y) / (density + floor * np.float32(1e-3))
+        v: Picture = self._start(past, density, _sigmoid(prior.numbers["lowest"][0]))
+        channels: Any = None  # of the stage before
+        stages = len(prior.numbers["trust"])
+        for t in range(stages):
+            trust, forgive, doubt = (
+                np.float32(np.exp(prior.numbers[name][t])) for name in ("trust", "forgive", "doubt")
+            )
+            r = self.y - self.A.forward(v)
+            size = _size(r)
+            robust = self._believed(size, forgive, doubt)
+            mass = self.A.adjoint(robust)
+            if on_stage is not None:
+                on_stage(t + 1, float(np.sqrt(np.sum(robust * size**2) / np.sum(robust > 0))))
+            state = State(
+                v, past, self.A.adjoint(robust * r) / (mass + floor),
+                np.sqrt(np.maximum(self.A.adjoint(self.weight * size**2) / (density + floor), 0)),
+                noise, 1 / np.sqrt(mass + floor),
+            )  # fmt: skip
+            x, s, channels = prior.improve(t, state, self.facts, channels)
+            k: Single = np.clip(trust / (s * s), *PRECISION_RANGE).astype(np.float32, copy=False)
+            past, v = v, self._data_step(
+                x, robust, mass, k, _sigmoid(prior.numbers["lowest"][t + 1]),
+                LAST_STEPS if t + 1 == stages else DATA_STEPS,
+            )  # fmt: skip
+        change = float(np.sqrt(np.mean((np.abs(v - past) / np.maximum(s, TINY)) ** 2)))
+        return v, prior.spread(channels, state), robust, change
+
+    def _believed(self, size: Single, forgive: np.float32, doubt: np.float32) -> Single:
+        """Return the weights after Huber: what a pixel may be off by grows with its neighbours."""
+        seen = (self.weight > 0).astype(np.float32)
+        square = uniform_filter(size * size * seen, (1, 3, 3), mode="constant")
+        share = uniform_filter(seen, (1, 3, 3), mode="constant")
+        around = np.sqrt(np.maximum(square, 0) / (share + np.float32(1e-6)))
+        limit = forgive * self.sigma + doubt * around
+        believed: Single = self.weight * np.minimum(limit / (size + TINY), 1)
+        return believed
+
+    def _start(self, x: Picture, density: Single, lowest: np.float32) -> Picture:
+        def apply(p: Picture) -> Picture:
+            spread: Picture = self.A.adjoint(self.weight * self.A.forward(p))
+            return spread + START_STIFFNESS * _stiffness(p)
+
+        b = self.A.adjoint(self.weight * self.y)
+        return chebyshev(apply, b, x, density + 8 * START_STIFFNESS, lowest, START_STEPS)
+
+    def _data_step(
+        self, x: Picture, robust: Single, mass: Single, k: Single, lowest: np.float32, steps: int
+    ) -> Picture:
+        def apply(p: Picture) -> Picture:
+            spread: Picture = self.A.adjoint(robust * self.A.forward(p))
+            spread += k * p
+            return spread
+
+        b = self.A.adjoint(robust * self.y) + k * x
+        return chebyshev(apply, b, x, mass + k, lowest, steps)
+
+
+def _size(r: Picture) -> Single:
+    """Return the size of a residual, of each component if it has two."""
+    return np.abs(r) * np.float32(0.5**0.5) if r.dtype.kind == "c" else np.abs(r)
+
+
+def chebyshev(
+    apply: Callable[[Picture], Picture],
+    b: Picture,
+    x: Picture,
+    diagonal: Single,
+    lowest: np.float32,
+    steps: int,
+) -> Picture:
+    """Return x after some Chebyshev steps on apply(x) = b.
+
+    The eigenvalues of apply over `diagonal` are at most 1 (rows of A sum to 1); those below
+    `lowest` are left to x. There is no inner product over the picture, so what one region holds
+    cannot touch another. Source: Saad, Iterative Methods for Sparse Linear Systems, 12.3.
+    """
+    middle, half = (1 + lowest) / 2, (1 - lowest) / 2
+    rho = half / middle
+    r = b - apply(x)
+    d = r / (diagonal * middle)
+    x = x + d
+    for _ in range(steps - 1):
+        r -= apply(d)
+        following = 1 / (2 * middle / half - rho)
+        d = (following * rho) * d + (2 * following / half) * r / diagonal
+        rho = following
+        x += d
+    return x
+
+
+def _stiffness(x: Picture) -> Picture:
+    """Return the gradient of half the squared differences between neighbours."""
+    out = np.zeros_like(x)
+    step = np.diff(x, axis=0)
+    out[1:] += step
+    out[:-1] -= step
+    step = np.diff(x, axis=1)
+    out[:, 1:] += step
+    out[:, :-1] -= step
+    return out
+
+
+def _sigmoid(value: float) -> np.float32:
+    return np.float32(1 / (1 + np.exp(-value)))

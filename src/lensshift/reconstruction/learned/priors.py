@@ -1,0 +1,109 @@
+"""What the learned priors see of a picture, and what their channels mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from lensshift.reconstruction.learned.chain import Picture, Single, State
+from lensshift.reconstruction.learned.network import Network, fold, unfold
+
+# Of the form that the weights were trained in (training/phasor_network.py); not to be tuned.
+AROUND_HR_PX = 9
+LOG_LIMIT = np.float32(12.0)
+CORRELATION_LIMIT = np.float32(0.95)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BrightnessPrior:
+    """For real pictures: what is multiplied or added to all frames comes back in the picture."""
+
+    stages: tuple[Network, ...]
+    numbers: Mapping[str, NDArray[np.float64]]
+
+    def improve(
+        self, t: int, state: State, facts: Single, memory: Single | None
+    ) -> tuple[Picture, Single, Single]:
+        """Return x, its standard deviation, and all channels of stage t."""
+        seen = [state.v, state.v - state.past, 8 * state.gradient, 2 * state.misfit,
+                state.noise, state.trusted]  # fmt: skip
+        channels = _applied(self.stages[t], seen, memory, 8, facts)
+        shape = state.v.shape
+        x = state.v + unfold(channels[..., :4], shape)
+        return x, self._std(channels[..., 4:8], state, t), channels
+
+    def spread(self, channels: Single, state: State) -> Single:
+        """Return [1 row col], the standard deviation of the error."""
+        return self._std(channels[..., 8:12], state, -1)[None]
+
+    def _std(self, channels: Single, state: State, t: int) -> Single:
+        least = np.float32(np.exp(self.numbers["floor"][t]))
+        std: Single = np.abs(unfold(channels, state.v.shape)) + least * state.noise
+        return std
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhasorPrior:
+    """For phasors: all is relative to the amplitude of a pixel or of what is around it."""
+
+    stages: tuple[Network, ...]
+    numbers: Mapping[str, NDArray[np.float64]]
+
+    def improve(
+        self, t: int, state: State, facts: Single, memory: Single | None
+    ) -> tuple[Picture, Single, Single]:
+        """Return x, the standard deviation of a component, and all channels of stage t."""
+        v, noise = state.v, state.noise
+        a: Single = np.sqrt(v.real**2 + v.imag**2 + noise * noise)
+        around: Single = 1 / _local_mean(a)
+        apart = v - (_local_mean(v.real) + 1j * _local_mean(v.imag))
+        seen = [
+            *_parts(apart * around), *_parts((v - state.past) * around),
+            *_parts(8 * around * state.gradient), *_parts(v / a), np.log(a / noise) / 3,
+            noise * around, np.log(np.maximum(state.misfit, 1e-6)), noise / state.trusted,
+        ]  # fmt: skip
+        channels = _applied(self.stages[t], seen, memory, 12, facts)
+        step = unfold(channels[..., :4], v.shape) + 1j * unfold(channels[..., 4:8], v.shape)
+        s = noise * np.exp(_log(channels[..., 8:12], v.shape))
+        return v + a * step, s, channels
+
+    def spread(self, channels: Single, state: State) -> Single:
+        """Return [3 row col]: std along and across the phasor, and their correlation."""
+        shape = state.v.shape
+        along, across = (state.noise * np.exp(_log(channels[..., n : n + 4], shape))
+                         for n in (12, 16))  # fmt: skip
+        both = CORRELATION_LIMIT * np.tanh(unfold(channels[..., 20:24], shape))
+        return np.stack([along, across, both])
+
+
+def _applied(
+    network: Network, seen: list[Single], before: Single | None, first: int, facts: Single
+) -> Single:
+    """Return the channels of a stage; those of the one before are remembered from `first` on."""
+    folded = fold(seen)
+    if before is None:
+        remembered = network.layers[0].shape[0] // 9 - folded.shape[2]
+        memory = np.zeros((*folded.shape[:2], remembered), np.float32)
+    else:
+        memory = before[..., first:]
+    return network(np.concatenate([folded, memory], axis=2), facts)
+
+
+def _parts(z: Picture) -> tuple[Single, Single]:
+    return z.real, z.imag
+
+
+def _log(channels: Single, shape: tuple[Any, ...]) -> Single:
+    return np.clip(unfold(channels, shape), -LOG_LIMIT, LOG_LIMIT)
+
+
+def _local_mean(a: Single) -> Single:
+    """Return the mean over a window, of what there is of it at the border."""
+    total: Single = uniform_filter(a, AROUND_HR_PX, mode="constant")
+    share: Single = uniform_filter(np.ones_like(a), AROUND_HR_PX, mode="constant")
+    return total / share
