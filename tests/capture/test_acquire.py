@@ -279,6 +279,13 @@ def test_a_capture_goes_on_with_the_calibration_that_it_began_with(tmp_path: Pat
     np.testing.assert_allclose(burst.offset_px, CALIBRATION.offset_px(burst.stage_mm))
 
 
+def test_a_burst_knows_the_blur_that_its_rig_was_calibrated_to_have(tmp_path: Path) -> None:
+    stage, camera = devices()
+    sharp = replace(CALIBRATION, psf_sigma_px=0.34)
+    burst = acquire(stage, camera, named_plan("square"), sharp, tmp_path / "burst.nc")
+    assert burst.meta["psf_sigma_px"] == 0.34
+
+
 def test_places_out_of_reach_are_refused_before_anything_moves(tmp_path: Path) -> None:
     stage, camera = devices()
     plan = ShiftPlan(np.array([[0.0, 0.0], [0.0, 20.0]]))

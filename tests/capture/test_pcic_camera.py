@@ -94,6 +94,11 @@ def test_a_lost_connection_is_told_after_the_last_frame() -> None:
         camera.close()
 
 
+def test_a_port_that_is_taken_is_named() -> None:
+    with server() as first, pytest.raises(OSError, match=rf":{first.port} .* another port"):
+        server(port=first.port)
+
+
 def test_garbage_between_results_is_skipped() -> None:
     with server() as emulator:
         camera = client(emulator)

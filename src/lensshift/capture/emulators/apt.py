@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.capture.emulators.apt_controller import AptController
+from lensshift.capture.emulators.listener import listen
 
 __all__ = ["AptController", "EmulatedStagePair", "Served", "serve_pty", "serve_tcp"]
 
@@ -25,7 +26,7 @@ class _Tcp:
     """A TCP server that talks to one host at a time."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._server = socket.create_server((host, port))
+        self._server = listen(host, port)
         self._host: socket.socket | None = None
         address = self._server.getsockname()
         self.url = f"socket://{address[0]}:{address[1]}"

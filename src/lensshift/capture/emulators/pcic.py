@@ -15,6 +15,7 @@ from types import TracebackType
 
 import numpy as np
 
+from lensshift.capture.emulators.listener import listen
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
@@ -135,7 +136,7 @@ class PcicServer:
         self._garbage = b""
         self._hang_up = threading.Event()
         self._stop = threading.Event()
-        self._listener = socket.create_server((host, port))
+        self._listener = listen(host, port)
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     @property

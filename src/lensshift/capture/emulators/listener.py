@@ -1,0 +1,22 @@
+"""The port at which an emulated device waits."""
+
+from __future__ import annotations
+
+import socket
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens at a TCP port; 0 takes any that is free.
+
+    Raises
+    ------
+    OSError
+        That names the port, if it cannot be had.
+    """
+    try:
+        return socket.create_server((host, port))
+    except OSError as error:
+        raise OSError(
+            f"cannot listen at {host}:{port} ({error.strerror}); "
+            "is another emulator running there? Choose another port, or 0 for any that is free"
+        ) from error
