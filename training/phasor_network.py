@@ -1,8 +1,8 @@
 """The unrolled solver for phasors in PyTorch: both components at once, and their covariance.
 
-The same chain as in `network.py`, in units of the noise. What a phasor means is relative to its
-own size, so the prior sees the picture without its local mean over the local brightness, and over
-its own amplitude, and its correction is in units of that amplitude: dark surfaces count as much.
+The same chain as in `network.py`, in units of the noise. The prior sees the picture without its
+local mean over its local deviation, and beside its own amplitude; its correction is in units of
+the smaller of the two: flat surfaces stay as they are, dark ones beside bright ones count as much.
 A burst is turned by the phase of its mean phasor before, and back afterwards: an equal delay of
 all light moves all distances alike. `lensshift.reconstruction.learned` does the same in NumPy.
 """
@@ -31,7 +31,7 @@ from torch.nn import functional
 
 STAGES, CHANNELS = 4, 40
 PICTURES = 12
-AROUND = 9  # HR pixels along the window of the local brightness
+AROUND = 9  # HR pixels along the window of the local mean and deviation
 LIMIT = 12.0  # of the logarithm of a std over the noise
 
 
@@ -121,16 +121,18 @@ class PhasorSolver(nn.Module):
             robust = (weight * torch.clamp(limit / size, max=1.0))[:, None]
             mass = adjoint(robust) + floor
             chi = torch.sqrt(adjoint(w * size[:, None] ** 2) / (density + floor) + 1e-12)
+            level = local_mean(v)
             a = torch.sqrt((v * v).sum(1, keepdim=True) + n * n).detach()
-            around = local_mean(a)
+            apart = ((v - level) ** 2).sum(1, keepdim=True)
+            d = torch.sqrt(local_mean(apart) + n * n).detach()
             pictures = torch.cat(
-                [(v - local_mean(v)) / around, (v - past) / around,
-                 8 * adjoint(robust * r) / mass / around, v / a,
-                 torch.log(a / n) / 3, n / around, torch.log(chi), n * torch.sqrt(mass)], 1,
+                [(v - level) / d, (v - past) / d, 8 * adjoint(robust * r) / mass / d, v / a,
+                 torch.log(a / n) / 3, torch.log(d / n) / 3, torch.log(chi), n * torch.sqrt(mass)],
+                1,
             )  # fmt: skip
             out = prior(fold_pad(pictures), memory, facts)
             memory = out[:, 12:]
-            x = v + a * unfolded(out[:, :8], shape)
+            x = v + torch.minimum(a, d) * unfolded(out[:, :8], shape)
             s = n * torch.exp(torch.clamp(unfolded(out[:, 8:12], shape), -LIMIT, LIMIT))
             k = torch.clamp(torch.exp(self.trust[t]) / (s * s), 1e-3, 1e4)
             past = v

@@ -14,6 +14,7 @@ from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned import network, solver
 from lensshift.reconstruction.learned.method import WINDOW_PX, WINDOWS, noise_of
+from lensshift.reconstruction.learned.turn import Turn
 from lensshift.reconstruction.problem import make_problem
 
 BOX_PX = 1 / np.sqrt(12)
@@ -69,9 +70,8 @@ def test_a_scene_a_whole_pixel_further_is_the_picture_a_pixel_further(scale):
 
 @pytest.mark.parametrize("turn", ["rows", "cols", "transposed"])
 def test_a_mirrored_burst_gives_a_mirrored_picture(turn):
-    inside = []
-    for seed in range(6):
-        burst = mosaic_burst(seed, (20, 25))
+    for seed in range(3):
+        burst = mosaic_burst(seed, (21, 26))
         plain = solved(burst)
         flip = {
             "rows": lambda x: x[..., ::-1, :],
@@ -83,8 +83,7 @@ def test_a_mirrored_burst_gives_a_mirrored_picture(turn):
         offset = offset[:, ::-1] if turn == "transposed" else offset
         turned = replace(burst, y=np.ascontiguousarray(flip(burst.y)), offset_px=offset)
         back = flip(solved(turned).image)
-        inside.append(np.mean(np.abs(back - plain.image) < 2 * plain.std))
-    assert np.mean(inside) > 0.95
+        assert np.abs(back - plain.image).max() < 0.01 * plain.std.min()
 
 
 def test_tiles_are_not_seen(monkeypatch):
@@ -221,7 +220,13 @@ def _run(chain, model, y, sigma, blur_hr_px):
     return stages[-1][0].numpy(), spread[0].numpy()
 
 
-def test_it_is_the_chain_that_was_trained():
+@pytest.fixture
+def unturned(monkeypatch):
+    """Let networks look at pictures as they are, as those of PyTorch do."""
+    monkeypatch.setattr(solver, "turn_of", lambda offset_px: Turn(False, False, False))
+
+
+def test_it_is_the_chain_that_was_trained(unturned):
     chain = _trained("brightness")
     rng = np.random.default_rng(0)
     model = forward_model((13, 18), 3, rng.uniform(-0.5, 0.5, (5, 2)), blur=GaussianBlur(0.3))
@@ -233,7 +238,7 @@ def test_it_is_the_chain_that_was_trained():
     np.testing.assert_allclose(solver.STD_SCALE * std, found.std, rtol=1e-3, atol=1e-6)
 
 
-def test_phasors_run_through_the_chain_that_was_trained():
+def test_phasors_run_through_the_chain_that_was_trained(unturned):
     chain = _trained("phasor")
     rng = np.random.default_rng(1)
     model = forward_model((13, 16), 2, rng.uniform(-0.5, 0.5, (5, 2)), blur=GaussianBlur(0.3))

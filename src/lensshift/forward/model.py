@@ -93,6 +93,16 @@ class ForwardModel:
         """HR image [row col] to frames [frame row col]: shift, blur, sample, gain; no bias."""
         return sampling_operator(self.hr_shape, self.lr_shape, self.rows, self.cols, self.gain)
 
+    @property
+    def mean_offset_px(self) -> NDArray[np.float64]:
+        """One offset [frame 2] per frame; of a shift field the mean over the sensor."""
+        if self.offset_px is not None:
+            return self.offset_px
+        row, col = self.rows.position_hr_px, self.cols.position_hr_px
+        rest = [(size - 1) / 2 for size in self.hr_shape]
+        means = [row.mean(axis=(1, 2)) - rest[0], col.mean(axis=(1, 2)) - rest[1]]
+        return -np.stack(means, axis=-1) / self.scale
+
     def predict(self, x: Array) -> Array:
         """Return the frames [frame row col] that the HR image gives, bias included."""
         y = self.operator(x)

@@ -67,16 +67,8 @@ class Problem:
 
     @property
     def offset_px(self) -> NDArray[np.float64]:
-        """One offset [frame 2] per frame; of a shift field the mean over the sensor.
-
-        Plain methods move whole frames and can do no better.
-        """
-        if self.model.offset_px is not None:
-            return self.model.offset_px
-        row, col = self.model.rows.position_hr_px, self.model.cols.position_hr_px
-        rest = [(size - 1) / 2 for size in self.model.hr_shape]
-        means = [row.mean(axis=(1, 2)) - rest[0], col.mean(axis=(1, 2)) - rest[1]]
-        return -np.stack(means, axis=-1) / self.scale
+        """One offset [frame 2] per frame: plain methods move whole frames and can do no better."""
+        return self.model.mean_offset_px
 
     def with_photometry(self, gain: ArrayLike, bias: ArrayLike) -> Problem:
         """Return the problem with another gain and bias [frame], bias in units of `intensity`.

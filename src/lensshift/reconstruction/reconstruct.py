@@ -15,7 +15,7 @@ from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.methods import Method, find_method
 from lensshift.reconstruction.options import RULES, check_options, check_settings
-from lensshift.reconstruction.phasor.branch import reconstruct_phasor
+from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
 from lensshift.reconstruction.problem import (

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.learned.turn import Turn
 
 Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
 Picture = NDArray[Any]  # float32, or complex64 for phasors
@@ -42,6 +43,7 @@ class State:
     gradient : [row col] where the frames want it to go, each HR pixel by its own sum of weights
     misfit : [row col] rms residual of the frames around
     noise, trusted : [row col] noise of the frames at an HR pixel, and of what is believed of them
+    turn : how a network looks at them
     """
 
     v: Picture
@@ -50,6 +52,7 @@ class State:
     misfit: Single
     noise: Single
     trusted: Single
+    turn: Turn
 
 
 class LearnedPrior(Protocol):
@@ -81,6 +84,7 @@ class Chain:
     weight: Single
     facts: Single
     scale: int
+    turn: Turn
 
     def run(
         self, prior: LearnedPrior, on_stage: Callable[[int, float], None] | None = None
@@ -106,7 +110,7 @@ class Chain:
             state = State(
                 v, past, self.A.adjoint(robust * r) / (mass + floor),
                 np.sqrt(np.maximum(self.A.adjoint(self.weight * size**2) / (density + floor), 0)),
-                noise, 1 / np.sqrt(mass + floor),
+                noise, 1 / np.sqrt(mass + floor), self.turn,
             )  # fmt: skip
             x, s, channels = prior.improve(t, state, self.facts, channels)
             k: Single = np.clip(trust / (s * s), *PRECISION_RANGE).astype(np.float32, copy=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.model import ForwardModel
-from lensshift.reconstruction.learned.solver import Solution, solve
+from lensshift.reconstruction.learned.solver import solve
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.problem import Problem
 from lensshift.reconstruction.request import Request
@@ -54,12 +54,12 @@ def auto(problem: Problem, request: Request) -> Estimate:
         image=image,
         uncertainty=np.sqrt(np.mean([s.std**2 for s in found], axis=0)) if request.std else None,
         objective=tuple(objective),
-        status=_status(image, found),
+        status=status_of(image, max(s.change for s in found)),
         confidence=np.min([s.weight for s in found], axis=0).astype(np.float64),
         noise_sigma=sigma,
         notes={"std_of": "error"},
     )
-    return _judged(estimate, used)
+    return judged(estimate, used)
 
 
 def noise_of(problem: Problem) -> float:
@@ -90,15 +90,14 @@ def _estimated(problem: Problem, model: ForwardModel, y: Array, weight: Array) -
     return estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma
 
 
-def _status(image: Array, found: list[Solution]) -> Status:
+def status_of(image: Array, change: float) -> Status:
     """Return CONVERGED where the last stage moved the picture by less than its error bar."""
     if not np.all(np.isfinite(image)):
         return Status.NOT_FINITE
-    settled = all(solution.change < 1.0 for solution in found)
-    return Status.CONVERGED if settled else Status.MAX_ITERATIONS
+    return Status.CONVERGED if change < 1.0 else Status.MAX_ITERATIONS
 
 
-def _judged(estimate: Estimate, used: NDArray[np.bool_]) -> Estimate:
+def judged(estimate: Estimate, used: NDArray[np.bool_]) -> Estimate:
     """Note the frames that were not believed, and warn if they are many."""
     believed = estimate.confidence if estimate.confidence is not None else used.astype(float)
     trust = np.array([c[u].mean() if u.any() else 1.0 for c, u in zip(believed, used, strict=True)])

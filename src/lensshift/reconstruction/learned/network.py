@@ -22,7 +22,7 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
     "brightness": "6701dca92d3ecb3b74c831ef2c4742c569d06ff0a229a1cc3addf46a619c87e3",
-    "phasor": "da16858c733302514cc8fc8dd0b5816330643a9e8f051430450bff3f0eaba056",
+    "phasor": "0d41148a7576c2b9a5316c9ff24a66817ed68b291bee26170a70854e30d74c35",
 }
 # Numbers in the strip that one matrix product takes: fits the second-level cache of a core.
 STRIP = 1 << 18

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +31,8 @@ class BrightnessPrior:
         """Return x, its standard deviation, and all channels of stage t."""
         seen = [state.v, state.v - state.past, 8 * state.gradient, 2 * state.misfit,
                 state.noise, state.trusted]  # fmt: skip
-        channels = _applied(self.stages[t], seen, memory, 8, facts)
-        shape = state.v.shape
-        x = state.v + unfold(channels[..., :4], shape)
+        channels = _applied(self.stages[t], seen, state, memory, 8, facts)
+        x = state.v + _drawn(channels[..., :4], state)
         return x, self._std(channels[..., 4:8], state, t), channels
 
     def spread(self, channels: Single, state: State) -> Single:
@@ -43,13 +41,13 @@ class BrightnessPrior:
 
     def _std(self, channels: Single, state: State, t: int) -> Single:
         least = np.float32(np.exp(self.numbers["floor"][t]))
-        std: Single = np.abs(unfold(channels, state.v.shape)) + least * state.noise
+        std: Single = np.abs(_drawn(channels, state)) + least * state.noise
         return std
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhasorPrior:
-    """For phasors: all is relative to the amplitude of a pixel or of what is around it."""
+    """For phasors: all is relative to the amplitude of a pixel or to how it differs around."""
 
     stages: tuple[Network, ...]
     numbers: Mapping[str, NDArray[np.float64]]
@@ -60,32 +58,36 @@ class PhasorPrior:
         """Return x, the standard deviation of a component, and all channels of stage t."""
         v, noise = state.v, state.noise
         a: Single = np.sqrt(v.real**2 + v.imag**2 + noise * noise)
-        around: Single = 1 / _local_mean(a)
         apart = v - (_local_mean(v.real) + 1j * _local_mean(v.imag))
+        d: Single = np.sqrt(_local_mean(apart.real**2 + apart.imag**2) + noise * noise)
         seen = [
-            *_parts(apart * around), *_parts((v - state.past) * around),
-            *_parts(8 * around * state.gradient), *_parts(v / a), np.log(a / noise) / 3,
-            noise * around, np.log(np.maximum(state.misfit, 1e-6)), noise / state.trusted,
+            *_parts(apart / d), *_parts((v - state.past) / d), *_parts(8 * state.gradient / d),
+            *_parts(v / a), np.log(a / noise) / 3, np.log(d / noise) / 3,
+            np.log(np.maximum(state.misfit, 1e-6)), noise / state.trusted,
         ]  # fmt: skip
-        channels = _applied(self.stages[t], seen, memory, 12, facts)
-        step = unfold(channels[..., :4], v.shape) + 1j * unfold(channels[..., 4:8], v.shape)
-        s = noise * np.exp(_log(channels[..., 8:12], v.shape))
-        return v + a * step, s, channels
+        channels = _applied(self.stages[t], seen, state, memory, 12, facts)
+        step = _drawn(channels[..., :4], state) + 1j * _drawn(channels[..., 4:8], state)
+        s = noise * np.exp(_log(channels[..., 8:12], state))
+        return v + np.minimum(a, d) * step, s, channels
 
     def spread(self, channels: Single, state: State) -> Single:
         """Return [3 row col]: std along and across the phasor, and their correlation."""
-        shape = state.v.shape
-        along, across = (state.noise * np.exp(_log(channels[..., n : n + 4], shape))
+        along, across = (state.noise * np.exp(_log(channels[..., n : n + 4], state))
                          for n in (12, 16))  # fmt: skip
-        both = CORRELATION_LIMIT * np.tanh(unfold(channels[..., 20:24], shape))
+        both = CORRELATION_LIMIT * np.tanh(_drawn(channels[..., 20:24], state))
         return np.stack([along, across, both])
 
 
 def _applied(
-    network: Network, seen: list[Single], before: Single | None, first: int, facts: Single
+    network: Network,
+    seen: list[Single],
+    state: State,
+    before: Single | None,
+    first: int,
+    facts: Single,
 ) -> Single:
     """Return the channels of a stage; those of the one before are remembered from `first` on."""
-    folded = fold(seen)
+    folded = fold([state.turn.there(picture) for picture in seen])
     if before is None:
         remembered = network.layers[0].shape[0] // 9 - folded.shape[2]
         memory = np.zeros((*folded.shape[:2], remembered), np.float32)
@@ -94,12 +96,17 @@ def _applied(
     return network(np.concatenate([folded, memory], axis=2), facts)
 
 
+def _drawn(channels: Single, state: State) -> Single:
+    """Return the picture [row col] that four channels are."""
+    return state.turn.back(unfold(channels, state.turn.there(state.v).shape))
+
+
 def _parts(z: Picture) -> tuple[Single, Single]:
     return z.real, z.imag
 
 
-def _log(channels: Single, shape: tuple[Any, ...]) -> Single:
-    return np.clip(unfold(channels, shape), -LOG_LIMIT, LOG_LIMIT)
+def _log(channels: Single, state: State) -> Single:
+    return np.clip(_drawn(channels, state), -LOG_LIMIT, LOG_LIMIT)
 
 
 def _local_mean(a: Single) -> Single:

@@ -15,6 +15,7 @@ from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.chain import TINY, Chain, LearnedPrior, Picture, Single
 from lensshift.reconstruction.learned.network import learned_weights
 from lensshift.reconstruction.learned.priors import BrightnessPrior, PhasorPrior
+from lensshift.reconstruction.learned.turn import turn_of
 
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --calibrate); the likelihood alone makes std too wide, by tails.
@@ -128,7 +129,7 @@ def _in_tiles(
     used = np.isfinite(sigma)
     relative = np.where(used, sigma, 1.0).astype(np.float32)
     weight = np.where(used, relative**-2, 0).astype(np.float32)
-    facts = _facts(blur_px * model.scale, model.scale, len(y))
+    facts, turn = _facts(blur_px * model.scale, model.scale, len(y)), turn_of(model.mean_offset_px)
     image = np.empty(model.hr_shape, np.complex128 if y.dtype.kind == "c" else np.float64)
     spread: list[NDArray[np.float64]] = []
     believed, changes = np.empty(y.shape, np.float32), []
@@ -136,7 +137,9 @@ def _in_tiles(
         frames = (slice(None), *part)
         whole = all(p == slice(0, n) for p, n in zip(part, model.lr_shape, strict=True))
         operator = (model if whole else model.crop(*part)).operator
-        chain = Chain(operator, y[frames], relative[frames], weight[frames], facts, model.scale)
+        chain = Chain(
+            operator, y[frames], relative[frames], weight[frames], facts, model.scale, turn
+        )
         v, s, robust, change = chain.run(prior, on_stage)
         rows, cols = (slice(i.start - p.start, i.stop - p.start)
                       for i, p in zip(inner, part, strict=True))  # fmt: skip
