@@ -3,6 +3,8 @@
 The same chain as in `network.py`, in units of the noise. The prior sees the picture without its
 local mean over its local deviation, and beside its own amplitude; its correction is in units of
 the smaller of the two: flat surfaces stay as they are, dark ones beside bright ones count as much.
+The last word has the prior: beside a bright surface a small error of the shifts is larger than
+all that a dark one sends, and a data step would believe it.
 A burst is turned by the phase of its mean phasor before, and back afterwards: an equal delay of
 all light moves all distances alike. `lensshift.reconstruction.learned` does the same in NumPy.
 """
@@ -15,7 +17,6 @@ import torch
 from network import (
     DATA_STEPS,
     FACTS,
-    LAST_STEPS,
     MEMORY,
     START_STEPS,
     START_STIFFNESS,
@@ -135,12 +136,15 @@ class PhasorSolver(nn.Module):
             x = v + torch.minimum(a, d) * unfolded(out[:, :8], shape)
             s = n * torch.exp(torch.clamp(unfolded(out[:, 8:12], shape), -LIMIT, LIMIT))
             k = torch.clamp(torch.exp(self.trust[t]) / (s * s), 1e-3, 1e4)
-            past = v
-            v = solve(
-                lambda p, robust=robust, k=k: adjoint(robust * forward(p)) + k * p,
-                adjoint(robust * y) + k * x, x, mass - floor + k,
-                torch.sigmoid(self.lowest[t + 1]), LAST_STEPS if last else DATA_STEPS,
-            )  # fmt: skip
+            if last:
+                v = x
+            else:
+                past = v
+                v = solve(
+                    lambda p, robust=robust, k=k: adjoint(robust * forward(p)) + k * p,
+                    adjoint(robust * y) + k * x, x, mass - floor + k,
+                    torch.sigmoid(self.lowest[t + 1]), DATA_STEPS,
+                )  # fmt: skip
             found.append(turned(v, middle, 1) * unit)
             if last:
                 log_std = torch.clamp(unfolded(out[:, 12:20], shape), -LIMIT, LIMIT)

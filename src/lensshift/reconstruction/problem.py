@@ -25,8 +25,6 @@ NORMALISED_LIMIT = 1.5
 QUESTIONED_BLUR_PX, MOST_BLUR_PX = 1.0, 10.0
 # The pixel and optics together where nothing is known; a square pixel alone has 0.289.
 NOMINAL_BLUR_PX = 0.3
-# Errors of the shifts up to this make better pictures if they are told, larger ones blur them.
-MOST_SHIFT_ERROR_PX = 0.05
 # A scene this many times its contrast away from 0 loses quality (0.5 dB at 30 times, of a photo).
 LARGE_LEVEL = 10.0
 
@@ -250,7 +248,7 @@ def _own_error_px(sigma_px: Array | None, count: int) -> NDArray[np.float64]:
     variance = np.mean(sigma_px**2, axis=1)
     if np.any(variance == 0.0) and np.any(variance > 0.0):
         variance = np.maximum(variance - variance[variance > 0.0].min(), 0.0)
-    return np.asarray(np.minimum(np.sqrt(variance), MOST_SHIFT_ERROR_PX))
+    return np.asarray(np.sqrt(variance))
 
 
 def _variance_weight(pixel_variance: Array, weight: Array) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 Picture = NDArray[Any]  # float32, or complex64 for phasors
 
 # The form of the chain that the weights were trained in (training/network.py); not to be tuned.
-START_STEPS, DATA_STEPS, LAST_STEPS = 8, 4, 8
+START_STEPS, DATA_STEPS = 8, 4
 START_STIFFNESS = np.float32(0.02)
 LEAST_DENSITY = 0.02
 PRECISION_RANGE = (1e-3, 1e4)
@@ -57,6 +57,11 @@ class State:
 
 class LearnedPrior(Protocol):
     """What improves a picture: the networks of all stages, and the numbers of the data steps."""
+
+    @property
+    def last_steps(self) -> int:
+        """Data steps after the last stage."""
+        ...
 
     @property
     def numbers(self) -> Mapping[str, NDArray[np.float64]]:
@@ -116,7 +121,7 @@ class Chain:
             k: Single = np.clip(trust / (s * s), *PRECISION_RANGE).astype(np.float32, copy=False)
             past, v = v, self._data_step(
                 x, robust, mass, k, _sigmoid(prior.numbers["lowest"][t + 1]),
-                LAST_STEPS if t + 1 == stages else DATA_STEPS,
+                prior.last_steps if t + 1 == stages else DATA_STEPS,
             )  # fmt: skip
         change = float(np.sqrt(np.mean((np.abs(v - past) / np.maximum(s, TINY)) ** 2)))
         return v, prior.spread(channels, state), robust, change
@@ -170,6 +175,8 @@ def chebyshev(
     `lowest` are left to x. There is no inner product over the picture, so what one region holds
     cannot touch another. Source: Saad, Iterative Methods for Sparse Linear Systems, 12.3.
     """
+    if steps == 0:
+        return x
     middle, half = (1 + lowest) / 2, (1 - lowest) / 2
     rho = half / middle
     r = b - apply(x)

@@ -35,6 +35,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
     sigma = max(noise_of(problem) if sigma is None else sigma, LEAST_SIGMA)
     used = problem.weight > 0
     noise = np.where(used, sigma / np.sqrt(np.where(used, problem.weight, 1.0)), np.inf)
+    noise = with_shift_errors(noise, problem)
     parts = [problem.y.real, problem.y.imag] if problem.y.dtype.kind == "c" else [problem.y]
     objective: list[float] = []
 
@@ -60,6 +61,20 @@ def auto(problem: Problem, request: Request) -> Estimate:
         notes={"std_of": "error"},
     )
     return judged(estimate, used)
+
+
+def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[np.float64]:
+    """Return the noise of each LR pixel with what the errors of the shifts add where it is steep.
+
+    sigma^2 + e_k^2 |grad y_k|^2,   e_k the standard deviation of the shift of frame k
+    """
+    error_px = np.broadcast_to(problem.shift_error_px, len(sigma))
+    if not np.any(error_px) or min(problem.y.shape[1:]) < 2:
+        return sigma
+    slopes = np.gradient(problem.y, axis=(1, 2))
+    components = 2.0 if problem.y.dtype.kind == "c" else 1.0
+    steep = np.sum(np.abs(slopes) ** 2, axis=0) / components
+    return np.sqrt(sigma**2 + error_px[:, None, None] ** 2 * steep)
 
 
 def noise_of(problem: Problem) -> float:

@@ -24,6 +24,7 @@ class BrightnessPrior:
 
     stages: tuple[Network, ...]
     numbers: Mapping[str, NDArray[np.float64]]
+    last_steps: int = 8
 
     def improve(
         self, t: int, state: State, facts: Single, memory: Single | None
@@ -47,10 +48,15 @@ class BrightnessPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhasorPrior:
-    """For phasors: all is relative to the amplitude of a pixel or to how it differs around."""
+    """For phasors: all is relative to the amplitude of a pixel or to how it differs around.
+
+    It has the last word. Beside a bright surface a small error of the shifts is larger than all
+    that a dark one sends, and a data step would believe it.
+    """
 
     stages: tuple[Network, ...]
     numbers: Mapping[str, NDArray[np.float64]]
+    last_steps: int = 0
 
     def improve(
         self, t: int, state: State, facts: Single, memory: Single | None

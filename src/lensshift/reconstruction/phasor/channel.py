@@ -15,7 +15,12 @@ from lensshift.core.types import Burst, Estimate, ShiftField
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
-from lensshift.reconstruction.learned.method import LEAST_SIGMA, judged, status_of
+from lensshift.reconstruction.learned.method import (
+    LEAST_SIGMA,
+    judged,
+    status_of,
+    with_shift_errors,
+)
 from lensshift.reconstruction.learned.solver import solve_phasor
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
@@ -147,7 +152,11 @@ def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> 
             request.on_iteration(len(objective), misfit)
 
     found = solve_phasor(
-        problem.model, problem.y, sigma, blur_px=problem.blur_sigma_px, on_stage=on_stage
+        problem.model,
+        problem.y,
+        with_shift_errors(sigma, problem),
+        blur_px=problem.blur_sigma_px,
+        on_stage=on_stage,
     )
     amplitude = np.maximum(np.abs(found.image), 1e-12)
     of_phase_rad = np.minimum(found.std[1] / amplitude, NO_PHASE_RAD)
