@@ -222,8 +222,10 @@ def shape(rng: Generator, radius: float, kind: int | None = None):
 
 
 def _print(rng: Generator, size: int) -> Canvas:
-    """Return lines of random letters at any size and angle."""
+    """Return lines of random letters, or of signs that nobody reads, at any size and angle."""
     ground, ink = rng.uniform(0.5, 1), rng.uniform(0, 0.4)
+    if rng.random() < 0.4:
+        return ground + (ink - ground) * _signs(rng, size)
     image = Image.new("F", (2 * size, 2 * size), 0.0)
     draw = ImageDraw.Draw(image)
     row = 0.0
@@ -243,6 +245,27 @@ def _print(rng: Generator, size: int) -> Canvas:
     if rng.random() < 0.4:
         canvas = canvas + rng.uniform(0.01, 0.1) * _texture(rng, size, size, 0.0)
     return canvas
+
+
+def _signs(rng: Generator, size: int) -> Canvas:
+    """Return random dots in cells of 0.3 to 2.5 HR pixels, in words or all over; 0 to 1.
+
+    Most of this is too small to be read: the error bar has to say so.
+    """
+    side = UNIT * log_uniform(rng, 0.3, 2.5)
+    count = int(1.5 * size / side) + 2
+    dots = rng.random((count, count)) < rng.uniform(0.2, 0.8)
+    if rng.random() < 0.7:  # letters of 5 x 7 dots, a dot or two apart
+        height, width = 7 + int(rng.integers(1, 4)), 5 + int(rng.integers(1, 3))
+        row, col = np.mgrid[:count, :count]
+        dots &= (row % height < 7) & (col % width < 5)
+    angle = rng.normal(0, 0.05) if rng.random() < 0.7 else rng.uniform(0, np.pi)
+    v, u = np.mgrid[:size, :size].astype(np.float32) - size / 2
+    c, s = np.cos(angle), np.sin(angle)
+    row, col = (
+        np.floor(part / side + count / 2).astype(int) for part in (v * c - u * s, v * s + u * c)
+    )
+    return dots[np.clip(row, 0, count - 1), np.clip(col, 0, count - 1)].astype(np.float32)
 
 
 def _chart(rng: Generator, size: int) -> Canvas:
