@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics, Pinhole
@@ -115,7 +116,7 @@ class View:
     """
 
     def __init__(self, camera: TofCamera, margin_px: float) -> None:
-        self._grid = camera.grid
+        self._grid, self._optics = camera.grid, camera.optics
         self._splines: tuple[Any, Any] | None = None
         if isinstance(camera.optics, PlainOptics):
             focal_mm = camera.optics.focal_length_mm
@@ -141,6 +142,12 @@ class View:
             down, right = (spline.ev(row_px, col_px) for spline in self._splines)
             return down, right
         return self._straight(row_px, col_px)
+
+    def light(self, down: Array, right: Array) -> Array:
+        """Return the light from directions [...] over that from the axis; 1 of a traced lens."""
+        if isinstance(self._optics, LensOptics):
+            return np.ones(np.shape(down))
+        return relative_illumination(self._optics, self._grid, down, right)
 
     def _straight(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
         rows, cols = self._grid.shape
