@@ -96,7 +96,7 @@ def drawn_pixels(figure: Figure) -> NDArray[np.uint8]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     with styled():
-        canvas = FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg(figure)
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())[..., :3]
     row, col = (np.flatnonzero((pixels < 255).any(axis=(axis, 2))) for axis in (1, 0))
