@@ -43,3 +43,11 @@ def test_own_camera_captures_a_burst(tmp_path: Path) -> None:
     assert lines[0].startswith("4 frames")
     assert lines[-1] == "auto x2: 32 x 128 px"
     assert (tmp_path / "burst.nc").exists()
+
+
+@pytest.mark.slow
+def test_flat_wall_is_bent_only_where_distances_are_taken_for_depth(tmp_path: Path) -> None:
+    lines = run_example(EXAMPLES / "flat_wall.py", "--out", tmp_path / "wall.ply").splitlines()
+    rms_mm = [float(line.split("mm rms")[0].split()[-1]) for line in lines[:2]]
+    assert rms_mm[0] > 5.0 > 1.0 > rms_mm[1]
+    assert (tmp_path / "wall.ply").read_bytes().startswith(b"ply")

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from lensshift.core.errors import DeviceTimeout as DeviceTimeout
     from lensshift.core.errors import QualityWarning as QualityWarning
     from lensshift.core.grid import Grid as Grid
+    from lensshift.core.intrinsics import Pinhole as Pinhole
+    from lensshift.core.intrinsics import PixelDirections as PixelDirections
+    from lensshift.core.point_cloud import PointCloud as PointCloud
     from lensshift.core.types import Burst as Burst
     from lensshift.core.types import Estimate as Estimate
     from lensshift.core.types import Reconstruction as Reconstruction
@@ -74,6 +77,9 @@ _HOME = {
     "DeviceTimeout": "core.errors",
     "QualityWarning": "core.errors",
     "Grid": "core.grid",
+    "Pinhole": "core.intrinsics",
+    "PixelDirections": "core.intrinsics",
+    "PointCloud": "core.point_cloud",
     "Burst": "core.types",
     "Estimate": "core.types",
     "Reconstruction": "core.types",

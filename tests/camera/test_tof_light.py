@@ -15,6 +15,7 @@ from lensshift.camera import (
     Readout,
     Scatter,
 )
+from lensshift.camera.radiometry import relative_illumination
 from lensshift.core.grid import Grid
 from lensshift.scene import Cuboid, Rectangle, Scene, Sphere
 
@@ -25,6 +26,41 @@ ONE = Grid((1, 1), (0.15, 0.15))
 def test_amplitude_falls_with_the_square_of_the_distance() -> None:
     near, far = (still(wall(d), make_camera()).burst.amplitude for d in (1.3, 3.9))
     np.testing.assert_allclose(near / far, 9.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("natural", [True, False])
+def test_light_of_a_ball_falls_with_the_fourth_power_of_the_cosine(natural: bool) -> None:
+    """A ball around the camera lights all pixels alike but for the falloff of the lens."""
+    grid = Grid((9, 13), (0.02, 0.03))
+    optics = PlainOptics(0.2, 2.0, natural_falloff=natural)
+    ball = Scene((Sphere(centre_m=(0.0, 0.0, 0.0), radius_m=2.0, reflectance=0.6),))
+    capture = still(ball, make_camera(grid, optics=optics, illumination=Illumination((1e7,))))
+    row, col = np.indices(grid.shape)
+    tangent = np.hypot((row - 4) * 0.02, (col - 6) * 0.03) / 0.2
+    expected = np.cos(np.arctan(tangent)) ** 4 if natural else np.ones(grid.shape)
+    amplitude = capture.burst.amplitude[0]
+    # The mean over a pixel is not that of its middle: a hundredth where the light bends most.
+    np.testing.assert_allclose(amplitude / amplitude[4, 6], expected, rtol=0.01)
+    assert capture.burst.distance_m == pytest.approx(2.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("lost", [0.1, 0.5, 1.0])
+def test_vignetting_is_the_common_share_of_two_circles(lost: float) -> None:
+    grid = Grid((9, 13), (0.02, 0.03))
+    optics = PlainOptics(0.2, 2.0, natural_falloff=False, vignetting=lost)
+    corner = np.array([4.5 * 0.02, 6.5 * 0.03]) / 0.2
+    light = relative_illumination(optics, grid, *np.multiply.outer(corner, [0.0, 0.37, 1.0]))
+    assert light[[0, 2]] == pytest.approx([1.0, 1.0 - lost], abs=1e-9)
+    # Counted: points of a circle that lie in another one, moved so that the corner loses as told.
+    x, y = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 2_000_000))
+    x, y = (values[x * x + y * y < 1.0] for values in (x, y))
+    apart = np.linspace(0.0, 2.0, 201)
+    share = np.array([np.mean((x - s) ** 2 + y * y < 1.0) for s in apart])
+    corner_apart = np.interp(lost, 1.0 - share, apart)
+    expected = np.interp(0.37 * corner_apart, apart, share)
+    assert light[1] == pytest.approx(expected, abs=2e-3)
+    with pytest.raises(ValueError, match="vignetting from 0 to 1"):
+        PlainOptics(0.2, 2.0, vignetting=1.1)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0, -70.0])

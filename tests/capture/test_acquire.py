@@ -20,6 +20,7 @@ from lensshift.capture.rig import CameraFrame
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import Pinhole
 from lensshift.core.motion import ShiftPlan, StageMap
 from lensshift.core.types import Frame
 from lensshift.io.capture_file import read_capture
@@ -387,3 +388,23 @@ def test_many_places_are_visited_once_and_not_in_the_given_order() -> None:
 def test_bad_settings(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Acquisition(**wrong)
+
+
+@dataclass
+class LookingCamera(MemoryCamera):
+    """Tells where its pixels look once a frame has come, as a driver does."""
+
+    @property
+    def intrinsics(self) -> Pinhole | None:
+        return Pinhole(3.0, 3.0, 1.0, 0.5) if self.cycle else None
+
+
+def test_a_burst_keeps_where_the_camera_says_that_its_pixels_look(tmp_path: Path) -> None:
+    stage = MemoryStage()
+    camera = LookingCamera(stage)
+    path, plan = tmp_path / "a.nc", named_plan("square")
+    assert acquire(stage, camera, plan, CALIBRATION, path).intrinsics == camera.intrinsics
+    assert load_burst(path).intrinsics == camera.intrinsics
+    (burst,) = islice(bursts(stage, camera, plan, CALIBRATION), 1)
+    assert burst.intrinsics == camera.intrinsics
+    assert acquire(*devices(), plan, CALIBRATION, tmp_path / "b.nc").intrinsics is None

@@ -43,6 +43,20 @@ def test_a_frame_comes_back_from_every_layout(layout: str) -> None:
     assert len(np.unique(used)) == 4  # the test saw all settings
 
 
+def test_coordinates_tell_where_the_pixels_look_even_the_invalid_ones() -> None:
+    image = read_image(pixel_message(seen()))
+    assert image.direction is not None
+    length = np.linalg.norm(image.direction, axis=-1)
+    np.testing.assert_allclose(length[image.valid], image.distance_m[image.valid], atol=1e-5)
+    x, y, z = np.moveaxis(image.direction, -1, 0)
+    assert z.min() > 0
+    # Sent forward, left and up, with the first row on top.
+    assert np.all(np.diff(x / z, axis=1) > 0)
+    assert np.all(np.diff(y / z, axis=0) > 0)
+    nowhere = edited(pixel_message(seen()), X, struct.pack("<f", np.nan))
+    assert read_image(nowhere).direction is None
+
+
 def test_fields_lie_where_the_table_puts_them() -> None:
     row, col = 3, 17
     pixel = 64 * row + col

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lensshift.capture.drivers.pcic_directions import bouguet_directions
 from lensshift.capture.drivers.pcic_protocol import (
     ChunkKind,
     Message,
@@ -20,6 +22,7 @@ from lensshift.capture.drivers.pcic_protocol import (
 )
 from lensshift.capture.emulators.pcic import result_content
 from lensshift.core.errors import DataError
+from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Frame
 
 
@@ -59,6 +62,40 @@ def test_the_buffer_of_a_real_o3r(reference_dir: Path) -> None:
     assert np.all(image.amplitude[image.valid] > 0)
     assert image.raw["distance_noise"].dtype == np.uint16
     assert image.time_s == pytest.approx(324896.000402)
+    # It looks ahead in the middle, to the right with the columns and down with the rows.
+    assert image.direction is not None
+    np.testing.assert_allclose(np.linalg.norm(image.direction, axis=-1), 1.0, rtol=1e-12)
+    x, y, z = np.moveaxis(image.direction, -1, 0)
+    assert np.all(np.diff(x / z, axis=1) > 0)
+    assert np.all(np.diff(y / z, axis=0) > 0)
+    np.testing.assert_allclose(image.direction[85, 111], [0.0, 0.0, 1.0], atol=0.5 / 124)
+
+
+def test_an_o3d_sends_unit_vectors_if_it_is_asked() -> None:
+    vectors = np.random.default_rng(0).normal(size=(2, 3, 3)).astype("<f4")
+    frame = Frame(np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3), bool), 0.0)
+    content = result_content(frame)
+    asked = content[:-4] + chunk(223, 10, vectors.tobytes()) + content[-4:]
+    assert read_result(content).direction is None
+    np.testing.assert_array_equal(read_result(asked).direction, vectors)
+    for unusable in (np.zeros_like(vectors), np.full_like(vectors, np.nan)):
+        broken = content[:-4] + chunk(223, 10, unusable.tobytes()) + content[-4:]
+        assert read_result(broken).direction is None
+
+
+def test_bouguet_numbers_without_distortion_are_a_pinhole() -> None:
+    numbers = [30.0, 25.0, 9.8, 8.2, *[0.0] * 28]
+    expected = Pinhole(30.0, 25.0, 9.3, 7.7).directions((15, 21))
+    np.testing.assert_allclose(bouguet_directions(numbers, (15, 21)), expected, atol=1e-15)
+    bent = [30.0, 25.0, 9.8, 8.2, 0.0, -0.2, 0.05, 0.003, -0.002, 0.01]
+    found = bouguet_directions(bent, (15, 21))
+    assert found is not None
+    # The same formula as that of Brown and Conrady, in the other direction.
+    forth = Pinhole(1.0, 1.0, 0.0, 0.0, -0.2, 0.05, 0.003, -0.002, 0.01)
+    x, y = found[3, 4, :2] / found[3, 4, 2]
+    there = Pinhole(1e9, 1e9, -1e9 * x, -1e9 * y, *astuple(forth)[4:]).directions((1, 1))[0, 0]
+    np.testing.assert_allclose(there[:2] / there[2], [(4 - 9.3) / 30, (3 - 7.7) / 25], rtol=1e-9)
+    assert bouguet_directions([0.0] * 32, (2, 3)) is None
 
 
 @pytest.mark.parametrize("cut", [1, 7, 1000, 10**6])

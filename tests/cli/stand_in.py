@@ -47,5 +47,6 @@ class FakeReconstruct:
             grid=burst.grid.refine(scale),
             scale=scale,
             method="irwsr" if options["method"] == "auto" else options["method"],
+            intrinsics=None if burst.intrinsics is None else burst.intrinsics.refine(scale),
             settings={"psf_sigma_px": options.get("psf_sigma_px"), "inf": np.float64("inf")},
         )

@@ -11,13 +11,16 @@ from matplotlib.figure import Figure
 from sights import built, card, movers, sensitivities, star_image, stepped
 
 from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import Pinhole
 from lensshift.core.motion import ShiftField
+from lensshift.core.point_cloud import PointCloud, make_cloud
 from lensshift.evaluation.edge_gradient import edge_gradient
 from lensshift.evaluation.gain import resolution_gain
 from lensshift.evaluation.siemens import siemens_star_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, measure_edge
 from lensshift.evaluation.zone_plate import zone_plate_response
 from lensshift.optics.lens_file import load_lens
+from lensshift.report.cloud import cloud_figure
 from lensshift.report.depth import depth_figure
 from lensshift.report.edges import edge_figure, gain_figure
 from lensshift.report.gradient import MeasuredLines, gradient_figure
@@ -85,6 +88,11 @@ def shifts() -> Figure:
     return shift_map_figure(ShiftField(offset_px), GRID)
 
 
+def points(spread_m: float) -> PointCloud:
+    distance_m = 2.0 + spread_m * (np.indices((11, 23))[1] > 9)
+    return make_cloud(distance_m, Pinhole.of_field(Grid((11, 23), (0.1, 0.1)), 0.8))
+
+
 FIGURES: dict[str, Callable[[], Figure]] = {
     "edges, wide": lambda: edges(17, 64),
     "depth": lambda: depth_figure(*stepped()),
@@ -107,6 +115,8 @@ MORE_FIGURES: dict[str, Callable[[], Figure]] = {
     "spots": lambda: spots_figure(load_lens("petzval_a"), 0, TRAVEL_MM, GRID, FIELDS_TAN),
     "which": lambda: which_figure(movers()),
     "tolerance": lambda: tolerance_figure(built(), 0.87),
+    "cloud": lambda: cloud_figure(points(spread_m=0.4)),
+    "cloud, flat": lambda: cloud_figure(points(spread_m=0.0), "a wall"),
     "tolerance, table": lambda: tolerance_figure(built(30), 0.87, table=sensitivities()),
 }
 

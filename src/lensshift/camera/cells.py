@@ -56,6 +56,7 @@ class World:
             down, right = self._view.lattice(row_px[some] + half, col_px + half)
             hits = self._cast(down, right)
             cells[some] = self._tones.channels_of(hits, self._arriving(hits))
+            cells[some] *= self._view.light(down, right)[..., None]
         places = np.argwhere(_uneven(cells[..., self._tones.telling]))
         for first in range(0, len(places), _CELLS_AT_ONCE):
             i, j = places[first : first + _CELLS_AT_ONCE].T
@@ -64,11 +65,13 @@ class World:
     def _means(self, row_px: Array, col_px: Array) -> Array:
         """Return the channels [cell channel] as means over many rays in each cell."""
         place_px = np.stack([row_px, col_px], axis=-1)[:, None] + _WITHIN / self._samples
-        hits = self._cast(*self._view.at(place_px[..., 0], place_px[..., 1]))
+        down, right = self._view.at(place_px[..., 0], place_px[..., 1])
+        hits = self._cast(down, right)
         arriving = None
         if self._indirect is not None:
             arriving = self._indirect.at(hits.point_m[:, 0], hits.normal[:, 0])[:, None]
-        return np.asarray(self._tones.channels_of(hits, arriving).mean(axis=1))
+        values = self._tones.channels_of(hits, arriving) * self._view.light(down, right)[..., None]
+        return np.asarray(values.mean(axis=1))
 
     def _cast(self, down: Array, right: Array) -> Hits:
         return cast(self._scene, np.stack([right, down, np.ones_like(down)], axis=-1))

@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.camera.settings import TofCamera
+from lensshift.camera.settings import PlainOptics, TofCamera
+from lensshift.core.grid import Grid
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, unambiguous_range_m
 
 _PLANCK_J_S = 6.626_070_15e-34
@@ -36,6 +37,40 @@ def ambient_electrons_per_s(camera: TofCamera) -> float:
         _SUN_PER_KLX * camera.ambient.illuminance_klx * camera.ambient.filter_width_nm
     )  # W / m2
     return irradiance * _electrons_per_exitance(camera)
+
+
+def relative_illumination(
+    optics: PlainOptics, grid: Grid, down: ArrayLike, right: ArrayLike
+) -> NDArray[np.float64]:
+    """Return the light from directions [...] over that from the axis.
+
+        cos(field angle)^4 * overlap(s),    s = s at the corner * tan / tan at the corner
+        overlap = 2 / pi (acos(s / 2) - s / 2 sqrt(1 - s^2 / 4))
+
+    the common share of two round apertures of radius 1 whose middles are s apart. It goes with the
+    direction, so it moves with the image when lens or sensor move.
+
+    Parameters
+    ----------
+    grid : of the sensor, whose corners `optics.vignetting` speaks of
+    down, right : over forward
+
+    Source: Ray, Applied photographic optics, 3rd edition (2002), chapter 13.
+    """
+    square = np.square(down) + np.square(right)
+    light = (1.0 + square) ** -2.0 if optics.natural_falloff else np.ones(square.shape)
+    if optics.vignetting == 0:
+        return np.asarray(light)
+    from scipy.optimize import brentq
+
+    corner = 0.5 * np.hypot(*np.multiply(grid.shape, grid.pitch_mm)) / optics.focal_length_mm
+    apart = brentq(lambda s: 1.0 - optics.vignetting - float(_overlap(s)), 0.0, 2.0)
+    return np.asarray(light * _overlap(apart * np.sqrt(square) / corner))
+
+
+def _overlap(apart: ArrayLike) -> NDArray[np.float64]:
+    half = np.minimum(0.5 * np.asarray(apart, dtype=np.float64), 1.0)
+    return np.asarray(2.0 / np.pi * (np.arccos(half) - half * np.sqrt(1.0 - half * half)))
 
 
 def closed_form_distance_std_m(

@@ -58,23 +58,32 @@ class Illumination:
 class PlainOptics:
     """A lens without distortion that moves the whole image by the same amount.
 
+        light(field angle) = cos^4, of a pupil that all directions fill, less what is vignetted
+
     Parameters
     ----------
     focal_length_mm : from the pinhole to the sensor
     f_number : focal length over diameter of the pupil
     transmission : share of the light that lens and filter let through
     blur_sigma_px : of the Gaussian that the lens makes of a point; 0: a point
+    natural_falloff : whether light falls with the fourth power of the cosine; False: it is even, as
+        where the illumination is shaped to make up for it
+    vignetting : share of the light that the corners of the sensor lose besides, because a second
+        aperture in front of the pupil hides a part of it
     """
 
     focal_length_mm: float
     f_number: float
     transmission: float = 0.8
     blur_sigma_px: float = 0.0
+    natural_falloff: bool = True
+    vignetting: float = 0.0
 
     def __post_init__(self) -> None:
         positive("focal_length_mm", self.focal_length_mm)
         positive("f_number", self.f_number)
         share("transmission", self.transmission)
+        share("vignetting", self.vignetting)
         _not_negative("blur_sigma_px", self.blur_sigma_px)
 
 

@@ -15,7 +15,7 @@ from lensshift.camera.output import Image, O3mImages, image_of
 from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
 from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
 from lensshift.camera.settings import LensOptics, Scatter, TofCamera
-from lensshift.camera.view import motions, response_width_px
+from lensshift.camera.view import intrinsics_of, motions, response_width_px
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
 from lensshift.core.units import unambiguous_range_m
@@ -283,6 +283,7 @@ def _burst(
         offset_sigma_px=np.full(planned_px.shape, float(shift_error_px)),
         grid=camera.grid,
         modulation_hz=camera.illumination.modulation_hz[0],
+        intrinsics=intrinsics_of(camera),
         meta={**notes, **camera.settings()},
     )
 

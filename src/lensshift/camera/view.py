@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
 from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
 from lensshift.optics.lens import Lens
 
@@ -95,6 +97,15 @@ def response_width_px(side_px: float, blur: float | SpotBlur, shape: tuple[int, 
     return float(np.mean([gaussian_width(f) for f in half_cpp]))
 
 
+def intrinsics_of(camera: TofCamera) -> Intrinsics:
+    """Return where the pixels of the camera at rest look, as a calibration would tell of it."""
+    if isinstance(camera.optics, PlainOptics):
+        return Pinhole.of_focal_length(camera.grid, camera.optics.focal_length_mm)
+    from lensshift.optics.directions import lens_directions
+
+    return lens_directions(camera.optics.lens, camera.grid)
+
+
 class View:
     """Where the camera at rest looks: tangents of directions as a function of pixels.
 
@@ -105,15 +116,16 @@ class View:
     """
 
     def __init__(self, camera: TofCamera, margin_px: float) -> None:
-        self._grid = camera.grid
+        self._grid, self._optics = camera.grid, camera.optics
         self._splines: tuple[Any, Any] | None = None
         if isinstance(camera.optics, PlainOptics):
             focal_mm = camera.optics.focal_length_mm
         else:
+            from lensshift.optics.directions import direction_splines
             from lensshift.optics.spots import image_per_field_mm
 
             focal_mm = image_per_field_mm(camera.optics.lens)
-            self._splines = _direction_splines(camera.optics.lens, camera.grid, margin_px)
+            self._splines = direction_splines(camera.optics.lens, camera.grid, margin_px)
         self.per_px = (camera.grid.pitch_mm[0] / focal_mm, camera.grid.pitch_mm[1] / focal_mm)
 
     def lattice(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
@@ -131,23 +143,18 @@ class View:
             return down, right
         return self._straight(row_px, col_px)
 
+    def light(self, down: Array, right: Array) -> Array:
+        """Return the light from directions [...] over that from the axis; 1 of a traced lens."""
+        if isinstance(self._optics, LensOptics):
+            return np.ones(np.shape(down))
+        return relative_illumination(self._optics, self._grid, down, right)
+
     def _straight(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
         rows, cols = self._grid.shape
         return (
             (row_px - 0.5 * (rows - 1)) * self.per_px[0],
             (col_px - 0.5 * (cols - 1)) * self.per_px[1],
         )
-
-
-def _direction_splines(lens: Lens, grid: Grid, margin_px: float) -> tuple[Any, Any]:
-    from scipy.interpolate import RectBivariateSpline
-
-    from lensshift.optics.spots import fields_for_image
-
-    rows, cols = (_nodes(count, margin_px) for count in grid.shape)
-    field = fields_for_image(lens, _places_mm(grid, rows, cols))
-    down, right = (RectBivariateSpline(rows, cols, field[..., i]) for i in (0, 1))
-    return down, right
 
 
 def _lens_motions(optics: LensOptics, grid: Grid, offset_px: Array) -> list[Motion]:
@@ -166,9 +173,10 @@ def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> 
     """Return the traced offset of every pixel, [frame row col 2], by splines between nodes."""
     from scipy.interpolate import RectBivariateSpline
 
+    from lensshift.optics.directions import nodes_px
     from lensshift.optics.shift import shift_map
 
-    rows, cols = (_nodes(count, 1.0) for count in grid.shape)
+    rows, cols = (nodes_px(count, 1.0) for count in grid.shape)
     step_px = (float(rows[1] - rows[0]), float(cols[1] - cols[0]))
     pitch_mm = (step_px[0] * grid.pitch_mm[0], step_px[1] * grid.pitch_mm[1])
     coarse = Grid((len(rows), len(cols)), pitch_mm)
@@ -180,14 +188,15 @@ def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> 
 
 def _spot_blurs(optics: LensOptics, element: int, grid: Grid, decenter_mm: Array) -> list[SpotBlur]:
     """Return the spots of the lens in each frame."""
+    from lensshift.optics.directions import nodes_px, places_mm
     from lensshift.optics.shift import moving
     from lensshift.optics.spots import fields_for_image, spots
 
-    rows, cols = (_nodes(count, 0.5) for count in grid.shape)
+    rows, cols = (nodes_px(count, 0.5) for count in grid.shape)
     lens = optics.lens
     build = moving(lens, element, decenter_mm[:, None, None, :])
     near_mm = 1e-2 * min(grid.pitch_mm)  # the spots change slowly
-    fields = fields_for_image(lens, _places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm)
+    fields = fields_for_image(lens, places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm)
     spot = spots(lens, fields, build=build, rings=_RINGS)
     landing_mm = spot.ray_mm
     if optics.diffraction:
@@ -216,22 +225,6 @@ def airy_points(count: int) -> Array:
     radius = np.interp(share, light, _DENSE) / np.pi
     angle = 2.0 * np.pi * np.mod(number * 2.0**0.5, 1.0)
     return np.asarray(radius[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1))
-
-
-def _nodes(count: int, margin_px: float) -> Array:
-    """Return places along an axis, from beyond its first pixel to beyond its last."""
-    return np.linspace(-margin_px, count - 1 + margin_px, min(max(5, count // 4), 17))
-
-
-def _places_mm(grid: Grid, row_px: Array, col_px: Array) -> Array:
-    """Return places [row col 2] (row, col) on the sensor, from the axis."""
-    along = [
-        (place_px - 0.5 * (count - 1)) * pitch_mm
-        for place_px, count, pitch_mm in zip(
-            (row_px, col_px), grid.shape, grid.pitch_mm, strict=True
-        )
-    ]
-    return np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
 
 
 def _between(nodes: Array, places: Array) -> NDArray[np.float64]:

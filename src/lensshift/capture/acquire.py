@@ -175,7 +175,7 @@ def acquire_at(
                 file.append({"step": step, **record, **_offsets(record, calibration)})
             if on_step is not None:
                 on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
-    burst = burst_of_capture(file.header, file.frames, file.path)
+    burst = _looking(burst_of_capture(file.header, file.frames, file.path), camera)
     save_burst(burst, file.path)
     return burst
 
@@ -207,7 +207,15 @@ def bursts(
                 for record in _at_position(stage, camera, target, settings, settings.frames):
                     whole = {"step": step, **record, **_offsets(record, calibration)}
                     records.append({name: np.asarray(value) for name, value in whole.items()})
-            yield burst_of_capture(header, records, Path(plan.name or "burst"))
+            yield _looking(burst_of_capture(header, records, Path(plan.name or "burst")), camera)
+
+
+def _looking(burst: Burst, camera: Camera) -> Burst:
+    """Return the burst with where the pixels look, if the camera has told it with its frames.
+
+    Few cameras do, so `Camera` does not ask for it.
+    """
+    return replace(burst, intrinsics=getattr(camera, "intrinsics", None))
 
 
 @contextmanager

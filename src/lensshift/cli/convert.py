@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +22,17 @@ from lensshift.cli.inputs import (
     load_input_burst,
     refuse_overwriting,
 )
+from lensshift.cli.points import (
+    CLOUD_SUFFIXES,
+    FieldOption,
+    FlyingOption,
+    FocalMmOption,
+    FocalPxOption,
+    LensOption,
+    NormalsOption,
+    PointOptions,
+    refuse_points,
+)
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
 
 BURST_SUFFIXES = (".nc", ".nc4", ".h5", ".hdf5")
@@ -39,7 +51,7 @@ InArgument = Annotated[
 OutArgument = Annotated[
     Path,
     typer.Argument(
-        metavar="OUT", help="A burst to .nc, .npz or .tif; a result to .tif, .png or .npz."
+        metavar="OUT", help="A burst to .nc, .npz, .tif; a result to .tif, .png, .npz, .ply, .pcd."
     ),
 ]
 BitsOption = Annotated[Bits, typer.Option(help="Depth of a PNG pixel.")]
@@ -54,28 +66,37 @@ def convert(
     frame_axis: FrameAxisOption = FrameAxis.FIRST,
     modulation_hz: ModulationOption = None,
     bits: BitsOption = Bits.EIGHT,
+    fov_deg: FieldOption = None,
+    focal_length_px: FocalPxOption = None,
+    focal_length_mm: FocalMmOption = None,
+    lens: LensOption = None,
+    normals: NormalsOption = False,
+    keep_flying: FlyingOption = False,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
-    """Convert between burst files, image stacks, results and images.
+    """Convert between burst files, image stacks, results, images and point clouds.
 
     \b
     Examples:
       lensshift convert frames/ burst.nc --offsets shifts.csv --pitch-mm 0.015
       lensshift convert sharp.nc sharp.png --bits 16
+      lensshift convert sharp.nc cloud.ply --normals
+      lensshift convert sharp.nc cloud.pcd --focal-length-mm 42.7
     """
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
+    points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
     with session(as_json=as_json, debug=debug) as current:
         refuse_overwriting((source, offsets), (target,))
         current.result |= {"input": source, "files": [target]}
         if kind_of(source) is Kind.RECONSTRUCTION:
-            current.result["range"] = _convert_result(current, source, target, bits)
+            current.result["range"] = _convert_result(current, source, target, bits, points)
         else:
-            _convert_burst(source, target, stack)
+            _convert_burst(source, target, stack, points)
         current.say(f"wrote {target}")
 
 
-def _convert_burst(source: Path, target: Path, stack: StackOptions) -> None:
+def _convert_burst(source: Path, target: Path, stack: StackOptions, points: PointOptions) -> None:
     from lensshift.io import export_burst, save_burst
 
     suffix = target.suffix.lower()
@@ -84,6 +105,7 @@ def _convert_burst(source: Path, target: Path, stack: StackOptions) -> None:
             f"{target}: a burst becomes a burst file ({', '.join(BURST_SUFFIXES)}), .npz or .tif"
         )
     burst = load_input_burst(source, stack)
+    burst = replace(burst, intrinsics=points.intrinsics(burst.grid, burst.intrinsics))
     if suffix in BURST_SUFFIXES:
         save_burst(burst, target)
     else:
@@ -91,14 +113,28 @@ def _convert_burst(source: Path, target: Path, stack: StackOptions) -> None:
 
 
 def _convert_result(
-    current: Session, source: Path, target: Path, bits: Bits
+    current: Session, source: Path, target: Path, bits: Bits, points: PointOptions
 ) -> tuple[float, float] | None:
+    from lensshift.core.grid import Grid
     from lensshift.io import export_reconstruction, load_reconstruction
 
-    if target.suffix.lower() not in (".tif", ".tiff", ".png", ".npz"):
-        raise typer.BadParameter(f"{target}: a reconstruction becomes .tif, .png or .npz")
+    if target.suffix.lower() not in (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES):
+        raise typer.BadParameter(
+            f"{target}: a reconstruction becomes .tif, .png, .npz, .ply or .pcd"
+        )
+    result = load_reconstruction(source)
+    rows, cols = (count // result.scale for count in result.grid.shape)
+    row_mm, col_mm = (pitch_mm * result.scale for pitch_mm in result.grid.pitch_mm)
+    told = points.intrinsics(Grid((rows, cols), (row_mm, col_mm)), None)
+    if told is not None:
+        result = replace(result, intrinsics=told.refine(result.scale))
+    refuse_points([target], result.intrinsics, with_distance=result.distance_m is not None)
     limits = export_reconstruction(
-        load_reconstruction(source), target, bits=16 if bits is Bits.SIXTEEN else 8
+        result,
+        target,
+        bits=16 if bits is Bits.SIXTEEN else 8,
+        keep_flying=points.keep_flying,
+        normals=points.normals,
     )
     if limits is not None:
         current.say(f"grey values from {limits[0]:.6g} to {limits[1]:.6g}")

@@ -19,6 +19,7 @@ from lensshift.cli.inputs import (
     kind_of,
     load_input_burst,
 )
+from lensshift.cli.points import view_of, view_text
 from lensshift.cli.reconstruct import channels_of, describe, say_channels
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
 
@@ -95,6 +96,7 @@ def _say_burst(current: Session, burst: Burst) -> None:
         "distance_range_m": _finite_range(burst.distance_m, valid),
         "valid_share": float(valid.mean()),
         "modulation_hz": burst.modulation_hz,
+        "view": view_of(burst.intrinsics, burst.grid.shape),
         "offset_source": burst.offset_source,
         "offset_px": burst.offset_px,
         "offset_sigma_px": burst.offset_sigma_px,
@@ -112,6 +114,7 @@ def _say_burst(current: Session, burst: Burst) -> None:
     current.say(f"valid       {100 * known['valid_share']:.2f} % of the pixels")
     modulation = "not known" if burst.modulation_hz is None else f"{burst.modulation_hz:g} Hz"
     current.say(f"modulation  {modulation}")
+    current.say(f"looks       {view_text(known['view'])}")
     current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
     for number, (row, col) in enumerate(burst.offset_px):
         sigma = "" if burst.offset_sigma_px is None else _sigma_text(burst.offset_sigma_px[number])
@@ -153,8 +156,11 @@ def _say_result(current: Session, result: Reconstruction) -> None:
     pitch = result.grid.pitch_mm
     current.say(f"image       {rows} x {cols} px, x{result.scale} by {result.method}")
     current.say(f"pitch       {pitch[0]:g} x {pitch[1]:g} mm (row, col)")
+    view = view_of(result.intrinsics, result.grid.shape)
+    current.say(f"looks       {view_text(view)}")
     say_channels(current, result)
     current.result |= {
+        "view": view,
         "shape": result.grid.shape,
         "pitch_mm": pitch,
         "scale": result.scale,

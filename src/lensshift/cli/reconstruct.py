@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,9 +21,22 @@ from lensshift.cli.inputs import (
     load_input_burst,
     refuse_overwriting,
 )
+from lensshift.cli.points import (
+    CLOUD_SUFFIXES,
+    FieldOption,
+    FlyingOption,
+    FocalMmOption,
+    FocalPxOption,
+    LensOption,
+    NormalsOption,
+    PointOptions,
+    refuse_points,
+)
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from lensshift.core.types import Burst, Estimate, Reconstruction
 
 _WIDTH_SOURCES = {
@@ -31,7 +44,7 @@ _WIDTH_SOURCES = {
     "burst": "as the burst says",
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
 }
-EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz")
+EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES)
 
 
 class Channel(StrEnum):
@@ -87,7 +100,8 @@ CalibrationOption = Annotated[
     typer.Option("--calibration", help="From `lensshift calibrate`: shifts from stage positions."),
 ]
 ExportOption = Annotated[
-    list[Path] | None, typer.Option("--export", help="Also write .tif, .png or .npz; repeatable.")
+    list[Path] | None,
+    typer.Option("--export", help="Also write .tif, .png, .npz, .ply or .pcd; repeatable."),
 ]
 
 
@@ -108,6 +122,12 @@ def reconstruct(
     shift_map: ShiftMapOption = None,
     calibration: CalibrationOption = None,
     export: ExportOption = None,
+    fov_deg: FieldOption = None,
+    focal_length_px: FocalPxOption = None,
+    focal_length_mm: FocalMmOption = None,
+    lens: LensOption = None,
+    normals: NormalsOption = False,
+    keep_flying: FlyingOption = False,
     offsets: OffsetsOption = None,
     pitch_mm: PitchOption = None,
     key: KeyOption = None,
@@ -118,12 +138,14 @@ def reconstruct(
 ) -> None:
     """Reconstruct a super-resolved image from a burst.
 
-    Writes the result file and a PNG preview beside a bicubic of the same burst.
+    Writes the result file and a PNG preview beside a bicubic of the same burst, with the points in
+    space where it is known how the pixels look.
 
     \b
     Examples:
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
+      lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
     """
     settings: dict[str, Any] = {
         "scale": scale, "method": method, "channel": channel.value,
@@ -132,16 +154,27 @@ def reconstruct(
         "photometric": photometric, "seed": seed,
     }  # fmt: skip
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
+    points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
+        frames_in = _looking(frames_in, points, channel, files)
         if psf_sigma_px is not None:
             known["psf_sigma_px"] = psf_sigma_px
         elif fill_factor is not None:
             known.pop("psf_sigma_px", None)  # it holds the pixel as well
         settings |= known
-        _reconstruct(current, burst, frames_in, settings, files)
+        _reconstruct(current, burst, frames_in, settings, files, points)
+
+
+def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files) -> Burst:
+    """Return the burst with where its pixels look, as far as it is told or known."""
+    intrinsics = points.intrinsics(burst.grid, burst.intrinsics)
+    phasors = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
+    distances = (burst.distance_m is not None or phasors) and channel is not Channel.AMPLITUDE
+    refuse_points(files.exports, intrinsics, with_distance=distances)
+    return replace(burst, intrinsics=intrinsics)
 
 
 def _located(
@@ -213,7 +246,12 @@ def say_channels(current: Session, result: Reconstruction) -> None:
 
 
 def _reconstruct(
-    current: Session, source: Path, burst: Burst, settings: dict[str, Any], files: _Files
+    current: Session,
+    source: Path,
+    burst: Burst,
+    settings: dict[str, Any],
+    files: _Files,
+    points: PointOptions,
 ) -> None:
     import lensshift
     from lensshift.io import export_reconstruction, save_reconstruction
@@ -230,7 +268,9 @@ def _reconstruct(
     seconds = time.perf_counter() - start_s
     save_reconstruction(result, files.result)
     for path in files.exports:
-        export_reconstruction(result, path, bits=16)
+        export_reconstruction(
+            result, path, bits=16, keep_flying=points.keep_flying, normals=points.normals
+        )
     _preview(burst, result, settings, files.preview)
     shape = result.grid.shape
     current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")
@@ -267,7 +307,22 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
         f"bicubic x{result.scale} of one frame": channels_of(bicubic)[channel].image,
     }
     unit = "m" if channel == "distance" else ""
-    write_preview(panels, path, f"{channel} {unit}".strip())
+    write_preview(panels, path, f"{channel} {unit}".strip(), below=_picture(result))
+
+
+def _picture(result: Reconstruction) -> NDArray[Any] | None:
+    """Return a picture of the points [row col 3], if it is known where they are."""
+    if result.intrinsics is None or result.distance_m is None:
+        return None
+    cloud = result.point_cloud()
+    if not len(cloud):
+        return None
+    from lensshift.report.cloud import cloud_figure, drawn_pixels
+
+    said = f"{len(cloud)} points"
+    if result.flying is not None:
+        said += f", without {int(result.flying.sum())} between surfaces"
+    return drawn_pixels(cloud_figure(cloud, said))
 
 
 def _plan(

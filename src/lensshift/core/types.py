@@ -12,13 +12,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import frozen
+from lensshift.core.burst_checks import (
+    as_frames,
+    as_numbers,
+    as_pairs,
+    as_valid,
+    check_finite_where_valid,
+)
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid as Grid
+from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.motion import ShiftField as ShiftField
 from lensshift.core.motion import ShiftPlan as ShiftPlan
 from lensshift.core.motion import StageMap as StageMap
 from lensshift.core.optical import MtfCurve as MtfCurve
 from lensshift.core.optical import Psf as Psf
+from lensshift.core.point_cloud import PointCloud, make_cloud
 from lensshift.core.units import doubt_about_units
 
 OffsetSource = Literal["planned", "calibrated", "registered"]
@@ -80,6 +89,7 @@ class Burst:
     stage_mm, stage_commanded_mm : [frame 2] lens position read back and asked for, or None
     time_s : [frame] or None
     modulation_hz : modulation frequency, or None
+    intrinsics : where the pixels look, of the image at offset (0, 0), or None
     raw : name -> [frame ...] what the camera sent, as it sent it
     meta : anything else worth keeping, text and numbers. `psf_sigma_px`, the Gaussian width of the
         pixel response in LR pixels, is what `reconstruct` assumes unless it is told another
@@ -101,29 +111,30 @@ class Burst:
     stage_commanded_mm: NDArray[np.float64] | None = None
     time_s: NDArray[np.float64] | None = None
     modulation_hz: float | None = None
+    intrinsics: Intrinsics | None = None
     raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        frames = _as_frames(self.amplitude, "amplitude")
+        frames = as_frames(self.amplitude, "amplitude")
         count = frames.shape[0]
         if frames.shape[1:] != self.grid.shape:
             raise DataError(
                 f"expected frames of the grid's shape {self.grid.shape}, got {frames.shape[1:]}",
                 field="amplitude",
             )
-        valid = _as_valid(self.valid, frames)
-        _check_finite_where_valid(frames, valid, "amplitude")
+        valid = as_valid(self.valid, frames)
+        check_finite_where_valid(frames, valid, "amplitude")
         settle: dict[str, Any] = {"amplitude": frames, "valid": valid}
         if self.distance_m is not None:
-            distance_m = _as_frames(self.distance_m, "distance_m", shape=frames.shape)
-            _check_finite_where_valid(distance_m, valid, "distance_m")
+            distance_m = as_frames(self.distance_m, "distance_m", shape=frames.shape)
+            check_finite_where_valid(distance_m, valid, "distance_m")
             settle["distance_m"] = distance_m
         for name in ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm"):
             if name == "offset_px" or getattr(self, name) is not None:
-                settle[name] = _as_pairs(getattr(self, name), count, name)
+                settle[name] = as_pairs(getattr(self, name), count, name)
         if self.time_s is not None:
-            settle["time_s"] = _as_numbers(self.time_s, (count,), "time_s")
+            settle["time_s"] = as_numbers(self.time_s, (count,), "time_s")
         if self.offset_source not in OFFSET_SOURCES:
             raise DataError(
                 f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}",
@@ -135,6 +146,8 @@ class Burst:
             raise DataError(
                 f"expected a positive frequency, got {self.modulation_hz}", field="modulation_hz"
             )
+        if self.intrinsics is not None:
+            self.intrinsics.check_fits(self.grid.shape)
         for name, values in self.raw.items():
             if np.ndim(values) < 1 or len(values) != count:
                 raise DataError(
@@ -177,7 +190,7 @@ class Burst:
         QualityWarning
             If the frequency or the distances can hardly be in Hz and m.
         """
-        frames = _as_frames(amplitude, "amplitude")
+        frames = as_frames(amplitude, "amplitude")
         pitch = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), (2,))
         try:
             grid = Grid(
@@ -230,6 +243,7 @@ class Burst:
             stage_commanded_mm=pick(self.stage_commanded_mm),
             time_s=pick(self.time_s),
             modulation_hz=self.modulation_hz,
+            intrinsics=self.intrinsics,
             raw={name: values[index] for name, values in self.raw.items()},
             meta=self.meta,
         )
@@ -303,6 +317,7 @@ class Reconstruction:
     method : registered name of the method
     settings : everything else the caller or `auto` chose
     flying : [row col] pixels between two surfaces, by the phasor channel; else None
+    intrinsics : where the pixels of the HR grid look, or None if the burst did not say
     """
 
     amplitude: Estimate | None
@@ -312,65 +327,49 @@ class Reconstruction:
     method: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     flying: NDArray[np.bool_] | None = None
+    intrinsics: Intrinsics | None = None
 
+    def __post_init__(self) -> None:
+        if self.intrinsics is not None:
+            self.intrinsics.check_fits(self.grid.shape)
 
-def _as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
-    frames = np.asarray(values)
-    if frames.dtype.kind not in "uifc":
-        raise DataError(f"expected numbers, got dtype {frames.dtype}", field=name)
-    if frames.ndim != 3:
-        raise DataError(f"expected [frame row col], got shape {frames.shape}", field=name)
-    if frames.size == 0:
-        raise DataError(f"expected at least one pixel, got shape {frames.shape}", field=name)
-    if shape is not None and frames.shape != shape:
-        raise DataError(f"expected shape {shape} like amplitude, got {frames.shape}", field=name)
-    return frames
+    def point_cloud(
+        self,
+        intrinsics: Intrinsics | None = None,
+        *,
+        keep_flying: bool = False,
+        normals: bool = False,
+    ) -> PointCloud:
+        """Return the points of the distance channel, with amplitude, std and flying.
 
+            point = distance * unit direction
 
-def _as_valid(valid: NDArray[Any] | None, frames: NDArray[Any]) -> NDArray[np.bool_]:
-    if valid is None:
-        return np.ones(frames.shape, dtype=np.bool_)
-    mask = np.asarray(valid)
-    if mask.shape != frames.shape:
-        raise DataError(
-            f"expected shape {frames.shape} like amplitude, got {mask.shape}", field="valid"
+        Parameters
+        ----------
+        intrinsics : of the HR grid (those of the LR grid: `.refine(scale)`); None: those that
+            the burst came with
+        keep_flying : whether pixels that mix two surfaces are kept
+        normals : whether normals are computed
+
+        Raises
+        ------
+        ValueError
+            If there is no distance channel, or nobody knows where the pixels look.
+        """
+        if self.distance_m is None:
+            raise ValueError("expected a distance channel for points, this result has none")
+        known = self.intrinsics if intrinsics is None else intrinsics
+        if known is None:
+            raise ValueError(
+                "expected intrinsics for points, the burst had none; give "
+                "Pinhole.of_field(result.grid, width_rad) or Pinhole.of_focal_length"
+            )
+        return make_cloud(
+            self.distance_m.image,
+            known,
+            amplitude=None if self.amplitude is None else np.abs(self.amplitude.image),
+            std_m=self.distance_m.std,
+            flying=self.flying,
+            keep_flying=keep_flying,
+            normals=normals,
         )
-    if mask.dtype.kind not in "bui":
-        raise DataError(f"expected booleans, got dtype {mask.dtype}", field="valid")
-    mask = mask.astype(np.bool_)
-    if not mask.any():
-        raise DataError("every pixel is marked invalid; nothing is left to use", field="valid")
-    return mask
-
-
-def _check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], name: str) -> None:
-    if values.dtype.kind in "ui":
-        return
-    bad = int(np.count_nonzero(~np.isfinite(values) & valid))
-    if bad == int(np.count_nonzero(valid)):
-        raise DataError("every valid pixel is NaN or infinite", field=name)
-    if bad:
-        raise DataError(
-            f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`",
-            field=name,
-        )
-
-
-def _as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
-    try:
-        numbers = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise DataError("expected numbers", field=name) from error
-    if numbers.shape != shape:
-        raise DataError(f"expected shape {shape}, got {numbers.shape}", field=name)
-    if not np.all(np.isfinite(numbers)):
-        raise DataError("expected finite numbers, got NaN or infinity", field=name)
-    return numbers
-
-
-def _as_pairs(values: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
-    try:
-        return _as_numbers(values, (count, 2), name)
-    except DataError as error:
-        hint = f"one (row, col) pair for each of the {count} frames"
-        raise DataError(f"{error.problem} ({hint})", field=name) from error

@@ -4,6 +4,7 @@ from lensshift.io.burst_file import load_burst, save_burst
 from lensshift.io.export import export_burst, export_image, export_reconstruction
 from lensshift.io.image_stack import load_image_stack
 from lensshift.io.offset_table import OffsetTable, load_offsets
+from lensshift.io.point_cloud_file import save_point_cloud
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
 from lensshift.io.shift_map_file import load_shift_field, load_stage_map, save_shift_map
 
@@ -19,6 +20,7 @@ __all__ = [
     "load_shift_field",
     "load_stage_map",
     "save_burst",
+    "save_point_cloud",
     "save_reconstruction",
     "save_shift_map",
 ]

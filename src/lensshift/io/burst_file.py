@@ -7,8 +7,9 @@ Schema `lensshift-burst/1`, group `entry/data` and the root, dimensions (frame, 
     offset_row, offset_col, offset_sigma_row, offset_sigma_col   [frame]  pixel
     stage_row, stage_col, stage_commanded_row, stage_commanded_col   [frame]  mm
     time                  [frame]           s
+    direction             [row col xyz]     where each pixel looks, see `io.intrinsics_fields`
     raw_NAME              [frame ...]       as the camera sent it
-    attributes: pitch_mm (row, col), modulation_hz, offset_source, meta (JSON)
+    attributes: pitch_mm (row, col), modulation_hz, offset_source, meta (JSON), those of a pinhole
 """
 
 from __future__ import annotations
@@ -29,6 +30,12 @@ from lensshift.io.container_writer import (
     sealed_text,
     to_json,
     write_container,
+)
+from lensshift.io.intrinsics_fields import (
+    NAMES,
+    intrinsics_attributes,
+    intrinsics_of_fields,
+    intrinsics_variables,
 )
 
 SCHEMA = "lensshift-burst/1"
@@ -66,6 +73,7 @@ def save_burst(burst: Burst, path: str | Path) -> None:
             "modulation_hz": _float_or_none(burst.modulation_hz),
             "offset_source": sealed_text(burst.offset_source),
             "meta": sealed_text(meta),
+            **intrinsics_attributes(burst.intrinsics),
         },
     )
 
@@ -103,6 +111,7 @@ def load_burst(path: str | Path) -> Burst:
             valid=(flags & _INVALID) == 0,
             modulation_hz=container.number("modulation_hz"),
             offset_source=container.text("offset_source"),
+            intrinsics=intrinsics_of_fields(container.fields(NAMES)),
             meta=container.mapping("meta"),
             **fields,
         )
@@ -125,6 +134,7 @@ def _variables(burst: Burst) -> dict[str, Variable]:
         variables["time"] = Variable(("frame",), burst.time_s, described)
     for name, values in burst.raw.items():
         variables[f"{_RAW}{name}"] = Variable(_raw_axes(burst, name, values), values)
+    variables |= intrinsics_variables(burst.intrinsics)
     variables["frame"] = Variable(
         ("frame",), np.arange(burst.frame_count, dtype=np.int32), {"long_name": "frame number"}
     )

@@ -1,4 +1,4 @@
-"""Images for other programs: TIFF, PNG and NPZ."""
+"""Images and points for other programs: TIFF, PNG, NPZ, PLY and PCD."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.intrinsics import points_m
 from lensshift.core.types import Burst, Estimate, Reconstruction
 from lensshift.io.atomic import written_whole
 from lensshift.io.container_writer import to_json
 from lensshift.io.image_file import TIFF_SUFFIXES
+from lensshift.io.intrinsics_fields import intrinsics_fields
+from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
 
 _CHANNELS = ("amplitude", "distance_m")
 _BURST_ARRAYS = (
@@ -104,7 +107,8 @@ def export_burst(burst: Burst, path: str | Path) -> None:
     if _wants_npz(path):
         fields = {name: getattr(burst, name) for name in _BURST_ARRAYS}
         fields |= {"pitch_mm": burst.grid.pitch_mm, "offset_source": burst.offset_source}
-        _write_npz(path, fields | {"meta": to_json(burst.meta, "meta")})
+        fields |= intrinsics_fields(burst.intrinsics)
+        write_npz(path, fields | {"meta": to_json(burst.meta, "meta")})
     elif Path(path).suffix.lower() in TIFF_SUFFIXES:
         export_image(burst.amplitude, path)
     else:
@@ -112,18 +116,32 @@ def export_burst(burst: Burst, path: str | Path) -> None:
 
 
 def export_reconstruction(
-    reconstruction: Reconstruction, path: str | Path, *, bits: Literal[8, 16] = 8
+    reconstruction: Reconstruction,
+    path: str | Path,
+    *,
+    bits: Literal[8, 16] = 8,
+    keep_flying: bool = False,
+    normals: bool = False,
 ) -> tuple[float, float] | None:
-    """Write a reconstruction as NPZ (every field) or its first channel as TIFF or PNG.
+    """Write a reconstruction as NPZ, PLY, PCD, TIFF or PNG, by the ending of the name.
+
+    NPZ holds every field, and `point_m` [row col 3] where it is known where the pixels look. PLY
+    and PCD hold the points of `Reconstruction.point_cloud`, TIFF and PNG the first channel.
+
+    Parameters
+    ----------
+    bits : of a PNG pixel
+    keep_flying, normals : of PLY and PCD, as in `Reconstruction.point_cloud`
 
     Returns
     -------
-    The range of grey values as `export_image` does; None for NPZ.
+    The range of grey values as `export_image` does; None for NPZ and points.
 
     Raises
     ------
     ValueError
-        If the ending is not supported, or a complex channel goes to TIFF or PNG.
+        If the ending is not supported, a complex channel goes to TIFF or PNG, or points lack
+        distances or intrinsics.
     DataError
         If the file cannot be written.
     """
@@ -132,6 +150,10 @@ def export_reconstruction(
         for name in _CHANNELS
         if (estimate := getattr(reconstruction, name)) is not None
     }
+    if Path(path).suffix.lower() in CLOUD_SUFFIXES:
+        cloud = reconstruction.point_cloud(keep_flying=keep_flying, normals=normals)
+        save_point_cloud(cloud, path)
+        return None
     if not _wants_npz(path):
         if not channels:
             raise ValueError("expected a reconstruction with at least one channel, got none")
@@ -145,7 +167,12 @@ def export_reconstruction(
     }
     for name, estimate in channels.items():
         fields |= _estimate_fields(name, estimate)
-    _write_npz(path, fields)
+    if reconstruction.intrinsics is not None:
+        fields |= intrinsics_fields(reconstruction.intrinsics)
+        if reconstruction.distance_m is not None:
+            image = reconstruction.distance_m.image
+            fields["point_m"] = points_m(image, reconstruction.intrinsics)
+    write_npz(path, fields)
     return None
 
 
@@ -206,9 +233,3 @@ def _write_png(
 
 def _wants_npz(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".npz"
-
-
-def _write_npz(path: str | Path, fields: dict[str, Any]) -> None:
-    present = {name: np.asarray(value) for name, value in fields.items() if value is not None}
-    with written_whole(path) as temporary:
-        np.savez_compressed(temporary, **present)  # type: ignore[arg-type]  # names are ours

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, OffsetSource
 from lensshift.io.image_file import IMAGE_SUFFIXES, load_frames, load_named_arrays
+from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
 
@@ -163,11 +164,14 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
         if scalar in arrays:
             with reading(path, scalar):
                 fields[scalar] = convert(arrays[scalar])
-    return fields
+    with reading(path):
+        intrinsics = intrinsics_of_fields({one: arrays[one] for one in NAMES if one in arrays})
+    return fields if intrinsics is None else fields | {"intrinsics": intrinsics}
 
 
 def _frames_name(path: Path, arrays: dict[str, NDArray[Any]], key: str | None) -> str:
-    stacks = [name for name, values in arrays.items() if values.ndim == 3 and name not in _STACKS]
+    others = (*_STACKS, *NAMES)
+    stacks = [name for name, values in arrays.items() if values.ndim == 3 and name not in others]
     known = [name for name in FRAME_KEYS if name in arrays]
     candidates = [key] if key is not None else known[:1] or stacks
     if len(candidates) == 1 and candidates[0] in arrays:

@@ -17,11 +17,17 @@ _GAP_PX = 20
 _INK, _PAPER = 0, 255
 
 
-def write_preview(panels: dict[str, NDArray[Any]], path: Path, note: str) -> tuple[float, float]:
+def write_preview(
+    panels: dict[str, NDArray[Any]], path: Path, note: str, *, below: NDArray[Any] | None = None
+) -> tuple[float, float]:
     """Draw labelled images of one shape beside (wide ones: below) each other, and a note.
 
     Black and white are the 0.5 and 99.5 percentiles of all finite pixels; complex images are
     shown by their modulus. Small images are enlarged by a whole factor.
+
+    Parameters
+    ----------
+    below : a picture [row col 3] in colour to put below them, or None
 
     Returns
     -------
@@ -45,9 +51,21 @@ def write_preview(panels: dict[str, NDArray[Any]], path: Path, note: str) -> tup
         for label, image in images.items()
     }
     sheet = _sheet(drawn, f"{note}  |  black {low:.4g}, white {high:.4g}", stacked=cols > 2 * rows)
+    if below is not None:
+        sheet = _above(sheet, Image.fromarray(below))
     with written_whole(path) as temporary:
         sheet.save(temporary, format="PNG")
     return low, high
+
+
+def _above(sheet: Image, picture: Image) -> Image:
+    from PIL import Image
+
+    width, height = max(sheet.width, picture.width + 2 * _GAP_PX), sheet.height + _GAP_PX
+    both = Image.new("RGB", (width, height + picture.height + _GAP_PX), (_PAPER,) * 3)
+    both.paste(sheet, (0, 0))
+    both.paste(picture, ((width - picture.width) // 2, height))
+    return both
 
 
 def _sheet(images: dict[str, Image], note: str, *, stacked: bool) -> Image:

@@ -9,7 +9,9 @@ HR grid. For each channel `c`, which is `amplitude` or `distance`:
     c_objective      [c_iteration]
     seen_..., c_gain, c_bias                 what predictions need, see `io.prediction_fields`
     flags            [row col]               CF flags, bit 0: flying, between two surfaces
-    attributes: pitch_mm (row, col) of the HR grid, scale, method, settings (JSON)
+    direction        [row col xyz]           where each pixel looks, see `io.intrinsics_fields`
+    attributes: pitch_mm (row, col) of the HR grid, scale, method, settings (JSON), those of a
+        pinhole
 """
 
 from __future__ import annotations
@@ -30,6 +32,12 @@ from lensshift.io.container_writer import (
     sealed_text,
     to_json,
     write_container,
+)
+from lensshift.io.intrinsics_fields import (
+    NAMES,
+    intrinsics_attributes,
+    intrinsics_of_fields,
+    intrinsics_variables,
 )
 
 SCHEMA = "lensshift-reconstruction/1"
@@ -74,12 +82,15 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
         path,
         schema=SCHEMA,
         axes=_AXES,
-        variables=variables | pixel_centres(reconstruction.grid.shape),
+        variables=variables
+        | intrinsics_variables(reconstruction.intrinsics)
+        | pixel_centres(reconstruction.grid.shape),
         attributes={
             "pitch_mm": np.asarray(reconstruction.grid.pitch_mm, dtype=np.float64),
             "scale": np.int64(reconstruction.scale),
             "method": sealed_text(reconstruction.method),
             "settings": sealed_text(settings),
+            **intrinsics_attributes(reconstruction.intrinsics),
         },
     )
 
@@ -122,6 +133,7 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
             method=container.text("method"),
             settings=settings,
             flying=_read_flying(container, images[0].shape),
+            intrinsics=intrinsics_of_fields(container.fields(NAMES)),
         )
 
 

@@ -134,7 +134,7 @@ def reconstruct(
         found[name] = _solve(burst, problem, used, chosen, request, photometric, field)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, method,
-        settings, flying,
+        settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from lensshift.capture.drivers.receiver import Receiver
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DeviceError
 from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import PixelDirections
 
 DATA_PORT = 42000
 PITCH_MM = 0.155
@@ -71,6 +72,13 @@ class O3MCamera:
     def grid(self) -> Grid:
         """Shape and pitch of the frames."""
         return self._grid
+
+    @property
+    def intrinsics(self) -> PixelDirections | None:
+        """Where the pixels look, as the coordinates of the newest image tell, or None."""
+        image = self._stream.image
+        direction = None if image is None else image.direction
+        return None if direction is None else PixelDirections(direction)
 
     @property
     def modulation_hz(self) -> float | None:

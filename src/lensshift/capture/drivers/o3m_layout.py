@@ -87,6 +87,22 @@ class O3MImage:
     coarse_pixels: int
     raw: Mapping[str, NDArray[np.generic]]
 
+    @property
+    def direction(self) -> NDArray[np.float64] | None:
+        """[16 64 3] where the pixels look (x right, y down, z forward, along the vehicle's axes).
+
+            direction = (x, y, z) - (x, y, z) of the camera,    sent for invalid pixels as well
+
+        None where a coordinate is not finite or at the camera.
+        """
+        ahead, left, up = (
+            np.asarray(self.raw[axis], dtype=np.float64) - self.raw["calibration"][index]
+            for index, axis in enumerate(("x_m", "y_m", "z_m"))
+        )
+        vectors = np.stack([-left, -up, ahead], axis=-1)
+        whole = np.isfinite(vectors).all() and vectors.any(axis=-1).all()
+        return vectors if whole else None
+
 
 @dataclass(frozen=True, slots=True)
 class O3MDiagnosis:

@@ -24,6 +24,7 @@ from lensshift.capture.drivers.receiver import Receiver, counter_steps
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import PixelDirections
 from lensshift.core.types import Frame
 
 RESULT_PORT = 50010
@@ -87,6 +88,12 @@ class PcicCamera:
         if self._grid is None:
             raise DeviceError("the shape is not known before open()", device=self.name)
         return self._grid
+
+    @property
+    def intrinsics(self) -> PixelDirections | None:
+        """Where the pixels look, as an O3R tells with each result, an O3D if asked; or None."""
+        direction = None if self._image is None else self._image.direction
+        return None if direction is None else PixelDirections(direction)
 
     @property
     def modulation_hz(self) -> float | None:

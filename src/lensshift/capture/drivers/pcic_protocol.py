@@ -13,6 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.capture.drivers.pcic_directions import (
+    BOUGUET,
+    bouguet_directions,
+    sent_directions,
+)
 from lensshift.core.errors import DataError
 
 MAX_MESSAGE_BYTES = 4 << 20  # an O3R result with everything is a tenth of it
@@ -306,6 +311,7 @@ class PcicImage:
     frame_count, time_us : as the camera counts, both wrap at 2^32
     time_s : the camera's clock, or None
     info : of an O3R, or None
+    direction : [row col 3] unit vectors of the pixels (x right, y down, z forward), or None
     raw : the pixels as they came, by the name of their chunk
     """
 
@@ -316,6 +322,7 @@ class PcicImage:
     time_us: int
     time_s: float | None
     info: TofInfo | None
+    direction: NDArray[np.float64] | None = None
     raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
@@ -353,9 +360,14 @@ def read_result(content: bytes) -> PcicImage:
             distance_m = _distance_m(images[ChunkKind.DISTANCE], raw["distance"], info)
             valid &= np.isfinite(distance_m) & (distance_m > 0)
     first = chunks[0]
+    sent = next((one.image() for one in chunks if one.kind == ChunkKind.UNIT_VECTORS), None)
+    direction = sent_directions(sent, amplitude.shape)
+    if sent is None and info is not None and info.intrinsic_model == BOUGUET:
+        direction = bouguet_directions(info.intrinsic, amplitude.shape)
     return PcicImage(
-        amplitude, distance_m, valid, first.frame_count, first.time_us, first.time_s, info, raw
-    )
+        amplitude, distance_m, valid, first.frame_count, first.time_us, first.time_s, info,
+        direction, raw,
+    )  # fmt: skip
 
 
 def _is_valid(confidence: NDArray[Any]) -> NDArray[np.bool_]:

@@ -1,0 +1,122 @@
+"""Options of point clouds: where the pixels look, and what becomes a point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from lensshift.core.grid import Grid
+    from lensshift.core.intrinsics import Intrinsics
+
+CLOUD_SUFFIXES = (".ply", ".pcd")
+
+FieldOption = Annotated[
+    str | None,
+    typer.Option("--fov-deg", help="Field of view in degrees, border to border: 60, or 60x45."),
+]
+FocalPxOption = Annotated[
+    float | None, typer.Option("--focal-length-px", help="Focal length in pixels of the camera.")
+]
+FocalMmOption = Annotated[float | None, typer.Option("--focal-length-mm", help="Focal length.")]
+LensOption = Annotated[
+    str | None, typer.Option("--lens", help="Trace this lens (a name or a file) for directions.")
+]
+NormalsOption = Annotated[bool, typer.Option("--normals", help="Normals in .ply and .pcd.")]
+FlyingOption = Annotated[
+    bool, typer.Option("--keep-flying", help="Keep pixels between surfaces in .ply and .pcd.")
+]
+
+
+@dataclass(frozen=True, slots=True)
+class PointOptions:
+    """Where the pixels look, if the burst does not say or says it wrong, and what is written."""
+
+    fov_deg: str | None = None
+    focal_length_px: float | None = None
+    focal_length_mm: float | None = None
+    lens: str | None = None
+    normals: bool = False
+    keep_flying: bool = False
+
+    def intrinsics(self, grid: Grid, known: Intrinsics | None) -> Intrinsics | None:
+        """Return where the pixels of a camera look: as told here, else what is known."""
+        from lensshift.core.intrinsics import Pinhole
+
+        given = (self.fov_deg, self.focal_length_px, self.focal_length_mm, self.lens)
+        if sum(one is not None for one in given) > 1:
+            raise typer.BadParameter(
+                "--fov-deg, --focal-length-px, --focal-length-mm and --lens all say where the "
+                "pixels look; give one of them"
+            )
+        try:
+            if self.fov_deg is not None:
+                return Pinhole.of_field(grid, *_angles_rad(self.fov_deg))
+            if self.focal_length_px is not None:
+                return Pinhole.centred(grid, self.focal_length_px)
+            if self.focal_length_mm is not None:
+                return Pinhole.of_focal_length(grid, self.focal_length_mm)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+        if self.lens is not None:
+            from lensshift.optics.directions import lens_directions
+            from lensshift.optics.lens_file import load_lens
+
+            return lens_directions(load_lens(self.lens), grid)
+        return known
+
+
+def refuse_points(
+    targets: Iterable[Path], intrinsics: Intrinsics | None, *, with_distance: bool
+) -> None:
+    """Raise a usage error if files of points are wanted where there can be none."""
+    for path in targets:
+        if path.suffix.lower() not in CLOUD_SUFFIXES:
+            continue
+        if not with_distance:
+            raise typer.BadParameter(f"{path}: points need distances, and there are none")
+        if intrinsics is None:
+            raise typer.BadParameter(
+                f"{path}: points need to know where the pixels look; give --fov-deg, "
+                "--focal-length-px, --focal-length-mm or --lens"
+            )
+
+
+def view_of(intrinsics: Intrinsics | None, shape: tuple[int, int]) -> dict[str, Any] | None:
+    """Return the kind of intrinsics and the angles (row, col) between the outermost pixels."""
+    import numpy as np
+
+    if intrinsics is None:
+        return None
+    direction = intrinsics.directions(shape)
+    rows, cols = (count // 2 for count in shape)
+    ends = ((direction[0, cols], direction[-1, cols]), (direction[rows, 0], direction[rows, -1]))
+    angles = [np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b) for a, b in ends]
+    return {"kind": type(intrinsics).__name__, "field_deg": np.rad2deg(angles).tolist()}
+
+
+def view_text(view: dict[str, Any] | None) -> str:
+    """Return `view_of` in words."""
+    if view is None:
+        return "not known where; --fov-deg or a focal length makes points of distances"
+    kind = {"Pinhole": "a pinhole", "PixelDirections": "a direction per pixel"}[view["kind"]]
+    row, col = view["field_deg"]
+    return f"{col:.2f} x {row:.2f} deg between the outermost pixels, {kind}"
+
+
+def _angles_rad(text: str) -> tuple[float, ...]:
+    from math import radians
+
+    try:
+        angles_deg = [float(part) for part in text.lower().split("x")]
+    except ValueError:
+        angles_deg = []
+    if len(angles_deg) not in (1, 2):
+        raise typer.BadParameter(
+            f"expected degrees as in 60 or 60x45, got {text!r}", param_hint="--fov-deg"
+        )
+    return tuple(radians(angle) for angle in angles_deg)

@@ -1,0 +1,77 @@
+"""What the arrays of a burst must be like; a `DataError` names the field that is not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import DataError
+
+
+def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+    """Return images [frame row col] of numbers, of this shape if one is given."""
+    frames = np.asarray(values)
+    if frames.dtype.kind not in "uifc":
+        raise DataError(f"expected numbers, got dtype {frames.dtype}", field=name)
+    if frames.ndim != 3:
+        raise DataError(f"expected [frame row col], got shape {frames.shape}", field=name)
+    if frames.size == 0:
+        raise DataError(f"expected at least one pixel, got shape {frames.shape}", field=name)
+    if shape is not None and frames.shape != shape:
+        raise DataError(f"expected shape {shape} like amplitude, got {frames.shape}", field=name)
+    return frames
+
+
+def as_valid(valid: NDArray[Any] | None, frames: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return a mask of the frames' shape in which not everything is False; None: all True."""
+    if valid is None:
+        return np.ones(frames.shape, dtype=np.bool_)
+    mask = np.asarray(valid)
+    if mask.shape != frames.shape:
+        raise DataError(
+            f"expected shape {frames.shape} like amplitude, got {mask.shape}", field="valid"
+        )
+    if mask.dtype.kind not in "bui":
+        raise DataError(f"expected booleans, got dtype {mask.dtype}", field="valid")
+    mask = mask.astype(np.bool_)
+    if not mask.any():
+        raise DataError("every pixel is marked invalid; nothing is left to use", field="valid")
+    return mask
+
+
+def check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], name: str) -> None:
+    """Refuse NaN and infinity in pixels that are to be used."""
+    if values.dtype.kind in "ui":
+        return
+    bad = int(np.count_nonzero(~np.isfinite(values) & valid))
+    if bad == int(np.count_nonzero(valid)):
+        raise DataError("every valid pixel is NaN or infinite", field=name)
+    if bad:
+        raise DataError(
+            f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`",
+            field=name,
+        )
+
+
+def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+    """Return finite numbers of this shape."""
+    try:
+        numbers = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError("expected numbers", field=name) from error
+    if numbers.shape != shape:
+        raise DataError(f"expected shape {shape}, got {numbers.shape}", field=name)
+    if not np.all(np.isfinite(numbers)):
+        raise DataError("expected finite numbers, got NaN or infinity", field=name)
+    return numbers
+
+
+def as_pairs(values: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
+    """Return one (row, col) pair for each frame."""
+    try:
+        return as_numbers(values, (count, 2), name)
+    except DataError as error:
+        hint = f"one (row, col) pair for each of the {count} frames"
+        raise DataError(f"{error.problem} ({hint})", field=name) from error
