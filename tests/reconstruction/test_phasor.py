@@ -187,6 +187,19 @@ def test_flying_pixels_lie_between_two_surfaces() -> None:
     assert not flying_pixels(image_m, noise_m=0.4).any()
 
 
+def test_small_steps_have_flying_pixels_too_and_slanted_walls_none() -> None:
+    rng = np.random.default_rng(4)
+    row, col = np.mgrid[:9, :15]
+    sigma_m = 0.002
+    noise_m = sigma_m * rng.standard_normal(row.shape)
+    wall_m = 4.0 + 0.02 * row - 0.03 * col + noise_m
+    assert not flying_pixels(wall_m, noise_m=sigma_m).any()
+    step_m = wall_m + 0.1 * (col > 7) + 0.05 * (col == 7)  # 2.5 % of the distance
+    found = flying_pixels(step_m, noise_m=sigma_m)
+    assert found[2:-2, 7].mean() > 0.9
+    assert not np.delete(found, 7, axis=1).any()
+
+
 def test_estimates_predict_the_frames() -> None:
     burst = card_burst(0.002)
     result = reconstruct(burst, channel="phasor")

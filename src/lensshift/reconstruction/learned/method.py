@@ -74,7 +74,7 @@ def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[n
     slopes = np.gradient(problem.y, axis=(1, 2))
     components = 2.0 if problem.y.dtype.kind == "c" else 1.0
     steep = np.sum(np.abs(slopes) ** 2, axis=0) / components
-    return np.sqrt(sigma**2 + error_px[:, None, None] ** 2 * steep)
+    return np.asarray(np.sqrt(sigma**2 + error_px[:, None, None] ** 2 * steep))
 
 
 def noise_of(problem: Problem) -> float:

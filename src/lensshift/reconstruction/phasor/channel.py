@@ -41,6 +41,7 @@ NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 FLYING_SHARE = 0.2
 FLYING_STEP = 0.05  # of the distance: smaller steps are no edges
 FLYING_SIGMAS = 3.0
+LEAST_STEP_M = 1e-6  # rounding of a distance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,27 +230,46 @@ def _result(
         noise_sigma=noise_m,
         predict=PhasorPredictor(frame, scale),
     )
-    return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=noise_m))
+    std_m = distance.uncertainty if isinstance(distance.uncertainty, np.ndarray) else noise_m
+    return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
 
 
-def flying_pixels(distance_m: ArrayLike, *, noise_m: float = 0.0) -> NDArray[np.bool_]:
+def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray[np.bool_]:
     """Return the pixels [row col] that lie between two surfaces and on neither.
 
-        d - near >= q (far - near),   far - d >= q (far - near),
-        far - near > max(3 sigma, 5 % of near)
+        d - near >= q (far - near),   far - d >= q (far - near),   q = 0.2
 
-    with the nearest and farthest of the 3 x 3 neighbours and q = 0.2.
+    where near and far are either the nearest and farthest of the 3 x 3 neighbours, more than 5 % of
+    near and 3 sigma apart: less may be one slanted surface; or what the two pixels on either side,
+    along a row or a column, go on to at this pixel, from both of which it is off by more than
+    3 sqrt(6) sigma, the noise of that comparison: steps of any height, no slanted surface.
 
     Parameters
     ----------
     distance_m : [row col]
-    noise_m : standard deviation of the distances, sigma
+    noise_m : standard deviation of the distances, sigma, one number or [row col]
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
     image_m = np.asarray(distance_m, np.float64)
+    sigma_m = np.broadcast_to(np.asarray(noise_m, np.float64), image_m.shape)
     near_m, far_m = minimum_filter(image_m, 3), maximum_filter(image_m, 3)
-    step_m = far_m - near_m
-    between = np.minimum(image_m - near_m, far_m - image_m) >= FLYING_SHARE * step_m
-    edge = step_m > np.maximum(FLYING_SIGMAS * noise_m, FLYING_STEP * np.abs(near_m))
-    return np.asarray(between & edge)
+    large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, FLYING_STEP * np.abs(near_m))
+    flying = large & _between(image_m, near_m, far_m)
+    for axis in (0, 1):
+        if image_m.shape[axis] < 5:
+            continue
+        a, b, c, d, e, sigma = (
+            np.moveaxis(part, axis, 0)[k : image_m.shape[axis] - 4 + k]
+            for part, k in [(image_m, n) for n in range(5)] + [(sigma_m, 2)]
+        )
+        before, after = 2 * b - a, 2 * d - e
+        apart = np.minimum(np.abs(c - before), np.abs(c - after))
+        off = apart > np.maximum(FLYING_SIGMAS * np.sqrt(6.0) * sigma, LEAST_STEP_M)
+        between = _between(c, np.minimum(before, after), np.maximum(before, after))
+        np.moveaxis(flying, axis, 0)[2:-2] |= off & between
+    return flying
+
+
+def _between(image: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.minimum(image - low, high - image) >= FLYING_SHARE * (high - low))
