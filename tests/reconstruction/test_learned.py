@@ -12,7 +12,7 @@ from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
 from lensshift import Burst, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.learned import network, solver
+from lensshift.reconstruction.learned import convolution, network, solver
 from lensshift.reconstruction.learned.method import WINDOW_PX, WINDOWS, auto, noise_of
 from lensshift.reconstruction.learned.turn import Turn
 from lensshift.reconstruction.problem import make_problem
@@ -205,6 +205,27 @@ def test_an_error_bar_is_not_passed_off_as_noise():
     estimate = reconstruct(given).amplitude
     assert estimate.std is not None
     assert estimate.noise_gain is None
+
+
+@pytest.mark.parametrize("shape", [(7, 13), (6, 16), (1, 3)])
+@pytest.mark.parametrize("last", [False, True])
+def test_a_convolution_is_that_of_its_definition(shape, last):
+    rng = np.random.default_rng(9)
+    x, weight = rng.standard_normal((*shape, 5)), rng.standard_normal((45, 6)) / 7
+    margin = np.pad(x, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    direct = sum(
+        margin[i : i + shape[0], j : j + shape[1]] @ weight[5 * tap : 5 * tap + 5]
+        for tap, (i, j) in enumerate(np.ndindex(3, 3))
+    )
+    points = convolution.transformed(weight.astype(np.float32))
+    wide = convolution.with_margin(x.astype(np.float32))
+    found = convolution.convolved(wide, points, shape[1], last=last)
+    if not last:
+        direct, border = np.maximum(direct, 0), found.copy()
+        found = found[1:-1, 1 : shape[1] + 1]
+        border[1:-1, 1 : shape[1] + 1] = 0
+        assert not border.any()
+    np.testing.assert_allclose(found, direct, atol=2e-6)
 
 
 def test_a_damaged_file_of_weights_is_refused(monkeypatch):

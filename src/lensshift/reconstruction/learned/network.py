@@ -1,8 +1,7 @@
 """The network of one stage: four small convolutions without bias on pictures folded 2 x 2.
 
 That of brightness does not see the level of the picture, so its prior commutes with a u + b.
-Weights come from `training/`; this module only applies them, in NumPy, one matrix product for a
-strip of rows.
+Weights come from `training/`; this module only applies them.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.reconstruction.learned.convolution import convolved, transformed, with_margin
+
 Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
 
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
     "brightness": "6701dca92d3ecb3b74c831ef2c4742c569d06ff0a229a1cc3addf46a619c87e3",
-    "phasor": "b64dc40824d3a0c771d3f440fb1594bc1daa73f2fd63676cb315370dbc88bfde",
+    "phasor": "76ccf763ff6d04dee8c6834b3e42d802b68d3e0eeab6cb556a6308bbe1f860c0",
 }
-# Numbers in the strip that one matrix product takes: fits the second-level cache of a core.
-STRIP = 1 << 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,49 +35,23 @@ class Network:
     ----------
     layers : [9 in, out] of each convolution, taps of 3 x 3 in row order, then channel
     facts : [fact, gain] and gain_offset [gain], what modulates the first two layers
+    points : the layers as `convolved` takes them
     """
 
     layers: tuple[Single, ...]
     facts: Single
     gain_offset: Single
+    points: tuple[Single, ...]
 
     def __call__(self, pictures: Single, facts: Single) -> Single:
         """Return [row col out] for folded pictures [row col in] and the facts of the burst."""
         gains = np.split(1 + facts @ self.facts + self.gain_offset, 2)
-        x = np.pad(pictures, ((1, 1), (1, 1), (0, 0)), mode="edge")
-        for number, weight in enumerate(self.layers):
+        x, cols = with_margin(pictures), pictures.shape[1]
+        for number, weight in enumerate(self.points):
             if number in (1, 2):  # the gain of a layer rides on the weights of the next
-                weight = weight * np.tile(gains[number - 1], 9)[:, None]
-            x = _convolved(x, weight, last=number + 1 == len(self.layers))
+                weight = weight * np.tile(gains[number - 1], 3)[:, None]
+            x = convolved(x, weight, cols, last=number + 1 == len(self.points))
         return x
-
-
-def _convolved(x: Single, weight: Single, *, last: bool) -> Single:
-    """Return the 3 x 3 convolution of x, which has a margin of one pixel.
-
-    Inner layers are cut at 0 and come with the margin (of zeros) that the next one needs.
-    """
-    rows, cols, channels = x.shape[0] - 2, x.shape[1] - 2, x.shape[2]
-    outputs = weight.shape[1]
-    margin = 0 if last else 1
-    out = np.zeros((rows + 2 * margin, cols + 2 * margin, outputs), np.float32)
-    step = max(1, STRIP // (cols * 9 * channels))
-    strip = np.empty((min(step, rows) * cols, 9 * channels), np.float32)
-    product = np.empty((len(strip), outputs), np.float32)
-    for top in range(0, rows, step):
-        count = min(step, rows - top)
-        part = strip[: count * cols]
-        taps = part.reshape(count, cols, 9, channels)
-        for tap in range(9):
-            i, j = divmod(tap, 3)
-            taps[:, :, tap] = x[top + i : top + i + count, j : j + cols]
-        np.matmul(part, weight, out=product[: count * cols])
-        found = product[: count * cols].reshape(count, cols, outputs)
-        if last:
-            out[top : top + count] = found
-        else:
-            np.maximum(found, 0, out=out[top + 1 : top + 1 + count, 1:-1])
-    return out
 
 
 def fold(pictures: list[Single]) -> Single:
@@ -134,7 +107,7 @@ def _networks_of(
             for n in range(sum(name.startswith(f"layer_{t}_") for name in stored))
         )
         facts, offset = (stored[f"{name}_{t}"].astype(np.float32) for name in ("facts", "gain"))
-        stages.append(Network(layers, facts, offset))
+        stages.append(Network(layers, facts, offset, tuple(map(transformed, layers))))
     kinds = ("layer_", "facts_", "gain_")
     numbers = {name: values.astype(np.float64)
                for name, values in stored.items() if not name.startswith(kinds)}  # fmt: skip
