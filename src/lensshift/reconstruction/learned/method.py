@@ -13,15 +13,18 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.solver import Solution, solve
+from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.problem import Problem
 from lensshift.reconstruction.request import Request
 
 Array = NDArray[Any]
 
-# A frame of which less is believed counts as left out; from so many of them on it is said aloud,
-# and so it is where less is believed of all.
-BELIEVED_FRAME, REJECTED_LIMIT, BELIEVED_LIMIT = 0.5, 0.2, 0.6
+# A frame of which less is believed counts as left out.
+BELIEVED_FRAME = 0.5
+# Pixels that are believed less in the second solution are left out: the solver takes the mean noise
+# for its unit, which few pixels should not move.
+LEAST_WEIGHT = 0.04
 # Smaller than any noise of numbers in 0 .. 1 that went through a converter of 24 bits.
 LEAST_SIGMA = 1e-7
 # Noise is one number: so many windows along a side, of 6400 samples each with four frames (its
@@ -43,23 +46,39 @@ def auto(problem: Problem, request: Request) -> Estimate:
         if request.on_iteration is not None:
             request.on_iteration(len(objective), misfit)
 
-    found = [
-        solve(problem.model, y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage)
-        for y in parts
-    ]
-    image = found[0].image if len(found) == 1 else found[0].image + 1j * found[1].image
+    def run(noise: Array) -> tuple[Array, list[Solution]]:
+        found = [
+            solve(problem.model, y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage)
+            for y in parts
+        ]
+        return found[0].image if len(found) == 1 else found[0].image + 1j * found[1].image, found
+
+    def compare(image: Array, noise: Array) -> Misfit:
+        return find_misfit(problem.model.operator, image, problem.y, noise, problem.scale)
+
+    image, found = run(noise)
+    misfit = left = compare(image, noise)
+    if misfit.contradicted and not request.shifts_doubted:
+        believed = misfit.weight()
+        noise = np.where(
+            believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
+        )
+        image, found = run(noise)
+        left = compare(image, noise)
     if request.non_negative:
         image = np.maximum(image, 0) if image.dtype.kind == "f" else image
+    std = np.sqrt(np.mean([s.std**2 for s in found], axis=0) * left.significant)
     estimate = Estimate(
         image=image,
-        uncertainty=np.sqrt(np.mean([s.std**2 for s in found], axis=0)) if request.std else None,
+        uncertainty=std if request.std else None,
         objective=tuple(objective),
         status=_status(image, found),
-        confidence=np.min([s.weight for s in found], axis=0).astype(np.float64),
+        confidence=np.min([s.weight for s in found], axis=0) * (sigma / noise) ** 2,
         noise_sigma=sigma,
-        notes={"std_of": "error"},
+        notes={"std_of": "error", "misfit": float(np.mean(misfit.chi_square))},
+        misfit=misfit.chi_square,
     )
-    return _judged(estimate, used)
+    return _judged(estimate, misfit, used, request)
 
 
 def noise_of(problem: Problem) -> float:
@@ -98,19 +117,19 @@ def _status(image: Array, found: list[Solution]) -> Status:
     return Status.CONVERGED if settled else Status.MAX_ITERATIONS
 
 
-def _judged(estimate: Estimate, used: NDArray[np.bool_]) -> Estimate:
-    """Note the frames that were not believed, and warn if they are many."""
+def _judged(
+    estimate: Estimate, misfit: Misfit, used: NDArray[np.bool_], request: Request
+) -> Estimate:
+    """Note the frames that were not believed, and warn of what contradicts."""
     believed = estimate.confidence if estimate.confidence is not None else used.astype(float)
     trust = np.array([c[u].mean() if u.any() else 1.0 for c, u in zip(believed, used, strict=True)])
-    left_out = np.flatnonzero(trust < BELIEVED_FRAME)
-    total = float(believed[used].mean())
-    if left_out.size >= REJECTED_LIMIT * trust.size or total < BELIEVED_LIMIT:
-        warnings.warn(
-            f"the frames do not fit the assumed shifts: {left_out.size} of {trust.size} frames "
-            f"rejected, mean trust in a pixel {total:.2f}; check offset_px and whether the scene "
-            "moved or turned",
-            QualityWarning,
-            stacklevel=4,
-        )
-    notes = dict(estimate.notes) | {"trust": total, "rejected": left_out.tolist()}
-    return replace(estimate, notes=notes)
+    notes = dict(estimate.notes) | {
+        "trust": float(believed[used].mean()),
+        "rejected": np.flatnonzero(trust < BELIEVED_FRAME).tolist(),
+    }
+    status, wrong = estimate.status, misfit.explain(request.frames or range(len(used)))
+    if wrong is not None and not request.shifts_doubted:
+        warnings.warn(wrong, QualityWarning, stacklevel=5)
+    if status is not Status.NOT_FINITE and (wrong is not None or request.shifts_doubted):
+        status = Status.CONTRADICTED
+    return replace(estimate, notes=notes, status=status)

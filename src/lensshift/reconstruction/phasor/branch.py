@@ -17,15 +17,15 @@ from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.adaptive import SparseGradient
+from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
-from lensshift.reconstruction.outliers import confidence
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.joint import JointPhasor, PolarImage
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.turns import settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
 from lensshift.reconstruction.request import Request
-from lensshift.reconstruction.sparse import tikhonov, total_variation, warn_of_misfit
+from lensshift.reconstruction.sparse import tikhonov, total_variation
 from lensshift.reconstruction.uncertainty import propagated_std
 
 Array = NDArray[Any]
@@ -36,6 +36,8 @@ METHODS = ("auto", "tikhonov", "tv")
 LEAST_NOISE = 5e-4
 # Of the pixels: with more of them turned a picture is not shown without a warning.
 TURNED_LIMIT = 0.01
+# Of what is not believed: the fit wants every pixel to have some weight.
+LEAST_WEIGHT = 1e-6
 # Standard deviation of a phase that may be anything.
 NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 # A pixel between two surfaces keeps this share of their step to both of them.
@@ -112,8 +114,13 @@ def reconstruct_phasor(
     if method == "auto":
         settled = settle_turns(frames, noise * problem.intensity)
         _warn_of_turns(frames, settled, problem.weight > 0)
-        fit = _joint(problem, _apart(prepare, settled), noise, request)
-        _warn_of_misfit(problem, fit)
+        start = _apart(prepare, settled)
+        fit = _joint(problem, start, noise, request)
+        misfit = _misfit(problem, fit)
+        if misfit.contradicted and not request.shifts_doubted:
+            weight = problem.weight * np.maximum(misfit.weight(), LEAST_WEIGHT)
+            fit = _joint(replace(problem, weight=weight), start, noise, request)
+        fit = _judged(fit, misfit, request)
     else:
         fit = _linear(problem, method, request)
     frame = predictor(burst, problem, used, fit.image.phasor * problem.intensity, shift_field)
@@ -131,6 +138,7 @@ class _Fit:
     noise_sigma: float
     objective: tuple[float, ...]
     status: Status
+    misfit: Array | None = None
 
 
 def _check(method: str, request: Request, photometric: bool) -> None:
@@ -164,16 +172,21 @@ def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.b
         )
 
 
-def _warn_of_misfit(problem: Problem, fit: _Fit) -> None:
-    """Warn of frames that contradict, as the amplitude alone would."""
-    phasor = fit.image.phasor
-    residual = problem.y - problem.model.operator.forward(phasor)
+def _misfit(problem: Problem, fit: _Fit) -> Misfit:
     used = problem.weight > 0
-    # Two components, and the noise of each pixel.
-    scale = fit.noise_sigma * np.sqrt(2.0 / np.where(used, problem.weight, 1.0))
-    trust = float(np.mean(confidence(residual, problem.weight, scale)[used]))
-    seen = Estimate(image=phasor, noise_sigma=fit.noise_sigma, notes={"trust": trust})
-    warn_of_misfit(problem, seen)
+    sigma = np.where(used, fit.noise_sigma / np.sqrt(np.where(used, problem.weight, 1.0)), np.inf)
+    phasor = fit.image.phasor
+    return find_misfit(problem.model.operator, phasor, problem.y, sigma, problem.scale)
+
+
+def _judged(fit: _Fit, misfit: Misfit, request: Request) -> _Fit:
+    """Warn of frames that contradict."""
+    wrong = misfit.explain(request.frames or range(len(misfit.doubt)))
+    if wrong is not None and not request.shifts_doubted:
+        warnings.warn(wrong, QualityWarning, stacklevel=4)
+    if wrong is not None or request.shifts_doubted:
+        fit = replace(fit, status=Status.CONTRADICTED)
+    return replace(fit, misfit=misfit.chi_square)
 
 
 def _apart(prepare: Callable[[Array], Problem], frames: PolarFrames) -> PolarImage:
@@ -262,7 +275,7 @@ def _result(frame: FramePredictor, problem: Problem, scale: PhaseScale, fit: _Fi
     std = None if fit.std is None else functools.cache(fit.std)
     shared: dict[str, Any] = {
         "objective": fit.objective, "status": fit.status, "confidence": fit.confidence,
-        "notes": notes,
+        "notes": notes, "misfit": fit.misfit,
     }  # fmt: skip
     amplitude = Estimate(
         image=fit.image.amplitude * unit,
