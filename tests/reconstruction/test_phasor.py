@@ -344,5 +344,5 @@ def test_frames_of_another_brightness_raise_a_warning() -> None:
     """Phasors that contradict each other were averaged without a word."""
     burst = card_burst(0.004)
     gain = np.array([1.0, 1.3, 1.0, 0.7])[:, None, None]
-    with pytest.warns(QualityWarning, match="rejected"):
+    with pytest.warns(QualityWarning, match="brightness"):
         reconstruct(replace(burst, amplitude=gain * burst.amplitude), std=False)

@@ -294,6 +294,8 @@ def _reconstruct(
 
 
 def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], path: Path) -> None:
+    import numpy as np
+
     import lensshift
     from lensshift.io.preview import write_preview
 
@@ -306,6 +308,10 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
         f"{result.method} x{result.scale}": estimate.image,
         f"bicubic x{result.scale} of one frame": channels_of(bicubic)[channel].image,
     }
+    if estimate.misfit is not None:  # on the grey scale of the others
+        black, white = np.percentile(np.abs(estimate.image), (0.5, 99.5))
+        share = np.clip(np.log10(np.maximum(estimate.misfit, 1.0)), 0.0, 1.0)
+        panels["misfit of the frames: black 1, white 10"] = black + (white - black) * share
     unit = "m" if channel == "distance" else ""
     write_preview(panels, path, f"{channel} {unit}".strip(), below=_picture(result))
 

@@ -40,6 +40,7 @@ class Status(Enum):
     CONVERGED = "converged"
     MAX_ITERATIONS = "stopped at the iteration limit"
     DIRECT = "computed directly, without iterations"
+    CONTRADICTED = "the frames contradict the picture"
     NOT_FINITE = "the estimate is not finite"
 
 
@@ -271,6 +272,8 @@ class Estimate:
     predict : called with a frame number of the burst or an offset (row, col) in LR pixels,
         returns that LR frame as the forward model sees `image`
     notes : what else the method found out, text and numbers
+    misfit : [row col] mean square of the residuals of the frames that touch a pixel, in units of
+        their noise: 1 where all is well; or None
     """
 
     image: NDArray[Any]
@@ -282,6 +285,7 @@ class Estimate:
     noise_sigma: float | None = None
     predict: Callable[[int | ArrayLike], NDArray[Any]] = _no_prediction
     notes: Mapping[str, Any] = field(default_factory=dict)
+    misfit: NDArray[np.float64] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The function behind `std` holds the whole solver, so its result travels instead.

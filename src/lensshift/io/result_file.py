@@ -5,6 +5,7 @@ HR grid. For each channel `c`, which is `amplitude` or `distance`:
 
     c                [row col]               status, prior_weight, noise_sigma, noise_gain
     c_std            [row col]               standard deviation, in the units of c
+    c_misfit         [row col]               mean square residual in units of the noise
     c_confidence     [frame lr_row lr_col]   weight of each LR pixel, 0 .. 1
     c_objective      [c_iteration]
     seen_..., c_gain, c_bias                 what predictions need, see `io.prediction_fields`
@@ -151,9 +152,14 @@ def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
         described[number] = None if value is None else np.float64(value)
     described |= phase_attributes(estimate)
     variables = {name: Variable(_AXES, np.asarray(estimate.image), described)}
-    if estimate.std is not None:
-        described = {"units": units, "long_name": f"standard deviation of {label}"}
-        variables[f"{name}_std"] = Variable(_AXES, np.asarray(estimate.std), described)
+    maps = {
+        "std": (estimate.std, units, f"standard deviation of {label}"),
+        "misfit": (estimate.misfit, "1", f"mean square residual of {label} in units of its noise"),
+    }
+    for part, (values, unit, meaning) in maps.items():
+        if values is not None:
+            described = {"units": unit, "long_name": meaning}
+            variables[f"{name}_{part}"] = Variable(_AXES, np.asarray(values), described)
     if estimate.confidence is not None:
         variables[f"{name}_confidence"] = Variable(
             ("frame", "lr_row", "lr_col"),
@@ -196,11 +202,14 @@ def _read_channel(container: Container, field: str) -> Estimate:
     if status is not Status.NOT_FINITE and not np.isfinite(image).any():
         raise DataError("every pixel is NaN or infinite", field=name)
     optional: dict[str, Any] = {number: container.number(number, of=name) for number in _KEPT}
-    if container.has(f"{name}_std"):
-        std = container.array(f"{name}_std", kinds="f")
-        if std.shape != image.shape:
-            raise DataError(f"expected shape {image.shape}, got {std.shape}", field=f"{name}_std")
-        optional["uncertainty"] = std
+    for part, attribute in (("std", "uncertainty"), ("misfit", "misfit")):
+        if container.has(f"{name}_{part}"):
+            values = container.array(f"{name}_{part}", kinds="f")
+            if values.shape != image.shape:
+                raise DataError(
+                    f"expected shape {image.shape}, got {values.shape}", field=f"{name}_{part}"
+                )
+            optional[attribute] = values
     if container.has(f"{name}_confidence"):
         optional["confidence"] = container.array(f"{name}_confidence", kinds="f")
         if optional["confidence"].ndim != 3:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField
+from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.methods import Method, find_method
 from lensshift.reconstruction.options import RULES, check_options, check_settings
@@ -26,7 +26,7 @@ from lensshift.reconstruction.problem import (
     predictor,
 )
 from lensshift.reconstruction.request import Request
-from lensshift.reconstruction.shift_check import warn_of_doubtful_shifts
+from lensshift.reconstruction.shift_check import doubtful_shifts, warn_of_doubt
 
 Array = NDArray[Any]
 
@@ -106,6 +106,7 @@ def reconstruct(
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames)
+    request = replace(request, frames=used)
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -114,8 +115,12 @@ def reconstruct(
     choice = choose_channel(part, channel, method, request, given=given)
     settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     shifts = part.offset_px if field is None else field.offset_px
+    doubt = None
     if method == "auto" or choice.channel == "phasor":
-        warn_of_doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
+        doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
+        if doubt is not None and doubt.named:
+            warn_of_doubt(doubt)
+            request = replace(request, shifts_doubted=True)
     found: dict[str, Estimate] = {}
     flying = None
     if choice.channel == "phasor":
@@ -132,6 +137,9 @@ def reconstruct(
             take_level=chosen.take_level and not non_negative, keep_outside=chosen.keep_outside,
         )  # fmt: skip
         found[name] = _solve(burst, problem, used, chosen, request, photometric, field)
+    told = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
+    if doubt is not None and not told:  # no frame and no place that it could be blamed on
+        warn_of_doubt(doubt)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, method,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),

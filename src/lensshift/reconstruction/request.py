@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -19,6 +19,8 @@ class Request:
     std : whether the propagated noise is wanted
     on_iteration : called with the number of the iteration and the objective
     options : keyword arguments that only this method knows
+    frames : numbers of the frames in the burst
+    shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     """
 
     prior_weight: float | Literal["cross-validation"] | None = None
@@ -27,3 +29,5 @@ class Request:
     std: bool = True
     on_iteration: Callable[[int, float], None] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
+    frames: Sequence[int] = ()
+    shifts_doubted: bool = False

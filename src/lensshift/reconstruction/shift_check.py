@@ -77,29 +77,30 @@ class Doubt:
     ratio: float
 
     @property
+    def named(self) -> bool:
+        """Whether a mistake of all shifts explains it, not only one of some frames."""
+        return self.mistake != NO_MISTAKE
+
+    @property
     def cure(self) -> str:
         """What to do about it."""
         return CURES[self.mistake]
 
 
-def warn_of_doubtful_shifts(
-    frames: ArrayLike, offset_px: ArrayLike, *, stacklevel: int = 2, **settings: Any
-) -> None:
-    """Warn of what `doubtful_shifts` finds, with the cure.
+def warn_of_doubt(doubt: Doubt, *, stacklevel: int = 2) -> None:
+    """Warn of what `doubtful_shifts` found, with the cure.
 
     Warns
     -----
     QualityWarning
-        If another reading of the shifts predicts the frames better.
+        Always.
     """
-    doubt = doubtful_shifts(frames, offset_px, **settings)
-    if doubt is not None:
-        warnings.warn(
-            f"the frames contradict offset_px: pixels left out are predicted {doubt.ratio:.2f} "
-            f"times worse than under another reading; likely {doubt.mistake}: {doubt.cure}",
-            QualityWarning,
-            stacklevel=stacklevel + 1,
-        )
+    warnings.warn(
+        f"the frames contradict offset_px: pixels left out are predicted {doubt.ratio:.2f} "
+        f"times worse than under another reading; likely {doubt.mistake}: {doubt.cure}",
+        QualityWarning,
+        stacklevel=stacklevel + 1,
+    )
 
 
 def doubtful_shifts(
@@ -152,12 +153,14 @@ def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> D
     doubts = []
     for mistake, other in _readings(given, found, scale):
         ratio, sure = trial.compare(other, CONFIRMING_FOLDS)
-        if mistake == NO_MISTAKE and (off.mean() < LEAST_OFF_SHARE or ratio < UNNAMED):
-            continue
         if sure >= LEAST_T and ratio >= NAMED:
             doubts.append(Doubt(mistake, ratio))
     likely = max((doubt.ratio for doubt in doubts), default=0.0) / SUSPICIOUS
-    return next((doubt for doubt in doubts if doubt.ratio >= likely), None)
+    best = next((doubt for doubt in doubts if doubt.ratio >= likely), None)
+    few = off.mean() < LEAST_OFF_SHARE
+    if best is not None and not best.named and (few or best.ratio < UNNAMED):
+        return None
+    return best
 
 
 class _Trial:

@@ -58,7 +58,7 @@ def convolved(x: Single, weight: Single, cols: int, *, last: bool) -> Single:
     step = min(rows, max(1, STRIP // (tiles * 3 * POINTS * channels)))
     strip = np.empty((POINTS, step * tiles, 3 * channels), np.float32)
     product = np.empty((POINTS, step * tiles, outputs), np.float32)
-    least = np.float32(-np.inf if last else 0.0)
+    least: Any = np.float32(-np.inf if last else 0.0)
     for top in range(0, rows, step):
         count = min(step, rows - top)
         _take(x, top, count, strip)

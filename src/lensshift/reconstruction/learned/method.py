@@ -12,16 +12,19 @@ from numpy.typing import NDArray
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.model import ForwardModel
-from lensshift.reconstruction.learned.solver import solve
+from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
+from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.problem import Problem
 from lensshift.reconstruction.request import Request
 
 Array = NDArray[Any]
 
-# A frame of which less is believed counts as left out; from so many of them on it is said aloud,
-# and so it is where less is believed of all.
-BELIEVED_FRAME, REJECTED_LIMIT, BELIEVED_LIMIT = 0.5, 0.2, 0.6
+# A frame of which less is believed counts as left out.
+BELIEVED_FRAME = 0.5
+# Pixels that are believed less in the second solution are left out: the solver takes the mean noise
+# for its unit, which few pixels should not move.
+LEAST_WEIGHT = 0.04
 # Smaller than any noise of numbers in 0 .. 1 that went through a converter of 24 bits.
 LEAST_SIGMA = 1e-7
 # Noise is one number: so many windows along a side, of 6400 samples each with four frames (its
@@ -35,8 +38,35 @@ def auto(problem: Problem, request: Request) -> Estimate:
     sigma = max(noise_of(problem) if sigma is None else sigma, LEAST_SIGMA)
     used = problem.weight > 0
     noise = np.where(used, sigma / np.sqrt(np.where(used, problem.weight, 1.0)), np.inf)
+    found, std = solved(problem, noise, request)
+    if std.ndim == 3:  # of a complex picture, that of a component
+        std = np.sqrt(np.mean(std[:2] ** 2, axis=0))
+    image = found.image
+    if request.non_negative and image.dtype.kind == "f":
+        image = np.maximum(image, 0)
+    return replace(found, image=image, uncertainty=std if request.std else None, noise_sigma=sigma)
+
+
+def solved(
+    problem: Problem, noise: NDArray[np.float64], request: Request
+) -> tuple[Estimate, NDArray[np.float64]]:
+    """Solve, let the frames refute it, and solve again with what is believed of them.
+
+    Parameters
+    ----------
+    noise : [frame row col] of each LR pixel, of each component if it has two
+
+    Returns
+    -------
+    Estimate, std
+        in units of the problem; std as in `Solution`, wider where the frames disagree
+
+    Warns
+    -----
+    QualityWarning
+        That names what contradicts.
+    """
     noise = with_shift_errors(noise, problem)
-    parts = [problem.y.real, problem.y.imag] if problem.y.dtype.kind == "c" else [problem.y]
     objective: list[float] = []
 
     def on_stage(number: int, misfit: float) -> None:
@@ -44,23 +74,33 @@ def auto(problem: Problem, request: Request) -> Estimate:
         if request.on_iteration is not None:
             request.on_iteration(len(objective), misfit)
 
-    found = [
-        solve(problem.model, y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage)
-        for y in parts
-    ]
-    image = found[0].image if len(found) == 1 else found[0].image + 1j * found[1].image
-    if request.non_negative:
-        image = np.maximum(image, 0) if image.dtype.kind == "f" else image
+    def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
+        solver = solve_phasor if problem.y.dtype.kind == "c" else solve
+        found = solver(
+            problem.model, problem.y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage
+        )
+        A = problem.model.operator
+        return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
+
+    found, misfit = run(noise)
+    left, told = misfit, noise
+    if misfit.contradicted and not request.shifts_doubted:
+        believed = misfit.weight()
+        told = np.where(
+            believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
+        )
+        found, left = run(told)
     estimate = Estimate(
-        image=image,
-        uncertainty=np.sqrt(np.mean([s.std**2 for s in found], axis=0)) if request.std else None,
+        image=found.image,
         objective=tuple(objective),
-        status=status_of(image, max(s.change for s in found)),
-        confidence=np.min([s.weight for s in found], axis=0).astype(np.float64),
-        noise_sigma=sigma,
-        notes={"std_of": "error"},
+        status=status_of(found),
+        confidence=found.weight * (np.where(np.isfinite(noise), noise, 0.0) / told) ** 2,
+        notes={"std_of": "error", "misfit": float(np.mean(misfit.chi_square))},
+        misfit=misfit.chi_square,
     )
-    return judged(estimate, used)
+    wider = np.sqrt(left.significant)
+    std = found.std * (wider if found.std.ndim == 2 else [wider, wider, np.ones_like(wider)])
+    return _judged(estimate, misfit, problem.weight > 0, request), std
 
 
 def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[np.float64]:
@@ -105,26 +145,26 @@ def _estimated(problem: Problem, model: ForwardModel, y: Array, weight: Array) -
     return estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma
 
 
-def status_of(image: Array, change: float) -> Status:
+def status_of(found: Solution) -> Status:
     """Return CONVERGED where the last stage moved the picture by less than its error bar."""
-    if not np.all(np.isfinite(image)):
+    if not np.all(np.isfinite(found.image)):
         return Status.NOT_FINITE
-    return Status.CONVERGED if change < 1.0 else Status.MAX_ITERATIONS
+    return Status.CONVERGED if found.change < 1.0 else Status.MAX_ITERATIONS
 
 
-def judged(estimate: Estimate, used: NDArray[np.bool_]) -> Estimate:
-    """Note the frames that were not believed, and warn if they are many."""
+def _judged(
+    estimate: Estimate, misfit: Misfit, used: NDArray[np.bool_], request: Request
+) -> Estimate:
+    """Note the frames that were not believed, and warn of what contradicts."""
     believed = estimate.confidence if estimate.confidence is not None else used.astype(float)
     trust = np.array([c[u].mean() if u.any() else 1.0 for c, u in zip(believed, used, strict=True)])
-    left_out = np.flatnonzero(trust < BELIEVED_FRAME)
-    total = float(believed[used].mean())
-    if left_out.size >= REJECTED_LIMIT * trust.size or total < BELIEVED_LIMIT:
-        warnings.warn(
-            f"the frames do not fit the assumed shifts: {left_out.size} of {trust.size} frames "
-            f"rejected, mean trust in a pixel {total:.2f}; check offset_px and whether the scene "
-            "moved or turned",
-            QualityWarning,
-            stacklevel=4,
-        )
-    notes = dict(estimate.notes) | {"trust": total, "rejected": left_out.tolist()}
-    return replace(estimate, notes=notes)
+    notes = dict(estimate.notes) | {
+        "trust": float(believed[used].mean()),
+        "rejected": np.flatnonzero(trust < BELIEVED_FRAME).tolist(),
+    }
+    status, wrong = estimate.status, misfit.explain(request.frames or range(len(used)))
+    if wrong is not None and not request.shifts_doubted:
+        warnings.warn(wrong, QualityWarning, stacklevel=6)
+    if status is not Status.NOT_FINITE and (wrong is not None or request.shifts_doubted):
+        status = Status.CONTRADICTED
+    return replace(estimate, notes=notes, status=status)

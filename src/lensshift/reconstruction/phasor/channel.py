@@ -17,11 +17,8 @@ from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.learned.method import (
     LEAST_SIGMA,
-    judged,
-    status_of,
-    with_shift_errors,
+    solved,
 )
-from lensshift.reconstruction.learned.solver import solve_phasor
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.noise import relative_variance
@@ -145,31 +142,10 @@ def _noise(problem: Problem, pixel_variance: Array | None) -> NDArray[np.float64
 
 def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> Estimate:
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
-    objective: list[float] = []
-
-    def on_stage(number: int, misfit: float) -> None:
-        objective.append(misfit)
-        if request.on_iteration is not None:
-            request.on_iteration(len(objective), misfit)
-
-    found = solve_phasor(
-        problem.model,
-        problem.y,
-        with_shift_errors(sigma, problem),
-        blur_px=problem.blur_sigma_px,
-        on_stage=on_stage,
-    )
+    found, std = solved(problem, sigma, request)
     amplitude = np.maximum(np.abs(found.image), 1e-12)
-    of_phase_rad = np.minimum(found.std[1] / amplitude, NO_PHASE_RAD)
-    estimate = Estimate(
-        image=found.image,
-        uncertainty=np.stack([found.std[0], of_phase_rad]) if request.std else None,
-        objective=tuple(objective),
-        status=status_of(found.image, found.change),
-        confidence=found.weight.astype(np.float64),
-        notes={"std_of": "error"},
-    )
-    return judged(estimate, problem.weight > 0)
+    of_phase_rad = np.minimum(std[1] / amplitude, NO_PHASE_RAD)
+    return replace(found, uncertainty=np.stack([std[0], of_phase_rad]) if request.std else None)
 
 
 def _linear(problem: Problem, method: str, request: Request) -> Estimate:

@@ -1,0 +1,262 @@
+"""What the frames say against the picture: where they contradict it, by how much, and likely why.
+
+After solving, each LR pixel is off its prediction by some standard deviations. Noise spreads such
+residuals evenly; a shift that was not told, something that moved, another gain leave patterns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects, label, uniform_filter
+
+from lensshift.forward.operator import LinearOperator
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+# Pixels that are judged together, along a side: so few tell apart what moved and what did not.
+WINDOW_PX = 5
+# Errors like those of a shift by this are no contradiction: at an edge, a square pixel and the
+# Gaussian of its width differ as by 0.06 px, and shifts are told to 0.05 px or so.
+ALLOWED_SHIFT_PX = 0.1
+# Frames contradict where what is left is twice the noise and what such shifts explain; so it was
+# nowhere in 400 right bursts. Lone outliers raise that limit, by so many of their deviations.
+LIMIT, LIMIT_SIGMAS = 4.0, 8.0
+# Full belief up to the one, none from the other on: on mosaics with a part that moved, more belief
+# spoils what moves, less spoils what stands still beside it.
+BELIEVED_DOUBT = (0.5, 0.8)
+# Pixels beyond 3 sigma are outliers; beyond 5 they count no more, one of them proves nothing.
+OUTLIER_SQUARE, MOST_SQUARE = 9.0, 25.0
+# The noise of some steps of brightness is read from the residuals themselves, where it is larger.
+BRIGHTNESS_STEPS, MEDIAN_SQUARE, GAUSSIAN_MEDIAN = 8, 0.4549, 0.6745
+# What is left besides the light is at least this part of the noise, which other light inflates.
+LEAST_REST = 0.25
+# A frame is somewhere else if it contradicts in so much of what would show it.
+LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE = 0.2, 0.5, 0.25
+# Standard errors that chi-square has to be larger than 1 by before it counts against `std`.
+SIGNIFICANT = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Misfit:
+    """What is left of the frames.
+
+    Parameters
+    ----------
+    chi_square : [row col] mean square of the residuals that touch an HR pixel, in units of their
+        noise: 1 where all is well
+    significant : [row col] at least 1, as much of it as chance does not explain
+    doubt : [frame row col] residual around each LR pixel over what may be, 1 and more where the
+        frame contradicts
+    off_px : frame -> how far (row, col) it seems to lie from where its shift says, of those that
+        contradict as a whole
+    everywhere : whether those would show it in most of the picture, so that nothing else explains
+        what they contradict
+    brightness : how much gain and bias of a frame differ, over what else is left of it
+    """
+
+    chi_square: NDArray[np.float64]
+    significant: NDArray[np.float64]
+    doubt: NDArray[np.float64]
+    off_px: dict[int, tuple[float, float]]
+    everywhere: bool
+    brightness: float
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether a frame shows another scene anywhere, beyond its brightness."""
+        return self.brightness < 1.0 and bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+
+    @property
+    def first(self) -> int:
+        """The frame that says what was where: the first that does not clearly lie elsewhere."""
+        elsewhere = self.off_px if self.everywhere else {}
+        return next((k for k in range(len(self.doubt)) if k not in elsewhere), 0)
+
+    def weight(self) -> NDArray[np.float64]:
+        """Return [frame row col] 0 .. 1: how much of each LR pixel to believe in another solution.
+
+        Where a frame or the first one contradicts, only the first is believed: what moves is shown
+        as it was then. Towards such places the weights of the others fall steadily.
+        """
+        worst = np.maximum(self.doubt, self.doubt[self.first])
+        believed, doubted = BELIEVED_DOUBT
+        weight = np.clip((doubted - worst) / (doubted - believed), 0.0, 1.0)
+        weight[self.first] = 1.0
+        return np.asarray(weight)
+
+    def explain(self, frames: Sequence[int]) -> str | None:
+        """Return what is likely wrong and what to do, None if nothing is.
+
+        Parameters
+        ----------
+        frames : their numbers in the burst
+        """
+        if self.brightness >= 1.0:
+            return (
+                f"the frames differ in brightness by {self.brightness:.1f} times what they differ "
+                "by otherwise: photometric=True (--photometric) estimates gain and bias"
+            )
+        said = [self._elsewhere(frames)] if self.off_px else []
+        if self.doubt.max(initial=0.0) > 1.0 and not (self.off_px and self.everywhere):
+            said.append(self._moved(frames[self.first]))
+        return "; or ".join(said) or None
+
+    def _elsewhere(self, frames: Sequence[int]) -> str:
+        if 2 * len(self.off_px) >= len(self.doubt):
+            return (
+                f"the frames contradict offset_px: {len(self.off_px)} of {len(self.doubt)} lie "
+                "elsewhere than it says; check it, or let `lensshift.register` find it"
+            )
+        at = ", ".join(
+            f"frame {frames[k]} does not fit: it lies about ({d[0]:+.1f}, {d[1]:+.1f}) px from "
+            "where its offset_px says" for k, d in self.off_px.items()
+        )  # fmt: skip
+        return f"{at} (correct it, or leave it out by frames=)"
+
+    def _moved(self, first: int) -> str:
+        anywhere, _ = label(self.doubt.max(axis=0) > 1.0)
+        rows, cols = find_objects(anywhere)[np.argmax(np.bincount(anywhere.ravel())[1:])]
+        return (
+            f"something moved at rows {rows.start} .. {rows.stop - 1}, columns {cols.start} .. "
+            f"{cols.stop - 1} of the frames: there the picture shows frame {first} (if nothing "
+            "moved, check offset_px and whether the camera turned)"
+        )
+
+
+def find_misfit(
+    A: LinearOperator, image: Array, y: Array, sigma: NDArray[np.float64], scale: int
+) -> Misfit:
+    """Compare frames with what a picture predicts.
+
+        chi2 = A^T (|r|^2 / sigma^2) / A^T 1,   r = y - A x
+
+    Parameters
+    ----------
+    A : HR image [row col] to frames [frame row col]
+    image : [row col] the picture x
+    y : [frame row col] real or complex
+    sigma : [frame row col] noise of each LR pixel, per component; infinite where it was not used
+    scale : HR pixels per LR pixel
+    """
+    parts = 2.0 if y.dtype.kind == "c" else 1.0
+    used = np.isfinite(sigma)
+    seen = used.astype(np.float64)
+    predicted = A.forward(image)
+    slopes = np.stack([scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)])
+    r = np.where(used, y - predicted, 0.0)
+    square = np.abs(r) ** 2 / parts
+    noise = np.where(used, sigma, 1.0) ** 2
+    contrast = _around(np.sum(np.abs(slopes) ** 2, axis=0), np.ones_like(seen), 3, 0.0)
+    variance = noise + ALLOWED_SHIFT_PX**2 / parts * contrast
+    variance *= _excess_noise(square / variance, np.abs(predicted), used)
+    q = square / variance
+    limit = _limit(q, used)
+    doubt = _around(np.minimum(q, MOST_SQUARE), seen, WINDOW_PX, 1.0) / limit
+    off_px, everywhere = _elsewhere(r, slopes, variance * parts, used, doubt, limit)
+    brightness = _brightness(r, predicted, variance * parts, used, doubt)
+    chi_square, significant = _chi_square(A, square / noise * seen, seen, parts)
+    return Misfit(chi_square, significant, doubt, off_px, everywhere, brightness)
+
+
+def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
+    """Return the mean [frame row col] around each pixel; those not seen count as `missing`."""
+    rest = uniform_filter((values - missing) * seen, (1, side_px, side_px), mode="constant")
+    return np.asarray(missing + rest)
+
+
+def _excess_noise(q: Array, brightness: Array, used: Mask) -> Array:
+    """Return by how much more the frames vary than told at each brightness, at least 1."""
+    lit, level = q[used], brightness[used]
+    edges = np.quantile(level, np.linspace(0, 1, BRIGHTNESS_STEPS + 1))
+    step = np.clip(np.searchsorted(edges, level) - 1, 0, BRIGHTNESS_STEPS - 1)
+    usual = [np.median(part) if (part := lit[step == n]).size else 0.0
+             for n in range(BRIGHTNESS_STEPS)]  # fmt: skip
+    excess = np.maximum(np.array(usual) / MEDIAN_SQUARE, 1.0)
+    return np.asarray(np.interp(brightness, (edges[1:] + edges[:-1]) / 2, excess))
+
+
+def _limit(q: Array, used: Mask) -> float:
+    """Return how large the mean square in a window has to be, with outliers that stand alone."""
+    far = (q > OUTLIER_SQUARE).astype(np.float64)
+    alone = far * (uniform_filter(far, (1, 3, 3), mode="constant") < 1.5 / 9)
+    share = min(float(alone[used].mean()), 0.1)
+    rate = share / (1 - share) ** 8  # their eight neighbours are none
+    spread = np.sqrt((2 + rate * (MOST_SQUARE - 1) ** 2) / WINDOW_PX**2)
+    return max(LIMIT, 1 + rate * (MOST_SQUARE - 1) + LIMIT_SIGMAS * float(spread))
+
+
+def _chi_square(
+    A: LinearOperator, chi: Array, seen: Array, parts: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return chi-square of each HR pixel, and as much of it as chance does not explain."""
+    touching = A.adjoint(seen)
+    lit = np.maximum(touching, 1e-9)
+    around, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi, seen))
+    pooled, samples = A.adjoint(around), np.maximum(A.adjoint(count), 1e-9)
+    ones = np.maximum(A.adjoint(np.ones_like(seen)), 1e-9)
+    number = 9 * len(seen) * parts * samples / ones
+    chance = 1.0 + SIGNIFICANT * np.sqrt(2.0 / np.maximum(number, 1.0))
+    return (
+        np.where(touching > 1e-9, A.adjoint(chi) / lit, 1.0),
+        np.maximum(1.0, pooled / samples / chance),
+    )
+
+
+def _fit(terms: Array, variance: Array, r: Array) -> tuple[Array, Array]:
+    """Return the weighted least-squares coefficients of r [pixel] and their covariance."""
+    weighed = terms.conj() / variance
+    covariance = np.linalg.pinv((weighed @ terms.T).real, rcond=1e-9, hermitian=True)
+    return covariance @ (weighed @ r).real, covariance
+
+
+def _brightness(r: Array, predicted: Array, variance: Array, used: Mask, doubt: Array) -> float:
+    """Return the largest difference in gain and bias of a frame over what else is left of it.
+
+    Where a frame contradicts more than it usually does, it counts less: that is not its light.
+    """
+    largest = 0.0
+    for k in range(len(r)):
+        on = used[k]
+        if np.count_nonzero(on) < WINDOW_PX**2:
+            continue
+        level = predicted[k][on]
+        terms = np.stack([np.ones_like(level), level - level.mean()])
+        odd = np.maximum(doubt[k][on] / max(float(np.median(doubt[k][on])), 1e-12), 1.0)
+        fit, _ = _fit(terms, variance[k][on] * odd**2, r[k][on])
+        rest = float(np.median(np.abs(r[k][on] - fit @ terms))) / GAUSSIAN_MEDIAN
+        of_light = float(np.sqrt(np.mean(np.abs(fit @ terms) ** 2)))
+        rest = max(rest, LEAST_REST * float(np.sqrt(np.median(variance[k][on]))))
+        largest = max(largest, of_light / rest)
+    return largest
+
+
+def _elsewhere(
+    r: Array, slopes: Array, variance: Array, used: Mask, doubt: Array, limit: float
+) -> tuple[dict[int, tuple[float, float]], bool]:
+    """Return how far frames lie from where they should, and whether most of the picture says so.
+
+    The residuals of a frame that lies elsewhere go with its slopes; where these are large it has to
+    contradict.
+    """
+    shifts, error = np.zeros((len(r), 2)), np.full(len(r), np.inf)
+    for k in range(len(r)):
+        on = used[k]
+        if np.count_nonzero(on) >= WINDOW_PX**2:
+            fit, covariance = _fit(slopes[:, k][:, on], variance[k][on], r[k][on])
+            shifts[k], error[k] = -fit, np.sqrt(np.trace(covariance))
+    off_px, everywhere = {}, True
+    for k, (down, right) in enumerate(shifts - np.median(shifts, axis=0)):
+        if np.hypot(down, right) - SIGNIFICANT * error[k] < LEAST_OFF_PX:
+            continue
+        shown = np.abs(down * slopes[0, k] + right * slopes[1, k]) ** 2 / variance[k]
+        telling = used[k] & (uniform_filter(np.minimum(shown, MOST_SQUARE), WINDOW_PX) > limit)
+        if not telling.any() or np.mean(doubt[k][telling] > 1.0) >= LEAST_SHARE:
+            off_px[k] = (float(down), float(right))
+            everywhere &= float(telling[used[k]].mean()) > TELLING_SHARE
+    return off_px, everywhere

@@ -1,0 +1,146 @@
+"""The frames may refute the picture: what is wrong is named, what is right raises no alarm."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst, Status
+from lensshift.forward.model import forward_model
+from lensshift.io.result_file import load_reconstruction, save_reconstruction
+from lensshift.reconstruction.misfit import find_misfit
+from lensshift.reconstruction.reconstruct import reconstruct
+
+SHAPE = (21, 26)
+SIGMA = 0.016
+
+
+def burst_of(y: np.ndarray, offset_px: np.ndarray | None = None) -> Burst:
+    offset = square(2) if offset_px is None else offset_px
+    return Burst.from_arrays(y, offset_px=offset, pitch_mm=0.1)
+
+
+def moving(seed: int, by_px: float) -> tuple[np.ndarray, np.ndarray, tuple[slice, slice]]:
+    """Return frames in which a bright square moves evenly to the right, the first alone, where."""
+    rng = np.random.default_rng(seed)
+    ground = canvas(rng, SHAPE)
+    frames = []
+    for k, offset in enumerate(square(2)):
+        fine = ground.copy()
+        top, left = (int((MARGIN_PX + 8) * SAMPLES + d) for d in (0, by_px * SAMPLES * k / 3))
+        fine[top : top + 6 * SAMPLES, left : left + 6 * SAMPLES] = 1.2
+        frames.append(observe(fine, SHAPE, offset_px=offset[None], snr=50.0, rng=rng))
+    still = observe(_with_square(ground), SHAPE, snr=50.0, rng=rng)
+    return np.concatenate([f.y for f in frames]), still.truth, (slice(14, 30), slice(14, 36))
+
+
+def _with_square(ground: np.ndarray) -> np.ndarray:
+    fine, at = ground.copy(), (MARGIN_PX + 8) * SAMPLES
+    fine[at : at + 6 * SAMPLES, at : at + 6 * SAMPLES] = 1.2
+    return fine
+
+
+def warned(burst: Burst, **settings: object) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", QualityWarning)
+        reconstruct(burst, std=False, **settings)  # type: ignore[arg-type]
+    return [str(w.message) for w in caught]
+
+
+def test_chi_square_of_noise_about_a_true_picture_is_one() -> None:
+    rng = np.random.default_rng(4)
+    model = forward_model(SHAPE, 2, square(2))
+    for kind in (1, 1j):
+        x = rng.uniform(0, 1, model.hr_shape) * (1 + (0 if kind == 1 else 1j))
+        noise = rng.standard_normal((4, *SHAPE))
+        if kind == 1j:
+            noise = noise + 1j * rng.standard_normal(noise.shape)
+        y = model.operator(x) + SIGMA * noise
+        found = find_misfit(model.operator, x, y, np.full(y.shape, SIGMA), 2)
+        assert found.chi_square.mean() == pytest.approx(1.0, abs=0.1)
+        assert np.mean(found.significant > 1.0) < 0.02
+        assert found.explain(range(4)) is None
+
+
+def test_the_map_is_large_where_a_frame_is_off_and_one_elsewhere() -> None:
+    rng = np.random.default_rng(5)
+    model = forward_model(SHAPE, 2, square(2))
+    y = SIGMA * rng.standard_normal((4, *SHAPE))
+    y[2, 10:14, 5:9] += 8 * SIGMA
+    found = find_misfit(model.operator, np.zeros(model.hr_shape), y, np.full(y.shape, SIGMA), 2)
+    assert np.median(found.chi_square[22:27, 12:17]) > 8
+    assert np.median(found.chi_square[:, 30:]) < 1.5
+    assert found.weight()[2, 12, 7] == 0.0
+    assert np.all(found.weight()[0] == 1.0)
+    assert found.weight()[:, :5].mean() > 0.99
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_right_bursts_raise_no_alarm(seed: int) -> None:
+    seen = mosaic_burst(400 + seed, SHAPE, snr=(20.0, 60.0, 200.0)[seed % 3])
+    assert warned(burst_of(seen.y)) == []
+
+
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_a_frame_that_lies_elsewhere_is_named(seed: int) -> None:
+    seen = mosaic_burst(seed, SHAPE)
+    told = square(2)
+    told[2] += (0.6, -0.8)
+    texts = warned(burst_of(seen.y, told))
+    assert len(texts) == 1
+    assert "frame 2 does not fit" in texts[0]
+
+
+def test_the_number_of_a_frame_is_that_in_the_burst() -> None:
+    seen = mosaic_burst(31, SHAPE, offset_px=np.concatenate([square(2), square(2)]))
+    told = np.concatenate([square(2), square(2)])
+    told[6] += (0.6, -0.8)
+    assert "frame 6 does" in warned(burst_of(seen.y, told), frames=(0, 2, 3, 5, 6))[0]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_moves_is_named_and_shown_as_in_the_first_frame(seed: int) -> None:
+    y, truth, place = moving(seed, 3.0)
+    burst = burst_of(y)
+    with pytest.warns(QualityWarning, match="something moved at rows"):
+        result = reconstruct(burst).amplitude
+    alone = reconstruct(burst, method="bicubic", frames=(0,), std=False).amplitude
+    assert result is not None
+    assert alone is not None
+    assert result.status is Status.CONTRADICTED
+    errors = [np.sqrt(np.mean((e.image - truth)[place] ** 2)) for e in (result, alone)]
+    assert errors[0] < errors[1]
+
+
+def test_frames_of_other_brightness_are_named() -> None:
+    seen = mosaic_burst(41, SHAPE)
+    gain = np.array([1.0, 1.1, 0.92, 1.0])[:, None, None]
+    assert "brightness" in warned(burst_of(gain * seen.y))[0]
+
+
+def test_lone_outliers_are_nothing_that_moved() -> None:
+    seen = mosaic_burst(42, SHAPE)
+    rng = np.random.default_rng(6)
+    y = np.where(rng.random(seen.y.shape) < 0.02, rng.integers(0, 2, seen.y.shape), seen.y)
+    assert not any("moved" in text for text in warned(burst_of(y)))
+
+
+def test_misfit_widens_std_and_travels_with_the_result(tmp_path: Path) -> None:
+    seen = mosaic_burst(43, SHAPE)
+    right = reconstruct(burst_of(seen.y), noise_sigma=SIGMA)
+    told_less = reconstruct(burst_of(seen.y), noise_sigma=SIGMA / 3)
+    assert right.amplitude is not None
+    assert told_less.amplitude is not None
+    assert right.amplitude.misfit is not None
+    assert told_less.amplitude.notes["misfit"] > 3 * right.amplitude.notes["misfit"]
+    save_reconstruction(right, tmp_path / "r.nc")
+    again = load_reconstruction(tmp_path / "r.nc").amplitude
+    assert again is not None
+    np.testing.assert_allclose(again.misfit, right.amplitude.misfit)  # type: ignore[arg-type]
+    assert replace(right.amplitude, misfit=None).misfit is None
