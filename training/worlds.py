@@ -40,7 +40,14 @@ def log_uniform(rng: Generator, low: float, high: float) -> float:
 
 
 def scene(rng: Generator, size: int = SIZE) -> Canvas:
-    """Return one scene [row col]: a layout, often mixed with another along a line, then toned."""
+    """Return one scene [row col] of finite numbers."""
+    while not np.all(np.isfinite(canvas := _drawn(rng, size))):
+        pass
+    return canvas
+
+
+def _drawn(rng: Generator, size: int) -> Canvas:
+    """Return a layout, often mixed with another along a line, then toned."""
     canvas = _layout(rng, size)
     if rng.random() < 0.2:  # two worlds side by side: what one holds must not cost the other
         row, col = np.mgrid[:size, :size].astype(np.float32)

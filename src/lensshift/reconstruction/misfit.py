@@ -38,6 +38,8 @@ BRIGHTNESS_STEPS, MEDIAN_SQUARE, GAUSSIAN_MEDIAN = 8, 0.4549, 0.6745
 LEAST_REST = 0.25
 # A frame is somewhere else if it contradicts in so much of what would show it.
 LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE = 0.2, 0.5, 0.25
+# A frame with so much more noise than the best is not the one that says what was where.
+UNSURE = 1.1
 # Standard errors that chi-square has to be larger than 1 by before it counts against `std`.
 SIGNIFICANT = 3.0
 
@@ -58,6 +60,7 @@ class Misfit:
     everywhere : whether those would show it in most of the picture, so that nothing else explains
         what they contradict
     brightness : how much gain and bias of a frame differ, over what else is left of it
+    unsure : frames that were told to be noisier than others, by themselves or by their shift
     """
 
     chi_square: NDArray[np.float64]
@@ -66,6 +69,7 @@ class Misfit:
     off_px: dict[int, tuple[float, float]]
     everywhere: bool
     brightness: float
+    unsure: frozenset[int]
 
     @property
     def contradicted(self) -> bool:
@@ -74,8 +78,8 @@ class Misfit:
 
     @property
     def first(self) -> int:
-        """The frame that says what was where: the first that does not clearly lie elsewhere."""
-        elsewhere = self.off_px if self.everywhere else {}
+        """The frame that says what was where: the first that is sure of its place, if one is."""
+        elsewhere = self.unsure.union(self.off_px if self.everywhere else ())
         return next((k for k in range(len(self.doubt)) if k not in elsewhere), 0)
 
     def weight(self) -> NDArray[np.float64]:
@@ -161,7 +165,9 @@ def find_misfit(
     off_px, everywhere = _elsewhere(r, slopes, variance * parts, used, doubt, limit)
     brightness = _brightness(r, predicted, variance * parts, used, doubt)
     chi_square, significant = _chi_square(A, square / noise * seen, seen, parts)
-    return Misfit(chi_square, significant, doubt, off_px, everywhere, brightness)
+    told = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
+    unsure = frozenset(np.flatnonzero(told > UNSURE * told.min()).tolist())
+    return Misfit(chi_square, significant, doubt, off_px, everywhere, brightness, unsure)
 
 
 def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:

@@ -238,17 +238,16 @@ def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def _own_error_px(sigma_px: Array | None, count: int) -> NDArray[np.float64]:
-    """Return the error [frame] of each shift that another picture would not make up for.
+    """Return the error [frame] of each shift beyond that of the best known one.
 
-    Shifts about a frame that is known exactly share the error of that frame, which moves the
-    picture as a whole.
+    Shifts about a reference share its error, which moves the picture as a whole; and errors that
+    are alike for all frames leave nobody to believe more.
     """
     if sigma_px is None:
         return np.zeros(count)
     variance = np.mean(sigma_px**2, axis=1)
-    if np.any(variance == 0.0) and np.any(variance > 0.0):
-        variance = np.maximum(variance - variance[variance > 0.0].min(), 0.0)
-    return np.asarray(np.sqrt(variance))
+    shared = variance[variance > 0.0].min(initial=np.inf)
+    return np.asarray(np.sqrt(np.maximum(variance - min(shared, variance.max()), 0.0)))
 
 
 def _variance_weight(pixel_variance: Array, weight: Array) -> NDArray[np.float64]:

@@ -23,7 +23,7 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
     "brightness": "6701dca92d3ecb3b74c831ef2c4742c569d06ff0a229a1cc3addf46a619c87e3",
-    "phasor": "76ccf763ff6d04dee8c6834b3e42d802b68d3e0eeab6cb556a6308bbe1f860c0",
+    "phasor": "45cb57306a5dfae05bb9c3b4dd2ce098ad2a719c6e20b1644c34d63d47924ad4",
 }
 
 
