@@ -13,7 +13,7 @@ from lensshift import Burst, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned import convolution, network, solver
-from lensshift.reconstruction.learned.method import WINDOW_PX, WINDOWS, auto, noise_of
+from lensshift.reconstruction.learned.method import auto, noise_of
 from lensshift.reconstruction.learned.turn import Turn
 from lensshift.reconstruction.problem import make_problem
 from lensshift.reconstruction.request import Request
@@ -188,16 +188,28 @@ def test_a_frame_that_may_be_misplaced_is_believed_less():
     assert min(gain) > -0.5
 
 
+def _problem(y, **settings):
+    burst = Burst.from_arrays(y, offset_px=square(2), pitch_mm=0.1)
+    return make_problem(burst, y, 2, blur=GaussianBlur(BOX_PX), shift_field=None,
+                        noise_sigma=None, **settings)  # fmt: skip
+
+
 def test_the_noise_of_a_large_sensor_is_that_of_windows():
     rng = np.random.default_rng(2)
-    y = mosaic_burst(11, (70, 260), snr=40).y
-    burst = Burst.from_arrays(y, offset_px=square(2), pitch_mm=0.1)
-    problem = make_problem(burst, y, 2, blur=GaussianBlur(BOX_PX), shift_field=None,
-                           noise_sigma=None)  # fmt: skip
-    assert problem.model.lr_shape[0] * problem.model.lr_shape[1] > (WINDOWS * WINDOW_PX) ** 2
-    assert noise_of(problem) * problem.intensity == pytest.approx(0.8 / 40.0, rel=0.15)
-    flat = replace(problem, y=0.03 * rng.standard_normal(y.shape))
-    assert noise_of(flat) == pytest.approx(0.03, rel=0.1)  # the lowest bounds lie a little low
+    problem = _problem(mosaic_burst(11, (80, 260), snr=40).y)
+    assert noise_of(problem).sigma * problem.intensity == pytest.approx(0.8 / 40.0, rel=0.1)
+    flat = replace(problem, y=0.03 * rng.standard_normal(problem.y.shape))
+    assert noise_of(flat).sigma == pytest.approx(0.03, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_given_variances_are_the_noise(seed):
+    rng = np.random.default_rng(seed)
+    burst = mosaic_burst(seed)
+    variance = burst.sigma**2 * rng.uniform(0.5, 4, burst.y.shape)
+    problem = _problem(burst.y, pixel_variance=variance)
+    told = noise_of(problem).sigma / np.sqrt(problem.weight)
+    np.testing.assert_allclose(told * problem.intensity, np.sqrt(variance), rtol=1e-6)
 
 
 def test_an_error_bar_is_not_passed_off_as_noise():

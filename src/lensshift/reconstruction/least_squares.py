@@ -113,11 +113,13 @@ def smooth_fit(
 
     The penalty on second differences makes a soft low pass: what it leaves in the residual are
     the highest frequencies, where there is least of the scene. `x0` is where to start, by default
-    at 0.
+    at 0. Single precision stays single.
     """
+    weight = weight.astype(y.real.dtype, copy=False)
     quarter = np.full((len(NEIGHBOURS), *A.in_shape), 0.25) / np.sqrt(
         (NEIGHBOURS**2).sum(axis=1)
     ).reshape(-1, 1, 1)
+    quarter = quarter.astype(weight.dtype, copy=False)
 
     def laplacian(x: Array) -> Array:
         out = np.zeros(x.shape, x.dtype)
@@ -129,4 +131,4 @@ def smooth_fit(
 
     b = A.adjoint(weight * y)
     start = np.zeros_like(b) if x0 is None else x0
-    return conjugate_gradient(apply, b, start, np.ones(A.in_shape), iterations, 1e-3)
+    return conjugate_gradient(apply, b, start, np.ones(A.in_shape, weight.dtype), iterations, 1e-3)

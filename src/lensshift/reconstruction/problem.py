@@ -46,6 +46,8 @@ class Problem:
     shift_error_px : [frame] standard deviation of the offsets about their common part, 0 if not
         known
     even_noise : whether all pixels have about the same noise, as amplitudes do and distances do not
+    told_sigma : noise of the pixels of weight 1 in units of `intensity`, where the variance of each
+        was given, or None
     """
 
     y: Array
@@ -57,6 +59,7 @@ class Problem:
     shift_error_px: NDArray[np.float64] | float = 0.0
     level: float = 0.0
     even_noise: bool = True
+    told_sigma: float | None = None
 
     @property
     def scale(self) -> int:
@@ -143,8 +146,10 @@ def make_problem(
         raise ValueError("no valid pixel sees the scene; are the offsets in pixels?")
     if keep_outside:
         weight = usable.astype(np.float64)
+    least = None
     if pixel_variance is not None:
-        weight *= _variance_weight(pixel_variance, weight)
+        share, least = _variance_weight(pixel_variance, weight)
+        weight *= share
     kind = np.complex128 if values.dtype.kind == "c" else np.float64
     used = weight > 0
     level, unit = _large_level(values, used) if take_level else (0.0, 0.0)
@@ -160,6 +165,7 @@ def make_problem(
         noise_sigma=None if noise_sigma is None else noise_sigma / unit,
         shift_error_px=_own_error_px(burst.offset_sigma_px, burst.frame_count),
         even_noise=even_noise,
+        told_sigma=None if least is None else float(np.sqrt(least)) / unit,
     )
 
 
@@ -250,7 +256,8 @@ def _own_error_px(sigma_px: Array | None, count: int) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.maximum(variance - min(shared, variance.max()), 0.0)))
 
 
-def _variance_weight(pixel_variance: Array, weight: Array) -> NDArray[np.float64]:
+def _variance_weight(pixel_variance: Array, weight: Array) -> tuple[NDArray[np.float64], float]:
+    """Return the least variance over that of each pixel, and the least."""
     variance = np.asarray(pixel_variance, np.float64)
     if variance.shape != weight.shape:
         raise ValueError(f"expected pixel_variance of {weight.shape}, got {variance.shape}")
@@ -258,4 +265,4 @@ def _variance_weight(pixel_variance: Array, weight: Array) -> NDArray[np.float64
     if not np.all(np.isfinite(variance[used])) or np.any(variance[used] <= 0):
         raise ValueError("expected a positive, finite pixel_variance at every valid pixel")
     least = float(np.min(variance[used]))
-    return np.where(used, least / np.where(used, variance, 1.0), 0.0)
+    return np.where(used, least / np.where(used, variance, 1.0), 0.0), least

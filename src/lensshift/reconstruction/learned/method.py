@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
-from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
+from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
 from lensshift.reconstruction.problem import Problem
 from lensshift.reconstruction.request import Request
 
@@ -27,24 +27,31 @@ BELIEVED_FRAME = 0.5
 LEAST_WEIGHT = 0.04
 # Smaller than any noise of numbers in 0 .. 1 that went through a converter of 24 bits.
 LEAST_SIGMA = 1e-7
-# Noise is one number: so many windows along a side, of 6400 samples each with four frames (its
-# estimate is good to 2 %), tell as much as the whole of a large sensor.
-WINDOWS, WINDOW_PX = 3, 40
+# Fewer frames show no frequency that a scene hardly reaches.
+LEAST_FRAMES = 3
 
 
 def auto(problem: Problem, request: Request) -> Estimate:
     """Exact data steps and a learned prior; the noise decides what is believed of both."""
-    sigma = problem.noise_sigma
-    sigma = max(noise_of(problem) if sigma is None else sigma, LEAST_SIGMA)
+    law = noise_of(problem)
     used = problem.weight > 0
-    noise = np.where(used, sigma / np.sqrt(np.where(used, problem.weight, 1.0)), np.inf)
+    variance = law.variance(light_of(problem.y, used) if law.b else problem.y.real)
+    variance = np.maximum(variance, LEAST_SIGMA**2) / np.where(used, problem.weight, 1.0)
+    noise = np.where(used, np.sqrt(variance), np.inf)
     found, std = solved(problem, noise, request)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std[:2] ** 2, axis=0))
     image = found.image
     if request.non_negative and image.dtype.kind == "f":
         image = np.maximum(image, 0)
-    return replace(found, image=image, uncertainty=std if request.std else None, noise_sigma=sigma)
+    in_units = law.scaled(problem.intensity, problem.level)
+    return replace(
+        found,
+        image=image,
+        uncertainty=std if request.std else None,
+        noise_sigma=max(law.sigma, LEAST_SIGMA),
+        notes=dict(found.notes) | {"noise_law": in_units.coefficients},
+    )
 
 
 def solved(
@@ -117,32 +124,16 @@ def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[n
     return np.asarray(np.sqrt(sigma**2 + error_px[:, None, None] ** 2 * steep))
 
 
-def noise_of(problem: Problem) -> float:
-    """Return the noise of an LR pixel; of a large sensor from windows spread over it.
-
-    A scene can only make the estimate of a window larger, so a low one of them is taken.
-    """
-    rows, cols = problem.model.lr_shape
-    if rows * cols <= (WINDOWS * WINDOW_PX) ** 2:
-        return _estimated(problem, problem.model, problem.y, problem.weight)
-    found = []
-    for top in np.linspace(0, max(rows - WINDOW_PX, 0), WINDOWS).astype(int):
-        for left in np.linspace(0, max(cols - WINDOW_PX, 0), WINDOWS).astype(int):
-            part = (
-                slice(top, min(top + WINDOW_PX, rows)),
-                slice(left, min(left + WINDOW_PX, cols)),
-            )
-            y, weight = (v[(slice(None), *part)] for v in (problem.y, problem.weight))
-            if np.mean(weight > 0) > 0.5:
-                model = problem.model.crop(*part)
-                found.append(_estimated(problem, model, y, weight))
-    if not found:
-        return _estimated(problem, problem.model, problem.y, problem.weight)
-    return float(np.quantile(found, 0.25))
-
-
-def _estimated(problem: Problem, model: ForwardModel, y: Array, weight: Array) -> float:
-    return estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma
+def noise_of(problem: Problem) -> NoiseLaw:
+    """Return the noise of an LR pixel in units of the problem: as told, else as the frames say."""
+    told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
+    if told is not None:
+        return constant_noise(told)
+    y, weight, model = problem.y, problem.weight, problem.model
+    plain = y.dtype.kind != "c" and problem.even_noise and model.offset_px is not None
+    if plain and len(y) >= LEAST_FRAMES:
+        return noise_law(model, y, weight, problem.blur_sigma_px)
+    return constant_noise(estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma)
 
 
 def status_of(found: Solution) -> Status:

@@ -94,7 +94,7 @@ def reconstruct_phasor(
         part, frames.phasor, scale, blur=blur, shift_field=shift_field, noise_sigma=noise_sigma,
         pixel_variance=pixel_variance,
     )  # fmt: skip
-    sigma = _noise(problem, pixel_variance)
+    sigma = _noise(problem)
     seen = problem.weight > 0
     typical = float(np.median(sigma[seen]))
     if method == "auto":
@@ -127,14 +127,12 @@ def _check(method: str, request: Request, photometric: bool) -> None:
         raise ValueError("photometric estimation expects real frames, not the phasor channel")
 
 
-def _noise(problem: Problem, pixel_variance: Array | None) -> NDArray[np.float64]:
-    """Return the noise [frame row col] of a component: given, or estimated with its law."""
+def _noise(problem: Problem) -> NDArray[np.float64]:
+    """Return the noise [frame row col] of a component: as told, or estimated with its law."""
     seen = problem.weight > 0
-    if pixel_variance is not None:
-        variance = np.where(seen, pixel_variance, 1.0)
-        return np.where(seen, np.sqrt(variance) / problem.intensity, np.inf)
-    if problem.noise_sigma is not None:
-        return np.where(seen, problem.noise_sigma, np.inf)
+    told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
+    if told is not None:
+        return np.where(seen, told / np.sqrt(np.where(seen, problem.weight, 1.0)), np.inf)
     level = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
     law = np.sqrt(relative_variance(problem.y, problem.weight))
     return np.where(seen, np.maximum(level * law, LEAST_SIGMA), np.inf)

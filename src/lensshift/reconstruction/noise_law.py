@@ -1,0 +1,301 @@
+"""Noise of the frames as a function of the light, variance = a + b I, with the scene in view.
+
+At each spatial frequency of the frames a scene of falling spectrum has the covariance D between
+frames, known from their shifts; what it hardly reaches is noise:
+
+    r = s (s 1 + D)^-1 y,   D_kj = sum over aliases v of |H(v)|^2 / |v|^4 exp(-2 pi i v (d_k - d_j))
+
+the residual of a smooth fit in closed form, for stiff and soft fits s. A scene makes a residual
+larger, and that of the stiff fit more so: where both say the same there is noise alone. Blocks of
+the frames that pass this give level and slope; the slope counts as far as it exceeds its error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.ndimage import uniform_filter
+
+from lensshift.forward.model import ForwardModel
+from lensshift.reconstruction.noise import lone_pixels
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+# Power of a scene over that of the noise, at 1 cycle per LR pixel, where a fit stops following.
+STIFFNESS = np.array([3.0, 0.3, 0.03])
+ALIASES = 3  # a square pixel lets 10 % through at the third
+# Windows spread over a large sensor tell as much as the whole of it; as many frames are enough.
+WINDOWS, WINDOW_PX, MOST_FRAMES = 3, 48, 9
+PAD_PX, BORDER_PX = 4, 1  # continued beyond the border, whose pixels are not judged
+BLOCK_PX, BLOCK_STEP_PX = 6, 3
+REFILLS = 8
+# The share of the blocks of white noise that passes as such, and the quantile that stands for the
+# blocks that pass: texture may be in some.
+PASSING, LOW = 0.9, 0.1
+# Standard error of that quantile over the standard deviation / sqrt(count), of Gaussian values.
+LOW_ERROR = 1.71
+LEAST_BLOCKS, MOST_BINS = 16, 8
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLaw:
+    """Variance of an LR pixel, a + b I for light between `darkest` and `brightest`.
+
+    Parameters
+    ----------
+    sigma : root of the mean variance
+    a, b : level and slope, 0 where the slope is not seen
+    darkest, brightest : range of light that was seen; beyond it the variance is that at its end
+    """
+
+    sigma: float
+    a: float
+    b: float
+    darkest: float
+    brightest: float
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Level and slope by name."""
+        return {"a": self.a, "b": self.b}
+
+    def scaled(self, unit: float, level: float) -> NoiseLaw:
+        """Return the law of y * unit + level."""
+        return NoiseLaw(
+            self.sigma * unit,
+            self.a * unit**2 - self.b * unit * level,
+            self.b * unit,
+            self.darkest * unit + level,
+            self.brightest * unit + level,
+        )
+
+    def variance(self, light: Array) -> NDArray[np.float64]:
+        """Return the variance at each pixel."""
+        seen = np.clip(light, self.darkest, self.brightest)
+        return np.asarray(self.a + self.b * seen, np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Filters:
+    """Residual filters of one geometry, and what they make of white noise.
+
+    Parameters
+    ----------
+    response : [fit frame frame frequency]
+    gain : [fit frame] root mean square of the residual of unit white noise
+    energy : [fit block] of white noise
+    """
+
+    response: Array
+    gain: Array
+    energy: Array
+
+
+def noise_law(model: ForwardModel, y: Array, weight: Array, blur_px: float) -> NoiseLaw:
+    """Return the noise of frames [frame row col] that have one shift each.
+
+    Parameters
+    ----------
+    weight : [frame row col] 0 at pixels that must not be used
+    blur_px : standard deviation of the pixel response in LR pixels
+    """
+    offset_px = model.offset_px
+    if offset_px is None:
+        raise ValueError("expected frames with one shift each, got a shift field")
+    some = np.unique(np.linspace(0, len(y) - 1, min(len(y), MOST_FRAMES)).round().astype(int))
+    offset = offset_px[some] - offset_px[some[0]]
+    used = _windows(weight[some] > 0)
+    values = _windows(y[some])
+    level = np.median(values[used])
+    values = np.where(used, values - level, 0.0)
+    unit = float(np.sqrt(np.mean(values**2))) or 1.0
+    filters = _filters(offset.tobytes(), len(some), used.shape[-2:], round(float(blur_px), 3))
+    energy, light = _blocks((values / unit).astype(np.float32), used, filters)
+    return _fitted(energy, light, filters.energy).scaled(unit, float(level))
+
+
+def constant_noise(sigma: float) -> NoiseLaw:
+    """Return the law of noise that is the same at any light."""
+    return NoiseLaw(sigma, sigma**2, 0.0, -np.inf, np.inf)
+
+
+def light_of(y: Array, used: Mask) -> Array:
+    """Return the light at each pixel [frame row col]: the mean of those around it."""
+    around = (1, 3, 3)
+    seen = uniform_filter(used.astype(np.float32), around, mode="nearest")
+    total = uniform_filter(np.where(used, y, 0.0).astype(np.float32), around, mode="nearest")
+    return np.asarray(total / np.maximum(seen, 1e-3))
+
+
+def _windows(values: Array) -> Array:
+    """Return parts [window frame row col] spread over the frames, or all of small ones."""
+    starts, sides = [], []
+    for size in values.shape[1:]:
+        whole = size <= 1.5 * WINDOW_PX
+        sides.append(size if whole else WINDOW_PX)
+        count = 1 if whole else min(WINDOWS, size // WINDOW_PX + 1)
+        starts.append(np.linspace(0, size - sides[-1], count).astype(int))
+    return np.stack([
+        values[:, top : top + sides[0], left : left + sides[1]]
+        for top in starts[0] for left in starts[1]
+    ])  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _filters(offset_bytes: bytes, count: int, shape: tuple[int, int], blur_px: float) -> _Filters:
+    offset_px = np.frombuffer(offset_bytes).reshape(count, 2)
+    padded = _padded_shape(shape)
+    row = np.fft.fftfreq(padded[0])[:, None, None, None]
+    col = np.fft.rfftfreq(padded[1])[:, None, None]
+    alias = np.arange(-ALIASES, ALIASES + 1)
+    covariance: Array = np.zeros((padded[0], padded[1] // 2 + 1, count, count), np.complex128)
+    apart = offset_px[:, None] - offset_px[None]
+    for m in alias:
+        for n in alias:
+            v, w = row + m, col + n
+            square = np.maximum(v * v + w * w, 1e-4)
+            power = np.exp(-4 * np.pi**2 * blur_px**2 * square) / square**2
+            covariance += power * np.exp(-2j * np.pi * (v * apart[..., 0] + w * apart[..., 1]))
+    eye = np.eye(count)
+    response = np.stack([s * np.linalg.inv(s * eye + covariance) for s in STIFFNESS])
+    twice = np.full(padded[1] // 2 + 1, 2.0)
+    twice[0] = 1.0
+    if padded[1] % 2 == 0:
+        twice[-1] = 1.0
+    power = np.einsum("srckj,c->sk", np.abs(response) ** 2, twice) / (padded[0] * padded[1])
+    filters = _Filters(
+        np.ascontiguousarray(np.moveaxis(response, (1, 2), (3, 4))).astype(np.complex64),
+        np.sqrt(power).astype(np.float32),
+        np.empty(0),
+    )
+    white = np.random.default_rng(0).standard_normal((WINDOWS**2, count, *shape), np.float32)
+    energy, _ = _blocks(white, np.ones(white.shape, np.bool_), filters)
+    return _Filters(filters.response, filters.gain, energy)
+
+
+def _padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    rows, cols = (fft.next_fast_len(n + 2 * min(PAD_PX, n - 1), real=True) for n in shape)
+    return rows, cols
+
+
+def _residuals(values: Array, filters: _Filters, fits: slice) -> Array:
+    """Return the residuals [fit window frame row col] of the fits, in units of those of noise."""
+    shape = values.shape[-2:]
+    pads = [min(PAD_PX, n - 1) for n in shape]
+    wide = np.pad(
+        values, ((0, 0), (0, 0), *((p, p) for p in pads)), mode="reflect", reflect_type="odd"
+    )
+    padded = _padded_shape(shape)
+    spectrum = fft.rfft2(wide, padded)
+    found = np.einsum("skjrc,wjrc->swkrc", filters.response[fits], spectrum)
+    rest = fft.irfft2(found, padded)[
+        ..., pads[0] : pads[0] + shape[0], pads[1] : pads[1] + shape[1]
+    ]
+    return np.asarray(rest / filters.gain[fits][:, None, :, None, None])
+
+
+def _blocks(values: Array, used: Mask, filters: _Filters) -> tuple[Array, Array]:
+    """Return mean squares [fit block] of the residuals and the light [block].
+
+    Pixels that are not used or stand out are replaced by what the others tell of them.
+    """
+    alone = np.stack([lone_pixels(part) for part in values]) & used
+    judged = used & ~alone
+    if not judged.all():
+        values = _refilled(values, ~judged, filters)
+    rest = _residuals(values, filters, slice(None))
+    inner = np.zeros(values.shape, np.float32)
+    cut = tuple(slice(min(BORDER_PX, (n - 1) // 2), n - min(BORDER_PX, (n - 1) // 2))
+                for n in values.shape[-2:])  # fmt: skip
+    inner[..., cut[0], cut[1]] = judged[..., cut[0], cut[1]]
+    share = _sampled(inner.mean(axis=1))
+    energy = _sampled(np.mean(rest**2 * inner, axis=2))
+    light = _sampled(np.mean(values * inner, axis=1))
+    full = share > 1 / 3 if (share > 1 / 3).any() else share > 0
+    return energy[:, full] / share[full], light[full] / share[full]
+
+
+def _refilled(values: Array, missing: Mask, filters: _Filters) -> Array:
+    """Return the frames with the residual of the middle fit brought to 0 at missing pixels."""
+
+    def rest(x: Array) -> Array:
+        return np.where(missing, _residuals(x, filters, slice(1, 2))[0], np.float32(0))
+
+    filled = values.copy()
+    r = rest(values)
+    p, power = r.copy(), float(np.vdot(r, r))
+    for _ in range(REFILLS):  # conjugate gradients
+        if power == 0.0:
+            break
+        q = rest(p)
+        step = power / float(np.vdot(p, q))
+        filled -= step * p
+        r -= step * q
+        power, before = float(np.vdot(r, r)), power
+        p = r + (power / before) * p
+    return filled
+
+
+def _sampled(values: Array) -> Array:
+    """Return the means of blocks [... row col] at every few pixels."""
+    rows, cols = values.shape[-2:]
+    sides = [min(BLOCK_PX, n) for n in (rows, cols)]
+    mean = uniform_filter(values, sides, axes=(-2, -1), mode="constant")
+    first = [side // 2 for side in sides]
+    last = [n - (side - 1) // 2 for n, side in zip((rows, cols), sides, strict=True)]
+    return mean[..., first[0] : last[0] : BLOCK_STEP_PX, first[1] : last[1] : BLOCK_STEP_PX]
+
+
+def _fitted(energy: Array, light: Array, white: Array) -> NoiseLaw:
+    """Return level and slope from blocks [fit block] and those of white noise."""
+    purity, usual = energy[0] / np.maximum(energy[-1], 1e-30), white[0] / white[-1]
+    limit = np.quantile(usual, PASSING)
+    pure = purity <= max(limit, np.quantile(purity, 1 - PASSING))
+    reference = np.quantile(white[:, usual <= limit], LOW, axis=1)
+    level = np.quantile(energy[:, pure], LOW, axis=1) / reference
+    best = int(level.argmin())
+    values, seen = energy[best, pure] / reference[best], light[pure]
+    slope, middle = _slope(values, seen, float(np.std(white[best]) / np.mean(white[best])))
+    low, high = float(seen.min()), float(seen.max())
+    relative = 1 + slope * (seen - middle)
+    variance = float(np.quantile(values / relative, LOW))
+    b = variance * slope
+    mean = float(np.mean(variance * (1 + slope * (np.clip(light, low, high) - middle))))
+    return NoiseLaw(float(np.sqrt(mean)), variance - b * middle, b, low, high)
+
+
+def _slope(values: Array, light: Array, spread: float) -> tuple[float, float]:
+    """Return the relative slope of the variance, as far as it exceeds its error, and its pivot."""
+    count = min(MOST_BINS, len(values) // LEAST_BLOCKS)
+    if count < 3:
+        return 0.0, 0.0
+    order = np.argsort(light)
+    parts = np.array_split(order, count)
+    at = np.array([light[p].mean() for p in parts])
+    low = np.array([np.quantile(values[p], LOW) for p in parts])
+    # Blocks overlap: every fourth is new.
+    own = np.array([len(p) for p in parts]) / (BLOCK_PX / BLOCK_STEP_PX) ** 2
+    error = LOW_ERROR * spread / np.sqrt(own)
+    expected = np.full(count, low.mean())
+    middle = b = b_error = mean = 0.0
+    for _ in range(3):
+        weight = 1 / np.maximum(error * expected, 1e-30) ** 2
+        middle, mean = np.average(at, weights=weight), np.average(low, weights=weight)
+        power = float(np.sum(weight * (at - middle) ** 2))
+        if power == 0.0 or mean <= 0.0:
+            return 0.0, 0.0
+        b = float(np.sum(weight * (at - middle) * low)) / power
+        misfit = np.sum(weight * (low - mean - b * (at - middle)) ** 2) / (count - 2)
+        b_error = np.sqrt(max(1.0, misfit) / power)
+        # No light has less than a tenth of the mean variance: the reading of the camera is noisy.
+        expected = np.maximum(mean + b * (at - middle), 0.1 * mean)
+    b *= max(0.0, 1 - (b_error / b) ** 2) if b else 0.0
+    slope = b / mean
+    reach = float(np.max(np.abs(np.array([light.min(), light.max()]) - middle)))
+    return float(np.clip(slope, -0.9 / reach, 0.9 / reach)) if reach else 0.0, float(middle)

@@ -1,0 +1,135 @@
+"""Noise as a function of the light, with the scene in view."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mosaic import canvas, observe, square
+from pixel_camera import SQUARE_PX, edge_scene, photograph, smooth_scene
+
+from lensshift import Burst, reconstruct
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
+from lensshift.reconstruction.noise_law import light_of, noise_law
+
+SHAPE = (43, 56)
+USED = np.ones((4, *SHAPE))
+MODEL = forward_model(SHAPE, 2, SQUARE_PX, blur=GaussianBlur(0.3))
+
+
+def _white(seed: int) -> np.ndarray:
+    return np.random.default_rng(50 + seed).standard_normal((4, *SHAPE))
+
+
+def _law(y: np.ndarray, used: np.ndarray = USED):
+    return noise_law(MODEL, y, used, 0.3)
+
+
+def _rings(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Rings that grow finer outwards, up to 0.45 cycles per LR pixel, brighter to the right."""
+    return (0.3 + col / 150) * (
+        1 + 0.8 * np.cos(np.pi * 0.45 / 20 * ((row - 20) ** 2 + (col - 24) ** 2))
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("scene", [smooth_scene, edge_scene])
+@pytest.mark.parametrize("sigma", [0.003, 0.03])
+def test_even_noise_is_found_and_has_hardly_a_slope(scene, sigma: float, seed: int) -> None:
+    y = photograph(scene, SHAPE, SQUARE_PX)
+    y += sigma * _white(seed)
+    law = _law(y)
+    assert law.sigma == pytest.approx(sigma, rel=0.1)
+    np.testing.assert_allclose(np.sqrt(law.variance(light_of(y, USED > 0))), sigma, rtol=0.15)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("a", [0.0, 1e-4])
+def test_the_noise_of_photons_grows_with_the_light(a: float, seed: int) -> None:
+    clean = photograph(smooth_scene, SHAPE, SQUARE_PX)
+    true = np.sqrt(a + 1e-3 * clean)
+    y = clean + true * _white(seed)
+    found = np.sqrt(_law(y).variance(light_of(y, USED > 0)))
+    assert np.sqrt(np.mean(np.log(found / true) ** 2)) < 0.12
+    even = np.sqrt(np.mean(true**2))
+    assert np.sqrt(np.mean(np.log(even / true) ** 2)) > 0.15
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_texture_that_is_bright_gives_no_slope(seed: int) -> None:
+    y = photograph(_rings, SHAPE, SQUARE_PX)
+    y += 0.01 * _white(seed)
+    found = np.sqrt(_law(y).variance(light_of(y, USED > 0)))
+    np.testing.assert_allclose(found, 0.01, rtol=0.35)
+
+
+@pytest.mark.parametrize(("a", "b"), [(1.0, 290.0), (4000.0, -17.0), (1e-6, 3.0)])
+def test_the_law_is_that_of_the_units(a: float, b: float) -> None:
+    clean = photograph(smooth_scene, SHAPE, SQUARE_PX)
+    y = clean + np.sqrt(1e-3 * clean) * _white(9)
+    plain, other = _law(y), _law(a * y + b)
+    assert plain.b > 0
+    assert other.sigma == pytest.approx(a * plain.sigma, rel=1e-2)
+    np.testing.assert_allclose(
+        other.variance(a * clean + b), a * a * plain.variance(clean), rtol=0.02
+    )
+
+
+@pytest.mark.parametrize("spoil", ["dead", "salt"])
+def test_pixels_that_lie_do_not_count(spoil: str) -> None:
+    y = photograph(edge_scene, SHAPE, SQUARE_PX)
+    y += 0.02 * _white(0)
+    bad = np.random.default_rng(3).random(y.shape) < 0.03
+    y = np.where(bad, 1.5, y)
+    used = np.where(bad & (spoil == "dead"), 0.0, 1.0)
+    assert _law(y, used).sigma == pytest.approx(0.02, rel=0.1)
+    if spoil == "dead":
+        assert _law(np.where(bad, -7.0, y), used) == _law(y, used)
+
+
+@pytest.mark.parametrize("count", [3, 5, 12])
+def test_any_shifts_and_number_of_frames(count: int) -> None:
+    rng = np.random.default_rng(count)
+    offset_px = rng.uniform(-0.5, 0.5, (count, 2))
+    y = photograph(edge_scene, SHAPE, offset_px)
+    y += 0.02 * rng.standard_normal(y.shape)
+    model = forward_model(SHAPE, 3, offset_px, blur=GaussianBlur(0.3))
+    assert noise_law(model, y, np.ones(y.shape), 0.3).sigma == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (1, 40), (16, 9)])
+def test_small_frames(shape: tuple[int, int]) -> None:
+    y = 0.5 + 0.1 * np.random.default_rng(1).standard_normal((4, *shape))
+    model = forward_model(shape, 2, SQUARE_PX, blur=GaussianBlur(0.3))
+    assert noise_law(model, y, np.ones(y.shape), 0.3).sigma == pytest.approx(0.1, rel=0.4)
+
+
+def test_flat_frames_have_no_noise() -> None:
+    law = _law(np.full((4, *SHAPE), 0.5))
+    assert law.sigma == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_offsets_and_types_of_numbers_change_nothing(seed: int) -> None:
+    """A thermal scene of 290 K, and the counts of a converter."""
+    rng = np.random.default_rng(seed)
+    counts = np.rint(4000 * observe(canvas(rng, (22, 27)), (22, 27), rng=rng).y + 3000)
+
+    def image(y: np.ndarray) -> np.ndarray:
+        burst = Burst.from_arrays(y, offset_px=square(2), pitch_mm=0.1)
+        return reconstruct(burst).amplitude.image
+
+    plain = image(counts)
+    np.testing.assert_array_equal(image(counts.astype(np.uint16)), plain)
+    warm = image(counts / 4e4 + 290.0)
+    np.testing.assert_allclose((warm - 290.0) * 4e4, plain, atol=0.02 * 80)
+
+
+def test_what_was_found_of_the_noise_is_told() -> None:
+    y = photograph(smooth_scene, SHAPE, SQUARE_PX)
+    y += np.sqrt(1e-3 * y) * _white(4)
+    burst = Burst.from_arrays(100.0 * y, offset_px=SQUARE_PX, pitch_mm=0.1)
+    law = reconstruct(burst).amplitude.notes["noise_law"]
+    assert law["b"] == pytest.approx(1e-3 * 100.0, rel=0.4)
+    told = reconstruct(burst, noise_sigma=2.0).amplitude.notes["noise_law"]
+    assert told == pytest.approx({"a": 4.0, "b": 0.0})
