@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -87,7 +88,7 @@ def test_right_bursts_raise_no_alarm(seed: int) -> None:
     assert warned(burst_of(seen.y)) == []
 
 
-@pytest.mark.parametrize("seed", (31, 32, 33))
+@pytest.mark.parametrize("seed", [31, 32, 33])
 def test_a_frame_that_lies_elsewhere_is_named(seed: int) -> None:
     seen = mosaic_burst(seed, SHAPE)
     told = square(2)
@@ -104,7 +105,7 @@ def test_the_number_of_a_frame_is_that_in_the_burst() -> None:
     assert "frame 6 does" in warned(burst_of(seen.y, told), frames=(0, 2, 3, 5, 6))[0]
 
 
-@pytest.mark.parametrize("seed", (1, 2, 3))
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_what_moves_is_named_and_shown_as_in_the_first_frame(seed: int) -> None:
     y, truth, place = moving(seed, 3.0)
     burst = burst_of(y)
@@ -144,3 +145,14 @@ def test_misfit_widens_std_and_travels_with_the_result(tmp_path: Path) -> None:
     assert again is not None
     np.testing.assert_allclose(again.misfit, right.amplitude.misfit)  # type: ignore[arg-type]
     assert replace(right.amplitude, misfit=None).misfit is None
+
+
+@pytest.mark.parametrize("seed", [51, 52, 53])
+def test_a_response_that_is_too_wide_is_named_with_one_that_fits(seed: int) -> None:
+    burst = burst_of(mosaic_burst(seed, (28, 33)).y)
+    texts = warned(burst, psf_sigma_px=0.6)
+    assert len(texts) == 1
+    width = re.search(r"about ([0-9.]+) LR pixels fit", texts[0])
+    assert width is not None
+    assert float(width.group(1)) == pytest.approx(12**-0.5, abs=0.1)
+    assert warned(burst, psf_sigma_px=0.29) == []

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.model import ForwardModel
+from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.solver import Solution, solve
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
@@ -58,7 +59,16 @@ def auto(problem: Problem, request: Request) -> Estimate:
 
     image, found = run(noise)
     misfit = left = compare(image, noise)
-    if misfit.contradicted and not request.shifts_doubted:
+    wrong = misfit.explain(request.frames or range(len(used)))
+    width_px = None
+    if request.blur_told and not request.shifts_doubted:
+        width_px = fitting_width_px(problem, image, noise)
+    if width_px is not None:
+        wrong = (
+            f"the frames are sharper than psf_sigma_px {problem.blur_sigma_px:g} lets them be: "
+            f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
+        )
+    elif misfit.contradicted and not request.shifts_doubted:
         believed = misfit.weight()
         noise = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
@@ -78,7 +88,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
         notes={"std_of": "error", "misfit": float(np.mean(misfit.chi_square))},
         misfit=misfit.chi_square,
     )
-    return _judged(estimate, misfit, used, request)
+    return _judged(estimate, wrong, used, request)
 
 
 def noise_of(problem: Problem) -> float:
@@ -118,7 +128,7 @@ def _status(image: Array, found: list[Solution]) -> Status:
 
 
 def _judged(
-    estimate: Estimate, misfit: Misfit, used: NDArray[np.bool_], request: Request
+    estimate: Estimate, wrong: str | None, used: NDArray[np.bool_], request: Request
 ) -> Estimate:
     """Note the frames that were not believed, and warn of what contradicts."""
     believed = estimate.confidence if estimate.confidence is not None else used.astype(float)
@@ -127,7 +137,7 @@ def _judged(
         "trust": float(believed[used].mean()),
         "rejected": np.flatnonzero(trust < BELIEVED_FRAME).tolist(),
     }
-    status, wrong = estimate.status, misfit.explain(request.frames or range(len(used)))
+    status = estimate.status
     if wrong is not None and not request.shifts_doubted:
         warnings.warn(wrong, QualityWarning, stacklevel=5)
     if status is not Status.NOT_FINITE and (wrong is not None or request.shifts_doubted):
