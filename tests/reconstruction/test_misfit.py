@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -144,3 +145,14 @@ def test_misfit_widens_std_and_travels_with_the_result(tmp_path: Path) -> None:
     assert again is not None
     np.testing.assert_allclose(again.misfit, right.amplitude.misfit)  # type: ignore[arg-type]
     assert replace(right.amplitude, misfit=None).misfit is None
+
+
+@pytest.mark.parametrize("seed", [51, 52, 53])
+def test_a_response_that_is_too_wide_is_named_with_one_that_fits(seed: int) -> None:
+    burst = burst_of(mosaic_burst(seed, (28, 33)).y)
+    texts = warned(burst, psf_sigma_px=0.6)
+    assert len(texts) == 1
+    width = re.search(r"about ([0-9.]+) LR pixels fit", texts[0])
+    assert width is not None
+    assert float(width.group(1)) == pytest.approx(12**-0.5, abs=0.1)
+    assert warned(burst, psf_sigma_px=0.29) == []

@@ -37,9 +37,11 @@ BRIGHTNESS_STEPS, MEDIAN_SQUARE, GAUSSIAN_MEDIAN = 8, 0.4549, 0.6745
 # What is left besides the light is at least this part of the noise, which other light inflates.
 LEAST_REST = 0.25
 # A frame is somewhere else if it contradicts in so much of what would show it.
-LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE = 0.2, 0.5, 0.25
+LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE, ALONE_SHARE = 0.2, 0.5, 0.25, 0.25
 # A frame with so much more noise than the best is not the one that says what was where.
 UNSURE = 1.1
+# What all frames contradict by at least this part of the most is no movement.
+ALIKE = 0.5
 # Standard errors that chi-square has to be larger than 1 by before it counts against `std`.
 SIGNIFICANT = 3.0
 
@@ -161,9 +163,15 @@ def find_misfit(
     variance *= _excess_noise(square / variance, np.abs(predicted), used)
     q = square / variance
     limit = _limit(q, used)
-    doubt = _around(np.minimum(q, MOST_SQUARE), seen, WINDOW_PX, 1.0) / limit
+    inner = seen.copy()  # border pixels see what lies beside the picture
+    inner[:, [0, -1]] = inner[:, :, [0, -1]] = 0.0
+    doubt = _around(np.minimum(q, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit
     off_px, everywhere = _elsewhere(r, slopes, variance * parts, used, doubt, limit)
-    brightness = _brightness(r, predicted, variance * parts, used, doubt)
+    terms = [np.ones_like(r), predicted - predicted.mean(), *slopes]
+    brightness = _brightness(r, np.stack(terms, axis=1), variance * parts, used, doubt)
+    if len(y) > 2:  # all frames alike: detail finer than the grid, nothing that moved
+        alike = doubt.min(axis=0) > ALIKE * doubt.max(axis=0)
+        doubt = np.where(alike, np.minimum(doubt, 1.0), doubt)
     chi_square, significant = _chi_square(A, square / noise * seen, seen, parts)
     told = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
     unsure = frozenset(np.flatnonzero(told > UNSURE * told.min()).tolist())
@@ -221,22 +229,22 @@ def _fit(terms: Array, variance: Array, r: Array) -> tuple[Array, Array]:
     return covariance @ (weighed @ r).real, covariance
 
 
-def _brightness(r: Array, predicted: Array, variance: Array, used: Mask, doubt: Array) -> float:
+def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Array) -> float:
     """Return the largest difference in gain and bias of a frame over what else is left of it.
 
     Where a frame contradicts more than it usually does, it counts less: that is not its light.
+    Neither is what goes with its slopes, the last of `terms` [frame term row col].
     """
     largest = 0.0
     for k in range(len(r)):
         on = used[k]
         if np.count_nonzero(on) < WINDOW_PX**2:
             continue
-        level = predicted[k][on]
-        terms = np.stack([np.ones_like(level), level - level.mean()])
         odd = np.maximum(doubt[k][on] / max(float(np.median(doubt[k][on])), 1e-12), 1.0)
-        fit, _ = _fit(terms, variance[k][on] * odd**2, r[k][on])
-        rest = float(np.median(np.abs(r[k][on] - fit @ terms))) / GAUSSIAN_MEDIAN
-        of_light = float(np.sqrt(np.mean(np.abs(fit @ terms) ** 2)))
+        known = terms[k][:, on]
+        fit, _ = _fit(known, variance[k][on] * odd**2, r[k][on])
+        rest = float(np.median(np.abs(r[k][on] - fit @ known))) / GAUSSIAN_MEDIAN
+        of_light = float(np.sqrt(np.mean(np.abs(fit[:2] @ known[:2]) ** 2)))
         rest = max(rest, LEAST_REST * float(np.sqrt(np.median(variance[k][on]))))
         largest = max(largest, of_light / rest)
     return largest
@@ -265,4 +273,10 @@ def _elsewhere(
         if not telling.any() or np.mean(doubt[k][telling] > 1.0) >= LEAST_SHARE:
             off_px[k] = (float(down), float(right))
             everywhere &= float(telling[used[k]].mean()) > TELLING_SHARE
+    share = np.mean(doubt > 1.0, axis=(1, 2))
+    worst = int(np.argmax(share))
+    alone = np.sum(share > ALONE_SHARE * share[worst]) == 1 and len(r) > 2
+    if alone and share[worst] > TELLING_SHARE:  # by more than its slopes can tell
+        down, right = shifts[worst] - np.median(shifts, axis=0)
+        return {worst: (float(down), float(right))}, True
     return off_px, everywhere

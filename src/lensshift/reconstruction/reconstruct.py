@@ -97,8 +97,9 @@ def reconstruct(
     Warns
     -----
     QualityWarning
-        If the frames do not fit the shifts, or ("auto" and phasors) fit another sign, order of
-        axes, unit or order of frames better.
+        If the frames fit another sign, order of axes, unit or order of frames better, or contradict
+        the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
+        changes, or ("auto") the response that was told is too wide.
     """
     chosen = find_method(method)
     request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
@@ -106,7 +107,7 @@ def reconstruct(
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames)
-    request = replace(request, frames=used)
+    request = replace(request, frames=used, blur_told=response["psf_source"] != "assumed")
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -140,6 +141,7 @@ def reconstruct(
     told = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
     if doubt is not None and not told:  # no frame and no place that it could be blamed on
         warn_of_doubt(doubt)
+        found = {name: replace(e, status=Status.CONTRADICTED) for name, e in found.items()}
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, method,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),

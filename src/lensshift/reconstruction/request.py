@@ -20,6 +20,7 @@ class Request:
     on_iteration : called with the number of the iteration and the objective
     options : keyword arguments that only this method knows
     frames : numbers of the frames in the burst
+    blur_told : whether the user or the burst told the pixel response
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     """
 
@@ -30,4 +31,5 @@ class Request:
     on_iteration: Callable[[int, float], None] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     frames: Sequence[int] = ()
+    blur_told: bool = False
     shifts_doubted: bool = False

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
+from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
@@ -90,8 +91,17 @@ def solved(
         return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
 
     found, misfit = run(noise)
-    left, told = misfit, noise
-    if misfit.contradicted and not request.shifts_doubted:
+    left, told, used = misfit, noise, problem.weight > 0
+    wrong = misfit.explain(request.frames or range(len(used)))
+    width_px = None
+    if request.blur_told and not request.shifts_doubted:
+        width_px = fitting_width_px(problem, found.image, noise)
+    if width_px is not None:
+        wrong = (
+            f"the frames are sharper than psf_sigma_px {problem.blur_sigma_px:g} lets them be: "
+            f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
+        )
+    elif misfit.contradicted and not request.shifts_doubted:
         believed = misfit.weight()
         told = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
@@ -107,7 +117,7 @@ def solved(
     )
     wider = np.sqrt(left.significant)
     std = found.std * (wider if found.std.ndim == 2 else [wider, wider, np.ones_like(wider)])
-    return _judged(estimate, misfit, problem.weight > 0, request), std
+    return _judged(estimate, wrong, used, request), std
 
 
 def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[np.float64]:
@@ -144,7 +154,7 @@ def status_of(found: Solution) -> Status:
 
 
 def _judged(
-    estimate: Estimate, misfit: Misfit, used: NDArray[np.bool_], request: Request
+    estimate: Estimate, wrong: str | None, used: NDArray[np.bool_], request: Request
 ) -> Estimate:
     """Note the frames that were not believed, and warn of what contradicts."""
     believed = estimate.confidence if estimate.confidence is not None else used.astype(float)
@@ -153,7 +163,7 @@ def _judged(
         "trust": float(believed[used].mean()),
         "rejected": np.flatnonzero(trust < BELIEVED_FRAME).tolist(),
     }
-    status, wrong = estimate.status, misfit.explain(request.frames or range(len(used)))
+    status = estimate.status
     if wrong is not None and not request.shifts_doubted:
         warnings.warn(wrong, QualityWarning, stacklevel=6)
     if status is not Status.NOT_FINITE and (wrong is not None or request.shifts_doubted):
