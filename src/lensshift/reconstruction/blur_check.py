@@ -28,7 +28,7 @@ EXPLAINED = 0.05
 # fitting. In 84 right runs of random worlds the told one was at most 1.11 times worse.
 REFUTED, FITTING = 1.2, 1.1
 TRIED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.33)
-# What slopes excuse (`problem.MOST_SHIFT_ERROR_PX`), and where a pixel counts as an outlier.
+# Errors of shifts that slopes excuse, told or not, and where a pixel counts as an outlier.
 ALLOWED_SHIFT_PX, MOST_SQUARE = 0.05, 25.0
 
 
