@@ -438,7 +438,7 @@ def test_iterations_are_an_option() -> None:
     [
         ({"method": "magic"}, "auto, nearest, bicubic"),
         ({"window": 2}, "auto does not know window; its options: none"),
-        ({"method": "tikhonov", "pixfrac": 1.0}, "its options: none"),
+        ({"method": "tikhonov", "pixfrac": 1.0}, "pixfrac; its options: prior_weight"),
         ({"scale": 0}, "whole scale from 1 to 8"),
         ({"scale": 9}, "whole scale from 1 to 8"),
         ({"scale": 2.5}, "whole scale from 1 to 8"),
