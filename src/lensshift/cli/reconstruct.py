@@ -64,6 +64,13 @@ PsfOption = Annotated[
 WeightOption = Annotated[
     str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
 ]
+MethodOptionsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", metavar="NAME=VALUE",
+        help="Option of the method, as in iterations=30; repeatable. A wrong name lists them.",
+    ),
+]  # fmt: skip
 FramesOption = Annotated[
     str | None, typer.Option(help="Frames to use, as in 0,2,8,10; default: all.")
 ]
@@ -99,6 +106,7 @@ def reconstruct(
     channel: ChannelOption = Channel.AUTO,
     psf_sigma_px: PsfOption = None,
     prior_weight: WeightOption = "auto",
+    option: MethodOptionsOption = None,
     frames: FramesOption = None,
     noise_sigma: NoiseOption = None,
     fill_factor: FillOption = None,
@@ -134,6 +142,7 @@ def reconstruct(
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
+        settings |= _parse_options(method, option or [])
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
         if psf_sigma_px is not None:
@@ -311,6 +320,32 @@ def _parse_weight(text: str) -> float | str | None:
             param_hint="--prior-weight",
         )
     return weight
+
+
+def _parse_options(method: str, told: list[str]) -> dict[str, Any]:
+    """Return options of a method from texts NAME=VALUE; values as in TOML, or plain words."""
+    from lensshift.core.errors import DataError
+    from lensshift.core.settings import fitted, parse_toml
+    from lensshift.reconstruction.methods import find_method, make_method
+
+    options: dict[str, Any] = {}
+    for text in told:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier() or name == "prior_weight":
+            hint = "; use --prior-weight" if name == "prior_weight" else ""
+            problem = f"expected NAME=VALUE, got {text!r}{hint}"
+            raise typer.BadParameter(problem, param_hint="--option")
+        try:
+            options[name] = parse_toml(f"value = {value}")["value"]
+        except DataError:
+            options[name] = value
+    try:
+        if not set(options) - set(find_method(method).option_names()):
+            options = fitted(find_method(method), options, "")
+        make_method(method, options)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--option") from error
+    return options
 
 
 def _parse_frames(text: str | None) -> tuple[int, ...] | None:

@@ -49,6 +49,7 @@ class _Penalised(Method):
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return the estimate, at the weight of the prior that is given or found."""
         fit, sigma = self._fit(problem, request)
+        chosen: float | MaximumAPosteriori
         if self.prior_weight == "cross-validation":
             chosen = cross_validate(
                 lambda value, part: self._run(
@@ -227,8 +228,12 @@ class MaximumPosterior(_Robust):
 
     def __post_init__(self) -> None:
         super(MaximumPosterior, self).__post_init__()
-        idle = [name for names in _OF_PRIOR.values() for name in names
-                if getattr(self, name) is not None and name not in _OF_PRIOR[self.prior]]  # fmt: skip
+        others = {name for names in _OF_PRIOR.values() for name in names}
+        idle = [
+            name
+            for name in sorted(others - set(_OF_PRIOR[self.prior]))
+            if getattr(self, name) is not None
+        ]
         if idle:
             raise ValueError(f"prior {self.prior} does not know {', '.join(idle)}")
 

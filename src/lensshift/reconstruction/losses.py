@@ -1,4 +1,4 @@
-"""What residuals cost: data losses, and the weights of the quadratics that touch them from above."""
+"""What residuals cost, and the weights of the quadratics that touch the losses from above."""
 
 from __future__ import annotations
 

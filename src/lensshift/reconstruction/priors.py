@@ -263,9 +263,8 @@ class SparseDifferences:
     def value(self, x: Array) -> float:
         """Return P(x) less what the smoothing adds to a flat image, but for its noise."""
         rest = self.smoothing**self.exponent - (0.3 * self.sigma) ** self.exponent
-        return float(np.sum(self._share * self._power(x, 0.0))) - x.size * rest * float(
-            self._share.sum()
-        )
+        total = np.sum(self._share * self._power(x, 0.0))
+        return float(total - x.size * rest * self._share.sum())
 
     def coefficients(self, x: Array) -> Array:
         """Return a(x) [direction row col], p share / 2 (...)^(p / 2 - 1)."""
