@@ -204,15 +204,9 @@ def describe(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def channels_of(result: Reconstruction) -> dict[str, Estimate]:
-    """Return the channels that a reconstruction holds, by name."""
-    named = {"amplitude": result.amplitude, "distance": result.distance_m}
-    return {name: estimate for name, estimate in named.items() if estimate is not None}
-
-
 def say_channels(current: Session, result: Reconstruction) -> None:
     """Print what is worth knowing about each channel."""
-    for name, estimate in channels_of(result).items():
+    for name, estimate in result.channels.items():
         known = describe(estimate)
         current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
         for label in ("prior_weight", "noise_sigma", "noise_gain"):
@@ -255,7 +249,7 @@ def _reconstruct(
         "scale": result.scale,
         "shape": shape,
         "seconds": seconds,
-        "channels": {name: describe(part) for name, part in channels_of(result).items()},
+        "channels": {name: describe(part) for name, part in result.channels.items()},
         "flying_share": None if result.flying is None else float(result.flying.mean()),
         "settings": dict(result.settings),
         "files": files.all,
@@ -270,10 +264,10 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
     if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
         same["channel"] = "auto"
     bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
-    channel, estimate = next(iter(channels_of(result).items()))
+    channel, estimate = next(iter(result.channels.items()))
     panels = {
         f"{result.method} x{result.scale}": estimate.image,
-        f"bicubic x{result.scale} of one frame": channels_of(bicubic)[channel].image,
+        f"bicubic x{result.scale} of one frame": bicubic.channels[channel].image,
     }
     unit = "m" if channel == "distance" else ""
     write_preview(panels, path, f"{channel} {unit}".strip())

@@ -313,6 +313,12 @@ class Reconstruction:
     settings: Mapping[str, Any] = field(default_factory=dict)
     flying: NDArray[np.bool_] | None = None
 
+    @property
+    def channels(self) -> Mapping[str, Estimate]:
+        """The channels that there are, by name: "amplitude", "distance"."""
+        named = {"amplitude": self.amplitude, "distance": self.distance_m}
+        return {name: estimate for name, estimate in named.items() if estimate is not None}
+
 
 def _as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
     frames = np.asarray(values)

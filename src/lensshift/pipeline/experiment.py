@@ -199,8 +199,7 @@ def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
 
 def images_of(result: Reconstruction) -> dict[str, NDArray[Any]]:
     """Return the images of a reconstruction by channel."""
-    named = {"amplitude": result.amplitude, "distance": result.distance_m}
-    return {name: estimate.image for name, estimate in named.items() if estimate is not None}
+    return {name: estimate.image for name, estimate in result.channels.items()}
 
 
 def depth_numbers(distance_m: NDArray[Any], truth: TofTruth, scale: int) -> dict[str, float]:

@@ -17,6 +17,7 @@ from lensshift.reconstruction.classical import (
 )
 from lensshift.reconstruction.learned.method import auto
 from lensshift.reconstruction.method import Method, Request
+from lensshift.reconstruction.options import weight
 from lensshift.reconstruction.plain import Bicubic, Deconvolution, Drizzle, Nearest, ShiftAndAdd
 from lensshift.reconstruction.problem import Problem
 
@@ -82,16 +83,19 @@ def make_method(method: str | Method, options: Mapping[str, Any] | None = None) 
         name of the option.
     """
     options = options or {}
-    known = () if isinstance(method, Method) else find_method(method).option_names()
+    if isinstance(method, Method):
+        if options:
+            told = ", ".join(sorted(options))
+            raise ValueError(f"{method.name} has its options already, got {told} beside it")
+        return method
+    kind = find_method(method)
+    known = kind.option_names()
     unknown = sorted(set(options) - set(known))
-    name = method.name if isinstance(method, Method) else method
-    if "prior_weight" in unknown and not isinstance(method, Method):
-        raise ValueError(
-            f"{name} has no prior to weigh, got prior_weight {options['prior_weight']!r}"
-        )
-    if unknown and isinstance(method, Method):
-        raise ValueError(f"{name} has its options already, got {', '.join(unknown)} beside it")
+    if "prior_weight" in unknown:
+        told = options["prior_weight"]
+        weight().check("prior_weight", told)
+        raise ValueError(f"{method} has no prior to weigh, got prior_weight {told!r}")
     if unknown:
         names = ", ".join(known) or "none"
-        raise ValueError(f"{name} does not know {', '.join(unknown)}; its options: {names}")
-    return method if isinstance(method, Method) else find_method(method)(**options)
+        raise ValueError(f"{method} does not know {', '.join(unknown)}; its options: {names}")
+    return kind(**options)
