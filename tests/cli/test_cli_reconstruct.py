@@ -68,6 +68,33 @@ def test_prior_weight(
     assert fake.calls[0]["prior_weight"] == value
 
 
+def test_options_of_a_method_reach_it(call: Call, fake: FakeReconstruct, burst_file: Path) -> None:
+    words = ("--method", "map", "--option", "prior=huber", "--option", "threshold=1")
+    assert call("reconstruct", burst_file, *words).exit_code == 0
+    assert {name: fake.calls[0][name] for name in ("prior", "threshold")} == {
+        "prior": "huber", "threshold": 1.0
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        ("iterations=0", "iterations: expected a whole number of at least 1, got 0"),
+        ("iterations=2.5", "iterations: expected int, got 2.5"),
+        ("window=2", "tv does not know window; its options: prior_weight, iterations"),
+        ("iterations", "expected NAME=VALUE"),
+        ("prior_weight=1", "use --prior-weight"),
+    ],
+)
+def test_a_wrong_option_of_a_method_is_named(
+    call: Call, fake: FakeReconstruct, burst_file: Path, told: str, said: str
+) -> None:
+    found = call("reconstruct", burst_file, "--method", "tv", "--option", told)
+    assert found.exit_code == 2
+    assert said in " ".join(found.stderr.replace("│", " ").split())
+    assert fake.calls == []
+
+
 def test_json_is_all_there_is_on_stdout(
     call: Call, fake: FakeReconstruct, burst_file: Path
 ) -> None:

@@ -33,7 +33,9 @@ shift_error_px = 0.0
 seed = 4
 [reconstruction]
 scale = 3
-method = "tikhonov"
+method = "irwsr"
+prior_weight = 1
+window = 2
 channel = "amplitude"
 shifts = "traced"
 """
@@ -60,7 +62,8 @@ def test_everything_that_a_file_can_say(tmp_path: Path) -> None:
     found = load_experiment(write(tmp_path, EVERYTHING))
     camera = found.camera
     assert (found.name, found.seed, found.scale) == ("all of it", 4, 3)
-    assert (found.method, found.channel, found.shifts) == ("tikhonov", "amplitude", "traced")
+    assert (found.method, found.channel, found.shifts) == ("irwsr", "amplitude", "traced")
+    assert found.options == {"prior_weight": 1.0, "window": 2}
     np.testing.assert_array_equal(found.pattern_px, [(0.0, 0.0), (0.25, -0.5)])
     assert len(found.scene.objects) == len(slanted_depth_step().objects)
     assert camera.grid.shape == (9, 13)
@@ -113,6 +116,18 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ),
         ("[reconstruction]\npsf_sigma_px = nan", "mine.toml: expected psf_sigma_px of at least 0"),
         ("[reconstruction]\nscale = 'a'", "reconstruction.scale: expected int, got 'a'"),
+        (
+            "[reconstruction]\nmethod = 'tv'\nwindow = 2",
+            "reconstruction.window: is not known, expected scale, method",
+        ),
+        (
+            "[reconstruction]\nmethod = 'tv'\niterations = '2'",
+            "reconstruction.iterations: expected int, got '2'",
+        ),
+        (
+            "[reconstruction]\nmethod = 'tv'\niterations = 0",
+            "iterations: expected a whole number of at least 1, got 0",
+        ),
         ("= 3", "mine.toml: is not TOML"),
         ("name = 3", "mine.toml: name: expected str, got 3"),
         ("[scene]\nfile = 3", "scene.file: expected str, got 3"),

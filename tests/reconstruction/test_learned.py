@@ -15,8 +15,8 @@ from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned import convolution, network, solver
 from lensshift.reconstruction.learned.method import auto, noise_of
 from lensshift.reconstruction.learned.turn import Turn
+from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.problem import make_problem
-from lensshift.reconstruction.request import Request
 
 BOX_PX = 1 / np.sqrt(12)
 INNER = (slice(4, -4), slice(4, -4))

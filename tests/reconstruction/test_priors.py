@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lensshift.reconstruction.priors import (
     PRIORS,
     BilateralTotalVariation,
-    Huber,
+    HuberDifferences,
     Prior,
     TotalVariation,
     gradient,
@@ -24,7 +24,7 @@ SHAPE = (6, 7)
 BETA = np.random.default_rng(5).random((4, *SHAPE))
 CHOICES: list[Prior] = [
     TotalVariation(0.05),
-    Huber(0.3),
+    HuberDifferences(0.3),
     BilateralTotalVariation(1, 0.5, 0.05),
     BilateralTotalVariation(2, 0.7, 0.05),
     BilateralTotalVariation(1, 0.5, 0.05, beta=BETA),

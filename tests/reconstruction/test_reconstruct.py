@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from pixel_camera import (
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, ShiftField, Status
-from lensshift.reconstruction.methods import method_names, method_summary
+from lensshift.reconstruction.methods import Tv, method_names, method_summary
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.toolbox import irwsr_toolbox
 
@@ -438,7 +439,7 @@ def test_iterations_are_an_option() -> None:
     [
         ({"method": "magic"}, "auto, nearest, bicubic"),
         ({"window": 2}, "auto does not know window; its options: none"),
-        ({"method": "tikhonov", "pixfrac": 1.0}, "its options: none"),
+        ({"method": "tikhonov", "pixfrac": 1.0}, "pixfrac; its options: prior_weight"),
         ({"scale": 0}, "whole scale from 1 to 8"),
         ({"scale": 9}, "whole scale from 1 to 8"),
         ({"scale": 2.5}, "whole scale from 1 to 8"),
@@ -503,6 +504,26 @@ def test_a_wrong_argument_says_what_was_expected(settings: dict, message: str) -
 def test_no_method_takes_an_impossible_or_idle_option(method: str, options: dict) -> None:
     with pytest.raises(ValueError, match=next(iter(options))):
         reconstruct(make_burst(_noisy()), method=method, **options)
+
+
+def test_a_method_may_be_made_before_it_is_used() -> None:
+    burst = make_burst(_noisy(edge_scene))
+    made = reconstruct(burst, 2, Tv(prior_weight=0.02, iterations=3), std=False)
+    named = reconstruct(burst, 2, "tv", prior_weight=0.02, iterations=3, std=False)
+    np.testing.assert_array_equal(made.amplitude.image, named.amplitude.image)
+    assert made.method == "tv"
+    assert made.settings == named.settings
+    assert (made.settings["prior_weight"], made.settings["iterations"]) == (0.02, 3)
+    with pytest.raises(ValueError, match="tv has its options already, got iterations"):
+        reconstruct(burst, 2, Tv(), iterations=3)
+    with pytest.raises(ValueError, match="iterations: expected a whole"):
+        Tv(iterations=0)
+
+
+def test_a_std_that_is_not_computed_yet_is_plain_data() -> None:
+    estimate = reconstruct(make_burst(_noisy(edge_scene)), 2, "tikhonov").amplitude
+    promise = estimate.uncertainty
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(promise))(), estimate.std)
 
 
 def test_offsets_far_beyond_the_frame_are_refused() -> None:

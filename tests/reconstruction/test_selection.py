@@ -10,7 +10,9 @@ from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.least_squares import NEIGHBOURS, solve_penalised
-from lensshift.reconstruction.selection import cross_validate, prior_share, weight_from_noise
+from lensshift.reconstruction.priors import BilateralTotalVariation, SparseDifferences
+from lensshift.reconstruction.selection import cross_validate, prior_share
+from lensshift.reconstruction.solver import MaximumAPosteriori
 
 SHAPE = (14, 18)
 
@@ -80,20 +82,13 @@ def test_cross_validation_without_usable_pixels_says_what_to_do(
         cross_validate(_solver(A, y), A, y, np.zeros(y.shape), 0)
 
 
-def test_weight_from_noise_on_a_toy_with_a_closed_form() -> None:
-    # min |x - y|^2 + weight |x|^2: x = y / (1 + weight); prior P = sum |x|.
-    y = np.linspace(1.0, 3.0, 50)
-    power = 0.01
-
-    def solve(weight: float, x: np.ndarray) -> np.ndarray:
-        return y / (1.0 + weight)
-
-    found = weight_from_noise(solve, lambda x: float(np.abs(x).sum()), y, power, rounds=60)
-    # weight = power N (1 + weight) / sum y
-    slope = power * y.size / y.sum()
-    assert found == pytest.approx(slope / (1.0 - slope), rel=1e-9)
-    once = weight_from_noise(solve, lambda x: float(np.abs(x).sum()), y, power, rounds=1)
-    assert once == pytest.approx(slope, rel=1e-12)
+def test_the_weight_from_noise_is_the_scale_of_the_prior() -> None:
+    # A prior of degree p that is the p-th power of Laplacian-like differences of size s: P = N s^p.
+    x = np.indices((9, 11)).sum(axis=0) * 0.1
+    for prior, p in ((BilateralTotalVariation(1, 0.5, 1e-6), 1.0), (SparseDifferences(2.0), 2.0)):
+        once, twice = (MaximumAPosteriori(0.01)(prior, scale * x) for scale in (1.0, 2.0))
+        assert once == pytest.approx(0.01 * x.size / (p * prior.value(x)))
+        assert once / twice == pytest.approx(2.0**p, rel=1e-3)
 
 
 def test_a_wider_blur_hides_more_of_the_differences() -> None:

@@ -20,7 +20,7 @@ from lensshift.cli.inputs import (
     load_input_burst,
 )
 from lensshift.cli.points import view_of, view_text
-from lensshift.cli.reconstruct import channels_of, describe, say_channels
+from lensshift.cli.reconstruct import describe, say_channels
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _say_result(current: Session, result: Reconstruction) -> None:
         "scale": result.scale,
         "method": result.method,
         "settings": dict(result.settings),
-        "channels": {name: describe(part) for name, part in channels_of(result).items()},
+        "channels": {name: describe(part) for name, part in result.channels.items()},
     }
 
 

@@ -183,11 +183,7 @@ def one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
 
 
 def _channel_image(result: Reconstruction, path: Path, key: str | None) -> NDArray[Any]:
-    channels = {
-        name: estimate
-        for name, estimate in (("amplitude", result.amplitude), ("distance", result.distance_m))
-        if estimate is not None
-    }
+    channels = result.channels
     name = key or next(iter(channels))
     if name not in channels:
         raise DataError(f"expected {' or '.join(channels)}, got {name!r}", source=path)

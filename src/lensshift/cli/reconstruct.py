@@ -77,6 +77,13 @@ PsfOption = Annotated[
 WeightOption = Annotated[
     str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
 ]
+MethodOptionsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", metavar="NAME=VALUE",
+        help="Option of the method, as in iterations=30; repeatable. A wrong name lists them.",
+    ),
+]  # fmt: skip
 FramesOption = Annotated[
     str | None, typer.Option(help="Frames to use, as in 0,2,8,10; default: all.")
 ]
@@ -113,6 +120,7 @@ def reconstruct(
     channel: ChannelOption = Channel.AUTO,
     psf_sigma_px: PsfOption = None,
     prior_weight: WeightOption = "auto",
+    option: MethodOptionsOption = None,
     frames: FramesOption = None,
     noise_sigma: NoiseOption = None,
     fill_factor: FillOption = None,
@@ -157,6 +165,7 @@ def reconstruct(
     points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
+        settings |= _parse_options(method, option or [])
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
         frames_in = _looking(frames_in, points, channel, files)
@@ -228,15 +237,9 @@ def describe(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def channels_of(result: Reconstruction) -> dict[str, Estimate]:
-    """Return the channels that a reconstruction holds, by name."""
-    named = {"amplitude": result.amplitude, "distance": result.distance_m}
-    return {name: estimate for name, estimate in named.items() if estimate is not None}
-
-
 def say_channels(current: Session, result: Reconstruction) -> None:
     """Print what is worth knowing about each channel."""
-    for name, estimate in channels_of(result).items():
+    for name, estimate in result.channels.items():
         known = describe(estimate)
         current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
         for label in ("prior_weight", "noise_sigma", "noise_gain"):
@@ -286,7 +289,7 @@ def _reconstruct(
         "scale": result.scale,
         "shape": shape,
         "seconds": seconds,
-        "channels": {name: describe(part) for name, part in channels_of(result).items()},
+        "channels": {name: describe(part) for name, part in result.channels.items()},
         "flying_share": None if result.flying is None else float(result.flying.mean()),
         "settings": dict(result.settings),
         "files": files.all,
@@ -303,10 +306,10 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
     if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
         same["channel"] = "auto"
     bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
-    channel, estimate = next(iter(channels_of(result).items()))
+    channel, estimate = next(iter(result.channels.items()))
     panels = {
         f"{result.method} x{result.scale}": estimate.image,
-        f"bicubic x{result.scale} of one frame": channels_of(bicubic)[channel].image,
+        f"bicubic x{result.scale} of one frame": bicubic.channels[channel].image,
     }
     if estimate.misfit is not None:  # on the grey scale of the others
         black, white = np.percentile(np.abs(estimate.image), (0.5, 99.5))
@@ -372,6 +375,32 @@ def _parse_weight(text: str) -> float | str | None:
             param_hint="--prior-weight",
         )
     return weight
+
+
+def _parse_options(method: str, told: list[str]) -> dict[str, Any]:
+    """Return options of a method from texts NAME=VALUE; values as in TOML, or plain words."""
+    from lensshift.core.errors import DataError
+    from lensshift.core.settings import fitted, parse_toml
+    from lensshift.reconstruction.methods import find_method, make_method
+
+    options: dict[str, Any] = {}
+    for text in told:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier() or name == "prior_weight":
+            hint = "; use --prior-weight" if name == "prior_weight" else ""
+            problem = f"expected NAME=VALUE, got {text!r}{hint}"
+            raise typer.BadParameter(problem, param_hint="--option")
+        try:
+            options[name] = parse_toml(f"value = {value}")["value"]
+        except DataError:
+            options[name] = value
+    try:
+        if not set(options) - set(find_method(method).option_names()):
+            options = fitted(find_method(method), options, "")
+        make_method(method, options)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--option") from error
+    return options
 
 
 def _parse_frames(text: str | None) -> tuple[int, ...] | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensshift.cli.devices import YesOption
-from lensshift.cli.reconstruct import channels_of, check_method, describe, say_channels
+from lensshift.cli.reconstruct import check_method, describe, say_channels
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
@@ -114,6 +114,6 @@ def _say(current: Session, summary: RunSummary) -> None:
         "seconds": summary.seconds,
         "fidelity": summary.fidelity,
         "depth": summary.depth,
-        "channels": {name: describe(part) for name, part in channels_of(result).items()},
+        "channels": {name: describe(part) for name, part in result.channels.items()},
         "files": summary.files,
     }

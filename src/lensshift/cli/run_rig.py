@@ -8,7 +8,7 @@ import typer
 
 from lensshift.cli.capture import Show
 from lensshift.cli.devices import homing_asked
-from lensshift.cli.reconstruct import channels_of, describe, say_channels
+from lensshift.cli.reconstruct import describe, say_channels
 from lensshift.cli.session import Session
 
 
@@ -39,7 +39,7 @@ def run_rig(
     current.say("wrote " + ", ".join(str(path) for path in files))
     current.result |= {
         "method": result.method,
-        "channels": {name: describe(part) for name, part in channels_of(result).items()},
+        "channels": {name: describe(part) for name, part in result.channels.items()},
         "files": files,
     }
 

@@ -337,6 +337,12 @@ class Reconstruction:
         if self.intrinsics is not None:
             self.intrinsics.check_fits(self.grid.shape)
 
+    @property
+    def channels(self) -> Mapping[str, Estimate]:
+        """The channels that there are, by name: "amplitude", "distance"."""
+        named = {"amplitude": self.amplitude, "distance": self.distance_m}
+        return {name: estimate for name, estimate in named.items() if estimate is not None}
+
     def point_cloud(
         self,
         intrinsics: Intrinsics | None = None,

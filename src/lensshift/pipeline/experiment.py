@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -15,7 +15,7 @@ from lensshift.camera import simulate_tof as take
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
 from lensshift.forward.model import MAX_SCALE
-from lensshift.reconstruction.methods import find_method
+from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.scene import Scene
@@ -42,6 +42,7 @@ class Experiment:
     psf_sigma_px : pixel response that the reconstruction assumes, in LR pixels; None: that of the
         camera
     name : for titles
+    options : of the method
     """
 
     scene: Scene
@@ -55,9 +56,10 @@ class Experiment:
     shifts: Shifts = "planned"
     psf_sigma_px: float | None = None
     name: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        find_method(self.method)
+        make_method(self.method, self.options)
         if self.channel not in get_args(Channel):
             expected = ", ".join(get_args(Channel))
             raise ValueError(f"expected a channel of {expected}, got {self.channel!r}")
@@ -129,6 +131,7 @@ def carry_out(
         shift_field=field,
         seed=experiment.seed,
         on_iteration=on_iteration,
+        **experiment.options,
     )
     seconds = time.perf_counter() - start_s
     images = {
@@ -196,8 +199,7 @@ def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
 
 def images_of(result: Reconstruction) -> dict[str, NDArray[Any]]:
     """Return the images of a reconstruction by channel."""
-    named = {"amplitude": result.amplitude, "distance": result.distance_m}
-    return {name: estimate.image for name, estimate in named.items() if estimate is not None}
+    return {name: estimate.image for name, estimate in result.channels.items()}
 
 
 def depth_numbers(distance_m: NDArray[Any], truth: TofTruth, scale: int) -> dict[str, float]:

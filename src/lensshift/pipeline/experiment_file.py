@@ -32,6 +32,7 @@ from lensshift.core.settings import (
     table_of,
 )
 from lensshift.pipeline.experiment import Experiment
+from lensshift.reconstruction.methods import find_method
 from lensshift.scene import (
     Scene,
     four_boxes,
@@ -55,6 +56,7 @@ _EFFECTS: dict[str, type[Any]] = {
 }  # fmt: skip
 _GROUPS = ("grid", "illumination", "optics", "pixels", "readout", "validity")
 _TABLES = ("name", "scene", "camera", "burst", "reconstruction")
+# Beside the options of the method.
 _RECONSTRUCTION = ("scale", "method", "channel", "shifts", "psf_sigma_px")
 _Table = Mapping[str, Any]
 
@@ -98,13 +100,13 @@ def parse_experiment(text: str, *, source: str, folder: Path) -> Experiment:
     table = parse_toml(text, source)
     with settings_of(source):
         only(table, _TABLES)
-        reconstruction = table_of(table, "reconstruction")
-        only(reconstruction, _RECONSTRUCTION, "reconstruction")
+        reconstruction, options = _reconstruction(table_of(table, "reconstruction"))
         return Experiment(
             scene=_scene(table_of(table, "scene"), folder),
             camera=_camera(table_of(table, "camera"), folder),
             name=fit(table.get("name", ""), str, "name"),
             **_burst(table_of(table, "burst")),
+            options=options,
             **fitted(Experiment, reconstruction, "reconstruction"),
         )
 
@@ -129,6 +131,14 @@ def named_optics(name: str, element: int, **options: Any) -> LensOptics:
     from lensshift.optics.lens_file import load_lens
 
     return LensOptics(load_lens(name), element=element - 1 if element > 0 else None, **options)
+
+
+def _reconstruction(table: _Table) -> tuple[_Table, dict[str, Any]]:
+    """Return the entries for an experiment, and the options of its method."""
+    method = find_method(fit(table.get("method", "auto"), str, "reconstruction.method"))
+    only(table, (*_RECONSTRUCTION, *method.option_names()), "reconstruction")
+    options = _some(table, method.option_names())
+    return _some(table, _RECONSTRUCTION), fitted(method, options, "reconstruction")
 
 
 def _scene(table: _Table, folder: Path) -> Scene:

@@ -77,6 +77,8 @@ def run(
         experiment = load_experiment(config)
     given = {"scale": scale, "method": method, "seed": seed}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if method not in (None, experiment.method):
+        changes["options"] = {}  # those of the other method
     experiment = replace(experiment, **changes)
     outcome = carry_out(experiment, on_iteration=on_iteration)
     files = _write(folder, experiment, outcome)

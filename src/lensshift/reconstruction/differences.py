@@ -9,6 +9,7 @@ scatters into two rows at once does not vectorise.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,11 @@ Array = NDArray[Any]
 Directions = NDArray[np.int64]
 
 
+@lru_cache(maxsize=16)
 def half_plane(window: int) -> Directions:
     """Return one direction (row, col) of each pair within `window` HR pixels, rows downwards.
+
+    Read-only.
 
     window 1 gives (0, 1), (1, 0), (1, 1), (1, -1).
     """
@@ -28,7 +32,10 @@ def half_plane(window: int) -> Directions:
         raise ValueError(f"expected a window of at least 1 HR pixel, got {window}")
     steps = range(-window, window + 1)
     pairs = [(row, col) for row in steps for col in steps if (row, col) > (0, 0)]
-    return np.array(sorted(pairs, key=lambda d: (abs(d[0]) + abs(d[1]), d[0], -d[1])), np.int64)
+    pairs.sort(key=lambda d: (abs(d[0]) + abs(d[1]), d[0], -d[1]))
+    directions = np.array(pairs, np.int64)
+    directions.flags.writeable = False  # shared
+    return directions
 
 
 @njit(cache=True, fastmath=True, nogil=True)

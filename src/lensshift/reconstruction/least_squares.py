@@ -28,14 +28,22 @@ def conjugate_gradient(
     inverse_diagonal: Array,
     iterations: int,
     tolerance: float = 1e-4,
+    *,
+    residual: Array | None = None,
 ) -> Array:
     """Solve H x = b for a Hermitian positive definite H, preconditioned by its diagonal.
 
-    Stops when the preconditioned residual has shrunk to `tolerance` times that of x = 0.
+    Stops when the preconditioned residual has shrunk to `tolerance` times that of x = 0. Real and
+    complex, single and double precision.
+
+    Parameters
+    ----------
+    residual : b - H x0 if it is known already; it is overwritten
+
     Source: Hestenes and Stiefel 1952.
     """
     x = x0.copy()
-    r = b - apply(x)
+    r = b - apply(x) if residual is None else residual
     z = inverse_diagonal * r
     p = z.copy()
     rz = np.vdot(r, z).real
@@ -45,18 +53,23 @@ def conjugate_gradient(
             break
         q = apply(p)
         step = rz / np.vdot(p, q).real
-        x += step * p
-        r -= step * q
-        z = inverse_diagonal * r
+        x += np.multiply(p, step, out=z)
+        r -= np.multiply(q, step, out=q)
+        np.multiply(inverse_diagonal, r, out=z)
         rz, before = np.vdot(r, z).real, rz
         p *= rz / before
         p += z
     return x
 
 
-def mean_column_square(A: LinearOperator, seed: int = 0) -> float:
-    """Return the mean of the diagonal of A^T A, estimated with one random vector of signs."""
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], A.in_shape)
+def mean_column_square(A: LinearOperator, kind: Any = np.float64) -> float:
+    """Return the mean of the diagonal of A^T A, estimated with one random vector of signs.
+
+    Parameters
+    ----------
+    kind : type of number to compute with
+    """
+    signs = np.random.default_rng(0).choice(np.array([-1.0, 1.0], kind), A.in_shape)
     y = A.forward(signs)
     return float(np.vdot(y, y).real / signs.size)
 
@@ -72,6 +85,7 @@ def solve_penalised(
     directions: Directions = NEIGHBOURS,
     column_square: float | None = None,
     tolerance: float = 1e-4,
+    residual: Array | None = None,
 ) -> Array:
     """Minimise sum w |A x - y|^2 + sum_d a_d |D_d x|^2.
 
@@ -84,21 +98,29 @@ def solve_penalised(
     coefficients : [direction row col] a
     x0 : [row col] start
     column_square : mean of the diagonal of A^T A if it is known, for the preconditioner
+    residual : [frame row col] y - A x0 if it is known
     """
     square = mean_column_square(A) if column_square is None else column_square
 
     def apply(x: Array) -> Array:
-        out = A.adjoint(weight * A.forward(x))
+        seen = A.forward(x)
+        seen *= weight
+        out = A.adjoint(seen)
         add_weighted_laplacian(x, coefficients, directions, out)
         return out
 
     # Each HR pixel is seen with about the same kernel, so its share of A^T A goes with A^T w.
-    seen = A.adjoint(weight.astype(np.float64))
-    mean_seen = weight.size / seen.size
-    diagonal = seen * (square / mean_seen) + 1e-9
+    diagonal = A.adjoint(weight)
+    diagonal *= square * diagonal.size / weight.size
+    diagonal += 1e-9 if diagonal.dtype == np.float64 else 1e-6  # where no LR pixel looks
     add_laplacian_diagonal(coefficients, directions, diagonal)
     b = A.adjoint(weight * y)
-    return conjugate_gradient(apply, b, x0, 1.0 / diagonal, iterations, tolerance)
+    rest = None
+    if residual is not None:
+        rest = np.zeros_like(b)
+        add_weighted_laplacian(x0, coefficients, directions, rest)
+        rest = A.adjoint(weight * residual) - rest
+    return conjugate_gradient(apply, b, x0, 1.0 / diagonal, iterations, tolerance, residual=rest)
 
 
 def smooth_fit(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
 
@@ -27,6 +27,25 @@ class Rule:
         """Raise a `ValueError` that names the option if the value is not allowed."""
         if not self.holds(value):
             raise ValueError(f"{name}: expected {self.expected}, got {value!r}")
+
+
+def option(default: Any, rule: Rule) -> Any:
+    """Return a field of settings that `check_settings` checks; None may stand for a choice."""
+    return field(default=default, metadata={"rule": rule})
+
+
+def check_settings(settings: Any) -> None:
+    """Check the fields that have a rule; None is allowed where it is the default.
+
+    Raises
+    ------
+    ValueError
+        That names the field.
+    """
+    for one in fields(settings):
+        value = getattr(settings, one.name)
+        if "rule" in one.metadata and not (value is None and one.default is None):
+            one.metadata["rule"].check(one.name, value)
 
 
 def whole(least: int) -> Rule:
@@ -69,65 +88,6 @@ def one_of(*names: str) -> Rule:
 def truth() -> Rule:
     """Allow true and false."""
     return Rule("True or False", lambda value: isinstance(value, bool | np.bool_))
-
-
-# Arguments that mean the same wherever they occur, also as settings of a solver.
-RULES: Mapping[str, Rule] = {
-    "iterations": whole(1),
-    "inner_iterations": whole(1),
-    "window": whole(1),
-    "alpha": positive(1.0),
-    "sparsity": positive(1.0),
-    "threshold": positive(),
-    "bias_threshold": positive(),
-    "smoothing": positive(),
-    "prior_weight": weight(),
-    "data_term": one_of("l2", "l1", "huber"),
-    "seed": whole(0),
-    "noise_sigma": positive(),
-    "photometric": truth(),
-    "non_negative": truth(),
-    "std": truth(),
-    "frame": whole(0),
-    "pixfrac": positive(1.0),
-    "kernel": one_of("square", "point"),
-    "algorithm": one_of("wiener", "unsupervised", "richardson-lucy"),
-}
-
-
-def options(*names: str, **rules: Rule) -> Mapping[str, Rule]:
-    """Return the rules of the options of a method: known ones by name, others with their rule."""
-    return {name: RULES[name] for name in names} | rules
-
-
-def check_options(method: str, given: Mapping[str, Any], known: Mapping[str, Rule]) -> None:
-    """Refuse options that a method does not know, or values that they cannot have.
-
-    Raises
-    ------
-    ValueError
-        That names the method or the option.
-    """
-    unknown = sorted(set(given) - set(known))
-    if unknown:
-        names = ", ".join(known) or "none"
-        raise ValueError(f"{method} does not know {', '.join(unknown)}; its options: {names}")
-    for name, value in given.items():
-        known[name].check(name, value)
-
-
-def check_settings(settings: Any) -> None:
-    """Check the fields of a solver's settings that have a rule; None stands for a choice.
-
-    Raises
-    ------
-    ValueError
-        That names the field.
-    """
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        if field.name in RULES and not (value is None and field.default is None):
-            RULES[field.name].check(field.name, value)
 
 
 def _is_number(value: Any) -> bool:

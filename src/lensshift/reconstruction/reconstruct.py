@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
 from lensshift.forward.blur import Blur
-from lensshift.reconstruction.methods import Method, find_method
-from lensshift.reconstruction.options import RULES, check_options, check_settings
+from lensshift.reconstruction.method import Method, Request
+from lensshift.reconstruction.methods import make_method
+from lensshift.reconstruction.options import positive, truth
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
@@ -25,8 +26,8 @@ from lensshift.reconstruction.problem import (
     make_problem,
     predictor,
 )
-from lensshift.reconstruction.request import Request
 from lensshift.reconstruction.shift_check import doubtful_shifts, warn_of_doubt
+from lensshift.reconstruction.uncertainty import PropagatedStd
 
 Array = NDArray[Any]
 
@@ -34,7 +35,7 @@ Array = NDArray[Any]
 def reconstruct(
     burst: Burst,
     scale: int = 2,
-    method: str = "auto",
+    method: str | Method = "auto",
     channel: Channel = "auto",
     psf_sigma_px: float | None = None,
     prior_weight: float | Literal["cross-validation"] | None = None,
@@ -59,7 +60,8 @@ def reconstruct(
     ----------
     burst : the frames with their sub-pixel offsets
     scale : HR pixels per LR pixel, 1 to 8
-    method : one of `lensshift.method_names()`; "auto" needs no tuning
+    method : one of `lensshift.method_names()`, or made with its options as in `Tv(iterations=30)`
+        (see `lensshift.reconstruction.methods`); "auto" needs no tuning
     channel : "amplitude", "distance"; "phasor": both from phasors, the way a pixel mixes them; or
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
@@ -81,7 +83,7 @@ def reconstruct(
     std : whether the propagated noise is wanted (it is computed when first asked for)
     on_iteration : called with the number of the iteration and the objective; an exception
         raised in it ends the work and leaves nothing behind
-    options : what only some methods know (see `lensshift.reconstruction.methods`)
+    options : the fields of the method
 
     Returns
     -------
@@ -101,9 +103,13 @@ def reconstruct(
         the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
         changes, or ("auto") the response that was told is too wide.
     """
-    chosen = find_method(method)
-    request = Request(prior_weight, seed, non_negative, std, on_iteration, options)
-    _check(chosen, method, scale, request, noise_sigma, photometric)
+    if prior_weight is not None:
+        options["prior_weight"] = prior_weight
+    chosen = make_method(method, options)
+    name = chosen.name
+    told = chosen.settings
+    request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
+    _check(scale, noise_sigma, photometric)
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames)
@@ -113,11 +119,11 @@ def reconstruct(
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
     given = photometric or noise_sigma is not None or variance is not None
-    choice = choose_channel(part, channel, method, request, given=given)
+    choice = choose_channel(part, channel, name, request, given=given)
     settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     shifts = part.offset_px if field is None else field.offset_px
     doubt = None
-    if method == "auto" or choice.channel == "phasor":
+    if name == "auto" or choice.channel == "phasor":
         doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
         if doubt is not None and doubt.named:
             warn_of_doubt(doubt)
@@ -126,24 +132,24 @@ def reconstruct(
     flying = None
     if choice.channel == "phasor":
         phasor = reconstruct_phasor(
-            burst, used, scale, method, request, blur=blur, shift_field=field,
+            burst, used, scale, name, request, blur=blur, shift_field=field,
             noise_sigma=noise_sigma, pixel_variance=variance, photometric=photometric,
         )  # fmt: skip
         found = {"amplitude": phasor.amplitude, "distance": phasor.distance_m}
         flying = phasor.flying
-    for name, values in _channels(part, choice.channel).items():
+    for key, values in _channels(part, choice.channel).items():
         problem = make_problem(
             part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
-            intensity=chosen.intensity, pixel_variance=variance, even_noise=name != "distance",
+            intensity=chosen.intensity, pixel_variance=variance, even_noise=key != "distance",
             take_level=chosen.take_level and not non_negative, keep_outside=chosen.keep_outside,
         )  # fmt: skip
-        found[name] = _solve(burst, problem, used, chosen, request, photometric, field)
-    told = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
-    if doubt is not None and not told:  # no frame and no place that it could be blamed on
+        found[key] = _solve(burst, problem, used, chosen, request, photometric, field)
+    blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
+    if doubt is not None and not blamed:  # no frame and no place that it could be blamed on
         warn_of_doubt(doubt)
-        found = {name: replace(e, status=Status.CONTRADICTED) for name, e in found.items()}
+        found = {key: replace(e, status=Status.CONTRADICTED) for key, e in found.items()}
     return Reconstruction(
-        found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, method,
+        found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
     )  # fmt: skip
 
@@ -162,22 +168,21 @@ def _solve(
     if photometric:
         gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.weight)
         problem = problem.with_photometry(gain, bias)
-    estimate = method.run(problem, request)
+    estimate = method(problem, request)
     unit, level = problem.intensity, problem.level
     image = np.asarray(estimate.image) * unit + level
     bias = bias * unit + level * (1.0 - gain)
     notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": bias.tolist()}
                                     if photometric else {})  # fmt: skip
     std = estimate.uncertainty
-    if callable(std):
-        compute = std
-        scaled: Any = lambda: compute() * unit  # noqa: E731
-    else:
-        scaled = None if std is None else std * unit
+    if isinstance(std, PropagatedStd):
+        std = replace(std, unit=unit)
+    elif std is not None:
+        std = np.asarray(std) * unit
     return replace(
         estimate,
         image=image,
-        uncertainty=scaled,
+        uncertainty=std,
         noise_sigma=None if estimate.noise_sigma is None else estimate.noise_sigma * unit,
         predict=predictor(burst, problem, used, image, field, gain, bias),
         notes=notes,
@@ -227,23 +232,12 @@ def _select_field(field: ShiftField, used: tuple[int, ...], burst: Burst) -> Shi
     return ShiftField(field.offset_px[list(used)])
 
 
-def _check(
-    method: Method,
-    name: str,
-    scale: int,
-    request: Request,
-    noise_sigma: float | None,
-    photometric: bool,
-) -> None:
-    check_options(name, request.options, method.options)
-    check_settings(request)
-    RULES["photometric"].check("photometric", photometric)
+def _check(scale: int, noise_sigma: float | None, photometric: bool) -> None:
+    truth().check("photometric", photometric)
     if noise_sigma is not None:
-        RULES["noise_sigma"].check("noise_sigma", noise_sigma)
+        positive().check("noise_sigma", noise_sigma)
     if isinstance(scale, bool) or scale != int(scale) or not 1 <= scale <= 8:
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale}")
-    if request.prior_weight is not None and not method.weighs_prior:
-        raise ValueError(f"{name} has no prior to weigh, got prior_weight {request.prior_weight!r}")
 
 
 def _settings(

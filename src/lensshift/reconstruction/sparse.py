@@ -1,71 +1,32 @@
-"""The solvers with a sparse gradient behind the common call: Problem, Request -> Estimate."""
+"""What the phasor channel takes of the classical methods, and its warning."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate
-from lensshift.reconstruction.adaptive import SparseGradient
+from lensshift.reconstruction.classical import Tikhonov, Tv
+from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.noise import robust_scale
 from lensshift.reconstruction.outliers import frame_confidence
 from lensshift.reconstruction.problem import Problem
-from lensshift.reconstruction.request import Request
-from lensshift.reconstruction.selection import cross_validate
-from lensshift.reconstruction.uncertainty import propagated_std
-
-Array = NDArray[Any]
 
 # Beyond these a picture is not shown without a warning.
 REJECTED_LIMIT, BELIEVED_LIMIT = 0.2, 0.6
 
 
 def tikhonov(problem: Problem, request: Request) -> Estimate:
-    """Least squares with squared differences: one linear solve at the weight that it settles on."""
-    return _sparse(
-        problem, request,
-        SparseGradient(exponent=2.0, robust=False, adapt=False, inner_iterations=40),
-    )  # fmt: skip
+    """Return the estimate of `Tikhonov` with the options of the request."""
+    return Tikhonov(request.prior_weight, **request.options)(problem, request)
 
 
 def total_variation(problem: Problem, request: Request) -> Estimate:
-    """Least squares with total variation."""
-    return _sparse(problem, request, SparseGradient(exponent=1.0, robust=False, adapt=False))
-
-
-def _sparse(problem: Problem, request: Request, solver: SparseGradient) -> Estimate:
-    A, y, weight = problem.model.operator, problem.y, problem.weight
-    solver = replace(
-        solver,
-        noise_sigma=problem.noise_sigma,
-        even_noise=problem.even_noise,
-        blur_hr_px=problem.blur_sigma_px * problem.scale,
-        non_negative=request.non_negative,
-        iterations=request.options.get("iterations", solver.iterations),
-    )
-    chosen = request.prior_weight
-    if chosen == "cross-validation":
-        chosen = cross_validate(
-            lambda value, w: replace(solver, prior_weight=value)(A, y, w).image,
-            A, y, weight, request.seed, request.on_iteration,
-        )  # fmt: skip
-    solver = replace(solver, prior_weight=chosen)
-    estimate = solver(A, y, weight, on_iteration=request.on_iteration)
-    if not request.std:
-        return estimate
-
-    def std() -> NDArray[np.float64]:
-        return propagated_std(
-            lambda values: solver.replicate(A, values, estimate),
-            y, estimate.noise_sigma or 0.0, weight=weight, seed=request.seed,
-        )  # fmt: skip
-
-    return replace(estimate, uncertainty=std)
+    """Return the estimate of `Tv` with the options of the request."""
+    return Tv(request.prior_weight, **request.options)(problem, request)
 
 
 def warn_of_misfit(problem: Problem, estimate: Estimate) -> Estimate:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lensshift.forward.model import ForwardModel
+from lensshift.reconstruction.solver import Reweighted
 
 Array = NDArray[Any]
 
@@ -59,3 +63,38 @@ def propagated_std(
     if smooth_hr_px > 0:
         variance = gaussian_filter(variance, smooth_hr_px, mode="nearest")
     return np.asarray(np.sqrt(variance))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PropagatedStd:
+    """The standard deviation of an estimate, computed when it is called: plain data until then.
+
+    Parameters
+    ----------
+    fit : what answers other noise on the frames
+    model : of the frames
+    y, weight : [frame row col]
+    image : [row col] the estimate, where the answers begin
+    noise_sigma : of one LR pixel (per component if complex)
+    seed : of the replicates
+    unit : what 1 stands for in the result
+    """
+
+    fit: Reweighted
+    model: ForwardModel
+    y: Array
+    weight: Array
+    image: Array
+    noise_sigma: float
+    seed: int = 0
+    unit: float = 1.0
+
+    def __call__(self) -> NDArray[np.float64]:
+        """Return the standard deviation [row col]."""
+        A = self.model.operator
+
+        def resolve(values: Array) -> Array:
+            return self.fit(A, values.astype(self.y.dtype), self.weight, self.image).image
+
+        std = propagated_std(resolve, self.y, self.noise_sigma, weight=self.weight, seed=self.seed)
+        return std * self.unit

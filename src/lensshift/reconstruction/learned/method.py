@@ -13,11 +13,11 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
+from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
 from lensshift.reconstruction.problem import Problem
-from lensshift.reconstruction.request import Request
 
 Array = NDArray[Any]
 

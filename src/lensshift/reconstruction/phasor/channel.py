@@ -19,12 +19,12 @@ from lensshift.reconstruction.learned.method import (
     LEAST_SIGMA,
     solved,
 )
+from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
-from lensshift.reconstruction.request import Request
 from lensshift.reconstruction.sparse import tikhonov, total_variation
 
 Array = NDArray[Any]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from lensshift.core.types import Burst
-from lensshift.reconstruction.request import Request
+from lensshift.reconstruction.method import Request
 
 Channel = Literal["auto", "amplitude", "distance", "phasor"]
 

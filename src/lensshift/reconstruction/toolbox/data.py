@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.reconstruction.options import check_settings, positive
+from lensshift.reconstruction.options import check_settings, option, positive, weight, whole
 
 Vector = NDArray[np.float64]
 
@@ -29,18 +29,17 @@ class ToolboxSettings:
         If a setting is out of its range.
     """
 
-    psf_sigma_px: float = 0.3
-    prior_weight: float | None = None
-    window: int = 1
-    alpha: float = 0.5
-    sparsity: float = 0.5
-    seed: int = 0
-    iterations: int = 10
-    inner_iterations: int = 5
+    psf_sigma_px: float = option(0.3, positive())
+    prior_weight: float | None = option(None, weight())
+    window: int = option(1, whole(1))
+    alpha: float = option(0.5, positive(1.0))
+    sparsity: float = option(0.5, positive(1.0))
+    seed: int = option(0, whole(0))
+    iterations: int = option(10, whole(1))
+    inner_iterations: int = option(5, whole(1))
 
     def __post_init__(self) -> None:
         check_settings(self)
-        positive().check("psf_sigma_px", self.psf_sigma_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

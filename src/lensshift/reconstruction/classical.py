@@ -1,0 +1,331 @@
+"""The methods that minimise a data loss and a prior: choices of both on the one loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.types import Estimate
+from lensshift.reconstruction.least_squares import smooth_fit
+from lensshift.reconstruction.losses import (
+    LEAST_SIGMA,
+    LOSSES,
+    Absolute,
+    Confidences,
+    Loss,
+    Squares,
+)
+from lensshift.reconstruction.method import Method, Request, Weight
+from lensshift.reconstruction.noise import Noise, estimate_noise
+from lensshift.reconstruction.options import one_of, option, positive, weight, whole
+from lensshift.reconstruction.priors import PRIORS, BilateralTotalVariation, SparseDifferences
+from lensshift.reconstruction.problem import Problem, peak_of
+from lensshift.reconstruction.selection import cross_validate, prior_share
+from lensshift.reconstruction.solver import (
+    START_STEPS,
+    START_STIFFNESS,
+    MaximumAPosteriori,
+    Reweighted,
+)
+from lensshift.reconstruction.uncertainty import PropagatedStd
+
+Array = NDArray[Any]
+
+# How often picture and weight of a prior are found in turn; by then it moves by some per cent.
+WEIGHT_ROUNDS = 3
+# Reweightings that answer a replicate of the noise, which begins at the estimate.
+REPLICATE_STEPS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Penalised(Method):
+    """What these methods share: the way from a problem to an estimate."""
+
+    prior_weight: Weight = option(None, weight())
+
+    def __call__(self, problem: Problem, request: Request) -> Estimate:
+        """Return the estimate, at the weight of the prior that is given or found."""
+        fit, sigma = self._fit(problem, request)
+        chosen: float | MaximumAPosteriori
+        if self.prior_weight == "cross-validation":
+            chosen = cross_validate(
+                lambda value, part: self._run(
+                    replace(fit, prior_weight=value), replace(problem, weight=part)
+                ).image,
+                problem.model.operator, problem.y, problem.weight, request.seed,
+                request.on_iteration,
+            )  # fmt: skip
+        else:
+            chosen = self._found(fit, problem) if self.prior_weight is None else self.prior_weight
+        fit = replace(fit, prior_weight=chosen)
+        found = self._run(fit, problem, on_iteration=request.on_iteration)
+        image = np.asarray(found.image, np.result_type(found.image, np.float64))
+        if request.non_negative:
+            image = np.maximum(image, 0.0)
+        estimate = replace(found, image=image, noise_sigma=sigma or found.noise_sigma)
+        if not request.std:
+            return estimate
+        y, w = self._arrays(problem)
+        std = PropagatedStd(
+            self._again(fit, estimate), problem.model, y, w, image.astype(y.dtype),
+            estimate.noise_sigma or 0.0, request.seed,
+        )  # fmt: skip
+        return replace(estimate, uncertainty=std)
+
+    def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
+        """Return what is minimised, and the noise of an LR pixel; None: that of the residual.
+
+        Its weight of the prior counts where none is given.
+        """
+        raise NotImplementedError
+
+    def _found(self, fit: Reweighted, problem: Problem) -> float | MaximumAPosteriori:
+        """Return the weight, or the rule for it, where none is given."""
+        return fit.prior_weight
+
+    def _again(self, fit: Reweighted, estimate: Estimate) -> Reweighted:
+        """Return what answers other noise, from the estimate on."""
+        return replace(fit, iterations=REPLICATE_STEPS)
+
+    def _arrays(self, problem: Problem) -> tuple[Array, Array]:
+        """Return frames and weights in the precision to compute in."""
+        return problem.y, problem.weight
+
+    def _start(self, problem: Problem, y: Array, w: Array) -> Array | None:
+        return None
+
+    def _run(self, fit: Reweighted, problem: Problem, **more: Any) -> Estimate:
+        y, w = self._arrays(problem)
+        x0 = more.pop("x0", None)
+        x0 = self._start(problem, y, w) if x0 is None else x0
+        return fit(problem.model.operator, y, w, x0, **more)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sparse(_Penalised):
+    """Least squares with differences to a power; real and complex frames."""
+
+    def _sparse(
+        self, problem: Problem, request: Request, exponent: float, iterations: int, inner: int
+    ) -> tuple[Reweighted, float | None]:
+        told = felt = problem.noise_sigma
+        if felt is None:
+            noise = _noise(problem)
+            # Squares feel the outliers.
+            told, felt = max(noise.sigma, LEAST_SIGMA), max(noise.total, LEAST_SIGMA)
+        share = prior_share(problem.blur_sigma_px * problem.scale)
+        fit = Reweighted(
+            Squares(), SparseDifferences(exponent), MaximumAPosteriori(2.0 * share * felt**2),
+            noise_sigma=felt, iterations=iterations, inner_iterations=inner, tolerance=2e-4,
+            non_negative=request.non_negative,
+        )  # fmt: skip
+        return fit, told
+
+    def _again(self, fit: Reweighted, estimate: Estimate) -> Reweighted:
+        # Edges as soft as the noise, so that they can move a little.
+        sigma = estimate.noise_sigma or 0.0
+        return replace(
+            fit, prior=SparseDifferences(fit.prior.degree, 1.5 * sigma), noise_sigma=sigma,
+            prior_weight=estimate.prior_weight or 0.0, iterations=REPLICATE_STEPS,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Tikhonov(_Sparse):
+    """Squared differences: one linear solve at the weight that it settles on."""
+
+    name: ClassVar[str] = "tikhonov"
+    summary: ClassVar[str] = "least squares with squared neighbour differences; linear"
+
+    def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
+        return self._sparse(problem, request, 2.0, 16, 40)
+
+
+@dataclass(frozen=True, slots=True)
+class Tv(_Sparse):
+    """Total variation."""
+
+    iterations: int = option(16, whole(1))
+    name: ClassVar[str] = "tv"
+    summary: ClassVar[str] = "least squares with total variation over eight neighbours"
+
+    def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
+        return self._sparse(problem, request, 1.0, self.iterations, 10)
+
+
+@dataclass(frozen=True, slots=True)
+class _Robust(_Penalised):
+    """Losses that outliers do not carry away, and priors of degree 1; real frames in 0 .. 1."""
+
+    intensity: ClassVar[Any] = staticmethod(peak_of)
+
+    def __call__(self, problem: Problem, request: Request) -> Estimate:
+        """Return the estimate; see `_Penalised`."""
+        if problem.y.dtype.kind == "c":
+            raise ValueError(
+                f"{self.name} expects real frames; use tikhonov, tv or auto for phasors"
+            )
+        return super(_Robust, self).__call__(problem, request)
+
+    def _found(self, fit: Reweighted, problem: Problem) -> float:
+        """Find picture and weight in turn, before the run that counts."""
+        noise = problem.noise_sigma
+        if noise is None:
+            found = _noise(problem)
+            # Squares feel the outliers; the other losses hardly do.
+            noise = found.total if isinstance(fit.loss, Squares) else found.effective
+        noise = max(noise, LEAST_SIGMA)
+        share = prior_share(problem.blur_sigma_px * problem.scale)
+        absolute = isinstance(fit.loss, Absolute)
+        rule = MaximumAPosteriori(share * (noise if absolute else 2.0 * noise**2))
+        y, w = problem.y, problem.weight
+        x = smooth_fit(problem.model.operator, y, w, START_STIFFNESS, START_STEPS)
+        x = x.astype(self._arrays(problem)[0].dtype)
+        chosen = 0.0
+        for _ in range(WEIGHT_ROUNDS):
+            chosen = rule(fit.prior, x)
+            x = self._run(replace(fit, prior_weight=chosen), problem, x0=x).image
+        return chosen
+
+
+@dataclass(frozen=True, slots=True)
+class L1Btv(_Robust):
+    """Farsiu's L1 data term with bilateral total variation."""
+
+    window: int = option(2, whole(1))
+    alpha: float = option(0.7, positive(1.0))
+    iterations: int = option(20, whole(1))
+    name: ClassVar[str] = "l1-btv"
+    summary: ClassVar[str] = "Farsiu: L1 data term and bilateral total variation"
+
+    def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
+        prior = BilateralTotalVariation(self.window, self.alpha)
+        fit = Reweighted(Absolute(), prior, 1.0, iterations=self.iterations)
+        return fit, problem.noise_sigma
+
+
+# What the priors of `map` can be told.
+_OF_PRIOR = {"tv": (), "huber": ("threshold",), "btv": ("window", "alpha")}
+
+
+@dataclass(frozen=True, slots=True)
+class MaximumPosterior(_Robust):
+    """A data term and a prior of the caller's choice."""
+
+    prior: Literal["tv", "huber", "btv"] = option("tv", one_of(*PRIORS))
+    data_term: Literal["l2", "l1", "huber"] = option("l2", one_of(*LOSSES))
+    window: int | None = option(None, whole(1))
+    alpha: float | None = option(None, positive(1.0))
+    threshold: float | None = option(None, positive())
+    iterations: int = option(20, whole(1))
+    name: ClassVar[str] = "map"
+    summary: ClassVar[str] = (
+        "maximum a posteriori: prior tv, huber or btv, data_term l2, l1 or huber"
+    )
+
+    def __post_init__(self) -> None:
+        super(MaximumPosterior, self).__post_init__()
+        others = {name for names in _OF_PRIOR.values() for name in names}
+        idle = [
+            name
+            for name in sorted(others - set(_OF_PRIOR[self.prior]))
+            if getattr(self, name) is not None
+        ]
+        if idle:
+            raise ValueError(f"prior {self.prior} does not know {', '.join(idle)}")
+
+    def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
+        told = {name: getattr(self, name) for name in _OF_PRIOR[self.prior]}
+        prior = PRIORS[self.prior](**{name: v for name, v in told.items() if v is not None})
+        loss: Loss = LOSSES[self.data_term]()
+        return Reweighted(loss, prior, 1.0, iterations=self.iterations), problem.noise_sigma
+
+
+@dataclass(frozen=True, slots=True)
+class Irwsr(_Robust):
+    """Reweighted minimisation with confidences and sparse bilateral total variation.
+
+    Against the published toolbox: one objective and its true gradient, weights of the prior that
+    do not jump, a start at the final scale, any shifts, shift fields; in single precision.
+
+    Source: Koehler et al. 2016, doi 10.1109/TCI.2016.2516909; toolbox of 2017.
+    """
+
+    window: int = option(1, whole(1))
+    alpha: float = option(0.5, positive(1.0))
+    sparsity: float = option(0.5, positive(1.0))
+    iterations: int = option(10, whole(1))
+    inner_iterations: int = option(5, whole(1))
+    name: ClassVar[str] = "irwsr"
+    summary: ClassVar[str] = (
+        "iteratively reweighted minimisation (Koehler), corrected, at the final scale"
+    )
+
+    def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
+        prior = BilateralTotalVariation(self.window, self.alpha, sparsity=self.sparsity)
+        fit = Reweighted(
+            Confidences(), prior, 1.0, iterations=self.iterations,
+            inner_iterations=self.inner_iterations, solved=0.0,
+        )  # fmt: skip
+        return fit, problem.noise_sigma
+
+    def _arrays(self, problem: Problem) -> tuple[Array, Array]:
+        return problem.y.astype(np.float32), problem.weight.astype(np.float32)
+
+    def _start(self, problem: Problem, y: Array, w: Array) -> Array:
+        """Return A^T W y / A^T w, and the mean of the frames where an HR pixel is hardly seen."""
+        A = problem.model.operator
+        seen, total = A.adjoint(w), A.adjoint(w * y)
+        known = seen > 1e-3 * seen.max()
+        mean = total.sum() / max(float(seen.sum()), 1e-30)
+        return np.where(known, total / np.where(known, seen, 1), mean).astype(y.dtype)
+
+
+@dataclass(frozen=True, slots=True)
+class IrwsrToolbox(Method):
+    """The published toolbox."""
+
+    prior_weight: Weight = option(None, weight())
+    window: int = option(1, whole(1))
+    alpha: float = option(0.5, positive(1.0))
+    sparsity: float = option(0.5, positive(1.0))
+    iterations: int = option(10, whole(1))
+    inner_iterations: int = option(5, whole(1))
+    name: ClassVar[str] = "irwsr-toolbox"
+    summary: ClassVar[str] = "the published toolbox step by step, its defects included"
+    intensity: ClassVar[Any] = staticmethod(peak_of)
+    take_level: ClassVar[bool] = False
+    keep_outside: ClassVar[bool] = True
+
+    def __call__(self, problem: Problem, request: Request) -> Estimate:
+        """Return what the toolbox finds."""
+        from lensshift.reconstruction.toolbox import irwsr_toolbox
+
+        if request.non_negative:
+            raise ValueError("the published toolbox has no non-negative option; use irwsr")
+        if problem.noise_sigma is not None:
+            raise ValueError(
+                "the published toolbox finds its own noise, got noise_sigma; use irwsr"
+            )
+        if problem.model.offset_px is None:
+            raise ValueError(
+                "irwsr-toolbox takes one offset per frame, got a shift field; use irwsr"
+            )
+        callback, settings = request.on_iteration, self.settings
+        if settings["prior_weight"] == "cross-validation":
+            settings["prior_weight"] = None  # its only way to find one
+        return irwsr_toolbox(
+            problem.y, problem.model.offset_px, problem.scale, problem.blur_sigma_px,
+            seed=request.seed, confidence=problem.weight,
+            on_iteration=None if callback is None else lambda step, _: callback(step, np.nan),
+            **settings,
+        )  # fmt: skip
+
+
+def _noise(problem: Problem) -> Noise:
+    return estimate_noise(
+        problem.model.operator, problem.y, problem.weight, even=problem.even_noise
+    )

@@ -1,0 +1,82 @@
+"""A method is one frozen dataclass: its settings, their check, its name and its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Literal
+
+from lensshift.core.types import Estimate
+from lensshift.reconstruction.options import check_settings, option, truth, weight, whole
+from lensshift.reconstruction.problem import Problem, brightness_of
+
+Weight = float | Literal["cross-validation"] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What every method is asked for; the caller's own words for the phasor channel beside it.
+
+    Parameters
+    ----------
+    prior_weight : a number, None for the automatic choice, or "cross-validation"
+    seed : of everything random
+    non_negative : whether negative values are forbidden
+    std : whether the propagated noise is wanted
+    on_iteration : called with the number of the iteration and the objective
+    options : settings of the method that the caller gave
+    frames : numbers of the frames in the burst
+    blur_told : whether the user or the burst told the pixel response
+    shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
+    """
+
+    prior_weight: Weight = option(None, weight())
+    seed: int = option(0, whole(0))
+    non_negative: bool = option(False, truth())
+    std: bool = option(True, truth())
+    on_iteration: Callable[[int, float], None] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    frames: Sequence[int] = ()
+    blur_told: bool = False
+    shifts_doubted: bool = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A method of reconstruction; the fields of a subclass are its options.
+
+    A field made by `option` has the rule that its values are checked by, here, on the command
+    line and in files alike.
+
+    Attributes
+    ----------
+    name, summary : how it is called, and one line for people who choose
+    intensity : what the frames are divided by before
+    take_level, keep_outside : as in `make_problem`
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    intensity: ClassVar[Callable[..., float]] = staticmethod(brightness_of)
+    take_level: ClassVar[bool] = True
+    keep_outside: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def __call__(self, problem: Problem, request: Request) -> Estimate:
+        """Return the estimate in units of the problem's intensity."""
+        raise NotImplementedError
+
+    @classmethod
+    def option_names(cls) -> tuple[str, ...]:
+        """Return the names of its options."""
+        return tuple(one.name for one in fields(cls))
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its options by name, with their values."""
+        return {name: getattr(self, name) for name in self.option_names()}

@@ -1,0 +1,129 @@
+"""The plain methods: interpolation, deconvolution of one frame, and what drops samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from lensshift.core.types import Estimate, Status
+from lensshift.reconstruction import baselines
+from lensshift.reconstruction.method import Method, Request
+from lensshift.reconstruction.noise import estimate_noise
+from lensshift.reconstruction.options import one_of, option, positive, whole
+from lensshift.reconstruction.problem import Problem
+
+
+@dataclass(frozen=True, slots=True)
+class _Plain(Method):
+    def __call__(self, problem: Problem, request: Request) -> Estimate:
+        """Return the estimate, with the noise that comes through a linear method."""
+        found = self._found(problem)
+        image = np.maximum(found.image, 0.0) if request.non_negative else found.image
+        sigma, std = problem.noise_sigma, None
+        if request.std and found.noise_gain is not None:
+            if sigma is None:
+                sigma = estimate_noise(
+                    problem.model.operator, problem.y, problem.weight, even=problem.even_noise
+                ).sigma
+            std = found.noise_gain * sigma
+        return Estimate(image=image, uncertainty=std, status=Status.DIRECT, noise_sigma=sigma)
+
+    def _found(self, problem: Problem) -> baselines.Baseline:
+        raise NotImplementedError
+
+
+def _frame_of(problem: Problem, frame: int | None) -> int:
+    number = frame or 0
+    if number >= len(problem.y):
+        raise ValueError(f"frame: expected a frame from 0 to {len(problem.y) - 1}, got {number}")
+    return number
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest(_Plain):
+    """Take one frame and repeat its pixels."""
+
+    frame: int = option(0, whole(0))
+    name: ClassVar[str] = "nearest"
+    summary: ClassVar[str] = "one frame, each HR pixel from the nearest LR pixel"
+
+    def _found(self, problem: Problem) -> baselines.Baseline:
+        k = _frame_of(problem, self.frame)
+        return baselines.nearest(
+            problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Bicubic(_Plain):
+    """Interpolate one frame, or combine the aligned frames by mean or median."""
+
+    combine: Literal["first", "mean", "median"] = option("first", one_of("first", "mean", "median"))
+    frame: int | None = option(None, whole(0))
+    name: ClassVar[str] = "bicubic"
+    summary: ClassVar[str] = (
+        "Keys' cubic interpolation of one frame, or mean or median of the aligned frames"
+    )
+
+    def __post_init__(self) -> None:
+        super(Bicubic, self).__post_init__()
+        if self.frame is not None and self.combine != "first":
+            raise ValueError(f"combine {self.combine!r} takes all frames, got frame {self.frame}")
+
+    def _found(self, problem: Problem) -> baselines.Baseline:
+        return baselines.bicubic(
+            problem.y, problem.weight, problem.offset_px, problem.scale,
+            combine=self.combine, frame=_frame_of(problem, self.frame),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Deconvolution(_Plain):
+    """Interpolate one frame and undo the blur of its pixels."""
+
+    frame: int = option(0, whole(0))
+    algorithm: Literal["wiener", "unsupervised", "richardson-lucy"] = option(
+        "wiener", one_of("wiener", "unsupervised", "richardson-lucy")
+    )
+    name: ClassVar[str] = "deconvolution"
+    summary: ClassVar[str] = "one frame, interpolated and deconvolved by scikit-image"
+    take_level: ClassVar[bool] = False  # Richardson and Lucy want no negative values
+
+    def _found(self, problem: Problem) -> baselines.Baseline:
+        k = _frame_of(problem, self.frame)
+        return baselines.deconvolution(
+            problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale,
+            psf_sigma_px=problem.blur_sigma_px, noise_sigma=problem.noise_sigma,
+            method=self.algorithm,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftAndAdd(_Plain):
+    """Drop every LR sample into the nearest HR pixel."""
+
+    combine: Literal["mean", "median"] = option("mean", one_of("mean", "median"))
+    name: ClassVar[str] = "shift-and-add"
+    summary: ClassVar[str] = "every LR sample dropped into the nearest HR pixel, holes filled"
+
+    def _found(self, problem: Problem) -> baselines.Baseline:
+        return baselines.shift_and_add(
+            problem.y, problem.weight, problem.offset_px, problem.scale, combine=self.combine
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Drizzle(_Plain):
+    """Rain shrunken LR pixels onto the HR grid."""
+
+    pixfrac: float = option(0.5, positive(1.0))
+    kernel: Literal["square", "point"] = option("square", one_of("square", "point"))
+    name: ClassVar[str] = "drizzle"
+    summary: ClassVar[str] = "STScI drizzle: LR pixels shrunk and rained onto the HR grid"
+
+    def _found(self, problem: Problem) -> baselines.Baseline:
+        return baselines.drizzle_frames(
+            problem.y, problem.weight, problem.offset_px, problem.scale, self.pixfrac, self.kernel
+        )
