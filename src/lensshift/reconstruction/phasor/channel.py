@@ -15,6 +15,7 @@ from lensshift.core.types import Burst, Estimate, ShiftField
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
+from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.learned.method import (
     LEAST_SIGMA,
     solved,
@@ -25,7 +26,6 @@ from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
-from lensshift.reconstruction.sparse import tikhonov, total_variation
 
 Array = NDArray[Any]
 
@@ -175,8 +175,9 @@ def _unit(z: Array) -> Array:
 
 def _linear(problem: Problem, method: str, request: Request) -> Estimate:
     """Reconstruct the phasor as a complex image; its noise is the same in all directions."""
-    run = tikhonov if method == "tikhonov" else total_variation
-    estimate = run(problem, replace(request, non_negative=False))
+    kind = Tikhonov if method == "tikhonov" else Tv
+    solver = kind(request.prior_weight, **request.options)
+    estimate = solver(problem, replace(request, non_negative=False))
 
     def std() -> NDArray[np.float64]:
         of_component = np.asarray(estimate.std)
