@@ -238,7 +238,7 @@ def _outliers(values: Array, used: Mask, filters: _Filters) -> Mask:
     odd = of_frame > ODD_FRAME * usual
     doubted = used & (odd | (np.abs(rest) > OUTLIER_SIGMAS * usual))
     if not doubted.any():
-        return doubted
+        return np.zeros(used.shape, np.bool_)
     filled = _refilled(values, doubted | ~used, filters)
     rest = _residuals(filled, filters, slice(1, 2))[0]
     usual = _usual(rest, used & ~doubted) / filters.share[:, None, None]
