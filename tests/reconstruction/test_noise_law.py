@@ -63,6 +63,14 @@ def test_texture_that_is_bright_gives_no_slope(seed: int) -> None:
     np.testing.assert_allclose(found, 0.01, rtol=0.35)
 
 
+def test_salt_and_pepper_on_fine_texture_do_not_count() -> None:
+    y = photograph(_rings, SHAPE, SQUARE_PX)
+    y += 0.01 * _white(6)
+    draw = np.random.default_rng(2).random(y.shape)
+    y = np.where(draw < 0.01, 0.0, np.where(draw > 0.99, 1.0, y))
+    assert _law(y).sigma == pytest.approx(0.01, rel=0.4)
+
+
 @pytest.mark.parametrize(("a", "b"), [(1.0, 290.0), (4000.0, -17.0), (1e-6, 3.0)])
 def test_the_law_is_that_of_the_units(a: float, b: float) -> None:
     clean = photograph(smooth_scene, SHAPE, SQUARE_PX)
@@ -85,6 +93,16 @@ def test_pixels_that_lie_do_not_count(spoil: str) -> None:
     assert _law(y, used).sigma == pytest.approx(0.02, rel=0.1)
     if spoil == "dead":
         assert _law(np.where(bad, -7.0, y), used) == _law(y, used)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frame_of_elsewhere_does_not_count(seed: int) -> None:
+    offset_px = np.random.default_rng(seed).uniform(-0.5, 0.5, (9, 2))
+    y = photograph(edge_scene, SHAPE, offset_px)
+    y += 0.02 * np.random.default_rng(seed + 9).standard_normal(y.shape)
+    y[4] = np.roll(y[4], (2, 1), (0, 1))
+    model = forward_model(SHAPE, 2, offset_px, blur=GaussianBlur(0.3))
+    assert noise_law(model, y, np.ones(y.shape), 0.3).sigma == pytest.approx(0.02, rel=0.15)
 
 
 @pytest.mark.parametrize("count", [3, 5, 12])

@@ -27,7 +27,6 @@ GAUSSIAN_MAD = 1.4826
 GAUSSIAN_UPPER_QUARTILE = 1.1503  # of |values| in standard deviations
 # Pixels of all frames among which an outlier has to stand out.
 NEIGHBOURHOOD_PX = 3
-LONE_SIGMAS = 5.0
 
 
 def robust_scale(values: Array) -> float:
@@ -193,19 +192,6 @@ def usual_size(residual: Array) -> Array:
     padded = np.pad(np.abs(residual), ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (NEIGHBOURHOOD_PX,) * 2, (1, 2))
     return np.asarray(np.quantile(windows, 0.75, axis=(0, 3, 4)) / GAUSSIAN_UPPER_QUARTILE)
-
-
-def lone_pixels(values: Array) -> NDArray[np.bool_]:
-    """Return the pixels [frame row col] that stand out among their neighbours in all frames.
-
-    Salt and pepper draws a fit to itself, and least where all frames lie at one place.
-    """
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
-    )
-    apart = values - np.median(windows, axis=(0, 3, 4))
-    usual = np.maximum(usual_size(apart), GAUSSIAN_MAD * np.median(np.abs(apart)))
-    return np.asarray(np.abs(apart) > LONE_SIGMAS * usual)
 
 
 def _spread(values: Array) -> float:

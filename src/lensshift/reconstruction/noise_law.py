@@ -12,7 +12,7 @@ the frames that pass this give level and slope; the slope counts as far as it ex
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +22,7 @@ from scipy import fft
 from scipy.ndimage import uniform_filter
 
 from lensshift.forward.model import ForwardModel
-from lensshift.reconstruction.noise import lone_pixels
+from lensshift.reconstruction.noise import GAUSSIAN_MAD
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -34,7 +34,9 @@ ALIASES = 3  # a square pixel lets 10 % through at the third
 WINDOWS, WINDOW_PX, MOST_FRAMES = 3, 48, 9
 PAD_PX, BORDER_PX = 4, 1  # continued beyond the border, whose pixels are not judged
 BLOCK_PX, BLOCK_STEP_PX = 6, 3
-REFILLS = 8
+# The median of 144 sizes, compared to that of all frames: five of its standard errors more.
+ODD_FRAME = 1.5
+OUTLIER_SIGMAS, OUTLIER_BLOCK_PX, REFILLS = 4.0, 12, 8
 # The share of the blocks of white noise that passes as such, and the quantile that stands for the
 # blocks that pass: texture may be in some.
 PASSING, LOW = 0.9, 0.1
@@ -89,11 +91,14 @@ class _Filters:
     ----------
     response : [fit frame frame frequency]
     gain : [fit frame] root mean square of the residual of unit white noise
+    share : [frame] standard deviation of the residual of the middle fit over that of what the
+        others predict, for a pixel that is as the fit expects
     energy : [fit block] of white noise
     """
 
     response: Array
     gain: Array
+    share: Array
     energy: Array
 
 
@@ -169,14 +174,17 @@ def _filters(offset_bytes: bytes, count: int, shape: tuple[int, int], blur_px: f
     if padded[1] % 2 == 0:
         twice[-1] = 1.0
     power = np.einsum("srckj,c->sk", np.abs(response) ** 2, twice) / (padded[0] * padded[1])
+    gain = np.sqrt(power).astype(np.float32)
+    own = np.einsum("rckk,c->k", response[1].real, twice) / (padded[0] * padded[1])
     filters = _Filters(
         np.ascontiguousarray(np.moveaxis(response, (1, 2), (3, 4))).astype(np.complex64),
-        np.sqrt(power).astype(np.float32),
+        gain,
+        np.sqrt(own).astype(np.float32),
         np.empty(0),
     )
     white = np.random.default_rng(0).standard_normal((WINDOWS**2, count, *shape), np.float32)
     energy, _ = _blocks(white, np.ones(white.shape, np.bool_), filters)
-    return _Filters(filters.response, filters.gain, energy)
+    return replace(filters, energy=energy)
 
 
 def _padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
@@ -194,9 +202,8 @@ def _residuals(values: Array, filters: _Filters, fits: slice) -> Array:
     padded = _padded_shape(shape)
     spectrum = fft.rfft2(wide, padded)
     found = np.einsum("skjrc,wjrc->swkrc", filters.response[fits], spectrum)
-    rest = fft.irfft2(found, padded)[
-        ..., pads[0] : pads[0] + shape[0], pads[1] : pads[1] + shape[1]
-    ]
+    rows, cols = (slice(pad, pad + n) for pad, n in zip(pads, shape, strict=True))
+    rest = fft.irfft2(found, padded)[..., rows, cols]
     return np.asarray(rest / filters.gain[fits][:, None, :, None, None])
 
 
@@ -205,8 +212,7 @@ def _blocks(values: Array, used: Mask, filters: _Filters) -> tuple[Array, Array]
 
     Pixels that are not used or stand out are replaced by what the others tell of them.
     """
-    alone = np.stack([lone_pixels(part) for part in values]) & used
-    judged = used & ~alone
+    judged = used & ~_outliers(values, used, filters)
     if not judged.all():
         values = _refilled(values, ~judged, filters)
     rest = _residuals(values, filters, slice(None))
@@ -219,6 +225,43 @@ def _blocks(values: Array, used: Mask, filters: _Filters) -> tuple[Array, Array]
     light = _sampled(np.mean(values * inner, axis=1))
     full = share > 1 / 3 if (share > 1 / 3).any() else share > 0
     return energy[:, full] / share[full], light[full] / share[full]
+
+
+def _outliers(values: Array, used: Mask, filters: _Filters) -> Mask:
+    """Return the pixels that the others contradict.
+
+    A residual is also large beside an outlier. So all pixels where it is large are left out, and
+    those that the rest then predicts come back.
+    """
+    rest = _residuals(values, filters, slice(1, 2))[0]
+    usual, of_frame = _usual(rest, used), _usual(_alone(rest), _alone(used)).reshape(rest.shape)
+    odd = of_frame > ODD_FRAME * usual
+    doubted = used & (odd | (np.abs(rest) > OUTLIER_SIGMAS * usual))
+    if not doubted.any():
+        return np.zeros(used.shape, np.bool_)
+    filled = _refilled(values, doubted | ~used, filters)
+    rest = _residuals(filled, filters, slice(1, 2))[0]
+    usual = _usual(rest, used & ~doubted) / filters.share[:, None, None]
+    return np.asarray(doubted & (np.abs(values - filled) > OUTLIER_SIGMAS * usual))
+
+
+def _alone(values: Array) -> Array:
+    return np.asarray(values.reshape(-1, 1, *values.shape[2:]))
+
+
+def _usual(rest: Array, used: Mask) -> Array:
+    """Return the usual size of the residual around each pixel [window 1 row col]."""
+    rows, cols = rest.shape[-2:]
+    size = np.where(used, np.abs(rest), np.nan)
+    out = np.empty((len(rest), 1, rows, cols), np.float32)
+    for top in range(0, rows, OUTLIER_BLOCK_PX):
+        for left in range(0, cols, OUTLIER_BLOCK_PX):
+            part = np.s_[:, :, top : top + OUTLIER_BLOCK_PX, left : left + OUTLIER_BLOCK_PX]
+            ordered = np.sort(size[part].reshape(len(rest), -1), axis=1)  # NaN last
+            middle = np.isfinite(ordered).sum(axis=1) // 2
+            found = np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0]
+            out[part] = np.nan_to_num(found)[:, None, None, None]
+    return GAUSSIAN_MAD * out
 
 
 def _refilled(values: Array, missing: Mask, filters: _Filters) -> Array:

@@ -19,7 +19,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.least_squares import smooth_fit
-from lensshift.reconstruction.noise import lone_pixels
+from lensshift.reconstruction.noise import usual_size
 
 Array = NDArray[Any]
 Shifts = NDArray[np.float64]
@@ -133,7 +133,7 @@ def doubtful_shifts(
     if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
         return None
     values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)
-    seen = seen & ~lone_pixels(np.where(seen, values, 0.0))
+    seen = seen & ~_lone(np.where(seen, values, 0.0))
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
     return _doubt(np.where(seen, values, 0.0), seen, given, scale, seed) and _doubt(
         _alike(values, seen), seen, given, scale, seed
@@ -276,6 +276,19 @@ def _alike(values: Array, seen: Mask) -> Array:
     )
     spread = np.sqrt((about**2).mean(axis=(1, 2), keepdims=True) / share)
     return np.asarray(about / np.maximum(spread, 1e-300))
+
+
+def _lone(values: Array) -> Mask:
+    """Return the pixels [frame row col] that stand out among their neighbours in all frames.
+
+    Salt and pepper draws a fit to itself, and least where all frames lie at one place.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
+    )
+    apart = values - np.median(windows, axis=(0, 3, 4))
+    usual = np.maximum(usual_size(apart), GAUSSIAN_MAD * np.median(np.abs(apart)))
+    return np.asarray(np.abs(apart) > CLIP_SIGMAS * usual)
 
 
 def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Shifts]:

@@ -99,7 +99,7 @@ def _take(x: Single, top: int, count: int, strip: Single) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _put(product: Single, top: int, count: int, left: int, least: float, out: Single) -> None:
+def _put(product: Single, top: int, count: int, left: int, least: np.float32, out: Single) -> None:
     """Write the four outputs of each six products, none below `least`."""
     outputs = out.shape[2]
     tiles = (out.shape[1] - 2 * left) // 4
