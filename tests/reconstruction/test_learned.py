@@ -166,7 +166,7 @@ def test_the_truth_lies_within_the_error_bars(scale, snr):
     assert two > 0.93
 
 
-@pytest.mark.filterwarnings("ignore:.*frame 0 does not fit")
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
 def test_a_frame_that_may_be_misplaced_is_believed_less():
     gain = []
     for seed in range(4):

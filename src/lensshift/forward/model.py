@@ -103,6 +103,18 @@ class ForwardModel:
         means = [row.mean(axis=(1, 2)) - rest[0], col.mean(axis=(1, 2)) - rest[1]]
         return -np.stack(means, axis=-1) / self.scale
 
+    @property
+    def shift_spread_px(self) -> float:
+        """How far the shift of a pixel is from the mean of its frame at most."""
+        if self.offset_px is not None:
+            return 0.0
+        most = 0.0
+        for axis, taps in enumerate((self.rows, self.cols)):
+            place = np.arange(self.lr_shape[axis]) * self.scale
+            away = taps.position_hr_px - (place[:, None] if axis == 0 else place)
+            most = max(most, float(np.abs(away - away.mean(axis=(1, 2), keepdims=True)).max()))
+        return most / self.scale
+
     def predict(self, x: Array) -> Array:
         """Return the frames [frame row col] that the HR image gives, bias included."""
         y = self.operator(x)

@@ -59,8 +59,8 @@ def fitting_width_px(problem: Problem, image: Array, noise: Array) -> float | No
         return _misfit(narrow, solve(narrow, y, sigma, blur_px=width_px).image, y, sigma)
 
     told = _misfit(part, solve(part, y, sigma, blur_px=told_px).image, y, sigma)
-    if told < REFUTED * misfit(0.5 * told_px):
-        return None
+    if told < REFUTED or told < REFUTED * misfit(0.5 * told_px):
+        return None  # what is explained within its noise refutes nothing
     found = [(misfit(part_of * told_px), part_of * told_px) for part_of in TRIED]
     best = min(value for value, _ in found)
     return next(width for value, width in found if value <= FITTING * best)

@@ -103,16 +103,14 @@ class _Filters:
 
 
 def noise_law(model: ForwardModel, y: Array, weight: Array, blur_px: float) -> NoiseLaw:
-    """Return the noise of frames [frame row col] that have one shift each.
+    """Return the noise of frames [frame row col] whose pixels shift about alike.
 
     Parameters
     ----------
     weight : [frame row col] 0 at pixels that must not be used
     blur_px : standard deviation of the pixel response in LR pixels
     """
-    offset_px = model.offset_px
-    if offset_px is None:
-        raise ValueError("expected frames with one shift each, got a shift field")
+    offset_px = model.mean_offset_px
     some = np.unique(np.linspace(0, len(y) - 1, min(len(y), MOST_FRAMES)).round().astype(int))
     offset = offset_px[some] - offset_px[some[0]]
     used = _windows(weight[some] > 0)

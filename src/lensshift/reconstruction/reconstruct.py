@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from numbers import Real
@@ -10,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.method import Method, Request
@@ -21,7 +22,9 @@ from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
 from lensshift.reconstruction.problem import (
     NOMINAL_BLUR_PX,
+    QUESTIONED_BLUR_PX,
     Problem,
+    blur_width_px,
     make_blur,
     make_problem,
     predictor,
@@ -113,7 +116,11 @@ def reconstruct(
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames)
-    request = replace(request, frames=used, blur_told=response["psf_source"] != "assumed")
+    # Of so wide a response, the user was told.
+    doubted = blur_width_px(blur) > QUESTIONED_BLUR_PX
+    request = replace(
+        request, frames=used, shifts_doubted=doubted, blur_told=response["psf_source"] != "assumed"
+    )
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -145,6 +152,9 @@ def reconstruct(
         )  # fmt: skip
         found[key] = _solve(burst, problem, used, chosen, request, photometric, field)
     blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
+    said = [estimate.notes.get("contradiction") for estimate in found.values()]
+    for wrong in dict.fromkeys(text for text in said if text is not None):
+        warnings.warn(wrong, QualityWarning, stacklevel=2)
     if doubt is not None and not blamed:  # no frame and no place that it could be blamed on
         warn_of_doubt(doubt)
         found = {key: replace(e, status=Status.CONTRADICTED) for key, e in found.items()}

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
@@ -28,6 +26,8 @@ BELIEVED_FRAME = 0.5
 LEAST_WEIGHT = 0.04
 # Smaller than any noise of numbers in 0 .. 1 that went through a converter of 24 bits.
 LEAST_SIGMA = 1e-7
+# Shifts that differ less over the sensor are one shift: what they are told to.
+EVEN_SHIFT_PX = 0.05
 # Fewer frames show no frequency that a scene hardly reaches.
 LEAST_FRAMES = 3
 
@@ -68,11 +68,7 @@ def solved(
     -------
     Estimate, std
         in units of the problem; std as in `Solution`, wider where the frames disagree
-
-    Warns
-    -----
-    QualityWarning
-        That names what contradicts.
+        Its notes may hold a "contradiction", in words.
     """
     noise = with_shift_errors(noise, problem)
     objective: list[float] = []
@@ -140,7 +136,7 @@ def noise_of(problem: Problem) -> NoiseLaw:
     if told is not None:
         return constant_noise(told)
     y, weight, model = problem.y, problem.weight, problem.model
-    plain = y.dtype.kind != "c" and problem.even_noise and model.offset_px is not None
+    plain = y.dtype.kind != "c" and problem.even_noise and model.shift_spread_px < EVEN_SHIFT_PX
     if plain and len(y) >= LEAST_FRAMES:
         return noise_law(model, y, weight, problem.blur_sigma_px)
     return constant_noise(estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma)
@@ -156,7 +152,7 @@ def status_of(found: Solution) -> Status:
 def _judged(
     estimate: Estimate, wrong: str | None, used: NDArray[np.bool_], request: Request
 ) -> Estimate:
-    """Note the frames that were not believed, and warn of what contradicts."""
+    """Note the frames that were not believed, and what contradicts."""
     believed = estimate.confidence if estimate.confidence is not None else used.astype(float)
     trust = np.array([c[u].mean() if u.any() else 1.0 for c, u in zip(believed, used, strict=True)])
     notes = dict(estimate.notes) | {
@@ -165,7 +161,7 @@ def _judged(
     }
     status = estimate.status
     if wrong is not None and not request.shifts_doubted:
-        warnings.warn(wrong, QualityWarning, stacklevel=6)
+        notes["contradiction"] = wrong
     if status is not Status.NOT_FINITE and (wrong is not None or request.shifts_doubted):
         status = Status.CONTRADICTED
     return replace(estimate, notes=notes, status=status)

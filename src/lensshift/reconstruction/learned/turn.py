@@ -40,6 +40,7 @@ class Turn:
 
 def turn_of(offset_px: NDArray[np.float64]) -> Turn:
     """Return how to look at frames with these shifts [frame 2]."""
+    offset_px = np.round(offset_px, 6)  # far below what a shift can be known to
     signs = []
     for axis in (0, 1):
         shifted = np.flatnonzero(offset_px[:, axis])
