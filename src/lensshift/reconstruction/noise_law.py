@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import uniform_filter
 
-from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.noise import GAUSSIAN_MAD
 
 Array = NDArray[Any]
@@ -102,17 +101,17 @@ class _Filters:
     energy: Array
 
 
-def noise_law(model: ForwardModel, y: Array, weight: Array, blur_px: float) -> NoiseLaw:
-    """Return the noise of frames [frame row col] whose pixels shift about alike.
+def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> NoiseLaw:
+    """Return the noise of frames [frame row col] that have one shift each.
 
     Parameters
     ----------
+    offset_px : [frame 2]
     weight : [frame row col] 0 at pixels that must not be used
     blur_px : standard deviation of the pixel response in LR pixels
     """
-    offset_px = model.mean_offset_px
     some = np.unique(np.linspace(0, len(y) - 1, min(len(y), MOST_FRAMES)).round().astype(int))
-    offset = offset_px[some] - offset_px[some[0]]
+    offset = np.round(offset_px[some] - offset_px[some[0]], 6)  # what rounding adds is no new case
     used = _windows(weight[some] > 0)
     values = _windows(y[some])
     level = np.median(values[used])
