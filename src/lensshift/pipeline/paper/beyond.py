@@ -122,7 +122,9 @@ def remark(name: str, rows: list[Row]) -> str:
                 "a sparse or learned prior expects, and it sharpens what it believes to see. This "
                 "is no resolution; errors and gratings are to be believed."
             )
-    beyond = [row for row in rows if row["mtf50_lpmm"] > row.get("grid_nyquist_lpmm", np.inf)]
+    beyond = [
+        row for row in rows if row.get("grid_nyquist_lpmm", np.inf) < row.get("mtf50_lpmm", 0)
+    ]
     if beyond:
         worst = ", ".join(
             f"{row['mtf50_lpmm']:.1f} LP/mm on a grid that ends at "
