@@ -26,7 +26,7 @@ from lensshift.core.units import SPEED_OF_LIGHT_MPS, distance_to_phase, phase_to
 from lensshift.evaluation import depth_error
 from lensshift.pipeline.paper.bench import WALL_LIGHT, paper_camera
 from lensshift.pipeline.paper.box_claims import BRIGHTEST_LIGHT
-from lensshift.pipeline.paper.measure import ASSUMED
+from lensshift.pipeline.paper.measure import PUBLISHED
 from lensshift.scene import four_boxes
 
 MODULATION_HZ = 15e6
@@ -70,7 +70,7 @@ def bench(seed: int) -> Iterator[Case]:
     for snr in (50, 15):
         camera = paper_camera(snr, WALL_LIGHT, BRIGHTEST_LIGHT, optics="petzval_a")
         burst, truth = simulate_tof_burst(four_boxes(), camera, OFFSETS_PX, seed=seed)
-        assumed = {"psf_sigma_px": ASSUMED[1]}
+        assumed = {"psf_sigma_px": PUBLISHED[1]}
         yield Case(f"bench, SNR {snr}, {seed}", burst, truth.distance_m, truth.valid, assumed)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -39,8 +41,9 @@ def reproduce(
         progress = Progress("measuring")
         try:
             found = reproduce_paper(
-                out, quick=quick, processes=processes or _cores(), on_step=progress.count
-            )
+                out, quick=quick, processes=processes or _cores(), on_step=progress.count,
+                command=shlex.join(["lensshift", *sys.argv[1:]]),
+            )  # fmt: skip
         finally:
             progress.close()
         for claim in found.claims:
@@ -49,9 +52,12 @@ def reproduce(
                 f"{claim.verdict:<10} {claim.id:<32} paper: {claim.paper}; "
                 f"ours: {claim.ours:.3g} ({low:.3g} to {high:.3g})"
             )
+        if found.not_done:
+            current.say("not done: " + "; ".join(found.not_done))
         current.say(f"{found.seconds:.0f} s, wrote " + ", ".join(map(str, found.files)))
         current.result |= {
-            "claims": [asdict(claim) for claim in found.claims],
+            "claims": [asdict(claim) | {"verdict": claim.verdict} for claim in found.claims],
+            "not_done": found.not_done,
             "seconds": found.seconds,
             "files": found.files,
         }

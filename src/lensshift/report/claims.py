@@ -62,6 +62,36 @@ def curves_figure(
     return figure
 
 
+def sampling_figure(pattern_px: ArrayLike, title: str = "Where four frames sample") -> Figure:
+    """Draw nine pixels, and the places of the scene at which the frames of a pattern see them.
+
+    Parameters
+    ----------
+    pattern_px : [frame 2] where the content of each frame lies, (row, col) in LR pixels
+    title : above the figure
+    """
+    pattern = np.asarray(pattern_px, dtype=np.float64)
+    row, col = np.meshgrid(np.arange(3.0), np.arange(3.0), indexing="ij")
+    with styled():
+        figure = new_figure(8.2, 4.4)
+        axes = figure.subplots()
+        for number, (row_px, col_px) in enumerate(pattern.tolist()):
+            # Content that moves right is seen by pixels that look further left.
+            label = f"frame {number}: image at {row_px:+.2f}, {col_px:+.2f} px"
+            axes.plot((col - col_px).ravel(), (row - row_px).ravel(), "o",
+                      color=colour_of(number), label=label)  # fmt: skip
+        for edge in np.arange(-0.5, 3.0):
+            axes.plot([edge, edge], [-0.5, 2.5], color=GREY, linewidth=0.9)
+            axes.plot([-0.5, 2.5], [edge, edge], color=GREY, linewidth=0.9)
+        axes.set_aspect("equal")
+        axes.invert_yaxis()
+        axes.set_xlabel("column (LR px)")
+        axes.set_ylabel("row (LR px)")
+        axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+        axes.set_title(title)
+    return figure
+
+
 def profiles_figure(
     profiles: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]], title: str
 ) -> Figure:

@@ -26,6 +26,16 @@ table { border-collapse: collapse; font-size: .92rem; } .wide { overflow-x: auto
 th, td { text-align: left; padding: .3rem .8rem .3rem 0; border-bottom: 1px solid #eee;
   vertical-align: top; } td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
 .confirmed, .qualified, .refuted { font-weight: 600; white-space: nowrap; }
+@media (max-width: 600px) {
+  body { margin: 1rem auto; overflow-wrap: anywhere; } h1 { font-size: 1.35rem; }
+  figure { overflow-x: auto; } img { max-width: none; width: 44rem; }
+  figcaption { max-width: 90vw; }
+  tr:first-child { display: none; } tr { display: block; padding: .5rem 0;
+    border-bottom: 1px solid #ccc; }
+  td { display: flex; gap: .6rem; border: 0; padding: .1rem 0; }
+  td::before { content: attr(data-label); flex: 0 0 7.5rem; color: #777; } td.number
+    { white-space: normal; }
+}
 .confirmed { color: #00694d; } .qualified { color: #8a5a00; } .refuted { color: #a33c00; }
 """
 
@@ -47,8 +57,9 @@ class Page:
         self._parts.append(f"<h2>{html.escape(text)}</h2>")
 
     def text(self, text: str) -> None:
-        """Add a paragraph."""
-        self._parts.append(f"<p>{html.escape(text)}</p>")
+        """Add a paragraph, unless it is empty."""
+        if text:
+            self._parts.append(f"<p>{html.escape(text)}</p>")
 
     def figure(self, figure: Figure, caption: str) -> None:
         """Add a figure as a picture in the page."""
@@ -69,7 +80,7 @@ class Page:
         if not rows:
             return
         head = "".join(f"<th>{html.escape(str(name))}</th>" for name in rows[0])
-        body = "".join(f"<tr>{''.join(map(_cell, row.values()))}</tr>" for row in rows)
+        body = "".join(f"<tr>{''.join(_cell(*cell) for cell in row.items())}</tr>" for row in rows)
         self._parts.append(f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>')
 
     def html(self) -> str:
@@ -93,12 +104,19 @@ class Page:
             part.write_text(self.html(), encoding="utf-8")
 
 
-def _cell(value: Any) -> str:
+def _cell(name: str, value: Any) -> str:
+    label = f'data-label="{html.escape(str(name))}"'
     if isinstance(value, float):
         text = "-" if not math.isfinite(value) else f"{value:.3g}"
-        return f'<td class="number">{text}</td>'
+        return f'<td class="number" {label}>{text}</td>'
     if isinstance(value, tuple | list) and all(isinstance(one, float) for one in value):
-        return f'<td class="number">{" to ".join(f"{one:.3g}" for one in value)}</td>'
+        return f'<td class="number" {label}>{_range(value)}</td>'
     if value in ("confirmed", "qualified", "refuted"):
-        return f'<td class="{value}">{value}</td>'
-    return f"<td>{html.escape(str(value))}</td>"
+        return f'<td class="{value}" {label}>{value}</td>'
+    return f"<td {label}>{html.escape(str(value))}</td>"
+
+
+def _range(ends: Sequence[float]) -> str:
+    if len(ends) == 2 and ends[1] == math.inf:
+        return f"{ends[0]:.3g} or more"
+    return " to ".join(f"{one:.3g}" for one in ends)

@@ -17,7 +17,7 @@ from lensshift.core.grid import Grid
 from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, paper_camera, px_to_m
 from lensshift.pipeline.paper.box_claims import BRANCHES, SHARES, steepness
 from lensshift.pipeline.paper.claims import Pair, mean_interval
-from lensshift.pipeline.paper.measure import reconstructed
+from lensshift.pipeline.paper.measure import PUBLISHED, Response, reconstructed
 from lensshift.scene import Plane, Rectangle, Scene
 
 Floats = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Gain:
     reach: float
 
 
-def study_strip(strip: Strip, seed: int = 0) -> dict[str, Gain]:
+def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> dict[str, Gain]:
     """Return the gains of all branches for one strip."""
     capture = simulate_tof(
         _scene(strip), _camera(strip), named_pattern_px("square"),
@@ -80,9 +80,9 @@ def study_strip(strip: Strip, seed: int = 0) -> dict[str, Gain]:
     if burst.distance_m is None:
         raise ValueError("expected a burst with distances, got none")
     fine = {
-        "amplitude": reconstructed(burst, "amplitude")["amplitude"],
-        "distance": reconstructed(burst, "distance")["distance"],
-        "phasor": reconstructed(burst, "phasor")["distance"],
+        "amplitude": reconstructed(burst, "amplitude", response=response)["amplitude"],
+        "distance": reconstructed(burst, "distance", response=response)["distance"],
+        "phasor": reconstructed(burst, "phasor", response=response)["distance"],
     }
     frame = {"amplitude": burst.amplitude[0], "distance": burst.distance_m[0]}
     true = {"amplitude": truth.amplitude, "distance": truth.distance_m}

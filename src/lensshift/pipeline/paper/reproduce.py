@@ -18,17 +18,20 @@ from lensshift.pipeline.paper.beyond import (
     PATTERNS,
     error_row,
     light_row,
+    mean_rows,
     pattern_row,
+    shift_claim,
     shift_map_row,
 )
-from lensshift.pipeline.paper.box_claims import BoxRun, box_claims, take_boxes
-from lensshift.pipeline.paper.claims import Claim
+from lensshift.pipeline.paper.box_claims import BoxRun, box_claims, response_rows, take_boxes
+from lensshift.pipeline.paper.claims import CRITERIA, Claim
 from lensshift.pipeline.paper.edge_claims import EdgeRun, edge_claims, take_edge
 from lensshift.pipeline.paper.gradient_question import Strip, as_row, study_strip
+from lensshift.pipeline.paper.gratings import GRATINGS_LPMM, GratingRun, take_grating
 from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
+from lensshift.pipeline.paper.measure import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims, study_lens
 from lensshift.pipeline.paper.page import write_page
-from lensshift.pipeline.paper.responses import RESPONSES, response_row
 from lensshift.pipeline.run import made_folder, writable_folder
 
 # Contrast, width in LR pixels, SNR of one frame.
@@ -39,9 +42,19 @@ _STRIPS = (
     (3.0, 12.0, 100.0),
     (0.15, 1.0, 100.0),
 )
-_BEYOND = ("patterns", "equal_light", "errors", "responses", "shift_map")
-_DRAWS = {"edge": 6, "boxes": 8}
-_QUICK_DRAWS = {"edge": 2, "boxes": 3}
+_BEYOND = ("patterns", "equal_light", "errors", "shift_map")
+_DRAWS = {"edge": 6, "grating": 2, "boxes": 8, "errors": 3}
+_QUICK_DRAWS = {"edge": 2, "grating": 1, "boxes": 3, "errors": 1}
+_NOT_DONE = (
+    "the second reconstruction of the lens, and two thirds of the frequencies of the first",
+    f"{len(_STRIPS) - len(_QUICK_STRIPS)} of {len(_STRIPS)} strips of the gradient question",
+    *(
+        f"{_DRAWS[kind] - _QUICK_DRAWS[kind]} of {_DRAWS[kind]} draws of {what}"
+        for kind, what in (("edge", "the edge card"), ("grating", "each grating"),
+                           ("boxes", "the boxes"), ("errors", "wrong shifts"))
+    ),
+    "everything beyond the paper: finer patterns, equal light, the shift map",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,21 +64,29 @@ class Reproduction:
     Parameters
     ----------
     claims : the paper's, with our numbers and verdicts
+    response_px, response_error_px : assumed width of a pixel, as `calibrate` finds it here
     gradients : one row per strip, see `study_strip`
     beyond : name of a table -> its rows: what the paper did not try
     depth : errors of the distance on the boxes, by branch, one row per draw
-    lenses, edges, boxes : the runs behind the claims
+    lenses, edges, gratings, boxes : the runs behind the claims
+    not_done : what the quick run left out
+    command : how it was asked for, or empty
     seconds : for everything
     files : what was written
     """
 
     claims: tuple[Claim, ...]
+    response_px: float
+    response_error_px: float
     gradients: tuple[dict[str, Any], ...]
     beyond: dict[str, list[dict[str, Any]]]
     depth: tuple[dict[str, Any], ...]
     lenses: tuple[LensResult, ...]
     edges: tuple[EdgeRun, ...]
+    gratings: tuple[GratingRun, ...]
     boxes: tuple[BoxRun, ...]
+    not_done: tuple[str, ...]
+    command: str
     seconds: float
     files: tuple[Path, ...]
 
@@ -75,6 +96,7 @@ def reproduce(
     *,
     quick: bool = False,
     processes: int = 2,
+    command: str = "",
     on_step: Callable[[int, int], None] | None = None,
 ) -> Reproduction:
     """Repeat the experiments of the paper and write results.json and report.html.
@@ -84,6 +106,7 @@ def reproduce(
     out_dir : folder; made if it is missing
     quick : fewer draws and strips, one lens, nothing beyond the paper
     processes : that work side by side; 1 stays in this one
+    command : line that asked for it, for the report
     on_step : called with the number of finished jobs and of all jobs
 
     Raises
@@ -95,62 +118,92 @@ def reproduce(
     """
     start_s = time.perf_counter()
     folder = writable_folder(out_dir)
-    done = carry_out_jobs(_jobs(quick), processes, on_step)
-    lenses, edges, boxes = (_of_kind(done, kind) for kind in ("lens", "edge", "boxes"))
-    claims = [*optics_claims(lenses), *edge_claims(edges), *box_claims(boxes)]
+    response, error_px = calibrated_response()
+    done = carry_out_jobs(_jobs(quick, response), processes, on_step)
+    lenses, edges, gratings, boxes = (
+        _of_kind(done, kind) for kind in ("lens", "edge", "grating", "boxes")
+    )
     beyond = {name: _of_kind(done, name) for name in _BEYOND}
+    claims = [*optics_claims(lenses), *edge_claims(edges, gratings), *box_claims(boxes)]
+    claims.append(shift_claim(beyond["errors"]))
+    beyond["errors"] = mean_rows(beyond["errors"], "shift_error_px")
+    beyond["responses"] = response_rows(boxes)
     found = Reproduction(
         claims=tuple(claims),
+        response_px=response[1],
+        response_error_px=error_px,
         gradients=tuple(_of_kind(done, "strip")),
         beyond={name: rows for name, rows in beyond.items() if rows},
         depth=tuple(run.depth for run in boxes),
         lenses=tuple(lenses),
         edges=tuple(edges),
+        gratings=tuple(gratings),
         boxes=tuple(boxes),
+        not_done=_NOT_DONE if quick else (),
+        command=command,
         seconds=time.perf_counter() - start_s,
         files=(folder / "results.json", folder / "report.html"),
     )
     made_folder(folder)
-    _write_results(found, found.files[0], quick=quick)
+    _write_results(found, found.files[0])
     write_page(found, found.files[1])
     return found
 
 
-def _jobs(quick: bool) -> list[Job]:
+def _jobs(quick: bool, response: Response) -> list[Job]:
     """Return all work, the longest first."""
     draws = _QUICK_DRAWS if quick else _DRAWS
     lenses = ("petzval_a",) if quick else ("petzval_a", "petzval_b")
     strips = _QUICK_STRIPS if quick else _STRIPS
+    errors_px = (0.05, 0.1) if quick else ERRORS_PX
     jobs = [Job("lens", study_lens, (name, 9 if quick else 27)) for name in lenses]
-    jobs += [Job("edge", take_edge, (seed,)) for seed in range(draws["edge"])]
-    jobs += [Job("strip", study_row, strip) for strip in strips]
-    jobs += [Job("boxes", take_boxes, (seed,)) for seed in range(draws["boxes"])]
+    jobs += [Job("boxes", take_boxes, (n, SNR, response)) for n in range(draws["boxes"])]
+    jobs += [Job("edge", take_edge, (seed, response)) for seed in range(draws["edge"])]
+    jobs += [Job("strip", study_row, (*strip, response)) for strip in strips]
+    jobs += [
+        Job("grating", take_grating, (frequency_lpmm, seed, response))
+        for frequency_lpmm in GRATINGS_LPMM
+        for seed in range(draws["grating"])
+    ]
+    jobs += [
+        Job("errors", error_row, (error_px, seed, response))
+        for error_px in errors_px
+        for seed in range(draws["errors"])
+    ]
     if not quick:
-        jobs += [Job("patterns", pattern_row, arguments) for arguments in PATTERNS]
-        jobs += [Job("equal_light", light_row, (name,)) for name in EQUAL_LIGHT]
-        jobs += [Job("errors", error_row, (error_px,)) for error_px in ERRORS_PX]
-        jobs += [Job("responses", response_row, response) for response in RESPONSES]
+        jobs += [Job("patterns", pattern_row, (*arguments, response)) for arguments in PATTERNS]
+        jobs += [Job("equal_light", light_row, (name, response)) for name in EQUAL_LIGHT]
         jobs += [Job("shift_map", shift_map_row, arguments) for arguments in MAPS]
     return jobs
 
 
-def study_row(contrast: float, width_px: float, snr: float) -> dict[str, Any]:
+def study_row(contrast: float, width_px: float, snr: float, response: Response) -> dict[str, Any]:
     """Return the gains over one strip as plain numbers."""
     strip = Strip(contrast, width_px, snr)
-    return as_row(strip, study_strip(strip))
+    return as_row(strip, study_strip(strip, 0, response))
 
 
 def _of_kind(done: list[tuple[str, Any]], kind: str) -> list[Any]:
     return [result for name, result in done if name == kind]
 
 
-def _write_results(found: Reproduction, path: Path, *, quick: bool) -> None:
+def _write_results(found: Reproduction, path: Path) -> None:
+    claims = [
+        {"id": one.id, "statement": one.statement, "paper": one.paper, "ours": one.ours}
+        | {"interval": one.interval, "numbers": one.numbers, "verdict": one.verdict}
+        | {"why": one.why, "criteria": {k: asdict(c) for k, c in CRITERIA[one.id].items()}}
+        for one in found.claims
+    ]
     content = {
-        "claims": [asdict(claim) for claim in found.claims],
+        "claims": claims,
+        "response_px": found.response_px,
+        "response_error_px": found.response_error_px,
+        "gratings": [asdict(one) for one in found.gratings],
         "gradients": found.gradients,
         "depth": found.depth,
         "beyond": found.beyond,
-        "quick": quick,
+        "not_done": found.not_done,
+        "command": found.command,
         "seconds": found.seconds,
     }
     with written_whole(path) as part:

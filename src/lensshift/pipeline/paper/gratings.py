@@ -1,0 +1,179 @@
+"""A grating beside every edge: what is left of a wave, with the camera and solvers of the edge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.camera import TofCamera, TofCapture, named_pattern_px, simulate_tof
+from lensshift.core.types import Burst
+from lensshift.pipeline.paper.bench import (
+    CARD_LIGHT,
+    PITCH_MM,
+    SHIFT_ERROR_PX,
+    paper_camera,
+    px_to_m,
+)
+from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, solved
+from lensshift.scene import Plane, Scene
+from lensshift.scene.targets import SLANT_RAD
+
+Floats = NDArray[np.float64]
+
+GRATINGS_LPMM = (1.0, 2.0, 3.0, 4.0, 5.0, 5.5, 6.0)
+# Kind -> method and whether the assumed pixel is the paper's: lens shift, then sensor shift.
+SOLVERS: Mapping[str, tuple[str, bool]] = {
+    "lens shift": ("auto", False),
+    "lens shift, tikhonov": ("tikhonov", False),
+    "lens shift, 0.30 px": ("auto", True),
+    "lens shift, as published": ("irwsr-toolbox", True),
+    "sensor shift": ("auto", False),
+    "sensor shift, tikhonov": ("tikhonov", False),
+}
+_DISTANCE_M, _MEAN, _CONTRAST = 3.5, 0.5, 0.6
+_BORDER_PX, _HALF_COLS = 2, 13  # of the image that is read, in LR pixels
+# A lens magnifies a little other than its focal length says.
+_STRETCHES = np.linspace(0.96, 1.04, 161)
+
+
+@dataclass(frozen=True, slots=True)
+class GratingRun:
+    """One grating at one phase: kind -> modulation, negative if bright and dark are swapped."""
+
+    frequency_lpmm: float
+    modulation: dict[str, float]
+
+
+def pictures(lens: Burst, sensor: Burst, response: Response) -> dict[str, Floats]:
+    """Return what edges and gratings are measured in: a frame, and all reconstructions."""
+    alone = lens.select((0,))
+    images = {"one frame": np.asarray(lens.amplitude[0]), "bicubic": solved(alone, "bicubic")}
+    for kind, (method, published) in SOLVERS.items():
+        burst = lens if kind.startswith("lens") else sensor
+        images[kind] = solved(burst, method, PUBLISHED if published else response)
+    return images
+
+
+def grating(frequency_lpmm: float, phase_rad: float) -> Scene:
+    """Return a wall with a sine wave across the direction of the edge, over the whole sensor."""
+    along = _turn(frequency_lpmm / px_to_m(1.0, _DISTANCE_M) * PITCH_MM)
+
+    def reflectance(x_m: Floats, y_m: Floats) -> Floats:
+        return _MEAN * (1.0 + _CONTRAST * np.cos(along[1] * x_m + along[0] * y_m + phase_rad))
+
+    return Scene((Plane(centre_m=(0.0, 0.0, _DISTANCE_M), reflectance=reflectance),))
+
+
+def read_grating(
+    image: Floats,
+    frequency_lpmm: float,
+    phase_rad: float,
+    *,
+    scale: int,
+    offset_px: tuple[float, float] = (0.0, 0.0),
+    stretch: float = 1.0,
+) -> float:
+    """Return the share of a wave that an image shows in the phase in which it was drawn.
+
+        I = c (1 + C (a cos phi - b sin phi)),   modulation = a
+
+    Parameters
+    ----------
+    image : [row col], over the whole sensor; its rim and far columns are left out
+    frequency_lpmm : of the wave on the sensor
+    phase_rad : of the wave in the middle of the sensor
+    scale : pixels of the image per LR pixel
+    offset_px : of the content, in LR pixels
+    stretch : how much finer than that the lens makes it
+    """
+    rows, cols = image.shape
+    row, col = np.meshgrid(
+        (np.arange(rows) - 0.5 * (rows - 1)) / scale - offset_px[0],
+        (np.arange(cols) - 0.5 * (cols - 1)) / scale - offset_px[1],
+        indexing="ij",
+    )
+    inside = (np.abs(row) < 0.5 * rows / scale - _BORDER_PX) & (np.abs(col) < _HALF_COLS)
+    along = _turn(frequency_lpmm * PITCH_MM * stretch)
+    phase = (along[0] * row + along[1] * col)[inside] + phase_rad
+    basis = np.stack([np.ones(phase.size), np.cos(phase), -np.sin(phase)], axis=1)
+    level, wave, _ = np.linalg.lstsq(basis, image[inside], rcond=None)[0]
+    return float(wave / level / _CONTRAST)
+
+
+def take_grating(frequency_lpmm: float, seed: int, response: Response = PUBLISHED) -> GratingRun:
+    """Simulate a grating with both ways of shifting, as the edge card, and read all images."""
+    phase_rad = _phase_rad(seed)
+    lens, sensor = (
+        _capture(frequency_lpmm, seed, "square", paper_camera(
+            SNR, CARD_LIGHT, CARD_LIGHT, optics="petzval_a", element=element
+        )) for element in (0, None)
+    )  # fmt: skip
+    stretch = _stretch(lens.truth.amplitude, frequency_lpmm, phase_rad, 2)
+    row_px, col_px = lens.burst.offset_px[0].tolist()
+    images = pictures(lens.burst, sensor.burst, response)
+    modulation = {
+        kind: read_grating(
+            image, frequency_lpmm, phase_rad, stretch=stretch,
+            scale=1 if kind == "one frame" else 2,
+            offset_px=(row_px, col_px) if kind == "one frame" else (0.0, 0.0),
+        )
+        for kind, image in images.items()
+    }  # fmt: skip
+    modulation["half pixel"] = read_grating(
+        lens.truth.amplitude, frequency_lpmm, phase_rad, scale=2, stretch=stretch
+    )
+    return GratingRun(frequency_lpmm, modulation)
+
+
+def grating_of(
+    camera: TofCamera, pattern: str, scale: int, frequency_lpmm: float, response: Response,
+    *, shift_error_px: float = SHIFT_ERROR_PX, seed: int = 0,
+) -> float:  # fmt: skip
+    """Return what the default leaves of a grating that a camera with a plain lens saw."""
+    capture = _capture(frequency_lpmm, seed, pattern, camera, scale, shift_error_px)
+    method = "bicubic" if capture.burst.frame_count == 1 else "auto"
+    image = solved(capture.burst, method, response, scale)
+    return read_grating(image, frequency_lpmm, _phase_rad(seed), scale=scale)
+
+
+def mean_gratings(runs: list[GratingRun], kind: str) -> Floats:
+    """Return the mean modulation of a kind at `frequencies`."""
+    return np.array([
+        np.mean([one.modulation[kind] for one in runs if one.frequency_lpmm == frequency])
+        for frequency in frequencies(runs)
+    ])  # fmt: skip
+
+
+def frequencies(runs: list[GratingRun]) -> Floats:
+    """Return the frequencies of the gratings, each once."""
+    return np.unique([one.frequency_lpmm for one in runs])
+
+
+def _capture(
+    frequency_lpmm: float, seed: int, pattern: str, camera: TofCamera, scale: int = 2,
+    shift_error_px: float = SHIFT_ERROR_PX,
+) -> TofCapture:  # fmt: skip
+    return simulate_tof(
+        grating(frequency_lpmm, _phase_rad(seed)), camera, named_pattern_px(pattern), scale=scale,
+        shift_error_px=shift_error_px, seed=seed,
+    )  # fmt: skip
+
+
+def _phase_rad(seed: int) -> float:
+    return float(np.random.default_rng([seed, 2]).uniform(0.0, 2.0 * np.pi))
+
+
+def _turn(cycles: float) -> tuple[float, float]:
+    """Return the angular frequency along (row, col) of a wave across the edge of the card."""
+    return -2.0 * np.pi * cycles * np.sin(SLANT_RAD), 2.0 * np.pi * cycles * np.cos(SLANT_RAD)
+
+
+def _stretch(truth: Floats, frequency_lpmm: float, phase_rad: float, scale: int) -> float:
+    shown = [
+        read_grating(truth, frequency_lpmm, phase_rad, scale=scale, stretch=stretch)
+        for stretch in _STRETCHES.tolist()
+    ]
+    return float(_STRETCHES[int(np.argmax(shown))])
