@@ -104,7 +104,7 @@ def _claim_tables(page: Page, found: Reproduction) -> None:
         ]
     )
     page.text(
-        "What decides, fixed beforehand. A claim is confirmed if the intervals of all its numbers "
+        "What decides: the same ranges for every run. A claim is confirmed if the intervals of all its numbers "
         "lie in the range claimed, refuted if a number lies beyond the range tolerated, and "
         "qualified otherwise. Claims on resolution need edge and grating. What tikhonov gives, "
         "with a fixed weight and so linear, stands below the default: it shows how much of a "
