@@ -48,8 +48,8 @@ class Criterion:
 _UPTO = ((5.5, _ANY), (3.0, _ANY))
 _AGREE = Criterion("LP/mm up to which edge and grating agree within 0.05", *_UPTO)
 
-# By the words of the paper, written with first gratings of this bench in sight, not blind: "doubles" is 2 within 15 %, and
-# half of what is claimed is the least that still goes as a qualification.
+# By the words of the paper, written with first gratings of this bench in sight, not blind:
+# "doubles" is 2 within 15 %; half of the step that is claimed still goes as a qualification.
 CRITERIA: Mapping[str, Mapping[str, Criterion]] = {
     "optics-beyond-sensor": {
         "margin": Criterion(
