@@ -105,7 +105,8 @@ def _claim_tables(page: Page, found: Reproduction) -> None:
     )
     page.text(
         "What decides: the same ranges for every run. A claim is confirmed if the intervals of "
-        "all its numbers lie in the range claimed, refuted if a number lies beyond the range tolerated, and "
+        "all its numbers lie in the range claimed, refuted if a number lies beyond the range "
+        "tolerated, and "
         "qualified otherwise. Claims on resolution need edge and grating. What tikhonov gives, "
         "with a fixed weight and so linear, stands below the default: it shows how much of a "
         "verdict is the prior's, and decides nothing."
