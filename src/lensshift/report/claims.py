@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.report.style import GREY, INK, SMALL_PT, colour_of, new_figure, styled
+from lensshift.report.style import COLOURS, GREY, INK, SMALL_PT, colour_of, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,8 @@ def curves_figure(
         axes = figure.subplots()
         for number, (label, values) in enumerate(curves.items()):
             colour = colour_of(number // 2 if paired else number)
-            style = "--" if paired and number % 2 else "-"
+            again = number % 2 if paired else number >= len(COLOURS)
+            style = "--" if again else "-"
             if bands and label in bands:
                 axes.fill_between(frequency, *bands[label], color=colour, alpha=0.18, linewidth=0)
             axes.plot(frequency, np.asarray(values), style, color=colour, label=label)

@@ -30,8 +30,8 @@ th, td { text-align: left; padding: .3rem .8rem .3rem 0; border-bottom: 1px soli
   body { margin: 1rem auto; overflow-wrap: anywhere; } h1 { font-size: 1.35rem; }
   figure { overflow-x: auto; } img { max-width: none; width: 44rem; }
   figcaption { max-width: 90vw; }
-  tr:first-child { display: none; } tr { display: block; padding: .5rem 0;
-    border-bottom: 1px solid #ccc; }
+  table, tbody { display: block; } tr:first-child { display: none; }
+  tr { display: block; padding: .5rem 0; border-bottom: 1px solid #ccc; }
   td { display: flex; gap: .6rem; border: 0; padding: .1rem 0; }
   td::before { content: attr(data-label); flex: 0 0 7.5rem; color: #777; } td.number
     { white-space: normal; }

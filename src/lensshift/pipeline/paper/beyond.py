@@ -1,4 +1,4 @@
-"""What the paper did not try: patterns, exposure, wrong shifts, the shift map of the lens."""
+"""What the paper did not try: patterns, wrong shifts, the shift map of the lens."""
 
 from __future__ import annotations
 
@@ -38,8 +38,6 @@ Row = dict[str, Any]
 
 # pattern, scale
 PATTERNS = (("square", 2), ("3x3", 3), ("4x4", 4))
-# pattern, at the light of four frames in all
-EQUAL_LIGHT = ("still", "square", "3x3", "4x4")
 ERRORS_PX = (0.0, 0.02, 0.05, 0.1)
 # Moved lens, SNR, shift error: with planned shifts and single frames, with shifts as `calibrate`
 # leaves them, and with sixteen frames averaged at each position as well.
@@ -57,13 +55,6 @@ def pattern_row(pattern: str, scale: int, response: Response = PUBLISHED) -> Row
     """Return what a finer pattern resolves, every frame exposed as one of four."""
     row = {"pattern": pattern, "scale": scale, "grid_nyquist_lpmm": 0.5 * scale / PITCH_MM}
     return row | _numbers(pattern, scale, response)
-
-
-def light_row(pattern: str, response: Response = PUBLISHED) -> Row:
-    """Return what more, shorter frames are worth at scale 2, with the light of four in all."""
-    count = len(named_pattern_px(pattern))
-    row = {"frames": count, "exposure": 4.0 / count}
-    return row | _numbers(pattern, 2, response, exposure=4.0 / count)
 
 
 def error_row(shift_error_px: float, seed: int = 0, response: Response = PUBLISHED) -> Row:
@@ -192,30 +183,16 @@ def _numbers(
     scale: int,
     response: Response,
     *,
-    exposure: float = 1.0,
     shift_error_px: float = SHIFT_ERROR_PX,
     seed: int = 0,
 ) -> Row:
-    """Return what the edge of the card and a grating become.
-
-    Parameters
-    ----------
-    exposure : of a frame, over that with the usual SNR; the range of the converter follows
-    """
+    """Return what the edge of the card and a grating become."""
     camera = paper_camera(SNR, CARD_LIGHT, CARD_LIGHT)
-    readout = camera.readout
-    readout = replace(
-        readout,
-        exposure_s=(exposure * readout.exposure_s[0],),
-        full_well_electrons=exposure * readout.full_well_electrons,
-    )
-    camera = replace(camera, readout=readout)
     burst = simulate_tof(
         slanted_edge_card(), camera, named_pattern_px(pattern), scale=scale,
         shift_error_px=shift_error_px, seed=seed,
     ).burst  # fmt: skip
-    method = "bicubic" if burst.frame_count == 1 else "auto"
-    fine = measured_edge(solved(burst, method, response, scale), scale)
+    fine = measured_edge(solved(burst, "auto", response, scale), scale)
     coarse = measured_edge(np.asarray(burst.amplitude[0]), 1)
     return {
         "mtf50_lpmm": fine.mtf50_lpmm.value,

@@ -134,8 +134,7 @@ def grating_of(
 ) -> float:  # fmt: skip
     """Return what the default leaves of a grating that a camera with a plain lens saw."""
     capture = _capture(frequency_lpmm, seed, pattern, camera, scale, shift_error_px)
-    method = "bicubic" if capture.burst.frame_count == 1 else "auto"
-    image = solved(capture.burst, method, response, scale)
+    image = solved(capture.burst, "auto", response, scale)
     return read_grating(image, frequency_lpmm, _phase_rad(seed), scale=scale)
 
 

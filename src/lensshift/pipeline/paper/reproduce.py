@@ -12,12 +12,10 @@ from typing import Any
 
 from lensshift.io.atomic import written_whole
 from lensshift.pipeline.paper.beyond import (
-    EQUAL_LIGHT,
     ERRORS_PX,
     MAPS,
     PATTERNS,
     error_row,
-    light_row,
     mean_rows,
     pattern_row,
     shift_claim,
@@ -42,7 +40,7 @@ _STRIPS = (
     (3.0, 12.0, 100.0),
     (0.15, 1.0, 100.0),
 )
-_BEYOND = ("patterns", "equal_light", "errors", "shift_map")
+_BEYOND = ("patterns", "errors", "shift_map")
 _DRAWS = {"edge": 6, "grating": 2, "boxes": 8, "errors": 3}
 _QUICK_DRAWS = {"edge": 2, "grating": 1, "boxes": 3, "errors": 1}
 _NOT_DONE = (
@@ -53,7 +51,7 @@ _NOT_DONE = (
         for kind, what in (("edge", "the edge card"), ("grating", "each grating"),
                            ("boxes", "the boxes"), ("errors", "wrong shifts"))
     ),
-    "everything beyond the paper: finer patterns, equal light, the shift map",
+    "everything beyond the paper: finer patterns, the shift map",
 )  # fmt: skip
 
 
@@ -172,7 +170,6 @@ def _jobs(quick: bool, response: Response) -> list[Job]:
     ]
     if not quick:
         jobs += [Job("patterns", pattern_row, (*arguments, response)) for arguments in PATTERNS]
-        jobs += [Job("equal_light", light_row, (name, response)) for name in EQUAL_LIGHT]
         jobs += [Job("shift_map", shift_map_row, arguments) for arguments in MAPS]
     return jobs
 
