@@ -21,6 +21,7 @@ from lensshift.cli.inputs import (
     load_input_burst,
     refuse_overwriting,
 )
+from lensshift.cli.method_options import parse_frames, parse_options, parse_weight
 from lensshift.cli.points import (
     CLOUD_SUFFIXES,
     FieldOption,
@@ -157,7 +158,7 @@ def reconstruct(
     """
     settings: dict[str, Any] = {
         "scale": scale, "method": method, "channel": channel.value,
-        "prior_weight": _parse_weight(prior_weight), "frames": _parse_frames(frames),
+        "prior_weight": parse_weight(prior_weight), "frames": parse_frames(frames),
         "noise_sigma": noise_sigma, "fill_factor": fill_factor, "non_negative": non_negative,
         "photometric": photometric, "seed": seed,
     }  # fmt: skip
@@ -165,7 +166,7 @@ def reconstruct(
     points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
-        settings |= _parse_options(method, option or [])
+        settings |= parse_options(method, option or [])
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
         frames_in = _looking(frames_in, points, channel, files)
@@ -358,57 +359,3 @@ def _plan(
     for path in files.all:
         writable_target(path)
     return files
-
-
-def _parse_weight(text: str) -> float | str | None:
-    if text == "auto":
-        return None
-    if text == "cross-validation":
-        return text
-    try:
-        weight = float(text)
-    except ValueError:
-        weight = -1.0
-    if not 0.0 <= weight < float("inf"):
-        raise typer.BadParameter(
-            f'expected a number from 0, "auto" or "cross-validation", got {text!r}',
-            param_hint="--prior-weight",
-        )
-    return weight
-
-
-def _parse_options(method: str, told: list[str]) -> dict[str, Any]:
-    """Return options of a method from texts NAME=VALUE; values as in TOML, or plain words."""
-    from lensshift.core.errors import DataError
-    from lensshift.core.settings import fitted, parse_toml
-    from lensshift.reconstruction.methods import find_method, make_method
-
-    options: dict[str, Any] = {}
-    for text in told:
-        name, equals, value = text.partition("=")
-        if not equals or not name.isidentifier() or name == "prior_weight":
-            hint = "; use --prior-weight" if name == "prior_weight" else ""
-            problem = f"expected NAME=VALUE, got {text!r}{hint}"
-            raise typer.BadParameter(problem, param_hint="--option")
-        try:
-            options[name] = parse_toml(f"value = {value}")["value"]
-        except DataError:
-            options[name] = value
-    try:
-        if not set(options) - set(find_method(method).option_names()):
-            options = fitted(find_method(method), options, "")
-        make_method(method, options)
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--option") from error
-    return options
-
-
-def _parse_frames(text: str | None) -> tuple[int, ...] | None:
-    if text is None:
-        return None
-    try:
-        return tuple(int(part) for part in text.split(","))
-    except ValueError as error:
-        raise typer.BadParameter(
-            f"expected numbers as in 0,2,8,10, got {text!r}", param_hint="--frames"
-        ) from error

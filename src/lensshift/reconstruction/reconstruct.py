@@ -17,7 +17,7 @@ from lensshift.forward.blur import Blur
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import positive, truth
-from lensshift.reconstruction.phasor.channel import reconstruct_phasor
+from lensshift.reconstruction.phasor.branch import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
 from lensshift.reconstruction.problem import (
@@ -29,7 +29,7 @@ from lensshift.reconstruction.problem import (
     make_problem,
     predictor,
 )
-from lensshift.reconstruction.shift_check import doubtful_shifts, warn_of_doubt
+from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of_doubt
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
 Array = NDArray[Any]
@@ -109,8 +109,7 @@ def reconstruct(
     if prior_weight is not None:
         options["prior_weight"] = prior_weight
     chosen = make_method(method, options)
-    name = chosen.name
-    told = chosen.settings
+    name, told = chosen.name, chosen.settings
     request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
     _check(scale, noise_sigma, photometric)
     response = _response(burst, psf_sigma_px, fill_factor)
@@ -118,9 +117,8 @@ def reconstruct(
     used = _frame_numbers(burst, frames)
     # Of so wide a response, the user was told.
     doubted = blur_width_px(blur) > QUESTIONED_BLUR_PX
-    request = replace(
-        request, frames=used, shifts_doubted=doubted, blur_told=response["psf_source"] != "assumed"
-    )
+    known = response["psf_source"] != "assumed"
+    request = replace(request, frames=used, shifts_doubted=doubted, blur_told=known)
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -131,37 +129,69 @@ def reconstruct(
     shifts = part.offset_px if field is None else field.offset_px
     doubt = None
     if name == "auto" or choice.channel == "phasor":
-        doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
-        if doubt is not None and doubt.named:
-            warn_of_doubt(doubt)
-            request = replace(request, shifts_doubted=True)
+        doubt, request = _doubted(part, shifts, scale, request)
+    seen: dict[str, Any] = {"blur": blur, "shift_field": field, "noise_sigma": noise_sigma,
+                            "pixel_variance": variance}  # fmt: skip
     found: dict[str, Estimate] = {}
     flying = None
     if choice.channel == "phasor":
         phasor = reconstruct_phasor(
-            burst, used, scale, name, request, blur=blur, shift_field=field,
-            noise_sigma=noise_sigma, pixel_variance=variance, photometric=photometric,
-        )  # fmt: skip
+            burst, used, scale, name, request, photometric=photometric, **seen
+        )
         found = {"amplitude": phasor.amplitude, "distance": phasor.distance_m}
         flying = phasor.flying
-    for key, values in _channels(part, choice.channel).items():
-        problem = make_problem(
-            part, values, scale, blur=blur, shift_field=field, noise_sigma=noise_sigma,
-            intensity=chosen.intensity, pixel_variance=variance, even_noise=key != "distance",
-            take_level=chosen.take_level and not non_negative, keep_outside=chosen.keep_outside,
-        )  # fmt: skip
-        found[key] = _solve(burst, problem, used, chosen, request, photometric, field)
-    blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
-    said = [estimate.notes.get("contradiction") for estimate in found.values()]
-    for wrong in dict.fromkeys(text for text in said if text is not None):
-        warnings.warn(wrong, QualityWarning, stacklevel=2)
-    if doubt is not None and not blamed:  # no frame and no place that it could be blamed on
-        warn_of_doubt(doubt)
-        found = {key: replace(e, status=Status.CONTRADICTED) for key, e in found.items()}
+    found |= _apart(burst, part, choice.channel, scale, used, chosen, request, photometric, seen)
+    found = _objected(found, doubt)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
     )  # fmt: skip
+
+
+def _apart(
+    burst: Burst,
+    part: Burst,
+    channel: str,
+    scale: int,
+    used: tuple[int, ...],
+    chosen: Method,
+    request: Request,
+    photometric: bool,
+    seen: dict[str, Any],
+) -> dict[str, Estimate]:
+    """Reconstruct channels each on its own."""
+    found = {}
+    for key, values in _channels(part, channel).items():
+        problem = make_problem(
+            part, values, scale, even_noise=key != "distance", keep_outside=chosen.keep_outside,
+            take_level=chosen.take_level and not request.non_negative,
+            intensity=chosen.intensity, **seen,
+        )  # fmt: skip
+        found[key] = _solve(burst, problem, used, chosen, request, photometric, seen["shift_field"])
+    return found
+
+
+def _doubted(
+    part: Burst, shifts: Array, scale: int, request: Request
+) -> tuple[Doubt | None, Request]:
+    """Return what is doubtful of the shifts; if it has a name, the user is told at once."""
+    doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
+    if doubt is None or not doubt.named:
+        return doubt, request
+    warn_of_doubt(doubt, stacklevel=3)
+    return doubt, replace(request, shifts_doubted=True)
+
+
+def _objected(found: dict[str, Estimate], doubt: Doubt | None) -> dict[str, Estimate]:
+    """Warn once, where the user called, of what the frames say against the result."""
+    said = [estimate.notes.get("contradiction") for estimate in found.values()]
+    for wrong in dict.fromkeys(text for text in said if text is not None):
+        warnings.warn(wrong, QualityWarning, stacklevel=3)
+    blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
+    if doubt is None or blamed:  # else: no frame and no place that it could be blamed on
+        return found
+    warn_of_doubt(doubt, stacklevel=3)
+    return {key: replace(one, status=Status.CONTRADICTED) for key, one in found.items()}
 
 
 def _solve(
