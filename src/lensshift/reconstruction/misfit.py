@@ -22,8 +22,8 @@ Mask = NDArray[np.bool_]
 # Pixels that are judged together, along a side: so few tell apart what moved and what did not.
 WINDOW_PX = 5
 # Errors like those of a shift by this are no contradiction: at an edge, a square pixel and the
-# Gaussian of its width differ as by 0.06 px, and shifts are told to 0.05 px or so.
-ALLOWED_SHIFT_PX = 0.1
+# Gaussian of its width differ as by 0.06 px, shifts are told to 0.05 px or so; root of squares.
+ALLOWED_SHIFT_PX = 0.08
 # Frames contradict where what is left is twice the noise and what such shifts explain; so it was
 # in 1 of 240 right bursts. Lone outliers raise that limit, by so many of their deviations.
 LIMIT, LIMIT_SIGMAS = 4.0, 8.0

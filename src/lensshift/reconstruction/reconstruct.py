@@ -26,7 +26,7 @@ from lensshift.reconstruction.problem import (
     predictor,
 )
 from lensshift.reconstruction.request import Request
-from lensshift.reconstruction.shift_check import doubtful_shifts, warn_of_doubt
+from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of_doubt
 
 Array = NDArray[Any]
 
@@ -116,12 +116,9 @@ def reconstruct(
     choice = choose_channel(part, channel, method, request, given=given)
     settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     shifts = part.offset_px if field is None else field.offset_px
-    doubt = None
-    if method == "auto" or choice.channel == "phasor":
-        doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
-        if doubt is not None and doubt.named:
-            warn_of_doubt(doubt)
-            request = replace(request, shifts_doubted=True)
+    checked = method == "auto" or choice.channel == "phasor"
+    doubt = _doubt(part, shifts, scale) if checked else None
+    request = replace(request, shifts_doubted=doubt is not None and doubt.named)
     found: dict[str, Estimate] = {}
     flying = None
     if choice.channel == "phasor":
@@ -138,14 +135,27 @@ def reconstruct(
             take_level=chosen.take_level and not non_negative, keep_outside=chosen.keep_outside,
         )  # fmt: skip
         found[name] = _solve(burst, problem, used, chosen, request, photometric, field)
-    told = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
-    if doubt is not None and not told:  # no frame and no place that it could be blamed on
-        warn_of_doubt(doubt)
-        found = {name: replace(e, status=Status.CONTRADICTED) for name, e in found.items()}
+    found = _blamed(found, doubt)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, method,
         settings, flying,
     )  # fmt: skip
+
+
+def _doubt(part: Burst, shifts: Array, scale: int) -> Doubt | None:
+    """Return what may be wrong with the shifts; a mistake of all of them is told at once."""
+    doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
+    if doubt is not None and doubt.named:
+        warn_of_doubt(doubt, stacklevel=3)
+    return doubt
+
+
+def _blamed(found: dict[str, Estimate], doubt: Doubt | None) -> dict[str, Estimate]:
+    """Warn of shifts that are doubted if no frame and no place was found to blame."""
+    if doubt is None or any(e.status is Status.CONTRADICTED for e in found.values()):
+        return found
+    warn_of_doubt(doubt, stacklevel=3)
+    return {name: replace(e, status=Status.CONTRADICTED) for name, e in found.items()}
 
 
 def _solve(
