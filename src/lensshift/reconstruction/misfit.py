@@ -22,8 +22,9 @@ Mask = NDArray[np.bool_]
 # Pixels that are judged together, along a side: so few tell apart what moved and what did not.
 WINDOW_PX = 5
 # Errors like those of a shift by this are no contradiction: at an edge, a square pixel and the
-# Gaussian of its width differ as by 0.06 px, shifts are told to 0.05 px or so; root of squares.
-ALLOWED_SHIFT_PX = 0.08
+# Gaussian of its width differ as by 0.06 px, shifts are told to 0.05 px or so, and detail finer
+# than the grid adds to it (with 0.08 a right burst of fine bars and one of real frames warned).
+ALLOWED_SHIFT_PX = 0.1
 # Frames contradict where what is left is twice the noise and what such shifts explain; so it was
 # in 1 of 240 right bursts. Lone outliers raise that limit, by so many of their deviations.
 LIMIT, LIMIT_SIGMAS = 4.0, 8.0
@@ -76,9 +77,16 @@ class Misfit:
     brightness: float
 
     @property
-    def contradicted(self) -> bool:
-        """Whether a frame shows another scene anywhere, beyond its brightness."""
-        return not self.lit and bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+    def curable(self) -> bool:
+        """Whether a frame shows another scene somewhere, and most lie where they should."""
+        if self.lit or self.shifts_wrong:
+            return False
+        return bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+
+    @property
+    def shifts_wrong(self) -> bool:
+        """Whether half of the frames or more lie elsewhere."""
+        return 2 * len(self.off_px) >= len(self.doubt)
 
     @property
     def lit(self) -> bool:
@@ -121,7 +129,7 @@ class Misfit:
         return "; or ".join(said) or None
 
     def _elsewhere(self, frames: Sequence[int]) -> str:
-        if 2 * len(self.off_px) >= len(self.doubt):
+        if self.shifts_wrong:
             return (
                 f"the frames contradict offset_px: {len(self.off_px)} of {len(self.doubt)} lie "
                 "elsewhere than it says; check it, or let `lensshift.register` find it"
