@@ -24,6 +24,7 @@ from bursts import Batch, draw_batch, draw_phasors
 from export import load_exported
 from network import Solver
 from phasor_network import PhasorSolver
+from torch.nn import functional
 
 from lensshift.reconstruction.learned.network import learned_weights
 
@@ -31,6 +32,7 @@ BATCH = 16
 LEARNING_RATE = 1.5e-3
 BORDER = 2  # HR pixels left out of the loss
 FLOOR = 1e-7  # mean squared error that counts as none
+LOCAL = 5  # HR pixels along the window of a local mean of the error
 FAINT = 0.02  # amplitude below which a phasor has no phase to get wrong
 
 
@@ -49,7 +51,8 @@ def loss_of(found: list[torch.Tensor], std: torch.Tensor, truth: torch.Tensor) -
 def loss_of_phasors(found: list[torch.Tensor], spread: torch.Tensor, truth: torch.Tensor) -> tuple:
     """Return what is minimised, and the rms of the error of the last estimate over the truth, dB.
 
-    The error counts both as it is and over the amplitude: dark surfaces have a distance as well.
+    The error counts as it is, over the amplitude, and by the logarithm of its local mean square:
+    dark surfaces have a distance as well, and quiet ones count beside edges.
     """
     inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
     power = (truth[inner] ** 2).sum(1)
@@ -57,7 +60,10 @@ def loss_of_phasors(found: list[torch.Tensor], spread: torch.Tensor, truth: torc
     for x in found:
         square = ((x - truth)[inner] ** 2).sum(1)
         share = torch.clamp(square / (power + FAINT**2), max=4.0).mean((1, 2))
-        logs.append(torch.log(square.mean((1, 2)) + FLOOR) + 0.7 * torch.log(share + 1e-6))
+        local = torch.log(functional.avg_pool2d(square, LOCAL, LOCAL // 2) + FLOOR).mean((1, 2))
+        logs.append(
+            torch.log(square.mean((1, 2)) + FLOOR) + 0.7 * torch.log(share + 1e-6) + 1.5 * local
+        )
     means = [log.mean() for log in logs]
     error = (found[-1].detach() - truth)[inner]
     u = found[-1].detach()[inner]

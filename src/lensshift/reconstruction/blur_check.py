@@ -21,11 +21,13 @@ Array = NDArray[Any]
 
 # A part of the sensor tells enough, at a bounded price.
 WINDOW_PX = 32
+# The window cuts the response of its outermost pixels.
+RING_PX = 2
 # The residual of too wide a response goes with the curvature of the picture: with less than this
 # part of it explained so no other width is tried, as in half of the right runs.
 EXPLAINED = 0.05
 # How much worse the told width has to fit than half of it, and any width than the best to be called
-# fitting. In 84 right runs of random worlds the told one was at most 1.11 times worse.
+# fitting. In 132 right runs of random worlds the told one was at most 1.14 times worse.
 REFUTED, FITTING = 1.2, 1.1
 TRIED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.33)
 # Errors of shifts that slopes excuse, told or not, and where a pixel counts as an outlier.
@@ -58,7 +60,7 @@ def fitting_width_px(problem: Problem, image: Array, noise: Array) -> float | No
         narrow = forward_model(model.lr_shape, scale, model.offset_px, blur=blur).crop(rows, cols)
         return _misfit(narrow, solve(narrow, y, sigma, blur_px=width_px).image, y, sigma)
 
-    told = _misfit(part, solve(part, y, sigma, blur_px=told_px).image, y, sigma)
+    told = _misfit(part, seen.real, y, sigma)
     if told < REFUTED or told < REFUTED * misfit(0.5 * told_px):
         return None  # what is explained within its noise refutes nothing
     found = [(misfit(part_of * told_px), part_of * told_px) for part_of in TRIED]
@@ -78,8 +80,9 @@ def _curved(model: ForwardModel, image: Array, y: Array, sigma: Array) -> float:
 
 
 def _misfit(model: ForwardModel, image: Array, y: Array, sigma: Array) -> float:
-    r, variance, used = _residual(model, image, y, sigma)
-    return float(np.mean(np.minimum((r * r / variance)[used], MOST_SQUARE)))
+    r, variance, used = (part[:, RING_PX:-RING_PX, RING_PX:-RING_PX]
+                         for part in _residual(model, image, y, sigma))  # fmt: skip
+    return float(np.mean(np.minimum((r * r / variance)[used], MOST_SQUARE))) if used.any() else 0.0
 
 
 def _residual(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects, label, uniform_filter
+from scipy.ndimage import find_objects, label, maximum_filter, uniform_filter
 
 from lensshift.forward.operator import LinearOperator
 
@@ -22,18 +22,19 @@ Mask = NDArray[np.bool_]
 # Pixels that are judged together, along a side: so few tell apart what moved and what did not.
 WINDOW_PX = 5
 # Errors like those of a shift by this are no contradiction: at an edge, a square pixel and the
-# Gaussian of its width differ as by 0.06 px, and shifts are told to 0.05 px or so.
+# Gaussian of its width differ as by 0.06 px, shifts are told to 0.05 px or so, and detail finer
+# than the grid adds to it (with 0.08 a right burst of fine bars and one of real frames warned).
 ALLOWED_SHIFT_PX = 0.1
 # Frames contradict where what is left is twice the noise and what such shifts explain; so it was
-# nowhere in 400 right bursts. Lone outliers raise that limit, by so many of their deviations.
+# in 1 of 240 right bursts. Lone outliers raise that limit, by so many of their deviations.
 LIMIT, LIMIT_SIGMAS = 4.0, 8.0
 # Full belief up to the one, none from the other on: on mosaics with a part that moved, more belief
 # spoils what moves, less spoils what stands still beside it.
 BELIEVED_DOUBT = (0.5, 0.8)
 # Pixels beyond 3 sigma are outliers; beyond 5 they count no more, one of them proves nothing.
 OUTLIER_SQUARE, MOST_SQUARE = 9.0, 25.0
-# The noise of some steps of brightness is read from the residuals themselves, where it is larger.
-BRIGHTNESS_STEPS, MEDIAN_SQUARE, GAUSSIAN_MEDIAN = 8, 0.4549, 0.6745
+# Blocks in which most pixels tell of noise that is larger than told.
+BLOCK_PX, MEDIAN_SQUARE, GAUSSIAN_MEDIAN = 6, 0.4549, 0.6745
 # What is left besides the light is at least this part of the noise, which other light inflates.
 LEAST_REST = 0.25
 # A frame is somewhere else if it contradicts in so much of what would show it.
@@ -42,8 +43,12 @@ LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE, ALONE_SHARE = 0.2, 0.5, 0.25, 0.25
 UNSURE = 1.1
 # What all frames contradict by at least this part of the most is no movement.
 ALIKE = 0.5
+# So many pixels tell a mean of all to 1 %.
+MOST_PIXELS = 10_000
 # Standard errors that chi-square has to be larger than 1 by before it counts against `std`.
 SIGNIFICANT = 3.0
+# And that a shift has to differ by (`shift_check.LEAST_T` is as sure).
+SURE = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +62,9 @@ class Misfit:
     significant : [row col] at least 1, as much of it as chance does not explain
     doubt : [frame row col] residual around each LR pixel over what may be, 1 and more where the
         frame contradicts
+    against : [frame row col] the same, of the noise as it was told
     off_px : frame -> how far (row, col) it seems to lie from where its shift says, of those that
-        contradict as a whole
+        contradict as a whole; NaN if they contradict by more than that
     everywhere : whether those would show it in most of the picture, so that nothing else explains
         what they contradict
     brightness : how much gain and bias of a frame differ, over what else is left of it
@@ -68,15 +74,28 @@ class Misfit:
     chi_square: NDArray[np.float64]
     significant: NDArray[np.float64]
     doubt: NDArray[np.float64]
+    against: NDArray[np.float64]
     off_px: dict[int, tuple[float, float]]
     everywhere: bool
     brightness: float
     unsure: frozenset[int]
 
     @property
-    def contradicted(self) -> bool:
-        """Whether a frame shows another scene anywhere, beyond its brightness."""
-        return self.brightness < 1.0 and bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+    def curable(self) -> bool:
+        """Whether a frame shows another scene somewhere, and most lie where they should."""
+        if self.lit or self.shifts_wrong:
+            return False
+        return bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+
+    @property
+    def shifts_wrong(self) -> bool:
+        """Whether half of the frames or more lie elsewhere."""
+        return 2 * len(self.off_px) >= len(self.doubt)
+
+    @property
+    def lit(self) -> bool:
+        """Whether gain and bias differ between frames that lie where they should."""
+        return self.brightness >= 1.0 and not self.off_px
 
     @property
     def first(self) -> int:
@@ -90,7 +109,7 @@ class Misfit:
         Where a frame or the first one contradicts, only the first is believed: what moves is shown
         as it was then. Towards such places the weights of the others fall steadily.
         """
-        worst = np.maximum(self.doubt, self.doubt[self.first])
+        worst = np.maximum(self.against, self.against[self.first])
         believed, doubted = BELIEVED_DOUBT
         weight = np.clip((doubted - worst) / (doubted - believed), 0.0, 1.0)
         weight[self.first] = 1.0
@@ -103,7 +122,7 @@ class Misfit:
         ----------
         frames : their numbers in the burst
         """
-        if self.brightness >= 1.0:
+        if self.lit:
             return (
                 f"the frames differ in brightness by {self.brightness:.1f} times what they differ "
                 "by otherwise: photometric=True (--photometric) estimates gain and bias"
@@ -114,15 +133,18 @@ class Misfit:
         return "; or ".join(said) or None
 
     def _elsewhere(self, frames: Sequence[int]) -> str:
-        if 2 * len(self.off_px) >= len(self.doubt):
+        if self.shifts_wrong:
             return (
                 f"the frames contradict offset_px: {len(self.off_px)} of {len(self.doubt)} lie "
                 "elsewhere than it says; check it, or let `lensshift.register` find it"
             )
-        at = ", ".join(
-            f"frame {frames[k]} does not fit: it lies about ({d[0]:+.1f}, {d[1]:+.1f}) px from "
-            "where its offset_px says" for k, d in self.off_px.items()
-        )  # fmt: skip
+        said = []
+        for k, (down, right) in self.off_px.items():
+            where = f"it lies about ({down:+.1f}, {right:+.1f}) px from where its offset_px says"
+            if np.isnan(down):
+                where = "it shows another scene, or lies far from where its offset_px says"
+            said.append(f"frame {frames[k]} does not fit: {where}")
+        at = ", ".join(said)
         return f"{at} (correct it, or leave it out by frames=)"
 
     def _moved(self, first: int) -> str:
@@ -131,7 +153,7 @@ class Misfit:
         return (
             f"something moved at rows {rows.start} .. {rows.stop - 1}, columns {cols.start} .. "
             f"{cols.stop - 1} of the frames: there the picture shows frame {first} (if nothing "
-            "moved, check offset_px and whether the camera turned)"
+            "moved, check offset_px, psf_sigma_px and whether the camera turned)"
         )
 
 
@@ -160,22 +182,29 @@ def find_misfit(
     noise = np.where(used, sigma, 1.0) ** 2
     contrast = _around(np.sum(np.abs(slopes) ** 2, axis=0), np.ones_like(seen), 3, 0.0)
     variance = noise + ALLOWED_SHIFT_PX**2 / parts * contrast
-    variance *= _excess_noise(square / variance, np.abs(predicted), used)
-    q = square / variance
+    told = square / variance
+    excess = _excess_noise(told, used)
+    variance *= excess
+    q = told / excess
     limit = _limit(q, used)
     inner = seen.copy()  # border pixels see what lies beside the picture
     inner[:, [0, -1]] = inner[:, :, [0, -1]] = 0.0
-    doubt = _around(np.minimum(q, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit
+    doubt, against = (
+        _around(np.minimum(v, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit for v in (q, told)
+    )
     off_px, everywhere = _elsewhere(r, slopes, variance * parts, used, doubt, limit)
     terms = [np.ones_like(r), predicted - predicted.mean(), *slopes]
     brightness = _brightness(r, np.stack(terms, axis=1), variance * parts, used, doubt)
+    lone = None if off_px or brightness >= 1.0 else _lone_frame(doubt)
+    if lone is not None:  # by more than its slopes can tell
+        off_px, everywhere = {lone: (np.nan, np.nan)}, True
     if len(y) > 2:  # all frames alike: detail finer than the grid, nothing that moved
         alike = doubt.min(axis=0) > ALIKE * doubt.max(axis=0)
         doubt = np.where(alike, np.minimum(doubt, 1.0), doubt)
     chi_square, significant = _chi_square(A, square / noise * seen, seen, parts)
     told = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
     unsure = frozenset(np.flatnonzero(told > UNSURE * told.min()).tolist())
-    return Misfit(chi_square, significant, doubt, off_px, everywhere, brightness, unsure)
+    return Misfit(chi_square, significant, doubt, against, off_px, everywhere, brightness, unsure)
 
 
 def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
@@ -184,15 +213,22 @@ def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
     return np.asarray(missing + rest)
 
 
-def _excess_noise(q: Array, brightness: Array, used: Mask) -> Array:
-    """Return by how much more the frames vary than told at each brightness, at least 1."""
-    lit, level = q[used], brightness[used]
-    edges = np.quantile(level, np.linspace(0, 1, BRIGHTNESS_STEPS + 1))
-    step = np.clip(np.searchsorted(edges, level) - 1, 0, BRIGHTNESS_STEPS - 1)
-    usual = [np.median(part) if (part := lit[step == n]).size else 0.0
-             for n in range(BRIGHTNESS_STEPS)]  # fmt: skip
-    excess = np.maximum(np.array(usual) / MEDIAN_SQUARE, 1.0)
-    return np.asarray(np.interp(brightness, (edges[1:] + edges[:-1]) / 2, excess))
+def _excess_noise(q: Array, used: Mask) -> Array:
+    """Return [row col] by how much more than told most frames vary around each pixel, at least 1.
+
+    The median of a block of all frames: noise that is told too small, as where light makes it
+    larger, and detail finer than the grid. What moves contradicts in fewer pixels.
+    """
+    rows, cols = q.shape[1:]
+    tall, wide = -(-rows // BLOCK_PX), -(-cols // BLOCK_PX)
+    room = ((0, 0), (0, tall * BLOCK_PX - rows), (0, wide * BLOCK_PX - cols))
+    known = np.pad(np.where(used, q, np.nan), room, constant_values=np.nan)
+    blocks = known.reshape(len(q), tall, BLOCK_PX, wide, BLOCK_PX).transpose(1, 3, 0, 2, 4)
+    ordered = np.sort(blocks.reshape(tall, wide, -1), axis=-1)  # NaN last
+    last = np.maximum(np.isfinite(ordered).sum(axis=-1, keepdims=True) - 1, 0)
+    middle = np.nan_to_num(np.take_along_axis(ordered, last // 2, axis=-1)[..., 0])
+    excess = np.maximum(maximum_filter(middle, 3) / MEDIAN_SQUARE, 1.0)
+    return np.repeat(np.repeat(excess, BLOCK_PX, 0), BLOCK_PX, 1)[:rows, :cols]
 
 
 def _limit(q: Array, used: Mask) -> float:
@@ -222,6 +258,12 @@ def _chi_square(
     )
 
 
+def _some(used: Mask) -> NDArray[np.intp]:
+    """Return the places of used pixels, spread over all of them where they are many."""
+    places = np.flatnonzero(used)
+    return places[:: max(1, places.size // MOST_PIXELS)]
+
+
 def _fit(terms: Array, variance: Array, r: Array) -> tuple[Array, Array]:
     """Return the weighted least-squares coefficients of r [pixel] and their covariance."""
     weighed = terms.conj() / variance
@@ -237,15 +279,16 @@ def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Arra
     """
     largest = 0.0
     for k in range(len(r)):
-        on = used[k]
-        if np.count_nonzero(on) < WINDOW_PX**2:
+        on = _some(used[k])
+        if on.size < WINDOW_PX**2:
             continue
-        odd = np.maximum(doubt[k][on] / max(float(np.median(doubt[k][on])), 1e-12), 1.0)
-        known = terms[k][:, on]
-        fit, _ = _fit(known, variance[k][on] * odd**2, r[k][on])
-        rest = float(np.median(np.abs(r[k][on] - fit @ known))) / GAUSSIAN_MEDIAN
+        unsure, here, rest_of = (v[k].ravel()[on] for v in (variance, doubt, r))
+        odd = np.maximum(here / max(float(np.median(here)), 1e-12), 1.0)
+        known = terms[k].reshape(len(terms[k]), -1)[:, on]
+        fit, _ = _fit(known, unsure * odd**2, rest_of)
+        rest = float(np.median(np.abs(rest_of - fit @ known))) / GAUSSIAN_MEDIAN
         of_light = float(np.sqrt(np.mean(np.abs(fit[:2] @ known[:2]) ** 2)))
-        rest = max(rest, LEAST_REST * float(np.sqrt(np.median(variance[k][on]))))
+        rest = max(rest, LEAST_REST * float(np.sqrt(np.median(unsure))))
         largest = max(largest, of_light / rest)
     return largest
 
@@ -260,23 +303,26 @@ def _elsewhere(
     """
     shifts, error = np.zeros((len(r), 2)), np.full(len(r), np.inf)
     for k in range(len(r)):
-        on = used[k]
-        if np.count_nonzero(on) >= WINDOW_PX**2:
-            fit, covariance = _fit(slopes[:, k][:, on], variance[k][on], r[k][on])
+        on = _some(used[k])
+        if on.size >= WINDOW_PX**2:
+            known = slopes[:, k].reshape(2, -1)[:, on]
+            fit, covariance = _fit(known, variance[k].ravel()[on], r[k].ravel()[on])
             shifts[k], error[k] = -fit, np.sqrt(np.trace(covariance))
     off_px, everywhere = {}, True
     for k, (down, right) in enumerate(shifts - np.median(shifts, axis=0)):
-        if np.hypot(down, right) - SIGNIFICANT * error[k] < LEAST_OFF_PX:
+        if np.hypot(down, right) - SURE * error[k] < LEAST_OFF_PX:
             continue
         shown = np.abs(down * slopes[0, k] + right * slopes[1, k]) ** 2 / variance[k]
         telling = used[k] & (uniform_filter(np.minimum(shown, MOST_SQUARE), WINDOW_PX) > limit)
         if not telling.any() or np.mean(doubt[k][telling] > 1.0) >= LEAST_SHARE:
             off_px[k] = (float(down), float(right))
             everywhere &= float(telling[used[k]].mean()) > TELLING_SHARE
+    return off_px, everywhere
+
+
+def _lone_frame(doubt: Array) -> int | None:
+    """Return the one frame that contradicts in much of the picture, where no other does."""
     share = np.mean(doubt > 1.0, axis=(1, 2))
     worst = int(np.argmax(share))
-    alone = np.sum(share > ALONE_SHARE * share[worst]) == 1 and len(r) > 2
-    if alone and share[worst] > TELLING_SHARE:  # by more than its slopes can tell
-        down, right = shifts[worst] - np.median(shifts, axis=0)
-        return {worst: (float(down), float(right))}, True
-    return off_px, everywhere
+    alone = np.sum(share > ALONE_SHARE * share[worst]) == 1 and len(doubt) > 2
+    return worst if alone and share[worst] > TELLING_SHARE else None

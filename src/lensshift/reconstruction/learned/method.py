@@ -101,7 +101,7 @@ def solved(
             f"the frames are sharper than psf_sigma_px {problem.blur_sigma_px:g} lets them be: "
             f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
         )
-    elif misfit.contradicted and not request.shifts_doubted:
+    elif misfit.curable and not request.shifts_doubted:
         believed = misfit.weight()
         told = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf

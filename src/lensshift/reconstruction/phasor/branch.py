@@ -118,7 +118,7 @@ def reconstruct_phasor(
         start = _apart(prepare, settled)
         fit = _joint(problem, start, noise, request)
         misfit = _misfit(problem, fit)
-        if misfit.contradicted and not request.shifts_doubted:
+        if misfit.curable and not request.shifts_doubted:
             weight = problem.weight * np.maximum(misfit.weight(), LEAST_WEIGHT)
             fit = _joint(replace(problem, weight=weight), start, noise, request)
         fit = _judged(fit, misfit, request)
