@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import pickle
+import warnings
 from typing import Any
 
 import numpy as np
 import pytest
+from mosaic import MARGIN_PX, SAMPLES, canvas, square
 from pixel_camera import (
     SQUARE_PX,
     edge_scene,
@@ -17,7 +20,7 @@ from pixel_camera import (
     truth,
 )
 
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, ShiftField, Status
 from lensshift.reconstruction.methods import Tv, method_names, method_summary
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -232,12 +235,49 @@ def test_a_fill_factor_stands_for_the_whole_response() -> None:
 
 def test_a_response_of_many_pixels_is_questioned_or_refused() -> None:
     burst = make_burst(_noisy())
-    for width_px, questioned in ((3.0, True), (1.0, False)):  # the frames refute both besides
-        with pytest.warns(QualityWarning) as caught:
+    for width_px, questioned in ((3.0, True), (1.0, False)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
             reconstruct(burst, psf_sigma_px=width_px, std=False)
         assert any("so wide" in str(w.message) for w in caught) is questioned
     with pytest.raises(ValueError, match="psf_sigma_px: expected 0 to 10"):
         reconstruct(burst, psf_sigma_px=30.0)
+
+
+def test_the_blur_of_a_lens_is_not_undone_by_the_default() -> None:
+    """Wanted is what smaller pixels see behind the same lens: wider than a pixel is the lens."""
+    burst = make_burst(_noisy())
+    pixel = reconstruct(burst, psf_sigma_px=1 / math.sqrt(12), std=False)
+    wide = reconstruct(burst, psf_sigma_px=0.42, std=False)
+    np.testing.assert_array_equal(wide.amplitude.image, pixel.amplitude.image)
+    assert wide.settings["psf_sigma_px"] == 0.42
+    sharp = reconstruct(burst, method="tikhonov", psf_sigma_px=0.42, std=False)
+    soft = reconstruct(burst, method="tikhonov", psf_sigma_px=1 / math.sqrt(12), std=False)
+    assert np.std(sharp.amplitude.image) > np.std(soft.amplitude.image)
+
+
+@pytest.mark.parametrize("told", [None, 0.29])
+def test_frames_sharper_than_assumed_are_seen(told: float | None) -> None:
+    """Pixels of half the width: a narrower one is taken; who told another hears of it."""
+    rng, (rows, cols) = np.random.default_rng(2), (21, 26)
+    fine, offset = canvas(rng, (rows, cols)), square(2)
+    frames = np.empty((4, rows, cols))
+    for k, (top, left) in enumerate(np.rint((MARGIN_PX - offset) * SAMPLES).astype(int)):
+        part = fine[top : top + rows * SAMPLES, left : left + cols * SAMPLES]
+        cells = part.reshape(rows, SAMPLES, cols, SAMPLES)
+        frames[k] = cells[:, 3:9, :, 3:9].mean(axis=(1, 3))
+    frames += 0.01 * rng.standard_normal(frames.shape)
+    burst = Burst.from_arrays(frames, offset_px=offset, pitch_mm=0.1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = reconstruct(burst, psf_sigma_px=told or "auto", noise_sigma=0.01, std=False)
+    assert 0.1 < result.settings["blur"].sigma_px < 0.24  # in truth 0.144
+    assert result.amplitude.predict(offset[0]).shape == (rows, cols)
+    said = [str(w.message) for w in caught]
+    assert any("sharper than psf_sigma_px" in text for text in said) is (told is not None), said
+    assert result.settings["psf_source"] == ("given" if told is not None else "estimated")
+    with pytest.raises(ValueError, match="psf_sigma_px: expected a number or 'auto'"):
+        reconstruct(burst, psf_sigma_px="wide")
 
 
 # ---- frames, shift fields, prediction

@@ -34,33 +34,45 @@ TRIED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.33)
 ALLOWED_SHIFT_PX, MOST_SQUARE = 0.05, 25.0
 
 
-def fitting_width_px(problem: Problem, image: Array, noise: Array) -> float | None:
+def fitting_width_px(
+    problem: Problem, image: Array, noise: Array, told_px: float | None
+) -> float | None:
     """Return a narrower response (LR pixels) that fits the frames clearly better, or None.
 
     Parameters
     ----------
-    problem : frames and the model with the response that was told
+    problem : frames and the model with the response that is assumed
     image : [row col] the picture under it, in units of the problem
     noise : [frame row col] standard deviations, infinite where a pixel was not used
+    told_px : the response that was told, if it was; it may be wider than the assumed one
     """
     model = problem.model
     if model.offset_px is None or not isinstance(model.blur, GaussianBlur):
         return None
-    told_px, scale = model.blur.sigma_px, model.scale
+    scale = model.scale
     rows, cols = (slice(start := max(0, (n - WINDOW_PX) // 2), min(n, start + WINDOW_PX))
                   for n in model.lr_shape)  # fmt: skip
     y, sigma = problem.y[:, rows, cols].real.copy(), noise[:, rows, cols]
-    seen = image[rows.start * scale : rows.stop * scale, cols.start * scale : cols.stop * scale]
-    part = model.crop(rows, cols)
-    if not np.isfinite(sigma).any() or _curved(part, seen.real, y, sigma) < EXPLAINED:
+    if not np.isfinite(sigma).any():
         return None
 
-    def misfit(width_px: float) -> float:
+    def solved(width_px: float) -> tuple[ForwardModel, Array]:
         blur = GaussianBlur(width_px)
-        narrow = forward_model(model.lr_shape, scale, model.offset_px, blur=blur).crop(rows, cols)
-        return _misfit(narrow, solve(narrow, y, sigma, blur_px=width_px).image, y, sigma)
+        part = forward_model(model.lr_shape, scale, model.offset_px, blur=blur).crop(rows, cols)
+        return part, solve(part, y, sigma, blur_px=width_px).image
 
-    told = _misfit(part, seen.real, y, sigma)
+    def misfit(width_px: float) -> float:
+        return _misfit(*solved(width_px), y, sigma)
+
+    part, seen = model.crop(rows, cols), image.real[
+        rows.start * scale : rows.stop * scale, cols.start * scale : cols.stop * scale
+    ]  # fmt: skip
+    told_px = told_px or model.blur.sigma_px
+    if TRIED[0] * told_px > model.blur.sigma_px:
+        part, seen = solved(told_px)
+    if _curved(part, seen, y, sigma) < EXPLAINED:
+        return None
+    told = _misfit(part, seen, y, sigma)
     if told < REFUTED or told < REFUTED * misfit(0.5 * told_px):
         return None  # what is explained within its noise refutes nothing
     found = [(misfit(part_of * told_px), part_of * told_px) for part_of in TRIED]

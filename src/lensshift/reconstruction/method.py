@@ -26,7 +26,7 @@ class Request:
     on_iteration : called with the number of the iteration and the objective
     options : settings of the method that the caller gave
     frames : numbers of the frames in the burst
-    blur_told : whether the user or the burst told the pixel response
+    told_blur_px : width of the pixel response, lens included, as the user or the burst told it
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     """
 
@@ -37,7 +37,7 @@ class Request:
     on_iteration: Callable[[int, float], None] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     frames: Sequence[int] = ()
-    blur_told: bool = False
+    told_blur_px: float | None = None
     shifts_doubted: bool = False
 
     def __post_init__(self) -> None:
@@ -56,6 +56,8 @@ class Method:
     name, summary : how it is called, and one line for people who choose
     intensity : what the frames are divided by before
     take_level, keep_outside : as in `make_problem`
+    undoes_lens : whether the blur of the lens is taken off as well; else the picture is what pixels
+        of 1/scale of the pitch see behind the same lens
     """
 
     name: ClassVar[str]
@@ -63,6 +65,7 @@ class Method:
     intensity: ClassVar[Callable[..., float]] = staticmethod(brightness_of)
     take_level: ClassVar[bool] = True
     keep_outside: ClassVar[bool] = False
+    undoes_lens: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_settings(self)

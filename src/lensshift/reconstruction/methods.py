@@ -30,6 +30,7 @@ class Auto(Method):
     summary: ClassVar[str] = (
         "exact data steps and a learned prior, which needs no weight; the default"
     )
+    undoes_lens: ClassVar[bool] = False
 
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return the estimate in units of the problem's intensity."""

@@ -201,6 +201,8 @@ def find_misfit(
     if len(y) > 2:  # all frames alike: detail finer than the grid, nothing that moved
         alike = doubt.min(axis=0) > ALIKE * doubt.max(axis=0)
         doubt = np.where(alike, np.minimum(doubt, 1.0), doubt)
+    if np.count_nonzero(doubt > 1.0) < WINDOW_PX:  # what contradicts does so in all that see it
+        doubt = np.minimum(doubt, 1.0)
     chi_square, significant = _chi_square(A, square / noise * seen, seen, parts)
     told = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
     unsure = frozenset(np.flatnonzero(told > UNSURE * told.min()).tolist())
@@ -299,14 +301,15 @@ def _elsewhere(
     """Return how far frames lie from where they should, and whether most of the picture says so.
 
     The residuals of a frame that lies elsewhere go with its slopes; where these are large it has to
-    contradict.
+    contradict. Outliers count as far as they are like the others.
     """
+    wider = variance * np.maximum(np.abs(r) ** 2 / variance / OUTLIER_SQUARE, 1.0)
     shifts, error = np.zeros((len(r), 2)), np.full(len(r), np.inf)
     for k in range(len(r)):
         on = _some(used[k])
         if on.size >= WINDOW_PX**2:
             known = slopes[:, k].reshape(2, -1)[:, on]
-            fit, covariance = _fit(known, variance[k].ravel()[on], r[k].ravel()[on])
+            fit, covariance = _fit(known, wider[k].ravel()[on], r[k].ravel()[on])
             shifts[k], error[k] = -fit, np.sqrt(np.trace(covariance))
     off_px, everywhere = {}, True
     for k, (down, right) in enumerate(shifts - np.median(shifts, axis=0)):

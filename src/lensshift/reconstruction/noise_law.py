@@ -271,10 +271,11 @@ def _refilled(values: Array, missing: Mask, filters: _Filters) -> Array:
     r = rest(values)
     p, power = r.copy(), float(np.vdot(r, r))
     for _ in range(REFILLS):  # conjugate gradients
-        if power == 0.0:
-            break
         q = rest(p)
-        step = power / float(np.vdot(p, q))
+        curvature = float(np.vdot(p, q))
+        if curvature <= np.finfo(np.float32).tiny:  # solved, as far as the numbers reach
+            break
+        step = power / curvature
         filled -= step * p
         r -= step * q
         power, before = float(np.vdot(r, r)), power

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,7 +24,9 @@ NORMALISED_LIMIT = 1.5
 # A Gaussian of 1 px lets 0.7 % of the contrast at the Nyquist frequency of a frame through: beyond
 # it there is nothing left to resolve. Ten times that is no pixel response but another unit.
 QUESTIONED_BLUR_PX, MOST_BLUR_PX = 1.0, 10.0
-# The pixel and optics together where nothing is known; a square pixel alone has 0.289.
+# The standard deviation of a square pixel that is as wide as the pitch.
+SQUARE_PIXEL_PX = 1 / math.sqrt(12)
+# The pixel and optics together where nothing is known.
 NOMINAL_BLUR_PX = 0.3
 # A scene this many times its contrast away from 0 loses quality (0.5 dB at 30 times, of a photo).
 LARGE_LEVEL = 10.0
@@ -70,6 +73,14 @@ class Problem:
     def offset_px(self) -> NDArray[np.float64]:
         """One offset [frame 2] per frame: plain methods move whole frames and can do no better."""
         return self.model.mean_offset_px
+
+    def with_blur(self, blur: Blur) -> Problem:
+        """Return the problem with another pixel response."""
+        one = self.model
+        model = forward_model(
+            one.lr_shape, one.scale, one.offset_px, blur=blur, gain=one.gain, bias=one.bias
+        )
+        return replace(self, model=model, blur_sigma_px=blur_width_px(blur))
 
     def with_photometry(self, gain: ArrayLike, bias: ArrayLike) -> Problem:
         """Return the problem with another gain and bias [frame], bias in units of `intensity`.
@@ -208,6 +219,13 @@ def blur_width_px(blur: Blur) -> float:
     if isinstance(blur, GaussianBlur):
         return blur.sigma_px
     raise TypeError(f"expected GaussianBlur or ApertureBlur, got {type(blur).__name__}")
+
+
+def without_lens(blur: Blur) -> Blur:
+    """Return a response without what a lens has added: no pixel is wider than a square one."""
+    if isinstance(blur, ApertureBlur):
+        return ApertureBlur(blur.fill_factor)
+    return GaussianBlur(min(blur_width_px(blur), SQUARE_PIXEL_PX))
 
 
 def predictor(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
 from typing import Any, Literal
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
-from lensshift.forward.blur import Blur
+from lensshift.forward.blur import Blur, GaussianBlur
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import positive, truth
@@ -28,6 +28,7 @@ from lensshift.reconstruction.problem import (
     make_blur,
     make_problem,
     predictor,
+    without_lens,
 )
 from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of_doubt
 from lensshift.reconstruction.uncertainty import PropagatedStd
@@ -40,7 +41,7 @@ def reconstruct(
     scale: int = 2,
     method: str | Method = "auto",
     channel: Channel = "auto",
-    psf_sigma_px: float | None = None,
+    psf_sigma_px: float | Literal["auto"] | None = "auto",
     prior_weight: float | Literal["cross-validation"] | None = None,
     *,
     frames: Sequence[int] | None = None,
@@ -68,9 +69,11 @@ def reconstruct(
     channel : "amplitude", "distance"; "phasor": both from phasors, the way a pixel mixes them; or
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
-    psf_sigma_px : Gaussian width of the pixel response in LR pixels; a box pixel has 0.289. None:
-        `burst.meta["psf_sigma_px"]`, or 0.3. With `fill_factor`: width of the optical spot alone,
-        0 if None
+    psf_sigma_px : Gaussian width of the pixel response in LR pixels, lens included; a square pixel
+        has 0.289. "auto" or None: `burst.meta["psf_sigma_px"]`, or as the frames tell. The method
+        "auto" shows what pixels of 1/scale of the pitch see behind the same lens, and takes the
+        square pixel for all that is wider; other methods undo the lens as well. With
+        `fill_factor`: width of the optical spot alone, 0 if not given
     prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
         "cross-validation"
     frames : numbers of the frames to use, by default all; the others can be predicted
@@ -114,11 +117,13 @@ def reconstruct(
     _check(scale, noise_sigma, photometric)
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
+    if not chosen.undoes_lens:
+        blur = without_lens(blur)
     used = _frame_numbers(burst, frames)
     # Of so wide a response, the user was told.
-    doubted = blur_width_px(blur) > QUESTIONED_BLUR_PX
-    known = response["psf_source"] != "assumed"
-    request = replace(request, frames=used, shifts_doubted=doubted, blur_told=known)
+    doubted = response["psf_sigma_px"] > QUESTIONED_BLUR_PX
+    known = response["psf_sigma_px"] if response["psf_source"] != "assumed" else None
+    request = replace(request, frames=used, shifts_doubted=doubted, told_blur_px=known)
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -142,6 +147,7 @@ def reconstruct(
         flying = phasor.flying
     found |= _apart(burst, part, choice.channel, scale, used, chosen, request, photometric, seen)
     found = _objected(found, doubt)
+    settings |= _width_found(found, settings)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -209,6 +215,9 @@ def _solve(
         gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.weight)
         problem = problem.with_photometry(gain, bias)
     estimate = method(problem, request)
+    width_px = estimate.notes.get("psf_sigma_px", problem.blur_sigma_px)
+    if width_px != problem.blur_sigma_px:
+        problem = problem.with_blur(GaussianBlur(width_px))
     unit, level = problem.intensity, problem.level
     image = np.asarray(estimate.image) * unit + level
     bias = bias * unit + level * (1.0 - gain)
@@ -242,10 +251,12 @@ def _channels(burst: Burst, channel: str) -> dict[str, Array]:
 
 
 def _response(
-    burst: Burst, psf_sigma_px: float | None, fill_factor: float | None
+    burst: Burst, psf_sigma_px: float | str | None, fill_factor: float | None
 ) -> dict[str, Any]:
     """Return the width of the blur in LR pixels, and where it is from."""
-    if psf_sigma_px is not None:
+    if isinstance(psf_sigma_px, str) and psf_sigma_px != "auto":
+        raise ValueError(f"psf_sigma_px: expected a number or 'auto', got {psf_sigma_px!r}")
+    if psf_sigma_px is not None and psf_sigma_px != "auto":
         return {"psf_sigma_px": psf_sigma_px, "psf_source": "given"}
     told = burst.meta.get("psf_sigma_px")
     if told is None or fill_factor is not None:  # that of the burst holds the pixel as well
@@ -254,6 +265,19 @@ def _response(
     if isinstance(told, bool) or not isinstance(told, Real):
         raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
     return {"psf_sigma_px": float(told), "psf_source": "burst"}
+
+
+def _width_found(found: Mapping[str, Estimate], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the pixel response that was taken, where it is another one than was begun with."""
+    begun_px = blur_width_px(settings["blur"])
+    for estimate in found.values():
+        width_px = estimate.notes.get("psf_sigma_px", begun_px)
+        if width_px < begun_px:
+            known = {} if settings["psf_source"] != "assumed" else {
+                "psf_sigma_px": width_px, "psf_source": "estimated"
+            }  # fmt: skip
+            return known | {"blur": GaussianBlur(width_px)}
+    return {}
 
 
 def _frame_numbers(burst: Burst, frames: Sequence[int] | None) -> tuple[int, ...]:
