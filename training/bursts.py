@@ -15,11 +15,14 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter
 
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import Taps, forward_model
+from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 
 Array = NDArray[np.float64]
 Tensor = torch.Tensor
 Generator = np.random.Generator
 
+# Time-of-flight cameras that move a lens take four frames, mostly.
+USUAL = 0.4
 MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
 
 
@@ -84,6 +87,13 @@ def draw_geometry(rng: Generator, hr_side: int = 56) -> Geometry:
     return Geometry(scale, shape, np.clip(offset, -1.6, 1.6), samples)
 
 
+def usual_geometry(rng: Generator, side: int = 28) -> Geometry:
+    """Return four frames, half an HR pixel around the middle, at twice the resolution."""
+    shape = (side, side) if rng.random() < 0.5 else (side // 2, side)
+    offset = np.array([(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)])
+    return Geometry(2, shape, offset, int(rng.choice([10, 12])))
+
+
 def _overlap(centre: Array, width: float, samples: int, size: int) -> Array:
     """Return the mean over [centre - width/2, centre + width/2] LR pixels of fine samples."""
     low = (centre - width / 2 + MARGIN + 0.5) * samples
@@ -133,23 +143,27 @@ class Bench:
         return torch.einsum("bkuh,bhw,bkvw->bkuv", seen[0], scenes, seen[1])
 
 
-def draw_bench(rng: Generator) -> Bench:
-    """Return a camera; what is told of its blur is the pixel's, pixel's and lens's, or wrong."""
-    g = draw_geometry(rng)
+def draw_bench(rng: Generator, usual: float = 0.0) -> Bench:
+    """Return a camera; what is told of its blur is the pixel's, pixel's and lens's, or wrong.
+
+    Wanted is what smaller pixels behind the same lens see; no pixel is wider than a square one.
+
+    Parameters
+    ----------
+    usual : share of the usual pattern besides those that `draw_geometry` draws
+    """
+    g = usual_geometry(rng) if rng.random() < usual else draw_geometry(rng)
     fill = 1.0 if rng.random() < 0.55 else float(rng.uniform(0.4, 1))
     optics = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.03, 0.35))
-    # Most users want what smaller pixels behind the same lens see, some the scene itself.
-    behind = rng.random() < 0.6
-    lens = optics if not behind or rng.random() < 0.25 else 0.0
+    lens = optics if rng.random() < 0.4 else 0.0
     nominal = rng.random() < 0.4
     told = np.sqrt(fill**2 / 12 + lens**2)
-    if rng.random() < 0.3:
+    if rng.random() < 0.2:
         told *= np.exp(rng.normal(0, 0.25))
-    elif fill == 1.0 and lens == 0.0 and rng.random() < 0.5:
-        told = 0.3
+    told = min(told, SQUARE_PIXEL_PX)
     model = forward_model(g.shape, g.scale, g.offset_px, blur=GaussianBlur(float(told)))
     hr = model.hr_shape
-    seen = optics * g.samples if behind and not nominal else 0.0
+    seen = 0.0 if nominal else optics * g.samples
     fine = tuple(
         _float(_spread(_overlap((np.arange(n) + 0.5) / g.scale - 0.5, 1 / g.scale, g.samples, m),
                        seen))
@@ -186,7 +200,7 @@ def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
 
 def draw_phasors(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
     """Return bursts of phasors [burst component ...] of one geometry, turned by random phases."""
-    bench = draw_bench(rng)
+    bench = draw_bench(rng, USUAL)
     g = bench.geometry
     scenes = np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)])
     light, phase = scenes[:, 0], scenes[:, 1] + rng.uniform(0, 2 * np.pi, (count, 1, 1))
