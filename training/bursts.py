@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 Tensor = torch.Tensor
 Generator = np.random.Generator
 
-# Time-of-flight cameras that move a lens take four frames, mostly.
-USUAL = 0.4
+# Cameras that move a lens take four frames, mostly.
+USUAL = 0.3
 MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
 
 
@@ -188,7 +188,7 @@ def draw_errors(rng: Generator, g: Geometry, count: int) -> Array:
 
 def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
     """Return bursts of one geometry from scenes of the pool."""
-    bench = draw_bench(rng)
+    bench = draw_bench(rng, USUAL)
     g = bench.geometry
     scenes = torch.tensor(np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)]))
     frames = bench.frames(scenes, draw_errors(rng, g, count))
