@@ -262,16 +262,18 @@ def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def _own_error_px(sigma_px: Array | None, count: int) -> NDArray[np.float64]:
-    """Return the error [frame] of each shift beyond that of the best known one.
+    """Return the error [frame] of each shift beyond that of a usual one.
 
-    Shifts about a reference share its error, which moves the picture as a whole; and errors that
-    are alike for all frames leave nobody to believe more.
+    Shifts about a reference share its error, which moves the picture as a whole; what usual errors
+    do to the frames is in the noise that these show; and errors that are alike for all frames leave
+    nobody to believe more.
     """
     if sigma_px is None:
         return np.zeros(count)
     variance = np.mean(sigma_px**2, axis=1)
-    shared = variance[variance > 0.0].min(initial=np.inf)
-    return np.asarray(np.sqrt(np.maximum(variance - min(shared, variance.max()), 0.0)))
+    known = variance[variance > 0.0]
+    usual = np.median(known) if known.size else 0.0
+    return np.asarray(np.sqrt(np.maximum(variance - usual, 0.0)))
 
 
 def _variance_weight(pixel_variance: Array, weight: Array) -> tuple[NDArray[np.float64], float]:
