@@ -32,15 +32,15 @@ ALIASES = 3  # a square pixel lets 10 % through at the third
 # Windows spread over a large sensor tell as much as the whole of it; as many frames are enough.
 WINDOWS, WINDOW_PX, MOST_FRAMES = 3, 48, 9
 PAD_PX, BORDER_PX = 4, 1  # continued beyond the border, whose pixels are not judged
-BLOCK_PX, BLOCK_STEP_PX = 6, 3
+BLOCK_PX, BLOCK_STEP_PX = 3, 3
 # The median of 144 sizes, compared to that of all frames: five of its standard errors more.
 ODD_FRAME = 1.5
 OUTLIER_SIGMAS, OUTLIER_BLOCK_PX, REFILLS = 4.0, 12, 8
 # The share of the blocks of white noise that passes as such, and the quantile that stands for the
 # blocks that pass: texture may be in some.
-PASSING, LOW = 0.9, 0.1
+PASSING, LOW = 0.9, 0.05
 # Standard error of that quantile over the standard deviation / sqrt(count), of Gaussian values.
-LOW_ERROR = 1.71
+LOW_ERROR = 2.11
 LEAST_BLOCKS, MOST_BINS = 16, 8
 
 
