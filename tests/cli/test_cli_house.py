@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from PIL import Image
 from stand_in import Call
 
 from lensshift.cli import _one_line, main, session
+from lensshift.cli.reconstruct import _WIDTH_SOURCES
 from lensshift.cli.session import Progress, to_json
 from lensshift.io.preview import write_preview
+from lensshift.reconstruction.reconstruct import WidthSource
 
 VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"]]
 COMMAND = [sys.executable, "-c", "from lensshift.cli import main; main()"]
@@ -117,6 +120,23 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now_s
+
+
+def test_what_takes_long_before_the_first_iteration_is_said(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "_QUIET_S", 0.05)
+    quick = Progress("reconstructing", preparing=True)
+    quick(1, 0.5)
+    slow = Progress("reconstructing", preparing=True)
+    slow._begun.join(10.0)
+    slow.close()
+    said = capsys.readouterr().err
+    assert said.count("preparing (the first call after an installation compiles") == 1
+
+
+def test_every_source_of_a_width_has_words() -> None:
+    assert set(_WIDTH_SOURCES) == set(get_args(WidthSource))
 
 
 @pytest.mark.parametrize(("terminal", "lines"), [(False, 3), (True, 12)])

@@ -44,6 +44,7 @@ _WIDTH_SOURCES = {
     "given": "as told",
     "burst": "as the burst says",
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
+    "estimated": "estimated: the frames are sharper than a square pixel lets them be",
 }
 EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES)
 
@@ -263,7 +264,7 @@ def _reconstruct(
     rows, cols = burst.grid.shape
     count = burst.frame_count
     current.say(f"{source}: {count} frames of {rows} x {cols} px, offsets {burst.offset_source}")
-    progress = Progress(f"reconstructing with {settings['method']}")
+    progress = Progress(f"reconstructing with {settings['method']}", preparing=True)
     start_s = time.perf_counter()
     try:
         result = lensshift.reconstruct(burst, **settings, on_iteration=progress)

@@ -78,7 +78,7 @@ def run(
             return
         from lensshift.pipeline import run as run_pipeline
 
-        progress = Progress("reconstructing")
+        progress = Progress("reconstructing", preparing=True)
         try:
             summary = run_pipeline(
                 out, config=config, scale=scale, method=method, seed=seed, on_iteration=progress

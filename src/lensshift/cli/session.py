@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import threading
 import time
 import traceback
 import warnings
@@ -27,6 +28,7 @@ DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback o
 # What can go wrong without a fault in this program.
 _FAILURES = (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError)
 _QUIET_S = 1.0
+_PREPARING = "preparing (the first call after an installation compiles its inner loops)"
 _TERMINAL_EVERY_S = 0.1
 _FILE_EVERY_S = 5.0
 
@@ -102,15 +104,26 @@ def _report(error: Exception, current: Session, *, debug: bool) -> None:
 
 
 class Progress:
-    """Say how far an iteration is, on stderr, once it takes more than a second."""
+    """Say how far an iteration is, on stderr, once it takes more than a second.
 
-    def __init__(self, label: str) -> None:
+    Parameters
+    ----------
+    label : what is done
+    preparing : whether it may take long before the first iteration, which is said then
+    """
+
+    def __init__(self, label: str, *, preparing: bool = False) -> None:
         self._label = label
         self._start_s = self._last_s = time.monotonic()
         self._open_line = False
+        self._begun = threading.Timer(_QUIET_S, self._show, [_PREPARING])
+        if preparing:
+            self._begun.daemon = True
+            self._begun.start()
 
     def __call__(self, iteration: int, objective: float) -> None:
         """Take note of one iteration."""
+        self._begun.cancel()
         self._show(f"iteration {iteration}, objective {objective:.4g}")
 
     def count(self, done: int, total: int) -> None:
@@ -126,11 +139,12 @@ class Progress:
             return
         self._last_s = now_s
         text = f"{self._label}: {state}"
-        typer.echo(f"\r{text:<70}" if terminal else text, err=True, nl=not terminal)
+        typer.echo(f"\r{text:<90}" if terminal else text, err=True, nl=not terminal)
         self._open_line = terminal
 
     def close(self) -> None:
         """End the line on a terminal."""
+        self._begun.cancel()
         if self._open_line:
             typer.echo("", err=True)
 

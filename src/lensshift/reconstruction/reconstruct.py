@@ -34,6 +34,7 @@ from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
 Array = NDArray[Any]
+WidthSource = Literal["given", "burst", "assumed", "estimated"]
 
 
 def reconstruct(
