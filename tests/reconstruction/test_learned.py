@@ -128,6 +128,38 @@ def test_noise_alone_gives_no_structure():
     assert np.mean(np.abs(found.image - 0.5) < 2 * found.std) > 0.9
 
 
+def random_print(rng, shape, cell):
+    """Return a page of letters of 5 x 7 random cells of so many fine samples: no known letters."""
+    rows, cols = ((n + 2 * MARGIN_PX) * SAMPLES for n in shape)
+    page = np.ones((rows, cols))
+    for top in range(3, rows - 8 * cell, 9 * cell):
+        for left in range(3, cols - 6 * cell, 7 * cell):
+            ink = np.kron(rng.random((7, 5)) < 0.5, np.ones((cell, cell)))
+            page[top : top + 7 * cell, left : left + 5 * cell] -= 0.8 * ink
+    return page
+
+
+@pytest.mark.parametrize("snr", [20, 100])
+@pytest.mark.parametrize("cell_hr_px", [0.5, 1.0, 1.5, 2.0])
+def test_print_is_not_turned_into_other_letters(cell_hr_px, snr):
+    """The truth lies in the error bars; cells of half a pixel, which nothing can show, get no more
+    contrast than there is, but their bars hold 70 % only."""
+    inside, contrast, odd = [], [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        fine = random_print(rng, (20, 26), round(cell_hr_px * SAMPLES / 2))
+        burst = observe(fine, (20, 26), snr=snr, rng=rng)
+        found = solved(burst)
+        image, std = found.image[INNER], found.std[INNER]
+        inside.append(np.mean(np.abs(image - burst.truth[INNER]) < 2 * std))
+        contrast.append(image.std() / burst.truth[INNER].std())
+        odd.append(np.mean((image > 1 + 3 * std) | (image < 0.2 - 3 * std)))
+    assert np.mean(inside) > (0.6 if cell_hr_px < 1 else 0.88)
+    assert np.mean(odd) < 0.02
+    if cell_hr_px < 1:
+        assert np.mean(contrast) < 1.0
+
+
 def test_data_decide_as_noise_falls():
     """Sixteen frames of a picture that the model describes exactly: nearer with less noise."""
     rng = np.random.default_rng(6)
