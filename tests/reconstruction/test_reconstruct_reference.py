@@ -31,7 +31,6 @@ def test_auto_reaches_the_best_tuned_peers(reference_dir: Path, case: str, least
     assert reached >= least_db
 
 
-@pytest.mark.filterwarnings("ignore:something moved")  # three pixels of the chart, marginally
 def test_auto_predicts_the_held_out_frames_of_the_chart(reference_dir: Path) -> None:
     with np.load(reference_dir / "real_sequences" / "mdsp_eia.npz") as data:
         frames = data["frames"]

@@ -17,6 +17,7 @@ from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.adaptive import SparseGradient
+from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
@@ -25,7 +26,6 @@ from lensshift.reconstruction.phasor.joint import JointPhasor, PolarImage
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.turns import settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
-from lensshift.reconstruction.sparse import tikhonov, total_variation
 from lensshift.reconstruction.uncertainty import propagated_std
 
 Array = NDArray[Any]
@@ -242,8 +242,10 @@ def _joint(problem: Problem, start: PolarImage, noise_sigma: float, request: Req
 
 def _linear(problem: Problem, method: str, request: Request) -> _Fit:
     """Reconstruct the phasor as a complex image; its noise is the same in all directions."""
-    run = tikhonov if method == "tikhonov" else total_variation
-    estimate = run(problem, replace(request, non_negative=False))
+    kind = Tikhonov if method == "tikhonov" else Tv
+    estimate = kind(request.prior_weight, **request.options)(
+        problem, replace(request, non_negative=False)
+    )
     amplitude = np.abs(estimate.image)
 
     def std() -> NDArray[np.float64]:
