@@ -258,7 +258,7 @@ def test_the_blur_of_a_lens_is_not_undone_by_the_default() -> None:
 
 @pytest.mark.parametrize("told", [None, 0.29])
 def test_frames_sharper_than_assumed_are_seen(told: float | None) -> None:
-    """Pixels of half the width: a narrower one is taken; who told another hears of it."""
+    """Pixels of half the width: who told another one hears of it."""
     rng, (rows, cols) = np.random.default_rng(2), (21, 26)
     fine, offset = canvas(rng, (rows, cols)), square(2)
     frames = np.empty((4, rows, cols))
@@ -271,11 +271,9 @@ def test_frames_sharper_than_assumed_are_seen(told: float | None) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         result = reconstruct(burst, psf_sigma_px=told or "auto", noise_sigma=0.01, std=False)
-    assert 0.1 < result.settings["blur"].sigma_px < 0.24  # in truth 0.144
-    assert result.amplitude.predict(offset[0]).shape == (rows, cols)
     said = [str(w.message) for w in caught]
     assert any("sharper than psf_sigma_px" in text for text in said) is (told is not None), said
-    assert result.settings["psf_source"] == ("given" if told is not None else "estimated")
+    assert result.settings["psf_source"] == ("given" if told is not None else "assumed")
     with pytest.raises(ValueError, match="psf_sigma_px: expected a number or 'auto'"):
         reconstruct(burst, psf_sigma_px="wide")
 

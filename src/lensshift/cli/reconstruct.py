@@ -44,7 +44,6 @@ _WIDTH_SOURCES = {
     "given": "as told",
     "burst": "as the burst says",
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
-    "estimated": "estimated: the frames are sharper than a square pixel lets them be",
 }
 EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES)
 

@@ -34,9 +34,7 @@ TRIED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.33)
 ALLOWED_SHIFT_PX, MOST_SQUARE = 0.05, 25.0
 
 
-def fitting_width_px(
-    problem: Problem, image: Array, noise: Array, told_px: float | None
-) -> float | None:
+def fitting_width_px(problem: Problem, image: Array, noise: Array, told_px: float) -> float | None:
     """Return a narrower response (LR pixels) that fits the frames clearly better, or None.
 
     Parameters
@@ -44,7 +42,7 @@ def fitting_width_px(
     problem : frames and the model with the response that is assumed
     image : [row col] the picture under it, in units of the problem
     noise : [frame row col] standard deviations, infinite where a pixel was not used
-    told_px : the response that was told, if it was; it may be wider than the assumed one
+    told_px : the response that was told, lens included; it may be wider than the assumed one
     """
     model = problem.model
     if model.offset_px is None or not isinstance(model.blur, GaussianBlur):
@@ -67,7 +65,6 @@ def fitting_width_px(
     part, seen = model.crop(rows, cols), image.real[
         rows.start * scale : rows.stop * scale, cols.start * scale : cols.stop * scale
     ]  # fmt: skip
-    told_px = told_px or model.blur.sigma_px
     if TRIED[0] * told_px > model.blur.sigma_px:
         part, seen = solved(told_px)
     if _curved(part, seen, y, sigma) < EXPLAINED:

@@ -74,14 +74,6 @@ class Problem:
         """One offset [frame 2] per frame: plain methods move whole frames and can do no better."""
         return self.model.mean_offset_px
 
-    def with_blur(self, blur: Blur) -> Problem:
-        """Return the problem with another pixel response."""
-        one = self.model
-        model = forward_model(
-            one.lr_shape, one.scale, one.offset_px, blur=blur, gain=one.gain, bias=one.bias
-        )
-        return replace(self, model=model, blur_sigma_px=blur_width_px(blur))
-
     def with_photometry(self, gain: ArrayLike, bias: ArrayLike) -> Problem:
         """Return the problem with another gain and bias [frame], bias in units of `intensity`.
 

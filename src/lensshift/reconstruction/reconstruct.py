@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from numbers import Real
 from typing import Any, Literal
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
-from lensshift.forward.blur import Blur, GaussianBlur
+from lensshift.forward.blur import Blur
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import positive, truth
@@ -24,7 +24,6 @@ from lensshift.reconstruction.problem import (
     NOMINAL_BLUR_PX,
     QUESTIONED_BLUR_PX,
     Problem,
-    blur_width_px,
     make_blur,
     make_problem,
     predictor,
@@ -34,7 +33,7 @@ from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
 Array = NDArray[Any]
-WidthSource = Literal["given", "burst", "assumed", "estimated"]
+WidthSource = Literal["given", "burst", "assumed"]
 
 
 def reconstruct(
@@ -71,7 +70,7 @@ def reconstruct(
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
     psf_sigma_px : Gaussian width of the pixel response in LR pixels, lens included; a square pixel
-        has 0.289. "auto" or None: `burst.meta["psf_sigma_px"]`, or as the frames tell. The method
+        has 0.289. "auto" or None: `burst.meta["psf_sigma_px"]`, or a square pixel. The method
         "auto" shows what pixels of 1/scale of the pitch see behind the same lens, and takes the
         square pixel for all that is wider; other methods undo the lens as well. With
         `fill_factor`: width of the optical spot alone, 0 if not given
@@ -148,7 +147,6 @@ def reconstruct(
         flying = phasor.flying
     found |= _apart(burst, part, choice.channel, scale, used, chosen, request, photometric, seen)
     found = _objected(found, doubt)
-    settings |= _width_found(found, settings)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -216,9 +214,6 @@ def _solve(
         gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.weight)
         problem = problem.with_photometry(gain, bias)
     estimate = method(problem, request)
-    width_px = estimate.notes.get("psf_sigma_px", problem.blur_sigma_px)
-    if width_px != problem.blur_sigma_px:
-        problem = problem.with_blur(GaussianBlur(width_px))
     unit, level = problem.intensity, problem.level
     image = np.asarray(estimate.image) * unit + level
     bias = bias * unit + level * (1.0 - gain)
@@ -266,19 +261,6 @@ def _response(
     if isinstance(told, bool) or not isinstance(told, Real):
         raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
     return {"psf_sigma_px": float(told), "psf_source": "burst"}
-
-
-def _width_found(found: Mapping[str, Estimate], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the pixel response that was taken, where it is another one than was begun with."""
-    begun_px = blur_width_px(settings["blur"])
-    for estimate in found.values():
-        width_px = estimate.notes.get("psf_sigma_px", begun_px)
-        if width_px < begun_px:
-            known = {} if settings["psf_source"] != "assumed" else {
-                "psf_sigma_px": width_px, "psf_source": "estimated"
-            }  # fmt: skip
-            return known | {"blur": GaussianBlur(width_px)}
-    return {}
 
 
 def _frame_numbers(burst: Burst, frames: Sequence[int] | None) -> tuple[int, ...]:

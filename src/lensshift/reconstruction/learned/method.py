@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
-from lensshift.forward.blur import GaussianBlur
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
 from lensshift.reconstruction.method import Request
@@ -83,7 +82,7 @@ def solved(
         if request.on_iteration is not None:
             request.on_iteration(len(objective), misfit)
 
-    def run(problem: Problem, noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
+    def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
         solver = solve_phasor if problem.y.dtype.kind == "c" else solve
         found = solver(
             problem.model, problem.y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage
@@ -91,36 +90,29 @@ def solved(
         A = problem.model.operator
         return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
 
-    found, misfit = run(problem, noise)
-    wider_px, width_px = request.told_blur_px, None
-    if not request.shifts_doubted:
-        width_px = fitting_width_px(problem, found.image, noise, wider_px)
-    if width_px is not None and width_px < problem.blur_sigma_px:
-        problem = problem.with_blur(GaussianBlur(width_px))
-        found, misfit = run(problem, noise)
+    found, misfit = run(noise)
+    told_px, width_px = request.told_blur_px, None
+    if told_px is not None and not request.shifts_doubted:
+        width_px = fitting_width_px(problem, found.image, noise, told_px)
     left, told, used = misfit, noise, problem.weight > 0
     wrong = misfit.explain(request.frames or range(len(used)))
-    if width_px is not None and wider_px is not None:
+    if width_px is not None:
         wrong = (
-            f"the frames are sharper than psf_sigma_px {wider_px:g} lets them be: about "
-            f"{width_px:.2f} LR pixels fit them, which are taken (a square pixel has 0.29)"
+            f"the frames are sharper than psf_sigma_px {told_px:g} lets them be: "
+            f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
         )
     elif misfit.curable and not request.shifts_doubted:
         believed = misfit.weight()
         told = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
         )
-        found, left = run(problem, told)
+        found, left = run(told)
     estimate = Estimate(
         image=found.image,
         objective=tuple(objective),
         status=status_of(found),
         confidence=found.weight * (np.where(np.isfinite(noise), noise, 0.0) / told) ** 2,
-        notes={
-            "std_of": "error",
-            "misfit": float(np.mean(misfit.chi_square)),
-            "psf_sigma_px": problem.blur_sigma_px,
-        },
+        notes={"std_of": "error", "misfit": float(np.mean(misfit.chi_square))},
         misfit=misfit.chi_square,
     )
     wider = np.sqrt(left.significant)
