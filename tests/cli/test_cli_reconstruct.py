@@ -156,6 +156,7 @@ def test_image_stack_with_offsets(call: Call, fake: FakeReconstruct, tmp_path: P
         (["--prior-weight", "nan"], "got 'nan'"),
         (["--frames", "0;2"], "expected numbers as in 0,2,8,10"),
         (["--psf-sigma-px", "-1"], "Invalid value for '--psf-sigma-px'"),
+        (["--psf-sigma-px", "wide"], "expected auto or a number of LR px"),
         (["--fill-factor", "1.5"], "Invalid value for '--fill-factor'"),
         (["--export", "sharp.jpg"], "expected a name that ends in .tif"),
         (["-o", "sharp.png"], "the result is a netCDF file"),

@@ -67,12 +67,27 @@ OutOption = Annotated[
 ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Upscaling factor.")]
 MethodOption = Annotated[str, typer.Option(help="Method; a wrong name lists them.")]
 ChannelOption = Annotated[Channel, typer.Option(help="What to reconstruct.")]
+
+
+def _width_px(text: str) -> float | None:
+    if text == "auto":
+        return None
+    try:
+        width_px = float(text)
+    except ValueError:
+        width_px = -1.0
+    if not width_px >= 0.0:
+        raise typer.BadParameter(f"expected auto or a number of LR px from 0, got {text!r}")
+    return width_px
+
+
 PsfOption = Annotated[
     float | None,
     typer.Option(
-        "--psf-sigma-px", min=0.0,
+        "--psf-sigma-px", parser=_width_px, metavar="PX|auto",
         help="Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
-        "px; default: from --calibration or the burst, or 0.3 (with --fill-factor: 0).",
+        "px; auto, the default: from --calibration or the burst, or a square pixel (with "
+        "--fill-factor: 0).",
     ),
 ]  # fmt: skip
 WeightOption = Annotated[
