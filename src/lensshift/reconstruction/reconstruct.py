@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
 from typing import Any, Literal
@@ -117,13 +117,9 @@ def reconstruct(
     _check(scale, noise_sigma, photometric)
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
-    if not chosen.undoes_lens:
-        blur = without_lens(blur)
+    blur = blur if chosen.undoes_lens else without_lens(blur)
     used = _frame_numbers(burst, frames)
-    # Of so wide a response, the user was told.
-    doubted = response["psf_sigma_px"] > QUESTIONED_BLUR_PX
-    known = response["psf_sigma_px"] if response["psf_source"] != "assumed" else None
-    request = replace(request, frames=used, shifts_doubted=doubted, told_blur_px=known)
+    request = replace(request, frames=used, **_told(response))
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -261,6 +257,13 @@ def _response(
     if isinstance(told, bool) or not isinstance(told, Real):
         raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
     return {"psf_sigma_px": float(told), "psf_source": "burst"}
+
+
+def _told(response: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a request holds of the response; of too wide a one the user was told."""
+    width_px = response["psf_sigma_px"]
+    told_px = None if response["psf_source"] == "assumed" else width_px
+    return {"shifts_doubted": width_px > QUESTIONED_BLUR_PX, "told_blur_px": told_px}
 
 
 def _frame_numbers(burst: Burst, frames: Sequence[int] | None) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from lensshift.reconstruction.learned.turn import turn_of
 
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --calibrate); the likelihood alone makes std too wide, by tails.
-STD_SCALE = 0.82
+STD_SCALE = 0.86
 PHASOR_STD_SCALE = 1.0  # the same for phasors
 # Larger pictures are solved in tiles, so that memory is bounded. Nothing reaches farther than the
 # halo but what is far below the noise (tests/reconstruction/test_learned.py).
