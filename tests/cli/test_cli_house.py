@@ -78,8 +78,9 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 INTERRUPTED = """
-import time
+import signal, time
 import lensshift
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored under nohup
 def slow(*arguments, **options):
     print("started", flush=True)
     time.sleep(600)
