@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Tensor = torch.Tensor
 Generator = np.random.Generator
 
-# Cameras that move a lens take four frames, mostly.
+# Cameras that move a lens take four frames, mostly: so many besides those of `draw_geometry`.
 USUAL = 0.3
 MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
 
@@ -143,16 +143,12 @@ class Bench:
         return torch.einsum("bkuh,bhw,bkvw->bkuv", seen[0], scenes, seen[1])
 
 
-def draw_bench(rng: Generator, usual: float = 0.0) -> Bench:
+def draw_bench(rng: Generator) -> Bench:
     """Return a camera; what is told of its blur is the pixel's, pixel's and lens's, or wrong.
 
     Wanted is what smaller pixels behind the same lens see; no pixel is wider than a square one.
-
-    Parameters
-    ----------
-    usual : share of the usual pattern besides those that `draw_geometry` draws
     """
-    g = usual_geometry(rng) if rng.random() < usual else draw_geometry(rng)
+    g = usual_geometry(rng) if rng.random() < USUAL else draw_geometry(rng)
     fill = 1.0 if rng.random() < 0.55 else float(rng.uniform(0.4, 1))
     optics = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.03, 0.35))
     lens = optics if rng.random() < 0.4 else 0.0
@@ -188,7 +184,7 @@ def draw_errors(rng: Generator, g: Geometry, count: int) -> Array:
 
 def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
     """Return bursts of one geometry from scenes of the pool."""
-    bench = draw_bench(rng, USUAL)
+    bench = draw_bench(rng)
     g = bench.geometry
     scenes = torch.tensor(np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)]))
     frames = bench.frames(scenes, draw_errors(rng, g, count))
@@ -200,7 +196,7 @@ def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
 
 def draw_phasors(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
     """Return bursts of phasors [burst component ...] of one geometry, turned by random phases."""
-    bench = draw_bench(rng, USUAL)
+    bench = draw_bench(rng)
     g = bench.geometry
     scenes = np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)])
     light, phase = scenes[:, 0], scenes[:, 1] + rng.uniform(0, 2 * np.pi, (count, 1, 1))

@@ -274,6 +274,7 @@ def _reconstruct(
 ) -> None:
     import lensshift
     from lensshift.io import export_reconstruction, save_reconstruction
+    from lensshift.reconstruction.problem import blur_width_px
 
     rows, cols = burst.grid.shape
     count = burst.frame_count
@@ -295,7 +296,9 @@ def _reconstruct(
     current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")
     if "psf_source" in result.settings:
         width_px, told_by = (result.settings[name] for name in ("psf_sigma_px", "psf_source"))
-        current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}")
+        undone_px = blur_width_px(result.settings["blur"])
+        undone = "" if undone_px == width_px else f"; undone: {undone_px:.3g} px"
+        current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}{undone}")
     say_channels(current, result)
     current.say("wrote " + ", ".join(str(path) for path in files.all))
     current.result |= {

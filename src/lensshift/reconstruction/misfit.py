@@ -204,8 +204,8 @@ def find_misfit(
     if np.count_nonzero(doubt > 1.0) < WINDOW_PX:  # what contradicts does so in all that see it
         doubt = np.minimum(doubt, 1.0)
     chi_square, significant = _chi_square(A, square / noise * seen, seen, parts)
-    told = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
-    unsure = frozenset(np.flatnonzero(told > UNSURE * told.min()).tolist())
+    usual = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
+    unsure = frozenset(np.flatnonzero(usual > UNSURE * usual.min()).tolist())
     return Misfit(chi_square, significant, doubt, against, off_px, everywhere, brightness, unsure)
 
 

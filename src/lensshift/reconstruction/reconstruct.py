@@ -70,7 +70,7 @@ def reconstruct(
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
     psf_sigma_px : Gaussian width of the pixel response in LR pixels, lens included; a square pixel
-        has 0.289. "auto" or None: `burst.meta["psf_sigma_px"]`, or a square pixel. The method
+        has 0.289. "auto" or None: `burst.meta["psf_sigma_px"]`, or 0.3. The method
         "auto" shows what pixels of 1/scale of the pitch see behind the same lens, and takes the
         square pixel for all that is wider; other methods undo the lens as well. With
         `fill_factor`: width of the optical spot alone, 0 if not given

@@ -188,16 +188,13 @@ def box_claims(runs: list[BoxRun]) -> list[Claim]:
 
 
 def _best_width(runs: list[BoxRun]) -> Claim:
-    numbers: dict[str, Number] = {}
-    # The default takes what is wider than a square pixel as one.
-    for whose, method, most_px in (("", "auto", SQUARE_PIXEL_PX), (", tikhonov", "tikhonov", 1.0)):
-        width_px, first = np.unique(np.minimum(_WIDTHS_PX, most_px), return_index=True)
-        best = []
-        for run in runs:
-            rows = [row for row in run.responses if row["assumed"] == "Gaussian"]
-            error = np.array([row[f"amplitude_error_{method}"] for row in rows])
-            best.append(best_width_px(width_px, error[first]))
-        numbers[f"width{whose}"] = mean_interval(best)
+    # The default takes what is wider than a square pixel as one, and cannot be asked.
+    best = []
+    for run in runs:
+        rows = [row for row in run.responses if row["assumed"] == "Gaussian"]
+        error = np.array([row["amplitude_error_tikhonov"] for row in rows])
+        best.append(best_width_px(np.array(_WIDTHS_PX), error))
+    width = mean_interval(best)
     depth = min(
         (row for row in response_rows(runs) if row["assumed"] == "Gaussian"),
         key=lambda row: float(row["phasor_edge_mm"]),
@@ -206,11 +203,10 @@ def _best_width(runs: list[BoxRun]) -> Claim:
         id="psf-0.3-best",
         statement="A point spread function of 0.3 px gives the best result.",
         paper="0.3",
-        numbers=numbers,
-        why=f"The amplitude of the boxes has the least error at {numbers['width'][0]:.3f} px, with "
-        f"tikhonov at {numbers['width, tikhonov'][0]:.3f} px (the default takes no pixel for wider "
-        f"than {SQUARE_PIXEL_PX:.3f} px, the rest is the lens); of the widths tried, "
-        f"{depth['width_px']:.2f} px gives the least error of the distance at edges.",
+        numbers={"width": width},
+        why=f"With tikhonov the amplitude of the boxes has the least error at {width[0]:.3f} px. The "
+        f"default takes no pixel for wider than {SQUARE_PIXEL_PX:.3f} px, the rest is the lens; of "
+        f"the widths tried, its distance errs least at edges with {depth['width_px']:.2f} px.",
     )
 
 

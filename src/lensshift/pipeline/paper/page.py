@@ -70,7 +70,8 @@ def write_page(found: Reproduction, path: Path) -> None:
         "averages phasors over pixels; it shares no code with the model that the reconstruction "
         "inverts. The reconstruction assumes a pixel of "
         f"{found.response_px:.3f} px ({found.response_error_px:.3f} px), which calibrate measures "
-        "on the edge card of this bench; what the paper's 0.30 px gives stands beside it. "
+        "on the edge card of this bench (the default undoes a square pixel "
+        "at most, 0.289 px, and leaves the lens); what the paper's 0.30 px gives stands beside it. "
         "Intervals are 95 % over noise, shift errors and places of the edge on the pixels; where "
         "chance plays no part, the range over what was tried."
     )

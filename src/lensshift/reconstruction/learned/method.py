@@ -94,7 +94,7 @@ def solved(
     told_px, width_px = request.told_blur_px, None
     if told_px is not None and not request.shifts_doubted:
         width_px = fitting_width_px(problem, found.image, noise, told_px)
-    left, told, used = misfit, noise, problem.weight > 0
+    left, weighed, used = misfit, noise, problem.weight > 0
     wrong = misfit.explain(request.frames or range(len(used)))
     if width_px is not None:
         wrong = (
@@ -103,15 +103,15 @@ def solved(
         )
     elif misfit.curable and not request.shifts_doubted:
         believed = misfit.weight()
-        told = np.where(
+        weighed = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
         )
-        found, left = run(told)
+        found, left = run(weighed)
     estimate = Estimate(
         image=found.image,
         objective=tuple(objective),
         status=status_of(found),
-        confidence=found.weight * (np.where(np.isfinite(noise), noise, 0.0) / told) ** 2,
+        confidence=found.weight * (np.where(np.isfinite(noise), noise, 0.0) / weighed) ** 2,
         notes={"std_of": "error", "misfit": float(np.mean(misfit.chi_square))},
         misfit=misfit.chi_square,
     )
