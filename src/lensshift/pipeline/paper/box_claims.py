@@ -204,7 +204,7 @@ def _best_width(runs: list[BoxRun]) -> Claim:
         statement="A point spread function of 0.3 px gives the best result.",
         paper="0.3",
         numbers={"width": width},
-        why=f"With tikhonov the amplitude of the boxes has the least error at {width[0]:.3f} px. The "
+        why=f"With tikhonov the amplitude of the boxes errs least at {width[0]:.3f} px. The "
         f"default takes no pixel for wider than {SQUARE_PIXEL_PX:.3f} px, the rest is the lens; of "
         f"the widths tried, its distance errs least at edges with {depth['width_px']:.2f} px.",
     )
