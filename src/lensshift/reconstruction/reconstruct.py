@@ -17,7 +17,7 @@ from lensshift.forward.blur import Blur
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import positive, truth
-from lensshift.reconstruction.phasor.branch import reconstruct_phasor
+from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry
 from lensshift.reconstruction.problem import (

@@ -23,7 +23,7 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
     "brightness": "ee73f7834f6ff1ecc1d8d95a48cb0d43df900e452b82e9eafcac50d0ba0f91ad",
-    "phasor": "39d10ab0def796bfaf3190b0239e5b8e605e38f1a23b726b64342a022888d918",
+    "phasor": "f699ed31ce37c77525e80d0e40ebbdb0e2b91ac1016462ffcedfa89ea76cabed",
 }
 
 

@@ -52,6 +52,47 @@ def settle_turns(frames: PolarFrames, noise_sigma: float) -> PolarFrames:
     return replace(frames, phase_rad=np.where(doubtful, settled, frames.phase_rad))
 
 
+def nearest_turns(
+    phase_rad: Array, frames: PolarFrames, used: NDArray[np.bool_], offset_px: Array, scale: int
+) -> NDArray[np.float64]:
+    """Return the phases [row col] of a picture in the turn of the frames around.
+
+        n = argmax sum_c cos^2((phi - phi_c) / 2) over the frames' pixels c nearby with turn n
+
+    Each frame gives the pixel that an HR pixel lies in and the four beside it. Those of another
+    surface have another phase and hardly a vote, unless theirs is the same within a turn as well.
+
+    Parameters
+    ----------
+    phase_rad : [row col] within -pi .. pi
+    frames : with their turns settled; circular ones have none
+    used : [frame row col] pixels that may vote
+    offset_px : [frame 2]
+    scale : HR pixels per LR pixel
+    """
+    frame_rad = np.where(used, frames.phase_rad, 0.0)
+    if frames.scale.circular or np.all(np.abs(frame_rad) < np.pi):
+        return np.asarray(phase_rad, np.float64)
+    votes: dict[int, Array] = {}
+    for k, (row_px, col_px) in enumerate(offset_px):
+        rows, cols = (
+            np.rint((np.arange(n) + 0.5) / scale - 0.5 + move).astype(int)
+            for n, move in zip(phase_rad.shape, (row_px, col_px), strict=True)
+        )
+        for down, right in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)):
+            at = np.ix_(np.clip(rows + down, 0, frame_rad.shape[1] - 1),
+                        np.clip(cols + right, 0, frame_rad.shape[2] - 1))  # fmt: skip
+            seen = frame_rad[k][at]
+            turn = np.rint((seen - phase_rad) / (2.0 * np.pi))
+            vote = np.where(used[k][at], np.cos(0.5 * (seen - phase_rad)) ** 2, 0.0)
+            for number in np.unique(turn):
+                of_it = votes.setdefault(int(number), np.zeros(phase_rad.shape))
+                of_it += np.where(turn == number, vote, 0.0)
+    numbers = np.array(list(votes))
+    most = numbers[np.argmax(np.stack(list(votes.values())), axis=0)]
+    return np.asarray(phase_rad + 2.0 * np.pi * most)
+
+
 def _agreed(turns: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return where [frame row col] frames have the same turns and close pixels have this one too.
 

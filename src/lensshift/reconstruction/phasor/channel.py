@@ -1,0 +1,277 @@
+"""The phasor channel of a burst: amplitude and distance out of one reconstruction."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst, Estimate, ShiftField
+from lensshift.core.units import PhaseScale
+from lensshift.forward.blur import Blur
+from lensshift.forward.prediction import FramePredictor, PhasorPredictor
+from lensshift.reconstruction.classical import Tikhonov, Tv
+from lensshift.reconstruction.learned.method import (
+    LEAST_SIGMA,
+    solved,
+)
+from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.noise import estimate_noise
+from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
+from lensshift.reconstruction.phasor.noise import relative_variance
+from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
+from lensshift.reconstruction.problem import Problem, make_problem, predictor
+
+Array = NDArray[Any]
+
+METHODS = ("auto", "tikhonov", "tv")
+# Of the pixels: with more of them turned a picture is not shown without a warning.
+TURNED_LIMIT = 0.01
+# Standard deviation of a phase that may be anything.
+NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
+# A pixel between two surfaces keeps this share of their step to both of them.
+FLYING_SHARE = 0.2
+FLYING_STEP = 0.05  # of the distance: smaller steps are no edges
+FLYING_SIGMAS = 3.0
+LEAST_STEP_M = 1e-6  # rounding of a distance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhasorResult:
+    """Both channels of the phasor branch.
+
+    Parameters
+    ----------
+    amplitude, distance_m : estimates on the HR grid
+    flying : [row col] pixels that lie between two surfaces
+    """
+
+    amplitude: Estimate
+    distance_m: Estimate
+    flying: NDArray[np.bool_]
+
+
+def reconstruct_phasor(
+    burst: Burst,
+    used: tuple[int, ...],
+    scale: int,
+    method: str,
+    request: Request,
+    *,
+    blur: Blur,
+    shift_field: ShiftField | None,
+    noise_sigma: float | None,
+    pixel_variance: Array | None,
+    photometric: bool = False,
+) -> PhasorResult:
+    """Reconstruct amplitude and distance of a burst from its phasors.
+
+        y_k = D B M_k (a exp(4 pi i f d / c)) + n
+
+    Parameters
+    ----------
+    used : numbers of the frames of `burst` to use
+    method : "auto": the learned solver for phasors; "tikhonov" and "tv": the phasor as a complex
+        image
+    noise_sigma : of a component of the phasor of an LR pixel, in units of the amplitude
+    pixel_variance : [frame row col] the same squared, of each LR pixel used
+    photometric : not possible here, an error
+
+    Raises
+    ------
+    ValueError
+        If the method cannot do it or the burst lacks what it needs.
+    """
+    _check(method, request, photometric)
+    part = burst.select(used)
+    frames = polar_frames(part)
+    problem = make_problem(
+        part, frames.phasor, scale, blur=blur, shift_field=shift_field, noise_sigma=noise_sigma,
+        pixel_variance=pixel_variance,
+    )  # fmt: skip
+    sigma = _noise(problem)
+    seen = problem.weight > 0
+    typical = float(np.median(sigma[seen]))
+    if method == "auto":
+        found = _learned(problem, sigma, request)
+    else:
+        found = _linear(replace(problem, noise_sigma=float(sigma[seen].min())), method, request)
+    frames = settle_turns(frames, typical * problem.intensity)
+    phase_rad = nearest_turns(np.angle(found.image), frames, seen, problem.offset_px, scale)
+    _warn_of_turns(polar_frames(part), frames, seen)
+    estimate = replace(
+        found,
+        noise_sigma=typical,
+        notes=dict(found.notes)
+        | {
+            "channel": "phasor",
+            "modulation_hz": frames.scale.modulation_hz,
+            "modulation_source": frames.scale.source,
+        },
+    )
+    frame = predictor(burst, problem, used, found.image * problem.intensity, shift_field)
+    return _result(frame, problem, estimate, phase_rad, frames.scale)
+
+
+def _check(method: str, request: Request, photometric: bool) -> None:
+    if method not in METHODS:
+        raise ValueError(
+            f"expected a method among {', '.join(METHODS)} for the phasor channel, got {method!r}"
+        )
+    if photometric:
+        raise ValueError("photometric estimation expects real frames, not the phasor channel")
+
+
+def _noise(problem: Problem) -> NDArray[np.float64]:
+    """Return the noise [frame row col] of a component: as told, or estimated with its law."""
+    seen = problem.weight > 0
+    told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
+    if told is not None:
+        return np.where(seen, told / np.sqrt(np.where(seen, problem.weight, 1.0)), np.inf)
+    level = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
+    law = np.sqrt(relative_variance(problem.y, problem.weight))
+    return np.where(seen, np.maximum(level * law, LEAST_SIGMA), np.inf)
+
+
+def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> Estimate:
+    """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
+    found, std = solved(problem, sigma, request)
+    found = replace(found, image=with_known_phase(found.image, std[:2].max(axis=0)))
+    amplitude = np.maximum(np.abs(found.image), 1e-12)
+    of_phase_rad = np.minimum(std[1] / amplitude, NO_PHASE_RAD)
+    return replace(found, uncertainty=np.stack([std[0], of_phase_rad]) if request.std else None)
+
+
+def with_known_phase(image: Array, std: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Return phasors whose phase comes from around where their own is not known.
+
+        phi = arg(q u + (1 - q) u_around),   q = |z|^2 / s^2 < 1
+
+    A phasor shorter than its standard deviation may have any phase. There the eight neighbours say
+    what they can, weighed by |z| / s^2; longer ones speak for themselves alone.
+
+    Parameters
+    ----------
+    image : [row col] complex
+    std : [row col] the larger standard deviation of its components, s
+    """
+    from scipy.ndimage import uniform_filter
+
+    sure = image / std**2
+    around = 9 * (uniform_filter(sure.real, 3) + 1j * uniform_filter(sure.imag, 3)) - sure
+    own = np.minimum(np.abs(image / std) ** 2, 1.0)
+    mixed = own * _unit(image) + (1.0 - own) * _unit(around)
+    return np.where(own < 1.0, np.abs(image) * _unit(mixed), image)
+
+
+def _unit(z: Array) -> Array:
+    return z / np.maximum(np.abs(z), 1e-300)
+
+
+def _linear(problem: Problem, method: str, request: Request) -> Estimate:
+    """Reconstruct the phasor as a complex image; its noise is the same in all directions."""
+    kind = Tikhonov if method == "tikhonov" else Tv
+    solver = kind(request.prior_weight, **request.options)
+    estimate = solver(problem, replace(request, non_negative=False))
+
+    def std() -> NDArray[np.float64]:
+        of_component = np.asarray(estimate.std)
+        of_phase_rad = of_component / np.maximum(np.abs(estimate.image), 1e-12)
+        return np.stack([of_component, np.minimum(of_phase_rad, NO_PHASE_RAD)])
+
+    return replace(estimate, uncertainty=functools.cache(std) if request.std else None)
+
+
+def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.bool_]) -> None:
+    turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
+    if turned > TURNED_LIMIT:
+        warnings.warn(
+            f"the frames do not agree how often the phase has turned: {100 * turned:.0f} % of the "
+            "pixels, dark ones, took the turns of their surroundings; a dark surface may be whole "
+            "turns off",
+            QualityWarning,
+            stacklevel=4,
+        )
+
+
+def _result(
+    frame: FramePredictor,
+    problem: Problem,
+    found: Estimate,
+    phase_rad: NDArray[np.float64],
+    scale: PhaseScale,
+) -> PhasorResult:
+    """Bring a complex estimate back to the units of the burst, as amplitude and distance."""
+    unit, std = problem.intensity, found.uncertainty
+    noise = found.noise_sigma or 0.0
+    bright = max(float(np.median(np.abs(problem.y[problem.weight > 0]))), noise) or 1.0
+    noise_m = noise / bright / scale.rad_per_m
+    distance_m = scale.distance_m(phase_rad)
+
+    def part(number: int, factor: float) -> Any:
+        if callable(std):
+            return lambda: std()[number] * factor
+        return None if std is None else std[number] * factor
+
+    amplitude = replace(
+        found,
+        image=np.abs(found.image) * unit,
+        uncertainty=part(0, unit),
+        noise_sigma=noise * unit,
+        predict=PhasorPredictor(frame),
+    )
+    distance = replace(
+        found,
+        image=distance_m,
+        uncertainty=part(1, 1 / scale.rad_per_m),
+        noise_sigma=noise_m,
+        predict=PhasorPredictor(frame, scale),
+    )
+    std_m = distance.uncertainty if isinstance(distance.uncertainty, np.ndarray) else noise_m
+    return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
+
+
+def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray[np.bool_]:
+    """Return the pixels [row col] that lie between two surfaces and on neither.
+
+        d - near >= q (far - near),   far - d >= q (far - near),   q = 0.2
+
+    where near and far are either the nearest and farthest of the 3 x 3 neighbours, more than 5 % of
+    near and 3 sigma apart: less may be one slanted surface; or what the two pixels on either side,
+    along a row or a column, go on to at this pixel, from both of which it is off by more than
+    3 sqrt(6) sigma, the noise of that comparison: steps of any height, no slanted surface.
+
+    Parameters
+    ----------
+    distance_m : [row col]
+    noise_m : standard deviation of the distances, sigma, one number or [row col]
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    image_m = np.asarray(distance_m, np.float64)
+    sigma_m = np.broadcast_to(np.asarray(noise_m, np.float64), image_m.shape)
+    near_m, far_m = minimum_filter(image_m, 3), maximum_filter(image_m, 3)
+    large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, FLYING_STEP * np.abs(near_m))
+    flying = large & _between(image_m, near_m, far_m)
+    for axis in (0, 1):
+        if image_m.shape[axis] < 5:
+            continue
+        a, b, c, d, e, sigma = (
+            np.moveaxis(part, axis, 0)[k : image_m.shape[axis] - 4 + k]
+            for part, k in [(image_m, n) for n in range(5)] + [(sigma_m, 2)]
+        )
+        before, after = 2 * b - a, 2 * d - e
+        apart = np.minimum(np.abs(c - before), np.abs(c - after))
+        off = apart > np.maximum(FLYING_SIGMAS * np.sqrt(6.0) * sigma, LEAST_STEP_M)
+        between = _between(c, np.minimum(before, after), np.maximum(before, after))
+        np.moveaxis(flying, axis, 0)[2:-2] |= off & between
+    return flying
+
+
+def _between(image: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.minimum(image - low, high - image) >= FLYING_SHARE * (high - low))
