@@ -53,7 +53,7 @@ def assert_same_estimate(one: Estimate | None, two: Estimate | None) -> None:
         if a is not None:
             assert a.dtype == b.dtype
             np.testing.assert_array_equal(a, b, err_msg=name)
-    for name in ("objective", "status", "prior_weight", "noise_sigma", "noise_gain"):
+    for name in ("objective", "status", "prior_weight", "noise_sigma", "noise_gain", "notes"):
         assert getattr(one, name) == getattr(two, name), name
 
 

@@ -48,19 +48,21 @@ class Image:
     distance_m : [row col] radial
     valid : [row col]
     o3m : the same as an O3M sends it, without frame axis, or None
+    phasors : [frequency row col] in the unit of the amplitude; None if the camera keeps them
     """
 
     amplitude: Array
     distance_m: Array
     valid: NDArray[np.bool_]
     o3m: O3mImages | None = None
+    phasors: NDArray[np.complex128] | None = None
 
 
 def image_of(reading: Reading, camera: TofCamera) -> Image:
     """Compute amplitude and distance of one frame in the style of the camera."""
     phase_rad, counts = demodulate(reading.difference)
     distance_m = unwrap(phase_rad, counts, camera.illumination.modulation_hz)
-    counts = counts.mean(axis=0)
+    each, counts = counts * np.exp(1j * phase_rad), counts.mean(axis=0)
     electrons = counts * reading.electrons_per_count
     weak = (electrons < camera.validity.min_amplitude_electrons) | (electrons <= 0)
     valid = ~(reading.saturated | weak)
@@ -68,8 +70,8 @@ def image_of(reading: Reading, camera: TofCamera) -> Image:
         return _o3m_image(reading, camera, counts, distance_m, valid, weak)
     exposure_s = np.asarray(camera.readout.exposure_s)
     longer = exposure_s[-1] / exposure_s[reading.exposure]
-    amplitude = electrons * longer / camera.readout.full_well_electrons
-    return Image(amplitude, distance_m, valid)
+    unit = longer * reading.electrons_per_count / camera.readout.full_well_electrons
+    return Image(counts * unit, distance_m, valid, phasors=each * unit)
 
 
 def _o3m_image(

@@ -31,7 +31,7 @@ class Illumination:
     Parameters
     ----------
     modulation_hz : one frequency, or several for a longer unambiguous range; the first one is
-        the `modulation_hz` of the burst and of the truth. Several are whole Hz
+        that of the truth. Several are whole Hz
     intensity_w_per_sr : mean radiant intensity
     wavelength_nm : of the light
     """

@@ -282,10 +282,17 @@ def _burst(
         offset_px=planned_px,
         offset_sigma_px=np.full(planned_px.shape, float(shift_error_px)),
         grid=camera.grid,
-        modulation_hz=camera.illumination.modulation_hz[0],
+        modulation_hz=camera.illumination.modulation_hz,
+        phasors=_phasors(images),
         intrinsics=intrinsics_of(camera),
         meta={**notes, **camera.settings()},
     )
+
+
+def _phasors(images: list[Image]) -> NDArray[np.complex128] | None:
+    """Return [frequency frame row col] where there are several, and the camera gives them."""
+    sent = [image.phasors for image in images if image.phasors is not None]
+    return np.stack(sent, axis=1) if sent and len(sent[0]) > 1 else None
 
 
 def _raw(readings: list[Reading], camera: TofCamera) -> RawPhases:

@@ -112,8 +112,10 @@ def _say_burst(current: Session, burst: Burst) -> None:
     current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
     current.say(f"distance    {_range_text(known['distance_range_m'], ' m')}")
     current.say(f"valid       {100 * known['valid_share']:.2f} % of the pixels")
-    modulation = "not known" if burst.modulation_hz is None else f"{burst.modulation_hz:g} Hz"
-    current.say(f"modulation  {modulation}")
+    modulation = ", ".join(f"{hz:g} Hz" for hz in burst.frequencies_hz) or "not known"
+    current.say(
+        f"modulation  {modulation}" + ("" if burst.phasors is None else ", phasors of each")
+    )
     current.say(f"looks       {view_text(known['view'])}")
     current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
     for number, (row, col) in enumerate(burst.offset_px):

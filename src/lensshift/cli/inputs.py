@@ -54,7 +54,11 @@ FrameAxisOption = Annotated[
     FrameAxis, typer.Option("--frame-axis", help="Where the frames lie in an NPY or NPZ array.")
 ]
 ModulationOption = Annotated[
-    float | None, typer.Option("--modulation-hz", help="Modulation frequency of an image stack.")
+    list[float] | None,
+    typer.Option(
+        "--modulation-hz",
+        help="Modulation frequency of an image stack; again for each further one.",
+    ),
 ]
 
 
@@ -66,7 +70,7 @@ class StackOptions:
     pitch_mm: str | None = None
     key: str | None = None
     frame_axis: FrameAxis = FrameAxis.FIRST
-    modulation_hz: float | None = None
+    modulation_hz: list[float] | None = None
 
 
 class Kind(Enum):

@@ -196,7 +196,8 @@ def reconstruct(
 def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
     intrinsics = points.intrinsics(burst.grid, burst.intrinsics)
-    phasors = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
+    complex_frames = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
+    phasors = complex_frames or burst.phasors is not None
     distances = (burst.distance_m is not None or phasors) and channel is not Channel.AMPLITUDE
     refuse_points(files.exports, intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)

@@ -75,3 +75,43 @@ def as_pairs(values: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
     except DataError as error:
         hint = f"one (row, col) pair for each of the {count} frames"
         raise DataError(f"{error.problem} ({hint})", field=name) from error
+
+
+def as_frequencies(given: Any) -> float | tuple[float, ...] | None:
+    """Return one modulation frequency as a number, several as a tuple."""
+    if given is None:
+        return None
+    try:
+        found = np.asarray(given, np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError(
+            f"expected frequencies, got {given!r:.80}", field="modulation_hz"
+        ) from error
+    if found.ndim > 1 or found.size == 0 or not np.all(np.isfinite(found) & (found > 0)):
+        raise DataError(f"expected a positive frequency, got {given}", field="modulation_hz")
+    several = tuple(found.ravel().tolist())
+    if len(set(several)) != len(several):
+        raise DataError(f"expected different frequencies, got {given}", field="modulation_hz")
+    return several[0] if len(several) == 1 else several
+
+
+def as_phasors(
+    given: Any,
+    modulation_hz: float | tuple[float, ...] | None,
+    valid: NDArray[np.bool_] | None = None,
+) -> NDArray[np.complex128]:
+    """Return phasors [frequency frame row col], as many as frequencies, finite where valid."""
+    phasors = np.asarray(given)
+    count = (
+        len(modulation_hz) if isinstance(modulation_hz, tuple) else int(modulation_hz is not None)
+    )
+    frames = phasors.shape[1:] if valid is None else valid.shape
+    if phasors.dtype.kind != "c" or count == 0 or phasors.shape != (count, *frames):
+        raise DataError(
+            f"expected complex [frequency frame row col] of {count} modulation_hz, got "
+            f"{phasors.dtype} of shape {phasors.shape}",
+            field="phasors",
+        )
+    for one in phasors if valid is not None else ():
+        check_finite_where_valid(one, np.asarray(valid), "phasors")
+    return phasors.astype(np.complex128)

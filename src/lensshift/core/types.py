@@ -14,8 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.arrays import frozen
 from lensshift.core.burst_checks import (
     as_frames,
+    as_frequencies,
     as_numbers,
     as_pairs,
+    as_phasors,
     as_valid,
     check_finite_where_valid,
 )
@@ -89,8 +91,9 @@ class Burst:
     offset_source : where the offsets come from
     stage_mm, stage_commanded_mm : [frame 2] lens position read back and asked for, or None
     time_s : [frame] or None
-    modulation_hz : modulation frequency, or None
+    modulation_hz : modulation frequency; all of them if the distances are of several; or None
     intrinsics : where the pixels look, of the image at offset (0, 0), or None
+    phasors : [frequency frame row col] a exp(4 pi i f d / c) of each frequency, or None
     raw : name -> [frame ...] what the camera sent, as it sent it
     meta : anything else worth keeping, text and numbers. `psf_sigma_px`, the Gaussian width of the
         pixel response in LR pixels, is what `reconstruct` assumes unless it is told another
@@ -111,8 +114,9 @@ class Burst:
     stage_mm: NDArray[np.float64] | None = None
     stage_commanded_mm: NDArray[np.float64] | None = None
     time_s: NDArray[np.float64] | None = None
-    modulation_hz: float | None = None
+    modulation_hz: float | tuple[float, ...] | None = None
     intrinsics: Intrinsics | None = None
+    phasors: NDArray[np.complex128] | None = None
     raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     meta: Mapping[str, Any] = field(default_factory=dict)
 
@@ -141,12 +145,9 @@ class Burst:
                 f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}",
                 field="offset_source",
             )
-        if self.modulation_hz is not None and not (
-            np.isfinite(self.modulation_hz) and self.modulation_hz > 0
-        ):
-            raise DataError(
-                f"expected a positive frequency, got {self.modulation_hz}", field="modulation_hz"
-            )
+        settle["modulation_hz"] = as_frequencies(self.modulation_hz)
+        if self.phasors is not None:
+            settle["phasors"] = as_phasors(self.phasors, settle["modulation_hz"], valid)
         if self.intrinsics is not None:
             self.intrinsics.check_fits(self.grid.shape)
         for name, values in self.raw.items():
@@ -155,7 +156,8 @@ class Burst:
                     f"expected one entry a frame, got shape {np.shape(values)}", field=f"raw_{name}"
                 )
         for name, value in settle.items():
-            object.__setattr__(self, name, frozen(value))
+            kept = value if name == "modulation_hz" else frozen(value)
+            object.__setattr__(self, name, kept)
         raw = {name: frozen(values) for name, values in self.raw.items()}
         object.__setattr__(self, "raw", raw)
         object.__setattr__(self, "meta", dict(self.meta))
@@ -168,7 +170,7 @@ class Burst:
         *,
         offset_px: ArrayLike,
         pitch_mm: float | tuple[float, float],
-        modulation_hz: float | None = None,
+        modulation_hz: float | Sequence[float] | None = None,
         valid: ArrayLike | None = None,
         **fields: Any,
     ) -> Burst:
@@ -176,7 +178,9 @@ class Burst:
 
         Parameters
         ----------
-        amplitude, distance_m, valid : [frame row col]
+        amplitude, distance_m, valid : [frame row col]; complex amplitudes
+            [frequency frame row col] are the phasors of several frequencies, and the amplitude
+            then that of the highest
         offset_px : [frame 2] as (row, col)
         pitch_mm : LR pixel pitch, one number or (row, col)
         fields : any other field of `Burst`
@@ -191,7 +195,12 @@ class Burst:
         QualityWarning
             If the frequency or the distances can hardly be in Hz and m.
         """
-        frames = as_frames(amplitude, "amplitude")
+        given = np.asarray(amplitude)
+        frequencies = as_frequencies(modulation_hz)
+        if given.ndim == 4 and given.dtype.kind == "c":
+            fields["phasors"] = as_phasors(given, frequencies)
+            given = np.abs(given[int(np.argmax(np.asarray(frequencies, np.float64)))])
+        frames = as_frames(given, "amplitude")
         pitch = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), (2,))
         try:
             grid = Grid(
@@ -205,13 +214,13 @@ class Burst:
             grid=grid,
             distance_m=None if distance_m is None else np.asarray(distance_m),
             valid=None if valid is None else np.asarray(valid),
-            modulation_hz=modulation_hz,
+            modulation_hz=frequencies,
             **fields,
         )
-        if modulation_hz is not None:
+        if burst.frequencies_hz:
             known = burst.distance_m
             typical_m = None if known is None else float(np.median(known[burst.valid]))
-            doubt = doubt_about_units(modulation_hz, typical_m)
+            doubt = doubt_about_units(min(burst.frequencies_hz), typical_m)
             if doubt:
                 warnings.warn(doubt, QualityWarning, stacklevel=2)
         return burst
@@ -220,6 +229,12 @@ class Burst:
     def frame_count(self) -> int:
         """Number of frames."""
         return int(self.amplitude.shape[0])
+
+    @property
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """All modulation frequencies that are known."""
+        hz = self.modulation_hz
+        return hz if isinstance(hz, tuple) else () if hz is None else (hz,)
 
     def select(self, frames: Sequence[int]) -> Burst:
         """Return the burst that holds only the given frames, in the given order."""
@@ -245,6 +260,7 @@ class Burst:
             time_s=pick(self.time_s),
             modulation_hz=self.modulation_hz,
             intrinsics=self.intrinsics,
+            phasors=None if self.phasors is None else self.phasors[:, index],
             raw={name: values[index] for name, values in self.raw.items()},
             meta=self.meta,
         )

@@ -8,6 +8,7 @@ Schema `lensshift-burst/1`, group `entry/data` and the root, dimensions (frame, 
     stage_row, stage_col, stage_commanded_row, stage_commanded_col   [frame]  mm
     time                  [frame]           s
     direction             [row col xyz]     where each pixel looks, see `io.intrinsics_fields`
+    phasors               [frequency frame row col]
     raw_NAME              [frame ...]       as the camera sent it
     attributes: pitch_mm (row, col), modulation_hz, offset_source, meta (JSON), those of a pinhole
 """
@@ -70,7 +71,7 @@ def save_burst(burst: Burst, path: str | Path) -> None:
         variables=_variables(burst),
         attributes={
             "pitch_mm": np.asarray(burst.grid.pitch_mm, dtype=np.float64),
-            "modulation_hz": _float_or_none(burst.modulation_hz),
+            "modulation_hz": _frequencies(burst),
             "offset_source": sealed_text(burst.offset_source),
             "meta": sealed_text(meta),
             **intrinsics_attributes(burst.intrinsics),
@@ -97,6 +98,8 @@ def load_burst(path: str | Path) -> Burst:
         }
         if container.has("distance"):
             fields["distance_m"] = container.array("distance")
+        if container.has("phasors"):
+            fields["phasors"] = container.array("phasors", kinds="c")
         if container.has("time"):
             fields["time_s"] = container.array("time", kinds="uif")
         fields["raw"] = {
@@ -109,7 +112,7 @@ def load_burst(path: str | Path) -> Burst:
             container.array("amplitude"),
             pitch_mm=container.number_pair("pitch_mm"),
             valid=(flags & _INVALID) == 0,
-            modulation_hz=container.number("modulation_hz"),
+            modulation_hz=container.numbers("modulation_hz"),
             offset_source=container.text("offset_source"),
             intrinsics=intrinsics_of_fields(container.fields(NAMES)),
             meta=container.mapping("meta"),
@@ -123,6 +126,9 @@ def _variables(burst: Burst) -> dict[str, Variable]:
     if burst.distance_m is not None:
         described = {"units": "m", "long_name": "distance", "comment": "radial, camera frame"}
         variables["distance"] = Variable(_AXES, burst.distance_m, described)
+    if burst.phasors is not None:
+        described = {"units": "1", "long_name": "phasor of each modulation frequency"}
+        variables["phasors"] = Variable(("frequency", *_AXES), burst.phasors, described)
     variables["flags"] = Variable(_AXES, _flags(burst), _flag_attributes())
     for field, (name, units, label) in _PAIRS.items():
         pairs = getattr(burst, field)
@@ -162,5 +168,6 @@ def _flag_attributes() -> dict[str, Any]:
     }
 
 
-def _float_or_none(value: float | None) -> np.float64 | None:
-    return None if value is None else np.float64(value)
+def _frequencies(burst: Burst) -> Any:
+    known = burst.modulation_hz
+    return np.asarray(known) if isinstance(known, tuple) else known and np.float64(known)

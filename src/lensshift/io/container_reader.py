@@ -100,6 +100,11 @@ class Container:
         value = self.attribute(name, of=of)
         return None if value is None else self._numbers(value, 1, name)[0]
 
+    def numbers(self, name: str) -> list[float] | None:
+        """Return a numeric attribute of one value or several, or None if it is absent."""
+        value = self.attribute(name)
+        return None if value is None else self._numbers(value, max(np.size(value), 1), name)
+
     def number_pair(self, name: str) -> tuple[float, float]:
         """Return a numeric attribute of two values, (row, col)."""
         row, col = self._numbers(self.attribute(name), 2, name)
@@ -116,12 +121,12 @@ class Container:
                 found[name] = np.array(self._numbers(value, count, name))
         return found
 
-    def mapping(self, name: str) -> dict[str, Any]:
+    def mapping(self, name: str, *, of: str = "") -> dict[str, Any]:
         """Return the mapping that an attribute holds as JSON text; empty if it is absent."""
-        if self.attribute(name) is None:
+        if self.attribute(name, of=of) is None:
             return {}
         try:
-            value = json.loads(self.text(name))
+            value = json.loads(self.text(name, of=of))
         except (ValueError, RecursionError) as error:
             raise DataError(f"not JSON: {error}", field=name, source=self.path) from error
         if not isinstance(value, dict):

@@ -23,7 +23,7 @@ _STACKS = ("distance_m", "valid")
 _PLAIN = ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm", "time_s")
 _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
     "pitch_mm": lambda values: np.broadcast_to(values.astype(np.float64), (2,)),
-    "modulation_hz": float,
+    "modulation_hz": np.ndarray.tolist,
     "offset_source": str,
     "meta": lambda values: json.loads(str(values)),
 }
@@ -37,7 +37,7 @@ def load_image_stack(
     pitch_mm: float | tuple[float, float] | None = None,
     key: str | None = None,
     frame_axis: int = 0,
-    modulation_hz: float | None = None,
+    modulation_hz: float | Sequence[float] | None = None,
     offset_source: OffsetSource | None = None,
     to_register: bool = False,
 ) -> Burst:
@@ -52,7 +52,7 @@ def load_image_stack(
     pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file
     key : name of the array in an NPZ file; None looks for amplitude, frames, LR, or the only stack
     frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]
-    modulation_hz : modulation frequency
+    modulation_hz : modulation frequency, or all of them
     offset_source : where the offsets come from; None: as the file says, else "planned"
     to_register : whether frames without offsets are taken, at (0, 0), for `register` to find them
 
@@ -143,6 +143,8 @@ def _concatenate(paths: list[Path]) -> NDArray[Any]:
 def _stack(values: NDArray[Any], frame_axis: int, path: Path, field: str = "") -> NDArray[Any]:
     if values.ndim == 2:
         return values[np.newaxis]
+    if values.ndim == 4 and values.dtype.kind == "c":  # phasors [frequency frame row col]
+        return values
     if values.ndim != 3:
         raise DataError(
             f"expected [frame row col], got shape {values.shape}", field=field, source=path
@@ -171,7 +173,7 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
 
 def _frames_name(path: Path, arrays: dict[str, NDArray[Any]], key: str | None) -> str:
     others = (*_STACKS, *NAMES)
-    stacks = [name for name, values in arrays.items() if values.ndim == 3 and name not in others]
+    stacks = [name for name, v in arrays.items() if v.ndim in (3, 4) and name not in others]
     known = [name for name in FRAME_KEYS if name in arrays]
     candidates = [key] if key is not None else known[:1] or stacks
     if len(candidates) == 1 and candidates[0] in arrays:
@@ -190,7 +192,7 @@ def _offset_fields(
     fields: dict[str, Any],
     to_register: bool,
 ) -> dict[str, Any]:
-    count = int(fields["amplitude"].shape[0])
+    count = int(fields["amplitude"].shape[-3])
     if offsets is None:
         if "offset_px" in fields:
             return {}

@@ -3,7 +3,8 @@
 Schema `lensshift-reconstruction/1`, group `entry/data` and the root, dimensions (row, col) of the
 HR grid. For each channel `c`, which is `amplitude` or `distance`:
 
-    c                [row col]               status, prior_weight, noise_sigma, noise_gain
+    c                [row col]               status, prior_weight, noise_sigma, noise_gain,
+                                             notes (JSON)
     c_std            [row col]               standard deviation, in the units of c
     c_misfit         [row col]               mean square residual in units of the noise
     c_confidence     [frame lr_row lr_col]   weight of each LR pixel, 0 .. 1
@@ -146,6 +147,7 @@ def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
         "units": units,
         "long_name": label,
         "status": sealed_text(estimate.status.name.lower()),
+        "notes": sealed_text(to_json(estimate.notes, f"{name}@notes")),
     }
     for number in _NUMBERS:
         value = getattr(estimate, number)
@@ -202,6 +204,7 @@ def _read_channel(container: Container, field: str) -> Estimate:
     if status is not Status.NOT_FINITE and not np.isfinite(image).any():
         raise DataError("every pixel is NaN or infinite", field=name)
     optional: dict[str, Any] = {number: container.number(number, of=name) for number in _KEPT}
+    optional["notes"] = container.mapping("notes", of=name)
     for part, attribute in (("std", "uncertainty"), ("misfit", "misfit")):
         if container.has(f"{name}_{part}"):
             values = container.array(f"{name}_{part}", kinds="f")

@@ -12,17 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Estimate, ShiftField
-from lensshift.core.units import PhaseScale
+from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
-from lensshift.reconstruction.learned.method import (
-    LEAST_SIGMA,
-    solved,
-)
+from lensshift.reconstruction.learned.method import LEAST_SIGMA, solved
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
+from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
@@ -63,24 +61,23 @@ def reconstruct_phasor(
     method: str,
     request: Request,
     *,
-    blur: Blur,
-    shift_field: ShiftField | None,
-    noise_sigma: float | None,
-    pixel_variance: Array | None,
     photometric: bool = False,
+    **seen: Any,
 ) -> PhasorResult:
     """Reconstruct amplitude and distance of a burst from its phasors.
 
         y_k = D B M_k (a exp(4 pi i f d / c)) + n
+
+    Several frequencies are reconstructed one after the other and then agree on the distance.
 
     Parameters
     ----------
     used : numbers of the frames of `burst` to use
     method : "auto": the learned solver for phasors; "tikhonov" and "tv": the phasor as a complex
         image
-    noise_sigma : of a component of the phasor of an LR pixel, in units of the amplitude
-    pixel_variance : [frame row col] the same squared, of each LR pixel used
     photometric : not possible here, an error
+    seen : blur, shift_field; noise_sigma of a component of the phasor of an LR pixel, in units of
+        the amplitude; pixel_variance [frame row col], the same squared, of each LR pixel used
 
     Raises
     ------
@@ -88,6 +85,48 @@ def reconstruct_phasor(
         If the method cannot do it or the burst lacks what it needs.
     """
     _check(method, request, photometric)
+    if burst.phasors is None:
+        return _one_frequency(burst, used, scale, method, request, **seen)
+    each = []
+    for z, hz in zip(burst.phasors, burst.frequencies_hz, strict=True):
+        one = replace(burst, amplitude=z, modulation_hz=hz, distance_m=None, phasors=None)
+        each.append(_one_frequency(one, used, scale, method, replace(request, std=True), **seen))
+    return _agreed(burst.frequencies_hz, each, request)
+
+
+def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -> PhasorResult:
+    """Return the amplitude of the highest frequency, and the distance that fits all of them."""
+    per_m = distance_to_phase(1.0, 1.0) * np.asarray(hz)[:, None, None]
+    pictures = Tones(
+        hz,
+        np.stack([one.distance_m.image for one in each]) * per_m,
+        np.stack([np.asarray(one.distance_m.std) for one in each]) * per_m,
+    )
+    distance_m, std_m = common_distance(pictures)
+    highest = each[int(np.argmax(hz))]
+    notes = dict(highest.distance_m.notes) | {"modulation_hz": list(hz)}
+    distance = replace(
+        highest.distance_m,
+        image=distance_m,
+        uncertainty=std_m if request.std else None,
+        notes=notes,
+    )
+    amplitude = highest.amplitude if request.std else replace(highest.amplitude, uncertainty=None)
+    return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
+
+
+def _one_frequency(
+    burst: Burst,
+    used: tuple[int, ...],
+    scale: int,
+    method: str,
+    request: Request,
+    *,
+    blur: Blur,
+    shift_field: ShiftField | None,
+    noise_sigma: float | None,
+    pixel_variance: Array | None,
+) -> PhasorResult:
     part = burst.select(used)
     frames = polar_frames(part)
     problem = make_problem(

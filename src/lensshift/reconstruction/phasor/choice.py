@@ -2,8 +2,9 @@
 
 The phasor channel is chosen where it is known to be the better one and can be had:
 
-1. the burst holds real amplitudes, distances and the modulation frequency; a frequency guessed
-   from the distances mixes surfaces in a way that the camera did not;
+1. the burst holds real amplitudes, distances and their one modulation frequency, or the phasors
+   of each frequency; a frequency guessed from the distances, or one of several, mixes surfaces in
+   a way that the camera did not;
 2. the method is "auto"; the linear methods ring through zero beside bright objects, and the
    others know no phasors;
 3. nothing is given that counts in the units of a single channel: noise, pixel variances, a weight
@@ -58,8 +59,11 @@ def choose_channel(
         return Choice(channel, "asked for")
     obstacles = {
         "complex frames stay complex": burst.amplitude.dtype.kind == "c",
-        "the burst has no distance": burst.distance_m is None,
+        "the burst has no distance": burst.distance_m is None and burst.phasors is None,
         "the modulation frequency is not known": burst.modulation_hz is None,
+        "its distances are of several frequencies, and their phasors are not known": (
+            len(burst.frequencies_hz) > 1 and burst.phasors is None
+        ),
         f"{method} is no method for phasors beside bright objects": method != "auto",
         "noise, gains or a prior weight of one channel are given": given
         or request.prior_weight is not None,
@@ -67,4 +71,5 @@ def choose_channel(
     for reason, holds in obstacles.items():
         if holds:
             return Choice("separate", reason)
-    return Choice("phasor", "amplitude, distance and modulation frequency are known")
+    known = "phasors" if burst.phasors is not None else "amplitude, distance"
+    return Choice("phasor", f"{known} and modulation frequency are known")

@@ -104,12 +104,18 @@ def polar_frames(burst: Burst) -> PolarFrames:
     Raises
     ------
     ValueError
-        If there is no distance, a valid amplitude is negative, or complex frames come without
-        their modulation frequency.
+        If there is no distance or it is of several frequencies, a valid amplitude is negative, or
+        complex frames come without their modulation frequency.
     """
+    if len(burst.frequencies_hz) > 1:
+        raise ValueError(
+            "the distances are of several modulation frequencies, and a pixel that sees two "
+            "surfaces has mixed each by itself; give the phasors of each, or take channel distance"
+        )
+    modulation_hz = burst.frequencies_hz[0] if burst.frequencies_hz else None
     valid = np.ones(burst.amplitude.shape, np.bool_) if burst.valid is None else burst.valid
     if burst.amplitude.dtype.kind == "c":
-        return _from_complex(np.where(valid, burst.amplitude, 0), burst.modulation_hz)
+        return _from_complex(np.where(valid, burst.amplitude, 0), modulation_hz)
     if burst.distance_m is None:
         raise ValueError("the burst has no distance_m; the phasor channel needs it, or phasors")
     amplitude = np.where(valid, burst.amplitude, 0).astype(np.float64)
@@ -117,12 +123,12 @@ def polar_frames(burst: Burst) -> PolarFrames:
         raise ValueError(f"expected amplitudes of at least 0, got {amplitude.min():g}")
     distance_m = np.where(valid, burst.distance_m, 0).astype(np.float64)
     seen_m = distance_m[valid]
-    if burst.modulation_hz is not None:
-        range_m = unambiguous_range_m(burst.modulation_hz)
+    if modulation_hz is not None:
+        range_m = unambiguous_range_m(modulation_hz)
         if seen_m.min() >= 0 and seen_m.max() <= range_m:
-            phasor = amplitude * np.exp(1j * distance_to_phase(distance_m, burst.modulation_hz))
-            return _from_complex(phasor, burst.modulation_hz)
-        scale = PhaseScale(burst.modulation_hz, float(np.median(seen_m)), False, "burst")
+            phasor = amplitude * np.exp(1j * distance_to_phase(distance_m, modulation_hz))
+            return _from_complex(phasor, modulation_hz)
+        scale = PhaseScale(modulation_hz, float(np.median(seen_m)), False, "burst")
     else:
         scale = _spread_over_half_a_turn(seen_m)
     phase_rad = np.where(valid, (distance_m - scale.reference_m) * scale.rad_per_m, 0.0)

@@ -1,0 +1,138 @@
+"""Several modulation frequencies have one turn: against closed forms and a simulator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from lensshift import Burst, load_burst, reconstruct, save_burst
+from lensshift.camera import PlainOptics, camera_preset, simulate_tof_burst
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.core.units import distance_to_phase
+from lensshift.evaluation import depth_error
+from lensshift.io import load_image_stack
+from lensshift.reconstruction.phasor.frequencies import Tones
+from lensshift.scene import Cuboid, Plane, Scene
+
+OFFSETS = [(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)]
+SHAPE = (9, 14)
+PAIR_HZ = (100e6, 20e6)
+
+
+def phasors_of(distance_m: NDArray[np.float64], hz: tuple[float, ...]) -> NDArray[np.complex128]:
+    return np.stack([0.5 * np.exp(1j * distance_to_phase(distance_m, f)) for f in hz])
+
+
+def wall(hz: tuple[float, ...] = PAIR_HZ, noise: float = 1e-4, **fields: Any) -> Burst:
+    """Return frames of a wall 6.2 m away: four whole turns of 100 MHz."""
+    z = phasors_of(np.full((4, *SHAPE), 6.2), hz)
+    rng = np.random.default_rng(3)
+    z = z + noise * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape))
+    return Burst.from_arrays(z, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=hz, **fields)
+
+
+@given(
+    st.floats(0.01, 7.3),
+    st.sampled_from([(100e6, 20e6), (20e6, 100e6), (80e6, 60e6), (100e6, 80e6, 60e6)]),
+    st.integers(0, 2**20),
+)
+def test_the_distance_of_exact_phases(distance_m: float, hz: tuple[float, ...], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    phase = distance_to_phase(np.full((3, 5), distance_m), 1.0) * np.array(hz)[:, None, None]
+    turned = phase + 2 * np.pi * rng.integers(-3, 4, phase.shape)
+    found_m, std_m, sure = Tones(hz, turned, np.full(phase.shape, 1e-3)).distance_m()
+    np.testing.assert_allclose(found_m, distance_m, atol=1e-9)
+    per_m = distance_to_phase(1.0, 1.0) * np.array(hz)
+    np.testing.assert_allclose(std_m, 1e-3 / np.sqrt(np.sum(per_m**2)))
+    assert np.all(sure)
+
+
+@pytest.mark.parametrize("hz", [PAIR_HZ, (20e6, 100e6), (80e6, 60e6), (15e6,)])
+def test_a_wall_is_where_it_is(hz: tuple[float, ...]) -> None:
+    result = reconstruct(wall(hz))
+    assert result.distance_m is not None
+    assert result.settings["channel"] == "phasor"
+    np.testing.assert_allclose(result.distance_m.image, 6.2, atol=2e-3)
+    assert np.median(result.distance_m.std) < 2e-3
+    assert reconstruct(wall(hz), std=False).distance_m.std is None
+
+
+def test_distances_of_several_frequencies_are_left_to_the_distance_channel() -> None:
+    rng = np.random.default_rng(1)
+    d = 3.0 + rng.random((4, *SHAPE))
+    burst = Burst.from_arrays(
+        0.5 + 0.1 * rng.random(d.shape), d, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=PAIR_HZ
+    )
+    result = reconstruct(burst)
+    assert "several frequencies" in result.settings["channel_reason"]
+    alone = reconstruct(burst, channel="distance")
+    np.testing.assert_array_equal(result.distance_m.image, alone.distance_m.image)
+    with pytest.raises(ValueError, match=r"several modulation frequencies.*channel distance"):
+        reconstruct(burst, channel="phasor")
+
+
+SCENE = Scene(
+    (
+        Cuboid(centre_m=(-0.12, 0.02, 1.6), size_m=(0.16, 0.12, 0.1), reflectance=0.6),
+        Cuboid(centre_m=(0.14, -0.03, 2.2), size_m=(0.18, 0.16, 0.1), reflectance=0.3),
+    ),
+    Plane(centre_m=(0, 0, 3.6), turn_rad=(0.1, 0.3, 0), reflectance=0.6),
+)
+
+
+@pytest.mark.parametrize(("hz", "watt"), [(PAIR_HZ, 0.3), ((30e6, 29e6, 28e6), 0.3)])
+def test_edges_are_better_and_no_surface_is_a_turn_off(hz: tuple[float, ...], watt: float) -> None:
+    vga = camera_preset("vga")
+    camera = replace(
+        vga, grid=Grid((24, 33), (0.031, 0.031)), optics=PlainOptics(3.2, 1.2, blur_sigma_px=0.1),
+        illumination=replace(vga.illumination, modulation_hz=hz, intensity_w_per_sr=watt),
+        scatter=None,
+    )  # fmt: skip
+    burst, truth = simulate_tof_burst(SCENE, camera, seed=5)
+    result = reconstruct(burst)
+    alone = reconstruct(burst, channel="distance").distance_m.image
+    errors = [depth_error(d, truth.distance_m, scale=2) for d in (result.distance_m.image, alone)]
+    assert errors[0].edge_rmse_m < 0.9 * errors[1].edge_rmse_m
+    off_m = np.abs(result.distance_m.image - truth.distance_m)
+    assert off_m[~truth.flying].max() < 0.5
+
+
+def test_phasors_travel(tmp_path: Path) -> None:
+    burst = wall((20e6, 100e6))
+    np.testing.assert_array_equal(burst.amplitude, np.abs(burst.phasors[1]))
+    save_burst(burst, tmp_path / "b.nc")
+    again = load_burst(tmp_path / "b.nc")
+    np.testing.assert_array_equal(again.phasors, burst.phasors)
+    assert again.modulation_hz == burst.modulation_hz == (20e6, 100e6)
+    np.testing.assert_array_equal(burst.select([2, 0]).phasors, burst.phasors[:, [2, 0]])
+    np.savez(
+        tmp_path / "b.npz", amplitude=burst.phasors, offset_px=OFFSETS, pitch_mm=0.1,
+        modulation_hz=[20e6, 100e6],
+    )  # fmt: skip
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "b.npz").phasors, burst.phasors)
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"modulation_hz": (1e8, 1e8)}, "modulation_hz"),
+        ({"modulation_hz": (1e8, np.nan)}, "modulation_hz"),
+        ({"modulation_hz": "fast"}, "modulation_hz"),
+        ({"modulation_hz": 1e8}, "phasors"),
+        ({"modulation_hz": None}, "phasors"),
+        ({"modulation_hz": (1e8, 8e7, 6e7)}, "phasors"),
+        ({"amplitude": np.full((2, 4, *SHAPE), np.nan + 0j)}, "amplitude"),
+    ],
+)
+def test_phasors_that_do_not_fit(fields: dict[str, Any], field: str) -> None:
+    given = {"amplitude": np.ones((2, 4, *SHAPE), complex), "modulation_hz": PAIR_HZ} | fields
+    with pytest.raises(DataError, match=field):
+        Burst.from_arrays(given.pop("amplitude"), offset_px=OFFSETS, pitch_mm=0.1, **given)
