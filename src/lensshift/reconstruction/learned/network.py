@@ -23,7 +23,7 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
     "brightness": "ee73f7834f6ff1ecc1d8d95a48cb0d43df900e452b82e9eafcac50d0ba0f91ad",
-    "phasor": "f699ed31ce37c77525e80d0e40ebbdb0e2b91ac1016462ffcedfa89ea76cabed",
+    "phasor": "d6f6e27cffa97bc52aae812c6da36bdee47a7f6191fa72b36c00978c922d0e54",
 }
 
 

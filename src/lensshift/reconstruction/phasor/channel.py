@@ -22,6 +22,7 @@ from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.reconstruction.phasor.noise import relative_variance
+from lensshift.reconstruction.phasor.pooling import pooled_phase
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
 
@@ -180,36 +181,14 @@ def _noise(problem: Problem) -> NDArray[np.float64]:
 def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> Estimate:
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
-    found = replace(found, image=with_known_phase(found.image, std[:2].max(axis=0)))
-    amplitude = np.maximum(np.abs(found.image), 1e-12)
-    of_phase_rad = np.minimum(std[1] / amplitude, NO_PHASE_RAD)
-    return replace(found, uncertainty=np.stack([std[0], of_phase_rad]) if request.std else None)
-
-
-def with_known_phase(image: Array, std: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Return phasors whose phase comes from around where their own is not known.
-
-        phi = arg(q u + (1 - q) u_around),   q = |z|^2 / s^2 < 1
-
-    A phasor shorter than its standard deviation may have any phase. There the eight neighbours say
-    what they can, weighed by |z| / s^2; longer ones speak for themselves alone.
-
-    Parameters
-    ----------
-    image : [row col] complex
-    std : [row col] the larger standard deviation of its components, s
-    """
-    from scipy.ndimage import uniform_filter
-
-    sure = image / std**2
-    around = 9 * (uniform_filter(sure.real, 3) + 1j * uniform_filter(sure.imag, 3)) - sure
-    own = np.minimum(np.abs(image / std) ** 2, 1.0)
-    mixed = own * _unit(image) + (1.0 - own) * _unit(around)
-    return np.where(own < 1.0, np.abs(image) * _unit(mixed), image)
-
-
-def _unit(z: Array) -> Array:
-    return z / np.maximum(np.abs(z), 1e-300)
+    amplitude = np.abs(found.image)
+    own_rad = np.minimum(std[1] / np.maximum(amplitude, 1e-12), NO_PHASE_RAD)
+    phase_rad, of_phase_rad = pooled_phase(found.image, std[0], own_rad)
+    return replace(
+        found,
+        image=amplitude * np.exp(1j * phase_rad),
+        uncertainty=np.stack([std[0], of_phase_rad]) if request.std else None,
+    )
 
 
 def _linear(problem: Problem, method: str, request: Request) -> Estimate:
