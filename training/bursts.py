@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter
 
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import Taps, forward_model
+from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 
 Array = NDArray[np.float64]
@@ -22,7 +23,9 @@ Tensor = torch.Tensor
 Generator = np.random.Generator
 
 # Cameras that move a lens take four frames, mostly: so many besides those of `draw_geometry`.
-USUAL = 0.3
+USUAL, USUAL_OF_PHASORS = 0.3, 0.5
+# Share of bursts without errors of the shifts: measured ones of phasors always have some.
+EXACT, EXACT_OF_PHASORS = 0.6, 0.25
 MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
 
 
@@ -143,12 +146,12 @@ class Bench:
         return torch.einsum("bkuh,bhw,bkvw->bkuv", seen[0], scenes, seen[1])
 
 
-def draw_bench(rng: Generator) -> Bench:
+def draw_bench(rng: Generator, usual: float = USUAL) -> Bench:
     """Return a camera; what is told of its blur is the pixel's, pixel's and lens's, or wrong.
 
     Wanted is what smaller pixels behind the same lens see; no pixel is wider than a square one.
     """
-    g = usual_geometry(rng) if rng.random() < USUAL else draw_geometry(rng)
+    g = usual_geometry(rng) if rng.random() < usual else draw_geometry(rng)
     fill = 1.0 if rng.random() < 0.55 else float(rng.uniform(0.4, 1))
     optics = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.03, 0.35))
     lens = optics if rng.random() < 0.4 else 0.0
@@ -169,11 +172,11 @@ def draw_bench(rng: Generator) -> Bench:
     return Bench(g, float(told), *taps, fine, fill, optics, nominal)
 
 
-def draw_errors(rng: Generator, g: Geometry, count: int) -> Array:
+def draw_errors(rng: Generator, g: Geometry, count: int, exact: float = EXACT) -> Array:
     """Return what the shifts of bursts are off by, [burst frame 2] in pixels."""
     # Most rigs are calibrated, most users tell the truth; what is rarer is seen often enough.
     errors = [0.01, 0.02, 0.05, rng.uniform(0, 0.12)]
-    error = 0.0 if rng.random() < 0.6 else float(rng.choice(errors))
+    error = 0.0 if rng.random() < exact else float(rng.choice(errors))
     wrong = error * rng.standard_normal((count, *g.offset_px.shape))
     odd = rng.random(count) < (0.2 if rng.random() < 0.25 else 0.0)  # a frame of elsewhere
     which = rng.integers(0, len(g.offset_px), count)
@@ -196,12 +199,12 @@ def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
 
 def draw_phasors(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
     """Return bursts of phasors [burst component ...] of one geometry, turned by random phases."""
-    bench = draw_bench(rng)
+    bench = draw_bench(rng, USUAL_OF_PHASORS)
     g = bench.geometry
     scenes = np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)])
     light, phase = scenes[:, 0], scenes[:, 1] + rng.uniform(0, 2 * np.pi, (count, 1, 1))
     parts = [light * np.cos(phase), light * np.sin(phase), light]
-    wrong = draw_errors(rng, g, count)
+    wrong = draw_errors(rng, g, count, EXACT_OF_PHASORS)
     seen = np.stack([bench.frames(_float(part), wrong).numpy() for part in parts], 1)
     truth = torch.stack([bench.truth(_float(part)) for part in parts[:2]], 1)
     frames, valid, sigma, noise = _spoil_phasors(rng, seen[:, :2], seen[:, 2])
@@ -302,4 +305,6 @@ def _spoil_phasors(
     law = sigma * np.sqrt(1 - share + share * around / usual)
     even = np.sqrt(np.mean(true**2, axis=(1, 2, 3), keepdims=True))
     told = np.where(rng.random(one) < 0.75, law, even) * np.exp(0.08 * rng.standard_normal(one))
+    steep = sum(np.sum(slope**2, axis=1) for slope in np.gradient(noisy, axis=(-2, -1))) / 2
+    told = np.sqrt(told**2 + USUAL_SHIFT_ERROR_PX**2 * steep)
     return noisy * valid[:, None], valid, np.broadcast_to(told, light.shape), true

@@ -1,6 +1,7 @@
 """Print PSNR and coverage of the packaged solver on worlds of another generator.
 
 python training/validate.py --bursts 20
+python training/validate.py --bursts 20 --phasor
 """
 
 from __future__ import annotations
@@ -12,15 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
+from lensshift import Burst, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned.solver import STD_SCALE, solve
+from lensshift.reconstruction.phasor.channel import AMPLITUDE_STD_SCALE, PHASE_STD_SCALE
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "reconstruction"))
-from mosaic import mosaic_burst
+from mosaic import mosaic_burst, phasor_mosaic
 
 BORDER = 4
 FIRST_SEED, CALIBRATION_SEED = 5000, 9000  # the tests use others
+MODULATION_HZ = 15e6
+PHASOR_SNR = (10, 30, 100)
 
 
 def errors_of(seeds: range, scale: int, snr: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -34,6 +39,50 @@ def errors_of(seeds: range, scale: int, snr: float) -> Iterator[tuple[np.ndarray
         found = solve(model, burst.y, noise, blur_px=12**-0.5)
         inner = (slice(BORDER, -BORDER), slice(BORDER, -BORDER))
         yield (found.image - burst.truth)[inner], found.std[inner]
+
+
+def errors_of_phasors(
+    seeds: range, scale: int, snr: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield error over std [amplitude, phase][row col], and the errors, of bursts of phasors."""
+    for seed in seeds:
+        seen = phasor_mosaic(seed, scale=scale, snr=snr)
+        burst = Burst.from_arrays(
+            seen.y, offset_px=seen.offset_px, pitch_mm=0.1, modulation_hz=MODULATION_HZ
+        )
+        found = reconstruct(burst, scale, channel="phasor")
+        per_m = 4 * np.pi * MODULATION_HZ / 299_792_458
+        phase = np.angle(np.exp(1j * (found.distance_m.image * per_m - np.angle(seen.truth))))
+        error = np.stack([found.amplitude.image - np.abs(seen.truth), phase])
+        std = np.stack([found.amplitude.std, found.distance_m.std * per_m])
+        inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+        yield (error / std)[inner], error[inner]
+
+
+def print_phasors(bursts: int) -> None:
+    """Print a line for each scale and noise level."""
+    sys.stdout.write("scale  SNR  amplitude rms  phase rms, rad  within 2 std: amplitude  phase\n")
+    for scale in (2, 3):
+        for snr in PHASOR_SNR:
+            seeds = range(FIRST_SEED, FIRST_SEED + bursts)
+            both = list(errors_of_phasors(seeds, scale, snr))
+            share = np.mean([np.mean(np.abs(size) < 2, axis=(1, 2)) for size, _ in both], axis=0)
+            rms = np.sqrt(np.mean([np.mean(e**2, axis=(1, 2)) for _, e in both], axis=0))
+            sys.stdout.write(
+                f"{scale:5d} {snr:4d} {rms[0]:14.4f} {rms[1]:15.4f} {share[0]:24.3f} "
+                f"{share[1]:6.3f}\n"
+            )
+
+
+def phasor_calibration(bursts: int) -> tuple[float, float]:
+    """Return what the two scales of the phasor channel should be."""
+    seeds, factors = range(CALIBRATION_SEED, CALIBRATION_SEED + bursts), []
+    for scale in (2, 3):
+        for snr in PHASOR_SNR:
+            sizes = [np.abs(size) for size, _ in errors_of_phasors(seeds, scale, snr)]
+            factors.append(np.quantile(np.stack(sizes), 0.9545, axis=(0, 2, 3)) / 2)
+    amplitude, phase = np.mean(factors, axis=0)
+    return AMPLITUDE_STD_SCALE * float(amplitude), PHASE_STD_SCALE * float(phase)
 
 
 def judged(scale: int, snr: float, bursts: int) -> tuple[float, float, float, float]:
@@ -61,8 +110,16 @@ def main() -> None:
     """Print a line for each scale and noise level."""
     ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     ask.add_argument("--bursts", type=int, default=20)
+    ask.add_argument("--phasor", action="store_true", help="of the phasor channel")
     ask.add_argument("--calibrate", action="store_true", help="print STD_SCALE anew, nothing else")
     given = ask.parse_args()
+    if given.phasor and given.calibrate:
+        amplitude, phase = phasor_calibration(given.bursts)
+        sys.stdout.write(f"AMPLITUDE_STD_SCALE, PHASE_STD_SCALE = {amplitude:.2f}, {phase:.2f}\n")
+        return
+    if given.phasor:
+        print_phasors(given.bursts)
+        return
     if given.calibrate:
         sys.stdout.write(f"STD_SCALE = {calibration(given.bursts):.2f}\n")
         return

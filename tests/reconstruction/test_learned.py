@@ -339,7 +339,5 @@ def test_phasors_run_through_the_chain_that_was_trained(unturned):
     found = solver.solve_phasor(model, y, sigma, blur_px=0.3)
     image, spread = _run(chain, model, np.stack([y.real, y.imag]), sigma, 0.6)
     np.testing.assert_allclose(image[0] + 1j * image[1], found.image, atol=2e-5)
-    np.testing.assert_allclose(
-        solver.PHASOR_STD_SCALE * np.exp(spread[:2]), found.std[:2], rtol=2e-3
-    )
+    np.testing.assert_allclose(np.exp(spread[:2]), found.std[:2], rtol=2e-3)
     np.testing.assert_allclose(spread[2], found.std[2], atol=2e-3)

@@ -31,6 +31,9 @@ LEAST_SHARE = 2e-4 / 0.15
 LEAST_SIGMA = 1e-7
 # Shifts that differ less over the sensor are one shift: what they are told to.
 EVEN_SHIFT_PX = 0.05
+# What calibrated actuators leave, LR pixels: taken for granted of every phasor burst, as it was in
+# training. Beside a surface twenty times as bright it is more than the noise.
+USUAL_SHIFT_ERROR_PX = 0.02
 # Fewer frames show no frequency that a scene hardly reaches.
 LEAST_FRAMES = 3
 
@@ -125,12 +128,15 @@ def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[n
     """Return the noise of each LR pixel with what the errors of the shifts add where it is steep.
 
     sigma^2 + e_k^2 |grad y_k|^2,   e_k the standard deviation of the shift of frame k
+
+    That of phasors includes the usual error, as it did in their training.
     """
-    error_px = np.broadcast_to(problem.shift_error_px, len(sigma))
+    of_phasors = problem.y.dtype.kind == "c"
+    usual_px, components = (USUAL_SHIFT_ERROR_PX, 2.0) if of_phasors else (0.0, 1.0)
+    error_px = np.hypot(np.broadcast_to(problem.shift_error_px, len(sigma)), usual_px)
     if not np.any(error_px) or min(problem.y.shape[1:]) < 2:
         return sigma
     slopes = np.gradient(problem.y, axis=(1, 2))
-    components = 2.0 if problem.y.dtype.kind == "c" else 1.0
     steep = np.sum(np.abs(slopes) ** 2, axis=0) / components
     return np.asarray(np.sqrt(sigma**2 + error_px[:, None, None] ** 2 * steep))
 

@@ -20,7 +20,6 @@ from lensshift.reconstruction.learned.turn import turn_of
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --calibrate); the likelihood alone makes std too wide, by tails.
 STD_SCALE = 0.86
-PHASOR_STD_SCALE = 1.0  # the same for phasors
 # Larger pictures are solved in tiles, so that memory is bounded. Nothing reaches farther than the
 # halo but what is far below the noise (tests/reconstruction/test_learned.py).
 TILE_HR_PX, HALO_HR_PX = 640, 32
@@ -98,7 +97,7 @@ def solve_phasor(
     turn = np.conj(middle) / abs(middle) if abs(middle) > 0 else 1.0
     known = np.where(used, y * (turn / unit), 0.0).astype(np.complex64)
     found = _in_tiles(_phasor_prior(), model, known, sigma / unit, blur_px, on_stage)
-    scale = np.array([PHASOR_STD_SCALE * unit, PHASOR_STD_SCALE * unit, 1.0])
+    scale = np.array([unit, unit, 1.0])
     return Solution(
         image=found.image * (unit * np.conj(turn)),
         std=found.std * scale[:, None, None],
