@@ -70,24 +70,6 @@ def differences(x: Array, directions: Directions, out: Array) -> None:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def add_differences_adjoint(e: Array, directions: Directions, out: Array) -> None:
-    """Add the adjoint of `differences`, [direction row col] to [row col], to out."""
-    rows, cols = out.shape
-    for i in range(rows):
-        for d in range(len(directions)):
-            down, right = directions[d]
-            first, last = _overlap(right, cols)
-            if i + down >= rows or last <= first:
-                continue
-            step = e[d, i, first:last]
-            minus, plus = out[i, first:last], out[i + down, first + right : last + right]
-            for j in range(len(step)):
-                minus[j] -= step[j]
-            for j in range(len(step)):
-                plus[j] += step[j]
-
-
-@njit(cache=True, fastmath=True, nogil=True)
 def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Array) -> None:
     """Add sum_d D_d^T a_d D_d x to out; a [direction row col] real, x and out [row col]."""
     rows, cols = x.shape

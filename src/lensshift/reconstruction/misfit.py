@@ -150,10 +150,11 @@ class Misfit:
     def _moved(self, first: int) -> str:
         anywhere, _ = label(self.doubt.max(axis=0) > 1.0)
         rows, cols = find_objects(anywhere)[np.argmax(np.bincount(anywhere.ravel())[1:])]
+        shown = f": there the picture shows frame {first}" if self.curable else ""
         return (
             f"something moved at rows {rows.start} .. {rows.stop - 1}, columns {cols.start} .. "
-            f"{cols.stop - 1} of the frames: there the picture shows frame {first} (if nothing "
-            "moved, check offset_px, psf_sigma_px and whether the camera turned)"
+            f"{cols.stop - 1} of the frames{shown} (if nothing moved, check offset_px, "
+            "psf_sigma_px and whether the camera turned)"
         )
 
 

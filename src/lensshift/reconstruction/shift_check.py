@@ -150,13 +150,16 @@ def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> D
         return None
     apart_px = found - given
     off = np.abs(apart_px - np.median(apart_px, axis=0)).max(axis=1) >= LEAST_OFF_PX
-    doubts = []
+    doubts, close = [], []
     for mistake, other in _readings(given, found, scale):
         ratio, sure = trial.compare(other, CONFIRMING_FOLDS)
         if sure >= LEAST_T and ratio >= NAMED:
             doubts.append(Doubt(mistake, ratio))
+            # What the frames tell holds the errors of the shifts too, and predicts a little better.
+            close += doubts[-1:] if np.abs(other - found).max() < LEAST_OFF_PX else []
     likely = max((doubt.ratio for doubt in doubts), default=0.0) / SUSPICIOUS
     best = next((doubt for doubt in doubts if doubt.ratio >= likely), None)
+    best = best if best is None or best.named else close[0]
     few = off.mean() < LEAST_OFF_SHARE
     if best is not None and not best.named and (few or best.ratio < UNNAMED):
         return None

@@ -28,8 +28,7 @@ def settle_turns(frames: PolarFrames, noise_sigma: float) -> PolarFrames:
 
     with the direction theta of the mean phasor around, where the amplitude is below 30 sigma and
     the frames disagree: a dark surface that all of them see a turn nearer is a turn nearer.
-    The phasors stay what they are; only where the joint fit begins changes, and with it which
-    distance a phase stands for.
+    The phasors stay what they are; only which distance a phase stands for changes.
 
     Parameters
     ----------

@@ -1,0 +1,153 @@
+"""Distance of what is hard: dark surfaces, thin poles, things that move; and what is wrong is said.
+
+Scenes are closed forms on 12 x 12 points in each pixel; noise follows the light, and the shifts
+are told to 0.02 px. Nothing of the forward model is used.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import zoom
+
+from lensshift import Burst, QualityWarning, reconstruct
+from lensshift.core.types import Estimate
+from lensshift.core.units import distance_to_phase
+
+Array = NDArray[np.float64]
+Scene = Callable[[Array, Array], tuple[Array, Array]]  # reflectance and distance at (row, col)
+
+F_HZ, SHAPE, POINTS = 15e6, (16, 28), 12
+OFFSETS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
+
+
+def card(
+    reflectance: float, wall: float, *, near_m: float = 3.2, col: float = 13.7, wide: float = 12.0
+) -> Scene:
+    """Return a card that leans before a wall, 7.4 pixels high, and another one at the right."""
+
+    def scene(rows: Array, cols: Array) -> tuple[Array, Array]:
+        on = (np.abs(rows - 7.6) < 3.7) & (np.abs(cols - col + 0.05 * rows) < wide / 2)
+        beside = (np.abs(rows - 6.1 + 0.1 * cols) < 5.3) & (np.abs(cols - 24.3) < 2.1)
+        distance_m = np.where(on, near_m + 0.01 * cols, 4.2 + 0.004 * rows)
+        distance_m = np.where(beside, 3.7, distance_m)
+        return np.where(beside, 0.6, np.where(on, reflectance, wall)), distance_m
+
+    return scene
+
+
+def pole(rows: Array, cols: Array) -> tuple[Array, Array]:
+    """Return a pole of one pixel and of the reflectance of the wall behind it."""
+    on = np.abs(cols - 13.3 - 0.03 * rows) < 0.5
+    return np.full(on.shape, 0.4), np.where(on, 3.5, 4.0)
+
+
+def means(scene: Scene, offset_px: Array, per_px: int) -> NDArray[np.complex128]:
+    """Return the mean phasor of each of `per_px` x `per_px` parts of the pixels, and their light."""
+    fine = [(np.arange(n * POINTS) + 0.5) / POINTS - 0.5 for n in SHAPE]
+    rows, cols = np.meshgrid(fine[0] - offset_px[0], fine[1] - offset_px[1], indexing="ij")
+    light, distance_m = scene(rows, cols)
+    both = np.stack([light * np.exp(1j * distance_to_phase(distance_m, F_HZ)), light])
+    n = POINTS // per_px
+    blocks = both.reshape(2, SHAPE[0] * per_px, n, SHAPE[1] * per_px, n)
+    return np.asarray(blocks.mean(axis=(2, 4)))
+
+
+def taken(scenes: list[Scene], snr: float, seed: int, told: Array = OFFSETS) -> Burst:
+    """Return frames, one of each scene; `snr` is that of pixels of median light."""
+    rng = np.random.default_rng(seed)
+    wrong = 0.02 * rng.standard_normal(OFFSETS.shape)
+    seen = [means(s, o, 1) for s, o in zip(scenes, OFFSETS + wrong, strict=True)]
+    z, light = np.stack([z for z, _ in seen]), np.stack([np.abs(light) for _, light in seen])
+    usual = np.median(light)
+    sigma = usual / snr * np.sqrt((0.1 + 0.9 * light / usual))
+    noise = rng.standard_normal((2, *z.shape))
+    z = z + sigma * (noise[0] + 1j * noise[1])
+    return Burst.from_arrays(z, offset_px=told, pitch_mm=0.1, modulation_hz=F_HZ)
+
+
+def truth_m(scene: Scene) -> Array:
+    z = means(scene, np.zeros(2), 2)[0]
+    return np.mod(np.angle(z), 2 * np.pi) / distance_to_phase(1.0, F_HZ)
+
+
+def measured(burst: Burst) -> Estimate:
+    found = reconstruct(burst, channel="phasor").distance_m
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("snr", [15.0, 50.0, 100.0])
+@pytest.mark.parametrize("dark", [0.04, 0.1])
+def test_a_dark_surface_is_not_drawn_to_the_bright_wall(snr: float, dark: float) -> None:
+    scene = card(dark, 0.8)
+    inside = np.abs(truth_m(scene) - 3.34) < 0.1
+    inside[:, :-4] &= inside[:, 4:]
+    inside[:, 4:] &= inside[:, :-4]
+    inside[4:] &= inside[:-4]
+    inside[:-4] &= inside[4:]
+    errors, within = [], []
+    for seed in range(4):
+        found = measured(taken([scene] * 4, snr, seed))
+        error = (found.image - truth_m(scene))[inside]
+        errors.append(error.mean())
+        within.append(np.mean(np.abs(error) < 2 * found.std[inside]))
+    assert inside.sum() > 60
+    print(
+        dark,
+        snr,
+        "mean",
+        np.mean(errors),
+        "se",
+        np.std(errors) / 2,
+        "std",
+        np.median(found.std[inside]),
+        within,
+    )
+    assert np.mean(within) >= 0.9
+
+
+def test_a_pole_of_one_pixel_is_measured() -> None:
+    near = []
+    for seed in range(3):
+        d = measured(taken([pole] * 4, 50.0, seed)).image[6:26]
+        near.append(d[:, 22:34].min(axis=1))
+    print(np.median(near), np.mean(np.abs(np.concatenate(near) - 3.5) < 0.05))
+
+
+@pytest.mark.parametrize("by_px", [1.0, 3.0, 5.0])
+def test_what_moves_is_as_good_as_in_one_frame(by_px: float) -> None:
+    still = card(0.25, 0.5, near_m=3.3)
+    moved = [card(0.25, 0.5, near_m=3.3, col=13.7 + by_px * k / 3) for k in range(4)]
+    burst = taken(moved, 50.0, 1)
+    with pytest.warns(QualityWarning, match="something moved"):
+        found = measured(burst).image
+    true = truth_m(still)
+    rows, cols = np.indices(true.shape) / 2
+    where = (np.abs(rows - 7.6) < 5.5) & (np.abs(cols - 13.7 - by_px / 2) < 7.5 + by_px / 2)
+    one = zoom(np.angle(burst.amplitude[0]) % (2 * np.pi), 2, order=1) / distance_to_phase(1, F_HZ)
+    rms = [np.sqrt(np.mean((d - true)[where] ** 2)) for d in (found, one)]
+    quiet = measured(taken([still] * 4, 50.0, 1)).image
+    rest = [np.sqrt(np.mean((d - true)[~where][4:-4] ** 2)) for d in (found, quiet)]
+    print(by_px, rms, rest)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_wrong_shifts_are_named_and_right_ones_pass(seed: int) -> None:
+    scene = card(0.1 + 0.1 * seed, 0.5, near_m=3.0 + 0.15 * seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        measured(taken([scene] * 4, 20.0 + 10 * seed, seed))
+    off = OFFSETS.copy()
+    off[2, 1] += 1.0
+    for told, name in (
+        (-OFFSETS, "sign"),
+        (OFFSETS[:, ::-1], "rows and columns"),
+        (off, "frame 2"),
+    ):
+        with pytest.warns(QualityWarning, match=name):
+            measured(taken([scene] * 4, 20.0 + 10 * seed, seed, told))
