@@ -47,7 +47,7 @@ def pole(rows: Array, cols: Array) -> tuple[Array, Array]:
 
 
 def means(scene: Scene, offset_px: Array, per_px: int) -> NDArray[np.complex128]:
-    """Return the mean phasor of each of `per_px` x `per_px` parts of the pixels, and their light."""
+    """Return the mean phasor and light of each of `per_px` x `per_px` parts of the pixels."""
     fine = [(np.arange(n * POINTS) + 0.5) / POINTS - 0.5 for n in SHAPE]
     rows, cols = np.meshgrid(fine[0] - offset_px[0], fine[1] - offset_px[1], indexing="ij")
     light, distance_m = scene(rows, cols)
@@ -64,7 +64,7 @@ def taken(scenes: list[Scene], snr: float, seed: int, told: Array = OFFSETS) -> 
     seen = [means(s, o, 1) for s, o in zip(scenes, OFFSETS + wrong, strict=True)]
     z, light = np.stack([z for z, _ in seen]), np.stack([np.abs(light) for _, light in seen])
     usual = np.median(light)
-    sigma = usual / snr * np.sqrt((0.1 + 0.9 * light / usual))
+    sigma = usual / snr * np.sqrt(0.1 + 0.9 * light / usual)
     noise = rng.standard_normal((2, *z.shape))
     z = z + sigma * (noise[0] + 1j * noise[1])
     return Burst.from_arrays(z, offset_px=told, pitch_mm=0.1, modulation_hz=F_HZ)
@@ -90,24 +90,14 @@ def test_a_dark_surface_is_not_drawn_to_the_bright_wall(snr: float, dark: float)
     inside[:, 4:] &= inside[:, :-4]
     inside[4:] &= inside[:-4]
     inside[:-4] &= inside[4:]
+    assert inside.sum() > 60
     errors, within = [], []
-    for seed in range(4):
+    for seed in range(8):
         found = measured(taken([scene] * 4, snr, seed))
         error = (found.image - truth_m(scene))[inside]
         errors.append(error.mean())
         within.append(np.mean(np.abs(error) < 2 * found.std[inside]))
-    assert inside.sum() > 60
-    print(
-        dark,
-        snr,
-        "mean",
-        np.mean(errors),
-        "se",
-        np.std(errors) / 2,
-        "std",
-        np.median(found.std[inside]),
-        within,
-    )
+    assert abs(np.mean(errors)) <= 2 * np.std(errors, ddof=1) / np.sqrt(8)
     assert np.mean(within) >= 0.9
 
 
@@ -116,7 +106,7 @@ def test_a_pole_of_one_pixel_is_measured() -> None:
     for seed in range(3):
         d = measured(taken([pole] * 4, 50.0, seed)).image[6:26]
         near.append(d[:, 22:34].min(axis=1))
-    print(np.median(near), np.mean(np.abs(np.concatenate(near) - 3.5) < 0.05))
+    assert np.mean(np.abs(np.concatenate(near) - 3.5) < 0.05) >= 0.8
 
 
 @pytest.mark.parametrize("by_px", [1.0, 3.0, 5.0])
@@ -133,12 +123,13 @@ def test_what_moves_is_as_good_as_in_one_frame(by_px: float) -> None:
     rms = [np.sqrt(np.mean((d - true)[where] ** 2)) for d in (found, one)]
     quiet = measured(taken([still] * 4, 50.0, 1)).image
     rest = [np.sqrt(np.mean((d - true)[~where][4:-4] ** 2)) for d in (found, quiet)]
-    print(by_px, rms, rest)
+    assert rms[0] < 0.5 * rms[1]
+    assert rest[0] < 1.05 * rest[1]
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_wrong_shifts_are_named_and_right_ones_pass(seed: int) -> None:
-    scene = card(0.1 + 0.1 * seed, 0.5, near_m=3.0 + 0.15 * seed)
+    scene = card(0.12 + 0.1 * seed, 0.5, near_m=3.0 + 0.15 * seed)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         measured(taken([scene] * 4, 20.0 + 10 * seed, seed))
