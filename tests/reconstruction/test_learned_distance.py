@@ -142,3 +142,24 @@ def test_wrong_shifts_are_named_and_right_ones_pass(seed: int) -> None:
     ):
         with pytest.warns(QualityWarning, match=name):
             measured(taken([scene] * 4, 20.0 + 10 * seed, seed, told))
+
+
+def test_distances_of_hardly_any_light_spoil_nothing() -> None:
+    """The distance channel alone: pixels whose phase is anything count as little as they know."""
+    rng = np.random.default_rng(3)
+    z = means(card(0.4, 0.5), np.zeros(2), 1)[0]
+    frames = np.stack([z] * 4) + 0.005 * rng.standard_normal((4, *SHAPE))
+    dark = rng.random(frames.shape) < 0.1
+    distance_m = np.mod(np.angle(frames), 2 * np.pi) / distance_to_phase(1.0, F_HZ)
+    anything = np.where(dark, rng.uniform(0, 10, frames.shape), distance_m)
+    amplitude = np.where(dark, 0.005, np.abs(frames))
+    found = [
+        reconstruct(
+            Burst.from_arrays(a, d, offset_px=np.zeros((4, 2)), pitch_mm=0.1, modulation_hz=F_HZ),
+            1, channel="distance",
+        ).distance_m.image
+        for a, d in ((np.abs(frames), distance_m), (amplitude, anything))
+    ]  # fmt: skip
+    truth = np.mod(np.angle(z), 2 * np.pi) / distance_to_phase(1.0, F_HZ)
+    clean, spoilt = (np.sqrt(np.mean((d - truth) ** 2)) for d in found)
+    assert spoilt < 1.3 * clean

@@ -28,6 +28,8 @@ QUESTIONED_BLUR_PX, MOST_BLUR_PX = 1.0, 10.0
 SQUARE_PIXEL_PX = 1 / math.sqrt(12)
 # The pixel and optics together where nothing is known.
 NOMINAL_BLUR_PX = 0.3
+# Of the weight of a distance: a phase of a hundredth of the usual amplitude is none.
+LEAST_SHARE_OF_LIGHT = 1e-4
 # A scene this many times its contrast away from 0 loses quality (0.5 dB at 30 times, of a photo).
 LARGE_LEVEL = 10.0
 
@@ -83,6 +85,17 @@ class Problem:
         y = (self.y - bias[:, None, None]) / gain[:, None, None]
         weight = self.weight * np.minimum(1.0, gain**2)[:, None, None]
         return replace(self, y=np.where(self.weight > 0, y, 0.0), weight=weight)
+
+    def with_brightness(self, amplitude: Array) -> Problem:
+        """Return the problem of distances with the noise that amplitudes [frame row col] tell.
+
+            sigma_d = sigma_a / a c / (4 pi f): weights (a / median)^2, at most 1
+
+        Where hardly any light comes back a distance may be anything, and is off by metres.
+        """
+        used = self.weight > 0
+        share = (np.abs(amplitude) / (float(np.median(np.abs(amplitude[used]))) or 1.0)) ** 2
+        return replace(self, weight=self.weight * np.clip(share, LEAST_SHARE_OF_LIGHT, 1.0))
 
 
 def peak_of(values: Array, used: NDArray[np.bool_]) -> float:

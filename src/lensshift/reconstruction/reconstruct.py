@@ -168,6 +168,8 @@ def _apart(
             take_level=chosen.take_level and not request.non_negative,
             intensity=chosen.intensity, **seen,
         )  # fmt: skip
+        if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
+            problem = problem.with_brightness(part.amplitude)
         found[key] = _solve(burst, problem, used, chosen, request, photometric, seen["shift_field"])
     return found
 
