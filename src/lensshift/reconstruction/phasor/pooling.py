@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-REACH_HR_PX = 2  # a pole of one LR pixel is as wide at x2
+REACH_HR_PX = 3  # with 2 and 4 as good on mosaics, with 1 a tenth worse
 
 
 def pooled_phase(
@@ -33,25 +34,32 @@ def pooled_phase(
 
     Source: the bilateral filter (Tomasi and Manduchi, ICCV 1998), its widths the errors themselves.
     """
-    amplitude = np.abs(image).astype(np.float32)
-    unit = np.where(amplitude > 0, image / np.maximum(np.abs(image), 1e-300), 1.0)
-    unit = unit.astype(np.complex64)
+    phase = np.angle(image)
     t2, s2 = (np.square(a, dtype=np.float32) for a in (amplitude_std, phase_std_rad))
-    total, moved, square = (np.zeros(image.shape, np.float32) for _ in range(3))
-    rows, cols = image.shape
-    for down in range(-min(REACH_HR_PX, rows - 1), min(REACH_HR_PX, rows - 1) + 1):
-        for right in range(-min(REACH_HR_PX, cols - 1), min(REACH_HR_PX, cols - 1) + 1):
-            here = np.s_[max(-down, 0) : rows - max(down, 0), max(-right, 0) : cols - max(right, 0)]
-            there = np.s_[
-                max(down, 0) : rows - max(-down, 0), max(right, 0) : cols - max(-right, 0)
-            ]
-            off = np.angle(unit[there] * unit[here].conj())
-            apart = off**2 / (s2[there] + s2[here])
-            apart += (amplitude[there] - amplitude[here]) ** 2 / (t2[there] + t2[here])
-            weight = np.exp(-0.5 * apart) / s2[there]
-            total[here] += weight
-            moved[here] += weight * off
-            square[here] += weight * (s2[there] + off**2)
-    off = moved / total
-    std_rad = np.sqrt(np.maximum(square / total - off**2, 0.0))
-    return np.angle(image) + off, std_rad.astype(np.float64)
+    out = np.empty((2, *image.shape), np.float32)
+    _pool(phase.astype(np.float32), np.abs(image).astype(np.float32), t2, s2, out)
+    return phase + out[0], np.sqrt(out[1], dtype=np.float64)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _pool(phase: Array, amplitude: Array, t2: Array, s2: Array, out: Array) -> None:
+    """Write by how much phases move, and their variance, to out [2 row col]."""
+    rows, cols = phase.shape
+    turn, half = np.float32(2.0 * np.pi), np.float32(np.pi)
+    for i in range(rows):
+        for j in range(cols):
+            total = moved = square = np.float32(0.0)
+            for u in range(max(i - REACH_HR_PX, 0), min(i + REACH_HR_PX + 1, rows)):
+                for v in range(max(j - REACH_HR_PX, 0), min(j + REACH_HR_PX + 1, cols)):
+                    off = phase[u, v] - phase[i, j]
+                    off -= turn if off > half else -turn if off < -half else np.float32(0.0)
+                    differ = amplitude[u, v] - amplitude[i, j]
+                    apart = off * off / (s2[u, v] + s2[i, j])
+                    apart += differ * differ / (t2[u, v] + t2[i, j])
+                    weight = np.exp(-np.float32(0.5) * apart) / s2[u, v]
+                    total += weight
+                    moved += weight * off
+                    square += weight * (s2[u, v] + off * off)
+            off = moved / total
+            out[0, i, j] = off
+            out[1, i, j] = max(square / total - off * off, np.float32(0.0))
