@@ -17,7 +17,7 @@ from lensshift import Burst, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned.solver import STD_SCALE, solve
-from lensshift.reconstruction.phasor.channel import AMPLITUDE_STD_SCALE, PHASE_STD_SCALE
+from lensshift.reconstruction.phasor.channel import AMPLITUDE_STD_SCALE
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "reconstruction"))
 from mosaic import mosaic_burst, phasor_mosaic
@@ -75,14 +75,14 @@ def print_phasors(bursts: int) -> None:
 
 
 def phasor_calibration(bursts: int) -> tuple[float, float]:
-    """Return what the two scales of the phasor channel should be."""
+    """Return what std of amplitude and phase should be multiplied by."""
     seeds, factors = range(CALIBRATION_SEED, CALIBRATION_SEED + bursts), []
     for scale in (2, 3):
         for snr in PHASOR_SNR:
             sizes = [np.abs(size) for size, _ in errors_of_phasors(seeds, scale, snr)]
             factors.append(np.quantile(np.stack(sizes), 0.9545, axis=(0, 2, 3)) / 2)
     amplitude, phase = np.mean(factors, axis=0)
-    return AMPLITUDE_STD_SCALE * float(amplitude), PHASE_STD_SCALE * float(phase)
+    return AMPLITUDE_STD_SCALE * float(amplitude), float(phase)
 
 
 def judged(scale: int, snr: float, bursts: int) -> tuple[float, float, float, float]:
@@ -115,7 +115,7 @@ def main() -> None:
     given = ask.parse_args()
     if given.phasor and given.calibrate:
         amplitude, phase = phasor_calibration(given.bursts)
-        sys.stdout.write(f"AMPLITUDE_STD_SCALE, PHASE_STD_SCALE = {amplitude:.2f}, {phase:.2f}\n")
+        sys.stdout.write(f"AMPLITUDE_STD_SCALE = {amplitude:.2f}, of the phase {phase:.2f}\n")
         return
     if given.phasor:
         print_phasors(given.bursts)

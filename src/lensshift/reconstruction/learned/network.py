@@ -23,7 +23,7 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
     "brightness": "ee73f7834f6ff1ecc1d8d95a48cb0d43df900e452b82e9eafcac50d0ba0f91ad",
-    "phasor": "83fb84c5b85a64b18e6eecc70c1f6b8c316fb97a76cd3112abb917fc76122f07",
+    "phasor": "cefa804fee062bd98f15d6137c9b504578781aeab2c71067798f57bde1272576",
 }
 
 
