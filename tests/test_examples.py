@@ -51,3 +51,10 @@ def test_flat_wall_is_bent_only_where_distances_are_taken_for_depth(tmp_path: Pa
     rms_mm = [float(line.split("mm rms")[0].split()[-1]) for line in lines[:2]]
     assert rms_mm[0] > 5.0 > 1.0 > rms_mm[1]
     assert (tmp_path / "wall.ply").read_bytes().startswith(b"ply")
+
+
+@pytest.mark.slow
+def test_phasors_of_two_frequencies_are_better_than_their_distances() -> None:
+    lines = run_example(EXAMPLES / "two_frequencies.py").splitlines()
+    edge_mm = [float(line.split()[1]) for line in lines[1:3]]
+    assert edge_mm[1] < 0.8 * edge_mm[0]

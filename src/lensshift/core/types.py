@@ -218,8 +218,8 @@ class Burst:
             **fields,
         )
         if burst.frequencies_hz:
-            known = burst.distance_m
-            typical_m = None if known is None else float(np.median(known[burst.valid]))
+            seen_m = None if burst.distance_m is None else burst.distance_m[burst.valid]
+            typical_m = None if seen_m is None else float(np.median(seen_m))
             doubt = doubt_about_units(min(burst.frequencies_hz), typical_m)
             if doubt:
                 warnings.warn(doubt, QualityWarning, stacklevel=2)
@@ -233,8 +233,7 @@ class Burst:
     @property
     def frequencies_hz(self) -> tuple[float, ...]:
         """All modulation frequencies that are known."""
-        hz = self.modulation_hz
-        return hz if isinstance(hz, tuple) else () if hz is None else (hz,)
+        return tuple(np.ravel([] if self.modulation_hz is None else self.modulation_hz).tolist())
 
     def select(self, frames: Sequence[int]) -> Burst:
         """Return the burst that holds only the given frames, in the given order."""

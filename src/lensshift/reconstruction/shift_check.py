@@ -46,6 +46,8 @@ SAME_PX = 0.02
 SUSPICIOUS, NAMED, UNNAMED, LEAST_T = 1.03, 1.05, 1.2, 5.0
 # Where no mistake explains it so many frames have to be off; fewer are left out by the solvers.
 LEAST_OFF_PX, LEAST_OFF_SHARE = 0.2, 0.25
+# A mistake explains what the frames tell if it leaves a tenth of the squares: errors of the shifts.
+UNEXPLAINED = 0.1
 
 # Of two readings that do as well the first is named.
 CURES: Mapping[str, str] = {
@@ -156,7 +158,8 @@ def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> D
         if sure >= LEAST_T and ratio >= NAMED:
             doubts.append(Doubt(mistake, ratio))
             # What the frames tell holds the errors of the shifts too, and predicts a little better.
-            close += doubts[-1:] if np.abs(other - found).max() < LEAST_OFF_PX else []
+            explained = np.sum((other - found) ** 2) <= UNEXPLAINED * np.sum(apart_px**2)
+            close += doubts[-1:] if explained else []
     likely = max((doubt.ratio for doubt in doubts), default=0.0) / SUSPICIOUS
     best = next((doubt for doubt in doubts if doubt.ratio >= likely), None)
     best = best if best is None or best.named else close[0]
