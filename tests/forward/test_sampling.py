@@ -5,7 +5,7 @@ from lensshift.forward import sampling
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.warp import field_positions, frame_positions
 
-PARTS = ("_regular_run", "_split", "_merge", "_sample_frame", "_spread_frame")
+PARTS = ("_split", "_merge", "_sample_frame", "_spread_frame")
 KERNELS = ("forward_separable", "adjoint_separable", "forward_field", "adjoint_field")
 COMPILED = {name: getattr(sampling, name) for name in (*PARTS, *KERNELS)}
 
@@ -31,6 +31,8 @@ def test_compiled_kernels_equal_the_python_that_they_are_written_in(scale, shape
         ("field", field_positions(field, scale)),
     ):
         taps = (*blur.taps(positions[0], scale, hr[0]), *blur.taps(positions[1], scale, hr[1]))
+        if kind == "separable":
+            taps = (*taps, sampling.regular_runs(*taps[2:]))
         for name, values, like in ((f"forward_{kind}", x, y), (f"adjoint_{kind}", y, x)):
             fast, slow = np.full((2, *like.shape), np.nan)
             COMPILED[name](values, *taps, fast)
@@ -41,7 +43,7 @@ def test_compiled_kernels_equal_the_python_that_they_are_written_in(scale, shape
 def test_the_run_of_equal_taps_leaves_out_the_borders():
     _, col_at = frame_positions((4, 20), [[0.0, 0.1]], 2)
     start, weight = GaussianBlur(0.3).taps(col_at, 2, 40)
-    begin, end, stride = sampling._regular_run(start[0], weight[0])
+    begin, end, stride = sampling.regular_runs(start, weight)[0]
     assert stride == 2
     assert 1 <= begin <= 2
     assert 17 <= end <= 19

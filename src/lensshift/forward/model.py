@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image
-from lensshift.forward.operator import Array, LinearOperator
+from lensshift.forward.operator import Array, LinearOperator, by_parts
 from lensshift.forward.sampling import (
     adjoint_field,
     adjoint_separable,
     forward_field,
     forward_separable,
+    regular_runs,
 )
 from lensshift.forward.warp import Positions, field_positions, frame_positions
 
@@ -31,11 +32,13 @@ class Taps:
     position_hr_px : [frame pixel] or, for a shift field, [frame row col]; where they look
     start : of the same shape, HR index of the first tap
     weight : [... T], sums to 1
+    run : as from `regular_runs`; none for a shift field
     """
 
     position_hr_px: Positions
     start: Starts
     weight: Weights
+    run: Starts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,11 +185,11 @@ class ForwardModel:
             raise ValueError("expected shifts that put every LR pixel on an HR pixel")
         # A line long enough that no end of it cuts the kernel.
         centre = 1 << 20
-        kernel = _taps(self.blur, np.array([float(centre)]), self.scale, 2 * centre + 1)
+        kernel = _taps(self.blur, np.array([[float(centre)]]), self.scale, 2 * centre + 1)
         return Interlace(
             self.rows.position_hr_px.astype(np.int64),
             self.cols.position_hr_px.astype(np.int64),
-            kernel.weight[0],
+            kernel.weight[0, 0],
         )
 
 
@@ -238,7 +241,7 @@ def forward_model(
 
 def _taps(blur: Blur, at: Positions, scale: int, size: int) -> Taps:
     if at.ndim > 2:
-        return _read_only(Taps(at, *blur.taps(at, scale, size)))
+        return _read_only(Taps(at, *blur.taps(at, scale, size), np.empty((0, 3), np.int64)))
     return _taps_of_shifts(blur, at.tobytes(), at.shape, scale, size)
 
 
@@ -248,12 +251,13 @@ def _taps_of_shifts(
     blur: Blur, at_bytes: bytes, shape: tuple[int, ...], scale: int, size: int
 ) -> Taps:
     at = np.frombuffer(at_bytes, np.float64).reshape(shape)
-    return _read_only(Taps(at, *blur.taps(at, scale, size)))
+    start, weight = blur.taps(at, scale, size)
+    return _read_only(Taps(at, start, weight, regular_runs(start, weight)))
 
 
 def _read_only(taps: Taps) -> Taps:
     """Return taps that no user of a model can spoil for the other models that share them."""
-    for values in (taps.position_hr_px, taps.start, taps.weight):
+    for values in (taps.position_hr_px, taps.start, taps.weight, taps.run):
         values.flags.writeable = False
     return taps
 
@@ -270,9 +274,9 @@ def sampling_operator(
     Single precision stays single, complex stays complex; everything else is computed in float64.
     """
     dense = rows.start.ndim == 3
-    take, spread = (
-        (forward_field, adjoint_field) if dense else (forward_separable, adjoint_separable)
-    )
+    run = () if dense else (cols.run,)
+    take: Any = forward_field if dense else forward_separable
+    spread: Any = adjoint_field if dense else adjoint_separable
     # The gain rides on the row taps, which costs nothing per pixel.
     row_weight = rows.weight
     if np.any(gain != 1):
@@ -286,19 +290,17 @@ def sampling_operator(
             values.flags.writeable = False  # always: the kernels are compiled for one kind
         return found[0], found[1]
 
+    def run_kernel(kernel: Any, values: Array, shape: tuple[int, ...]) -> Array:
+        row, col = weights(values.dtype)
+        out = np.empty(shape, values.dtype)
+        kernel(values, rows.start, row, cols.start, col, *run, out)
+        return out
+
     def forward(x: Array) -> Array:
-        x = _as_computed(x)
-        y = np.empty(out_shape, x.dtype)
-        row, col = weights(x.real.dtype)
-        take(x, rows.start, row, cols.start, col, y)
-        return y
+        return by_parts(lambda part: run_kernel(take, part, out_shape), x)
 
     def adjoint(y: Array) -> Array:
-        y = _as_computed(y)
-        x = np.empty(hr_shape, y.dtype)
-        row, col = weights(y.real.dtype)
-        spread(y, rows.start, row, cols.start, col, x)
-        return x
+        return by_parts(lambda part: run_kernel(spread, part, hr_shape), y)
 
     return LinearOperator(hr_shape, out_shape, forward, adjoint)
 
@@ -328,13 +330,6 @@ def _look_where(
 def _inside(row_at: Positions, col_at: Positions, hr_shape: tuple[int, int]) -> NDArray[np.bool_]:
     row, col = sees_image(row_at, hr_shape[0]), sees_image(col_at, hr_shape[1])
     return row & col if row.ndim == 3 else row[:, :, None] & col[:, None, :]
-
-
-def _as_computed(values: Array) -> NDArray[Any]:
-    """Return the array contiguous and in a precision that the kernels are compiled for."""
-    if values.dtype in (np.float32, np.complex64, np.complex128):
-        return np.ascontiguousarray(values)
-    return np.ascontiguousarray(values, dtype=np.float64)
 
 
 def _check_lr_shape(lr_shape: tuple[int, int]) -> tuple[int, int]:

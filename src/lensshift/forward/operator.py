@@ -82,3 +82,22 @@ def diagonal(weight: Array) -> LinearOperator:
     return LinearOperator(
         weight.shape, weight.shape, lambda x: weight * x, lambda y: np.conj(weight) * y
     )
+
+
+def single(values: Array) -> Array:
+    """Return real or complex values in single precision, which is enough to judge a picture by."""
+    return values.astype(np.complex64 if values.dtype.kind == "c" else np.float32, copy=False)
+
+
+def by_parts(apply: Callable[[Array], Array], values: Array) -> Array:
+    """Apply a real linear map to the real and to the imaginary part of values.
+
+    Single precision stays single; all but floating-point numbers count as double.
+    """
+    if values.dtype.kind == "c":
+        parts = [apply(np.ascontiguousarray(part)) for part in (values.real, values.imag)]
+        both = np.empty(parts[0].shape, np.result_type(parts[0], np.complex64))
+        both.real, both.imag = parts
+        return both
+    kind = np.float32 if values.dtype == np.float32 else np.float64
+    return apply(np.ascontiguousarray(values, kind))

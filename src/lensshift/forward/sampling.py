@@ -1,7 +1,7 @@
 """Compiled kernels: take weighted taps of the HR image for every LR pixel, and their adjoints.
 
-All kernels overwrite `out`, work for real and complex arrays of single and double precision, and
-can be called from other compiled code. `start` and `weight` [..., T] are as `Blur.taps` gives
+All kernels overwrite `out` and work in single and double precision; complex arrays come as two real
+ones, which compiles half as much. `start` and `weight` [..., T] are as `Blur.taps` gives
 them: tap t of a pixel lies on HR index start + t, inside the image.
 """
 
@@ -15,61 +15,46 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 Starts = NDArray[np.int64]
-Run = tuple[int, int, int]
 
 # Only the contraction of a * b + c is allowed to differ from strict arithmetic.
 _FAST = {"contract"}
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def _regular_run(start: Starts, weight: Array) -> Run:
-    """Return (begin, end, stride) of the run of equal taps at equal steps around the middle."""
-    count, taps = weight.shape
+def regular_runs(start: Starts, weight: Array) -> NDArray[np.int64]:
+    """Return [frame 3] begin, end and stride of the run of equal taps around the middle pixel.
+
+    Parameters
+    ----------
+    start, weight : [frame pixel] and [frame pixel T]
+    """
+    count = start.shape[1]
     middle = count // 2
-    stride = start[middle] - start[middle - 1] if count > 1 else 0
-    if stride < 1:
-        return middle, middle, 1
-    begin, end = middle, middle + 1
-    while begin > 0 and start[begin] - start[begin - 1] == stride:
-        same = True
-        for t in range(taps):
-            same = same and weight[begin - 1, t] == weight[middle, t]
-        if not same:
-            break
-        begin -= 1
-    while end < count and start[end] - start[end - 1] == stride:
-        same = True
-        for t in range(taps):
-            same = same and weight[end, t] == weight[middle, t]
-        if not same:
-            break
-        end += 1
-    return begin, end, stride
+    if count == 1:
+        return np.tile([middle, middle, 1], (len(start), 1))
+    step = np.diff(start, axis=1)
+    stride = step[:, middle - 1 : middle]
+    same = (step == stride) & (stride > 0)
+    same &= (weight[:, 1:] == weight[:, :-1]).all(axis=2)
+    # The pixels beyond the first place before, and behind, the middle where the taps change.
+    before = np.cumprod(same[:, :middle][:, ::-1], axis=1).sum(axis=1)
+    behind = np.cumprod(same[:, middle:], axis=1).sum(axis=1)
+    found = np.stack([middle - before, middle + 1 + behind, stride[:, 0]], axis=1)
+    return np.asarray(np.where(stride > 0, found, [middle, middle, 1]), np.int64)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _split(line: Array, stride: int, count: int, planes: Array) -> None:
     """Put every stride-th sample into a plane of its own, so that the column pass is contiguous.
 
-    The strides are spelt out because a loop vectorises only if its stride is a constant, and
-    the copy is a loop because numba takes seconds to compile the assignment of a slice.
+    Two is spelt out because a loop vectorises only if its stride is a constant, and the copy is a
+    loop because numba takes seconds to compile the assignment of a slice.
     """
-    if stride == 1:
-        for j in range(count):
-            planes[0, j] = line[j]
-    elif stride == 2:
-        for phase in range(2):
-            source, plane = line[phase:], planes[phase]
+    for phase in range(min(stride, count)):
+        source, plane = line[phase:], planes[phase]
+        if stride == 2:
             for j in range((count - phase + 1) // 2):
                 plane[j] = source[2 * j]
-    elif stride == 3:
-        for phase in range(3):
-            source, plane = line[phase:], planes[phase]
-            for j in range((count - phase + 2) // 3):
-                plane[j] = source[3 * j]
-    else:
-        for phase in range(min(stride, count)):
-            source, plane = line[phase:], planes[phase]
+        else:
             for j in range((count - phase + stride - 1) // stride):
                 plane[j] = source[stride * j]
 
@@ -77,34 +62,25 @@ def _split(line: Array, stride: int, count: int, planes: Array) -> None:
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _merge(planes: Array, stride: int, count: int, line: Array) -> None:
     """Undo `_split`: add the planes to every stride-th sample of the line."""
-    if stride == 1:
-        for j in range(count):
-            line[j] += planes[0, j]
-    elif stride == 2:
-        for phase in range(2):
-            target, plane = line[phase:], planes[phase]
+    for phase in range(min(stride, count)):
+        target, plane = line[phase:], planes[phase]
+        if stride == 2:
             for j in range((count - phase + 1) // 2):
                 target[2 * j] += plane[j]
-    elif stride == 3:
-        for phase in range(3):
-            target, plane = line[phase:], planes[phase]
-            for j in range((count - phase + 2) // 3):
-                target[3 * j] += plane[j]
-    else:
-        for phase in range(min(stride, count)):
-            target, plane = line[phase:], planes[phase]
+        else:
             for j in range((count - phase + stride - 1) // stride):
                 target[stride * j] += plane[j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _sample_frame(
-    x: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, out: Array
-) -> None:
+    x: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, run: Starts,
+    out: Array,
+) -> None:  # fmt: skip
     """Take the taps of one frame: row taps into a line, then column taps from the line."""
     width = x.shape[1]
     count, taps = weight.shape
-    begin, end, stride = _regular_run(start, weight)
+    begin, end, stride = run[0], run[1], run[2]
     line, planes = np.empty(width, x.dtype), np.empty((stride, width // stride + 1), x.dtype)
     for u in range(row_start.size):
         top = row_start[u]
@@ -133,12 +109,13 @@ def _sample_frame(
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _spread_frame(
-    y: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, out: Array
-) -> None:
+    y: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, run: Starts,
+    out: Array,
+) -> None:  # fmt: skip
     """Add one frame, spread over its taps, to the HR image; the adjoint of `_sample_frame`."""
     width = out.shape[1]
     count, taps = weight.shape
-    begin, end, stride = _regular_run(start, weight)
+    begin, end, stride = run[0], run[1], run[2]
     line, planes = np.empty(width, out.dtype), np.empty((stride, width // stride + 1), out.dtype)
     for u in range(row_start.size):
         source = y[u]
@@ -170,6 +147,7 @@ def forward_separable(
     row_weight: Array,
     col_start: Starts,
     col_weight: Array,
+    col_run: Starts,
     out: Array,
 ) -> None:
     """Sample the HR image, y[k,u,v] = sum_st row_weight[k,u,s] col_weight[k,v,t] x[..+s, ..+t].
@@ -178,11 +156,13 @@ def forward_separable(
     ----------
     x : [row col] HR image
     row_start, row_weight : [frame row] and [frame row S], the weights of the precision of x
-    col_start, col_weight : [frame col] and [frame col T]
+    col_start, col_weight, col_run : [frame col], [frame col T], and as from `regular_runs`
     out : [frame row col], overwritten
     """
     for k in range(out.shape[0]):
-        _sample_frame(x, row_start[k], row_weight[k], col_start[k], col_weight[k], out[k])
+        _sample_frame(
+            x, row_start[k], row_weight[k], col_start[k], col_weight[k], col_run[k], out[k]
+        )
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -192,6 +172,7 @@ def adjoint_separable(
     row_weight: Array,
     col_start: Starts,
     col_weight: Array,
+    col_run: Starts,
     out: Array,
 ) -> None:
     """Spread LR pixels over the HR image; the exact adjoint of `forward_separable`.
@@ -199,12 +180,14 @@ def adjoint_separable(
     Parameters
     ----------
     y : [frame row col]
-    row_start, row_weight, col_start, col_weight : as in `forward_separable`
+    row_start, row_weight, col_start, col_weight, col_run : as in `forward_separable`
     out : [row col] HR image, overwritten
     """
     out[:] = 0
     for k in range(y.shape[0]):
-        _spread_frame(y[k], row_start[k], row_weight[k], col_start[k], col_weight[k], out)
+        _spread_frame(
+            y[k], row_start[k], row_weight[k], col_start[k], col_weight[k], col_run[k], out
+        )
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)

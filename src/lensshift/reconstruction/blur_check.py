@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
+from lensshift.forward.operator import single
 from lensshift.reconstruction.learned.solver import solve
 from lensshift.reconstruction.problem import Problem
 
@@ -79,6 +80,7 @@ def fitting_width_px(problem: Problem, image: Array, noise: Array, told_px: floa
 
 def _curved(model: ForwardModel, image: Array, y: Array, sigma: Array) -> float:
     """Return the part of the residual that a narrower response would explain at first sight."""
+    image = single(image)
     A, padded = model.operator, np.pad(image, 1, mode="edge")
     curvature = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
     bent = A.forward(curvature - 4 * image)
@@ -97,6 +99,7 @@ def _misfit(model: ForwardModel, image: Array, y: Array, sigma: Array) -> float:
 def _residual(
     model: ForwardModel, image: Array, y: Array, sigma: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    image = single(image)
     A, used = model.operator, np.isfinite(sigma)
     slopes = [model.scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)]
     excused = ALLOWED_SHIFT_PX**2 * sum(g * g for g in slopes)

@@ -16,6 +16,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lensshift.forward.operator import by_parts
+
 Array = NDArray[Any]
 Directions = NDArray[np.int64]
 
@@ -45,9 +47,30 @@ def _overlap(right: int, cols: int) -> tuple[int, int]:
     return first, max(first, min(cols, cols - right))
 
 
+def differences(x: Array, directions: Directions) -> Array:
+    """Return the differences [direction row col] of an image [row col], real or complex."""
+    return by_parts(lambda part: _differences_of(part, directions), x)
+
+
+def _differences_of(x: Array, directions: Directions) -> Array:
+    out = np.empty((len(directions), *x.shape), x.dtype)
+    _write_differences(x, directions, out)
+    return out
+
+
+def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Array) -> None:
+    """Add sum_d D_d^T a_d D_d x to out; a [direction row col] real, x and out [row col]."""
+    if x.dtype.kind != "c":
+        _add_weighted_laplacian(x, a, directions, out)
+        return
+    for from_part, to_part in ((x.real, out.real), (x.imag, out.imag)):
+        part = np.zeros(x.shape, a.dtype)
+        _add_weighted_laplacian(np.ascontiguousarray(from_part), a, directions, part)
+        to_part += part
+
+
 @njit(cache=True, fastmath=True, nogil=True)
-def differences(x: Array, directions: Directions, out: Array) -> None:
-    """Write the differences of an image [row col] into out [direction row col]."""
+def _write_differences(x: Array, directions: Directions, out: Array) -> None:
     rows, cols = x.shape
     for d in range(len(directions)):
         down, right = directions[d]
@@ -70,8 +93,7 @@ def differences(x: Array, directions: Directions, out: Array) -> None:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Array) -> None:
-    """Add sum_d D_d^T a_d D_d x to out; a [direction row col] real, x and out [row col]."""
+def _add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Array) -> None:
     rows, cols = x.shape
     e = np.empty(cols, x.dtype)
     for i in range(rows):

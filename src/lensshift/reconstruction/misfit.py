@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label, maximum_filter, uniform_filter
 
-from lensshift.forward.operator import LinearOperator
+from lensshift.forward.operator import LinearOperator, single
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -175,12 +175,12 @@ def find_misfit(
     """
     parts = 2.0 if y.dtype.kind == "c" else 1.0
     used = np.isfinite(sigma)
-    seen = used.astype(np.float64)
+    image, y, seen = single(image), single(y), used.astype(np.float32)
     predicted = A.forward(image)
     slopes = np.stack([scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)])
     r = np.where(used, y - predicted, 0.0)
     square = np.abs(r) ** 2 / parts
-    noise = np.where(used, sigma, 1.0) ** 2
+    noise = single(np.where(used, sigma, 1.0) ** 2)
     contrast = _around(np.sum(np.abs(slopes) ** 2, axis=0), np.ones_like(seen), 3, 0.0)
     variance = noise + ALLOWED_SHIFT_PX**2 / parts * contrast
     told = square / variance

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.forward.operator import LinearOperator
+from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.differences import differences
 from lensshift.reconstruction.least_squares import NEIGHBOURS, smooth_fit
 
@@ -103,9 +103,10 @@ def estimate_noise(
         the low pass that follows them best: what misses them all is the scene, unless noise or
         outliers come in clumps
     """
-    noise = np.random.default_rng(seed).standard_normal(y.shape)
     used: NDArray[np.bool_] = weight > 0
-    inlier, kept = used, used.astype(np.float64)
+    unit = float(np.abs(y).max(initial=0.0, where=used)) or 1.0
+    y, noise = single(y / unit), single(np.random.default_rng(seed).standard_normal(y.shape))
+    inlier, kept = used, single(used)
     references = [noise - A.forward(smooth_fit(A, noise, kept, s)) for s in STIFFNESS]
     lows: list[Array | None] = [None] * len(STIFFNESS)
     smooth = None  # each pass begins where the one before it ended
@@ -130,9 +131,9 @@ def estimate_noise(
             found = used & (np.abs(residuals[0]) <= OUTLIER_SIGMAS * max(unexplained, 1e-12))
         if np.count_nonzero(found) < 0.5 * np.count_nonzero(used) or np.array_equal(found, inlier):
             break
-        inlier, kept = found, found.astype(np.float64)
+        inlier, kept = found, single(found)
     excess = max(1.0, spread / max(unexplained, 1e-12))
-    return Noise(sigma, unexplained, excess, inlier)
+    return Noise(sigma * unit, unexplained * unit, excess, inlier)
 
 
 def _ratio(scale: Callable[[Array], float], residual: Array, reference: Array) -> float:
@@ -143,9 +144,8 @@ def _calm(A: LinearOperator, smooth: Array, inlier: NDArray[np.bool_]) -> NDArra
     """Return the pixels [frame row col] where a smooth picture [row col] has the least gradient."""
     from scipy.ndimage import uniform_filter
 
-    steps = np.empty((len(NEIGHBOURS), *A.in_shape), smooth.dtype)
-    differences(smooth, NEIGHBOURS, steps)
-    unrest = A.forward(uniform_filter((np.abs(steps) ** 2).sum(axis=0), 5))
+    steps = np.abs(differences(smooth, NEIGHBOURS))
+    unrest = A.forward(uniform_filter((steps**2).sum(axis=0), 5))
     return np.asarray(unrest <= np.quantile(unrest[inlier], CALM_SHARE))
 
 

@@ -67,8 +67,7 @@ def gradient(prior: Prior, x: Array) -> Array:
 
 def squared_differences(x: Array, directions: Directions) -> Array:
     """Return |D_d x|^2 [direction row col]."""
-    steps = np.empty((len(directions), *x.shape), x.dtype)
-    differences(x, directions, steps)
+    steps = differences(x, directions)
     if x.dtype.kind == "c":
         return np.asarray((steps * steps.conj()).real)
     return np.square(steps, out=steps)
@@ -208,8 +207,7 @@ class BilateralTotalVariation:
         """Return the prior with the weights of the differences of x."""
         if self.sparsity == 1.0:
             return self
-        z = np.empty((len(self.directions), *x.shape), x.dtype)
-        differences(x, self.directions, z)
+        z = differences(x, self.directions)
         for step, share in zip(z, self._share(x)[:, 0, 0], strict=True):
             median_3x3(step.copy(), share, step)
         scale = weighted_mad(z, np.ones_like(z) if self.beta is None else self.beta)

@@ -128,9 +128,7 @@ def _picture(problem: Problem, start: Array | None, sigma: float) -> tuple[Array
     image = smooth_fit(A, y, weight, _START_STIFFNESS) if start is None else start
     prior = np.empty(0)
     for _ in range(4 if start is None else 2):
-        steps = np.empty((len(NEIGHBOURS), *A.in_shape), image.dtype)
-        differences(image, NEIGHBOURS, steps)
-        size = np.abs(steps)
+        size = np.abs(differences(image, NEIGHBOURS))
         total = float(size.sum())
         level = _PRIOR_SHARE * 2.0 * sigma**2 * size.size / max(total, 1e-12)
         prior = 0.5 * level / np.maximum(size, _LEAST_EDGE)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
-from lensshift.forward.operator import LinearOperator
+from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
 from lensshift.reconstruction.method import Request
@@ -150,10 +150,11 @@ def with_means_of(
     """
     from scipy.ndimage import gaussian_filter
 
+    y, weight = single(y), single(weight)
     known = gaussian_filter(A.adjoint(weight), low_hr_px)
     known = np.maximum(known, 1e-9 * float(known.max()))
     for _ in range(2):
-        rest = A.adjoint(weight * (y - A.forward(image)))
+        rest = A.adjoint(weight * (y - A.forward(single(image))))
         image = image + gaussian_filter(rest, low_hr_px) / known
     return np.asarray(image)
 
