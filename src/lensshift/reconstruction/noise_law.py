@@ -35,7 +35,9 @@ PAD_PX, BORDER_PX = 4, 1  # continued beyond the border, whose pixels are not ju
 BLOCK_PX, BLOCK_STEP_PX = 3, 3
 # The median of 144 sizes, compared to that of all frames: five of its standard errors more.
 ODD_FRAME = 1.5
-OUTLIER_SIGMAS, OUTLIER_BLOCK_PX, REFILLS = 4.0, 12, 8
+OUTLIER_SIGMAS, OUTLIER_BLOCK_PX = 4.0, 12
+# Steps that fill pixels in, fewer where a hundredth of their residual is left.
+REFILLS, REFILLED = 8, 0.01
 # The share of the blocks of white noise that passes as such, and the quantile that stands for the
 # blocks that pass: texture may be in some.
 PASSING, LOW = 0.9, 0.05
@@ -270,10 +272,11 @@ def _refilled(values: Array, missing: Mask, filters: _Filters) -> Array:
     filled = values.copy()
     r = rest(values)
     p, power = r.copy(), float(np.vdot(r, r))
+    enough = REFILLED**2 * power
     for _ in range(REFILLS):  # conjugate gradients
         q = rest(p)
         curvature = float(np.vdot(p, q))
-        if curvature <= np.finfo(np.float32).tiny:  # solved, as far as the numbers reach
+        if curvature <= np.finfo(np.float32).tiny or power <= enough:
             break
         step = power / curvature
         filled -= step * p

@@ -40,6 +40,8 @@ LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
 LEAST_TOLD = 0.03
 # Readings whose shifts differ by less from those given are the same.
 SAME_PX = 0.02
+# Frames that tell the given shifts to such errors, small beside the shifts, object to nothing.
+AGREED_PX, AGREED_SHARE = 0.1, 0.25
 # How much worse the given shifts have to predict: for a closer look, to name a mistake, and where
 # none explains it; and by how many standard errors. Of 1266 right bursts only lone gratings beyond
 # the Nyquist frequency were doubted; of 96 wrong ones 3 were not (two that cannot be told apart).
@@ -147,10 +149,12 @@ def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> D
     found = _found_shifts(values, seen, given)
     if found is None:
         return None
+    apart_px = found - given
+    if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * float(np.ptp(given, axis=0).max())):
+        return None
     first = (found, given / scale, given * scale)
     if all(trial.compare(other, 1)[0] < SUSPICIOUS for other in first):
         return None
-    apart_px = found - given
     off = np.abs(apart_px - np.median(apart_px, axis=0)).max(axis=1) >= LEAST_OFF_PX
     doubts, close = [], []
     for mistake, other in _readings(given, found, scale):
@@ -248,19 +252,20 @@ def _found_shifts(values: Array, seen: Mask, given_px: Shifts) -> Shifts | None:
     the low pass leaves less than it would of white noise: the frames show little but aliases,
     which move in any direction.
     """
-    from scipy.ndimage import gaussian_filter, shift
+    from scipy.ndimage import gaussian_filter, shift, spline_filter
 
     width = (0, LOW_PASS_PX, LOW_PASS_PX)
     smooth = gaussian_filter(values, width)
     smooth /= np.maximum(gaussian_filter(seen.astype(np.float64), width), 1e-3)
     if np.mean(smooth**2) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * np.mean(values**2):
         return None
-    offset_px = np.zeros((len(values), 2))
+    smooth = np.stack([spline_filter(frame) for frame in smooth])
+    offset_px = given_px.copy()
     inner = np.s_[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
     told = np.eye(2)
     for _ in range(FINDING_ROUNDS):
         pairs = zip(smooth, -offset_px, strict=True)
-        moved = np.stack([shift(frame, by, order=3, mode="nearest") for frame, by in pairs])
+        moved = np.stack([shift(frame, by, mode="mirror", prefilter=False) for frame, by in pairs])
         common = moved.mean(axis=0)
         slope = np.stack([g[inner].ravel() for g in np.gradient(common)], axis=1)
         size, direction = np.linalg.eigh(slope.T @ slope)
