@@ -1,10 +1,10 @@
-"""Compiled kernels for differences between neighbouring HR pixels.
+"""Differences between neighbouring HR pixels.
 
 A direction (row, col) and its opposite give the same differences with the other sign, so one of
 each pair is kept: `half_plane`. Arrays of differences are [direction row col], the difference
 from pixel (row, col) to its neighbour in that direction; where the neighbour would lie outside
-the image they are zero. The kernels work row by row through a small buffer, because a loop that
-scatters into two rows at once does not vectorise.
+the image they are zero. The compiled kernels, for what changes with every step of a solver, work
+row by row through a small buffer: a loop that scatters into two rows at once does not vectorise.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lensshift.forward.operator import by_parts
-
 Array = NDArray[Any]
 Directions = NDArray[np.int64]
+Part = tuple[slice, ...]
 
 
 @lru_cache(maxsize=16)
@@ -49,13 +48,35 @@ def _overlap(right: int, cols: int) -> tuple[int, int]:
 
 def differences(x: Array, directions: Directions) -> Array:
     """Return the differences [direction row col] of an image [row col], real or complex."""
-    return by_parts(lambda part: _differences_of(part, directions), x)
-
-
-def _differences_of(x: Array, directions: Directions) -> Array:
-    out = np.empty((len(directions), *x.shape), x.dtype)
-    _write_differences(x, directions, out)
+    out = np.zeros((len(directions), *x.shape), x.dtype)
+    for target, (here, there) in zip(out, neighbours(x.shape, directions), strict=True):
+        np.subtract(x[there], x[here], out=target[here])
     return out
+
+
+def laplacian(x: Array, directions: Directions) -> Array:
+    """Return sum_d D_d^T D_d x / |d|, the differences of farther neighbours by less."""
+    out = np.zeros_like(x)
+    shares = 1 / np.sqrt((directions**2).sum(axis=1))
+    for share, (here, there) in zip(shares, neighbours(x.shape, directions), strict=True):
+        step = x[there] - x[here]
+        step *= share.astype(x.real.dtype)
+        out[here] -= step
+        out[there] += step
+    return out
+
+
+def neighbours(shape: tuple[int, ...], directions: Directions) -> list[tuple[Part, Part]]:
+    """Return the pixels that have a neighbour in each direction, and those neighbours."""
+    found = []
+    for direction in directions:
+        here, there = (
+            tuple(slice(max(0, -s), max(0, n - max(0, s)))
+                  for s, n in zip(way * direction, shape, strict=True))
+            for way in (1, -1)
+        )  # fmt: skip
+        found.append((here, there))
+    return found
 
 
 def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Array) -> None:
@@ -67,29 +88,6 @@ def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Arra
         part = np.zeros(x.shape, a.dtype)
         _add_weighted_laplacian(np.ascontiguousarray(from_part), a, directions, part)
         to_part += part
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _write_differences(x: Array, directions: Directions, out: Array) -> None:
-    rows, cols = x.shape
-    for d in range(len(directions)):
-        down, right = directions[d]
-        first, last = _overlap(right, cols)
-        for i in range(rows):
-            target = out[d, i]
-            if i + down >= rows or last <= first:
-                for j in range(cols):
-                    target[j] = 0
-                continue
-            for j in range(first):
-                target[j] = 0
-            for j in range(last, cols):
-                target[j] = 0
-            # Slices, because an index that might be negative keeps a loop from being vectorised.
-            here, there = x[i, first:last], x[i + down, first + right : last + right]
-            inner = target[first:last]
-            for j in range(len(inner)):
-                inner[j] = there[j] - here[j]
 
 
 @njit(cache=True, fastmath=True, nogil=True)

@@ -14,6 +14,7 @@ from lensshift.reconstruction.differences import (
     add_laplacian_diagonal,
     add_weighted_laplacian,
     half_plane,
+    laplacian,
 )
 
 Array = NDArray[Any]
@@ -138,18 +139,13 @@ def smooth_fit(
     at 0. Single precision stays single.
     """
     weight = weight.astype(y.real.dtype, copy=False)
-    quarter = np.full((len(NEIGHBOURS), *A.in_shape), 0.25) / np.sqrt(
-        (NEIGHBOURS**2).sum(axis=1)
-    ).reshape(-1, 1, 1)
-    quarter = quarter.astype(weight.dtype, copy=False)
-
-    def laplacian(x: Array) -> Array:
-        out = np.zeros(x.shape, x.dtype)
-        add_weighted_laplacian(x, quarter, NEIGHBOURS, out)
-        return out
+    square = weight.dtype.type(stiffness / len(NEIGHBOURS) ** 2)
 
     def apply(x: Array) -> Array:
-        return A.adjoint(weight * A.forward(x)) + stiffness * laplacian(laplacian(x))
+        rough = laplacian(laplacian(x, NEIGHBOURS), NEIGHBOURS)
+        rough *= square
+        rough += A.adjoint(weight * A.forward(x))
+        return rough
 
     b = A.adjoint(weight * y)
     start = np.zeros_like(b) if x0 is None else x0

@@ -101,14 +101,14 @@ class Chain:
         past: Picture = self.A.adjoint(self.weight * self.y) / (density + floor * np.float32(1e-3))
         v: Picture = self._start(past, density, _sigmoid(prior.numbers["lowest"][0]))
         channels: Any = None  # of the stage before
-        stages = len(prior.numbers["trust"])
+        stages, share = len(prior.numbers["trust"]), _around(self.weight > 0)
         for t in range(stages):
             trust, forgive, doubt = (
                 np.float32(np.exp(prior.numbers[name][t])) for name in ("trust", "forgive", "doubt")
             )
             r = self.y - self.A.forward(v)
             size = _size(r)
-            robust = self._believed(size, forgive, doubt)
+            robust = self._believed(size, share, forgive, doubt)
             mass = self.A.adjoint(robust)
             if on_stage is not None:
                 on_stage(t + 1, float(np.sqrt(np.sum(robust * size**2) / np.sum(robust > 0))))
@@ -126,11 +126,11 @@ class Chain:
         change = float(np.sqrt(np.mean((np.abs(v - past) / np.maximum(s, TINY)) ** 2)))
         return v, prior.spread(channels, state), robust, change
 
-    def _believed(self, size: Single, forgive: np.float32, doubt: np.float32) -> Single:
+    def _believed(
+        self, size: Single, share: Single, forgive: np.float32, doubt: np.float32
+    ) -> Single:
         """Return the weights after Huber: what a pixel may be off by grows with its neighbours."""
-        seen = (self.weight > 0).astype(np.float32)
-        square = uniform_filter(size * size * seen, (1, 3, 3), mode="constant")
-        share = uniform_filter(seen, (1, 3, 3), mode="constant")
+        square = _around(np.where(self.weight > 0, size * size, np.float32(0)))
         around = np.sqrt(np.maximum(square, 0) / (share + np.float32(1e-6)))
         limit = forgive * self.sigma + doubt * around
         believed: Single = self.weight * np.minimum(limit / (size + TINY), 1)
@@ -154,6 +154,12 @@ class Chain:
 
         b = self.A.adjoint(robust * self.y) + k * x
         return chebyshev(apply, b, x, mass + k, lowest, steps)
+
+
+def _around(values: NDArray[Any]) -> Single:
+    """Return the sum over 3 x 3 pixels of each frame, over nine."""
+    around: Single = uniform_filter(values.astype(np.float32), (1, 3, 3), mode="constant")
+    return around
 
 
 def _size(r: Picture) -> Single:

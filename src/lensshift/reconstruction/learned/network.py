@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -43,19 +44,19 @@ class Network:
     gain_offset: Single
     points: tuple[Single, ...]
 
-    def __call__(self, pictures: Single, facts: Single) -> Single:
-        """Return [row col out] for folded pictures [row col in] and the facts of the burst."""
+    def __call__(self, seen: Sequence[Single], facts: Single) -> Single:
+        """Return [row col out] for parts [row col ...] of what is seen, and facts of the burst."""
         gains = np.split(1 + facts @ self.facts + self.gain_offset, 2)
-        x, cols = with_margin(pictures), pictures.shape[1]
+        x = with_margin(seen)
         for number, weight in enumerate(self.points):
             if number in (1, 2):  # the gain of a layer rides on the weights of the next
-                weight = weight * np.tile(gains[number - 1], 3)[:, None]
-            x = convolved(x, weight, cols, last=number + 1 == len(self.points))
+                weight = weight * gains[number - 1][:, None]
+            x = convolved(x, weight, seen[0].shape[:2], last=number + 1 == len(self.points))
         return x
 
 
 def fold(pictures: list[Single]) -> Single:
-    """Return pictures [row col] as channels [row/2 col/2 4 n], repeated at an odd end."""
+    """Return pictures [row col] as channels [row/2 col/2 n 2 2], repeated at an odd end."""
     rows, cols = pictures[0].shape
     even = np.empty((len(pictures), rows + rows % 2, cols + cols % 2), np.float32)
     for target, picture in zip(even, pictures, strict=True):
@@ -63,8 +64,7 @@ def fold(pictures: list[Single]) -> Single:
     even[:, rows:] = even[:, rows - 1 : rows]
     even[:, :, cols:] = even[:, :, cols - 1 : cols]
     blocks = even.reshape(len(pictures), even.shape[1] // 2, 2, even.shape[2] // 2, 2)
-    folded: Single = blocks.transpose(1, 3, 0, 2, 4).reshape(*blocks.shape[1:4:2], -1)
-    return folded
+    return blocks.transpose(1, 3, 0, 2, 4)
 
 
 def unfold(channels: Single, shape: tuple[Any, ...]) -> Single:

@@ -95,11 +95,11 @@ def _applied(
     """Return the channels of a stage; those of the one before are remembered from `first` on."""
     folded = fold([state.turn.there(picture) for picture in seen])
     if before is None:
-        remembered = network.layers[0].shape[0] // 9 - folded.shape[2]
+        remembered = network.layers[0].shape[0] // 9 - 4 * len(seen)
         memory = np.zeros((*folded.shape[:2], remembered), np.float32)
     else:
         memory = before[..., first:]
-    return network(np.concatenate([folded, memory], axis=2), facts)
+    return network([folded, memory], facts)
 
 
 def _drawn(channels: Single, state: State) -> Single:
