@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from lensshift import Burst, Reconstruction, reconstruct
-from lensshift.io.preview import write_preview
+from lensshift.report.save import save_figure
+from lensshift.report.shots import shots_figure
 
 USED = (0, 2, 8, 10)
 BORDER_PX = 4
@@ -45,12 +46,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("eia_chart.png"), help="picture to write")
     arguments = parser.parse_args()
     burst = load_chart(arguments.frames)
-    panels = {"one frame": np.kron(burst.amplitude[0], np.ones((2, 2)))}
+    shown = {"one frame": {"amplitude": np.kron(burst.amplitude[0], np.ones((2, 2)))}}
     for method in ("bicubic", "shift-and-add", "auto"):
         result = reconstruct(burst, scale=2, method=method, frames=USED)
         print(f"{method:<14}{prediction_rms(burst, result):6.2f} grey levels RMS")
-        panels[f"{method} x2"] = result.amplitude.image
-    write_preview(panels, arguments.out, "EIA chart, frames 0, 2, 8, 10")
+        shown[f"{method} x2"] = {"amplitude": result.amplitude.image}
+    save_figure(shots_figure(shown, "EIA chart, frames 0, 2, 8, 10"), arguments.out)
     print(f"wrote {arguments.out}")
 
 

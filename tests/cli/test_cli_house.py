@@ -1,4 +1,4 @@
-"""What holds for every verb: help, version, exit codes, start-up, progress, preview."""
+"""What holds for every verb: help, version, exit codes, start-up, progress."""
 
 import os
 import signal
@@ -10,13 +10,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from PIL import Image
 from stand_in import Call
 
 from lensshift.cli import _one_line, main, session
 from lensshift.cli.reconstruct import _WIDTH_SOURCES
 from lensshift.cli.session import Progress, to_json
-from lensshift.io.preview import write_preview
 from lensshift.reconstruction.reconstruct import WidthSource
 
 VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"]]
@@ -174,28 +172,6 @@ def test_json_knows_no_nan_and_no_numpy() -> None:
     assert text == (
         '{ "a": null, "b": [ 0, 1 ], "c": [ "x", true, null ], "d": null, "3": "{1}", "e": true }'
     )
-
-
-def test_preview_uses_one_grey_scale(tmp_path: Path) -> None:
-    low, high = np.zeros((30, 41)), np.ones((30, 41))
-    high[0, 0] = np.nan
-    assert write_preview({"one": low, "two": high}, tmp_path / "p.png", "note") == (0.0, 1.0)
-    with Image.open(tmp_path / "p.png") as picture:
-        sheet = np.asarray(picture)
-    width = 41 * (640 // 41)  # enlarged by a whole factor
-    assert sheet.shape[1] >= 2 * width  # side by side
-    middle = sheet.shape[0] // 2
-    assert sheet[middle, 20 + width // 2] == 0
-    assert sheet[middle, 20 + width + 20 + width // 2] == 255
-    assert sheet[middle, 20 + width + 10] == 0  # the separator
-
-
-@pytest.mark.parametrize("shape", [(5, 64), (3, 2), (700, 3), (1, 1)])
-def test_preview_of_odd_shapes(tmp_path: Path, shape: tuple[int, int]) -> None:
-    image = np.full(shape, np.nan)
-    write_preview({"one": image, "two": image}, tmp_path / "p.png", "nothing but NaN")
-    with Image.open(tmp_path / "p.png") as picture:
-        assert min(picture.size) > 60
 
 
 def test_session_lets_other_warnings_through(capsys: pytest.CaptureFixture[str]) -> None:

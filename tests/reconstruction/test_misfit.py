@@ -65,7 +65,7 @@ def test_chi_square_of_noise_about_a_true_picture_is_one() -> None:
         y = model.operator(x) + SIGMA * noise
         found = find_misfit(model.operator, x, y, np.full(y.shape, SIGMA), 2)
         assert found.chi_square.mean() == pytest.approx(1.0, abs=0.1)
-        assert np.mean(found.significant > 1.0) < 0.02
+        assert np.mean(found.unexplained > 0.0) < 0.02
         assert found.explain(range(4)) is None
 
 

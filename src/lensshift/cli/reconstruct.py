@@ -36,8 +36,7 @@ from lensshift.cli.points import (
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from lensshift.core.point_cloud import PointCloud
     from lensshift.core.types import Burst, Estimate, Reconstruction
 
 _WIDTH_SOURCES = {
@@ -260,9 +259,8 @@ def say_channels(current: Session, result: Reconstruction) -> None:
         known = describe(estimate)
         current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
         for label in ("prior_weight", "noise_sigma", "noise_gain"):
-            value = known[label]
-            text = "not known" if value is None else f"{value:.4g}"
-            current.say(f"  {label.replace('_', ' '):<13}{text}")
+            if known[label] is not None:
+                current.say(f"  {label.replace('_', ' '):<13}{known[label]:.4g}")
 
 
 def _reconstruct(
@@ -317,41 +315,25 @@ def _reconstruct(
 
 
 def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], path: Path) -> None:
-    import numpy as np
-
     import lensshift
-    from lensshift.io.preview import write_preview
+    from lensshift.report.result import result_figure
+    from lensshift.report.save import save_figure
 
     same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
     if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
         same["channel"] = "auto"
     bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
-    channel, estimate = next(iter(result.channels.items()))
-    panels = {
-        f"{result.method} x{result.scale}": estimate.image,
-        f"bicubic x{result.scale} of one frame": bicubic.channels[channel].image,
-    }
-    if estimate.misfit is not None:  # on the grey scale of the others
-        black, white = np.percentile(np.abs(estimate.image), (0.5, 99.5))
-        share = np.clip(np.log10(np.maximum(estimate.misfit, 1.0)), 0.0, 1.0)
-        panels["misfit of the frames: black 1, white 10"] = black + (white - black) * share
-    unit = "m" if channel == "distance" else ""
-    write_preview(panels, path, f"{channel} {unit}".strip(), below=_picture(result))
+    reference = {name: one.image for name, one in bicubic.channels.items()}
+    title = f"{result.method} x{result.scale}"
+    save_figure(result_figure(result, reference, title=title, cloud=_points(result)), path)
 
 
-def _picture(result: Reconstruction) -> NDArray[Any] | None:
-    """Return a picture of the points [row col 3], if it is known where they are."""
+def _points(result: Reconstruction) -> PointCloud | None:
+    """Return the points, if it is known where they are."""
     if result.intrinsics is None or result.distance_m is None:
         return None
     cloud = result.point_cloud()
-    if not len(cloud):
-        return None
-    from lensshift.report.cloud import cloud_figure, drawn_pixels
-
-    said = f"{len(cloud)} points"
-    if result.flying is not None:
-        said += f", without {int(result.flying.sum())} between surfaces"
-    return drawn_pixels(cloud_figure(cloud, said))
+    return cloud if len(cloud) else None
 
 
 def _plan(

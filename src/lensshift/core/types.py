@@ -40,6 +40,7 @@ class Status(Enum):
     """How a reconstruction ended."""
 
     CONVERGED = "converged"
+    COMPLETE = "all stages done"
     MAX_ITERATIONS = "stopped at the iteration limit"
     DIRECT = "computed directly, without iterations"
     CONTRADICTED = "the frames contradict the picture"

