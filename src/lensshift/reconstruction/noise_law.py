@@ -106,22 +106,30 @@ class _Filters:
 def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> NoiseLaw:
     """Return the noise of frames [frame row col] that have one shift each.
 
+    Of phasors that of a component, as a function of the amplitude.
+
     Parameters
     ----------
     offset_px : [frame 2]
+    y : real or complex
     weight : [frame row col] 0 at pixels that must not be used
     blur_px : standard deviation of the pixel response in LR pixels
     """
     some = np.unique(np.linspace(0, len(y) - 1, min(len(y), MOST_FRAMES)).round().astype(int))
     offset = np.round(offset_px[some] - offset_px[some[0]], 6)  # what rounding adds is no new case
     used = _windows(weight[some] > 0)
-    values = _windows(y[some])
-    level = np.median(values[used])
-    values = np.where(used, values - level, 0.0)
+    seen = _windows(y[some])
+    parts = [seen.real, seen.imag] if y.dtype.kind == "c" else [seen]
+    level = 0.0 if y.dtype.kind == "c" else float(np.median(seen[used]))
+    values = np.concatenate([np.where(used, part - level, 0.0) for part in parts])
+    lit = np.concatenate([np.where(used, np.abs(seen) if len(parts) > 1 else seen - level, 0.0)
+                          for _ in parts])  # fmt: skip
+    used = np.concatenate([used for _ in parts])
     unit = float(np.sqrt(np.mean(values**2))) or 1.0
     filters = _filters(offset.tobytes(), len(some), used.shape[-2:], round(float(blur_px), 3))
-    energy, light = _blocks((values / unit).astype(np.float32), used, filters)
-    return _fitted(energy, light, filters.energy).scaled(unit, float(level))
+    values, lit = (part.astype(np.float32) / np.float32(unit) for part in (values, lit))
+    energy, light = _blocks(values, used, filters, lit)
+    return _fitted(energy, light, filters.energy).scaled(unit, level)
 
 
 def constant_noise(sigma: float) -> NoiseLaw:
@@ -130,7 +138,11 @@ def constant_noise(sigma: float) -> NoiseLaw:
 
 
 def light_of(y: Array, used: Mask) -> Array:
-    """Return the light at each pixel [frame row col]: the mean of those around it."""
+    """Return the light at each pixel [frame row col]: the mean of those around it.
+
+    Of phasors the mean amplitude.
+    """
+    y = np.abs(y) if y.dtype.kind == "c" else y
     around = (1, 3, 3)
     seen = uniform_filter(used.astype(np.float32), around, mode="nearest")
     total = uniform_filter(np.where(used, y, 0.0).astype(np.float32), around, mode="nearest")
@@ -182,7 +194,7 @@ def _filters(offset_bytes: bytes, count: int, shape: tuple[int, int], blur_px: f
         np.empty(0),
     )
     white = np.random.default_rng(0).standard_normal((WINDOWS**2, count, *shape), np.float32)
-    energy, _ = _blocks(white, np.ones(white.shape, np.bool_), filters)
+    energy, _ = _blocks(white, np.ones(white.shape, np.bool_), filters, white)
     return replace(filters, energy=energy)
 
 
@@ -206,10 +218,14 @@ def _residuals(values: Array, filters: _Filters, fits: slice) -> Array:
     return np.asarray(rest / filters.gain[fits][:, None, :, None, None])
 
 
-def _blocks(values: Array, used: Mask, filters: _Filters) -> tuple[Array, Array]:
+def _blocks(values: Array, used: Mask, filters: _Filters, lit: Array) -> tuple[Array, Array]:
     """Return mean squares [fit block] of the residuals and the light [block].
 
     Pixels that are not used or stand out are replaced by what the others tell of them.
+
+    Parameters
+    ----------
+    lit : [window frame row col] light
     """
     judged = used & ~_outliers(values, used, filters)
     if not judged.all():
@@ -221,7 +237,7 @@ def _blocks(values: Array, used: Mask, filters: _Filters) -> tuple[Array, Array]
     inner[..., cut[0], cut[1]] = judged[..., cut[0], cut[1]]
     share = _sampled(inner.mean(axis=1))
     energy = _sampled(np.mean(rest**2 * inner, axis=2))
-    light = _sampled(np.mean(values * inner, axis=1))
+    light = _sampled(np.mean(lit * inner, axis=1))
     full = share > 1 / 3 if (share > 1 / 3).any() else share > 0
     return energy[:, full] / share[full], light[full] / share[full]
 
@@ -341,5 +357,6 @@ def _slope(values: Array, light: Array, spread: float) -> tuple[float, float]:
         expected = np.maximum(mean + b * (at - middle), 0.1 * mean)
     b *= max(0.0, 1 - (b_error / b) ** 2) if b else 0.0
     slope = b / mean
-    reach = float(np.max(np.abs(np.array([light.min(), light.max()]) - middle)))
-    return float(np.clip(slope, -0.9 / reach, 0.9 / reach)) if reach else 0.0, float(middle)
+    below, above = float(middle - light.min()), float(light.max() - middle)
+    steepest = 0.9 / max(below, 1e-30), -0.9 / max(above, 1e-30)
+    return float(np.clip(slope, steepest[1], steepest[0])), float(middle)

@@ -45,7 +45,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
     """Exact data steps and a learned prior; the noise decides what is believed of both."""
     law = noise_of(problem)
     used = problem.weight > 0
-    variance = law.variance(light_of(problem.y, used) if law.b else problem.y.real)
+    variance = law.variance(light_of(problem.y, used))
     least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA)
     variance = np.maximum(variance, least**2) / np.where(used, problem.weight, 1.0)
     noise = np.where(used, np.sqrt(variance), np.inf)
@@ -183,7 +183,7 @@ def noise_of(problem: Problem) -> NoiseLaw:
     if told is not None:
         return constant_noise(told)
     y, weight, model = problem.y, problem.weight, problem.model
-    plain = y.dtype.kind != "c" and problem.even_noise and model.shift_spread_px < EVEN_SHIFT_PX
+    plain = problem.even_noise and model.shift_spread_px < EVEN_SHIFT_PX
     if plain and len(y) >= LEAST_FRAMES:
         return noise_law(problem.offset_px, y, weight, problem.blur_sigma_px)
     return constant_noise(estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma)

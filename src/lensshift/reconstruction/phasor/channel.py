@@ -16,9 +16,8 @@ from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
-from lensshift.reconstruction.learned.method import LEAST_SIGMA, solved
+from lensshift.reconstruction.learned.method import LEAST_SIGMA, noise_of, solved
 from lensshift.reconstruction.method import Request
-from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.reconstruction.phasor.noise import relative_variance
@@ -176,9 +175,9 @@ def _noise(problem: Problem) -> NDArray[np.float64]:
     told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
     if told is not None:
         return np.where(seen, told / np.sqrt(np.where(seen, problem.weight, 1.0)), np.inf)
-    level = estimate_noise(problem.model.operator, problem.y, problem.weight).sigma
-    law = np.sqrt(relative_variance(problem.y, problem.weight))
-    return np.where(seen, np.maximum(level * law, LEAST_SIGMA), np.inf)
+    usual = noise_of(problem).variance(np.median(np.abs(problem.y[seen])))
+    sigma = np.sqrt(usual * relative_variance(problem.y, problem.weight))
+    return np.where(seen, np.maximum(sigma, LEAST_SIGMA), np.inf)
 
 
 def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> Estimate:
