@@ -76,12 +76,23 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
             yield Mutant(path, node.lineno, node.col_offset, node.operand.col_offset, "")
 
 
+def is_python(mutant: Mutant) -> bool:
+    """Return whether there is anything to test: a sign before a comma is none."""
+    try:
+        ast.parse(mutant.of(mutant.path.read_text()))
+    except SyntaxError:
+        return False
+    return True
+
+
 def killed(mutant: Mutant, copy: Path) -> bool:
     """Return whether a test fails on the mutant, or does not end."""
     inside = mutant.path.relative_to(ROOT / "src" / "lensshift")
     target, source = copy / "lensshift" / inside, mutant.path.read_text()
     target.write_text(mutant.of(source))
     folders = [str(ROOT / "tests" / name) for name in TESTS[inside.parts[0]]]
+    own = ROOT / "tests" / inside.parts[0] / f"test_{inside.stem}.py"
+    folders = [*([str(own)] if own.exists() else []), *folders]  # what kills most comes first
     options = ["-x", "-q", "-m", "not slow and not hardware", "-p", "no:cacheprovider"]
     try:
         done = subprocess.run(
@@ -103,7 +114,7 @@ def main() -> None:
     ask.add_argument("--seed", type=int, default=1)
     given = ask.parse_args()
     files = [path for name in TESTS for path in (ROOT / "src/lensshift" / name).rglob("*.py")]
-    everything = [mutant for path in sorted(files) for mutant in mutants_of(path)]
+    everything = [one for path in sorted(files) for one in mutants_of(path) if is_python(one)]
     sample = random.Random(given.seed).sample(everything, given.count)
     dead = 0
     with tempfile.TemporaryDirectory() as folder:
