@@ -58,3 +58,13 @@ def test_phasors_of_two_frequencies_are_better_than_their_distances() -> None:
     lines = run_example(EXAMPLES / "two_frequencies.py").splitlines()
     edge_mm = [float(line.split()[1]) for line in lines[1:3]]
     assert edge_mm[1] < 0.8 * edge_mm[0]
+
+
+@pytest.mark.slow
+def test_a_stream_sharpens_and_starts_again_with_another_scene() -> None:
+    lines = [line.split() for line in run_example(EXAMPLES / "live_stream.py").splitlines()]
+    close_db = [float(words[2]) for words in lines]
+    assert close_db[3] > close_db[0] + 5
+    assert close_db[15] > close_db[10] + 3
+    assert [words[7:] for words in lines if words[7:]] == [["scene", "changed"]]
+    assert [words[4] for words in lines[3:8]] == ["refined", "live", "live", "live", "refined"]

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from lensshift.core.point_cloud import PointCloud as PointCloud
     from lensshift.core.types import Burst as Burst
     from lensshift.core.types import Estimate as Estimate
+    from lensshift.core.types import Frame as Frame
     from lensshift.core.types import Reconstruction as Reconstruction
     from lensshift.core.types import ShiftField as ShiftField
     from lensshift.core.types import Status as Status
@@ -64,6 +65,8 @@ if TYPE_CHECKING:
     from lensshift.reconstruction.methods import method_names as method_names
     from lensshift.reconstruction.reconstruct import reconstruct as reconstruct
     from lensshift.reconstruction.shift_refinement import refine_shifts as refine_shifts
+    from lensshift.reconstruction.stream import Stream as Stream
+    from lensshift.reconstruction.stream import stream as stream
     from lensshift.registration import calibrate as calibrate
     from lensshift.registration import register as register
 
@@ -82,6 +85,7 @@ _HOME = {
     "PointCloud": "core.point_cloud",
     "Burst": "core.types",
     "Estimate": "core.types",
+    "Frame": "core.types",
     "Reconstruction": "core.types",
     "ShiftField": "core.types",
     "Status": "core.types",
@@ -106,6 +110,8 @@ _HOME = {
     "method_names": "reconstruction.methods",
     "reconstruct": "reconstruction.reconstruct",
     "refine_shifts": "reconstruction.shift_refinement",
+    "Stream": "reconstruction.stream",
+    "stream": "reconstruction.stream",
     "calibrate": "registration",
     "register": "registration",
 }

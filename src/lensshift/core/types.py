@@ -288,8 +288,7 @@ class Estimate:
     predict : called with a frame number of the burst or an offset (row, col) in LR pixels,
         returns that LR frame as the forward model sees `image`
     notes : what else the method found out, text and numbers
-    misfit : [row col] mean square of the residuals of the frames that touch a pixel, in units of
-        their noise: 1 where all is well; or None
+    misfit : [row col] chi-square of the frames that touch a pixel, 1 where all is well; or None
     """
 
     image: NDArray[Any]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Literal
 
 from lensshift.core.types import Estimate
+from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.options import check_settings, option, truth, weight, whole
 from lensshift.reconstruction.problem import Problem, brightness_of
 
@@ -28,6 +29,7 @@ class Request:
     frames : numbers of the frames in the burst
     told_blur_px : width of the pixel response, lens included, as the user or the burst told it
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
+    memory : what a stream keeps between its steps, or None
     """
 
     prior_weight: Weight = option(None, weight())
@@ -39,6 +41,7 @@ class Request:
     frames: Sequence[int] = ()
     told_blur_px: float | None = None
     shifts_doubted: bool = False
+    memory: Memory | None = None
 
     def __post_init__(self) -> None:
         check_settings(self)

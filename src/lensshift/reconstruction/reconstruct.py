@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
 from lensshift.forward.blur import Blur
+from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import positive, truth
@@ -54,6 +55,7 @@ def reconstruct(
     seed: int = 0,
     std: bool = True,
     on_iteration: Callable[[int, float], None] | None = None,
+    memory: Memory | None = None,
     **options: Any,
 ) -> Reconstruction:
     """Reconstruct a super-resolved image from a burst of shifted frames.
@@ -89,6 +91,7 @@ def reconstruct(
     std : whether the propagated noise is wanted (it is computed when first asked for)
     on_iteration : called with the number of the iteration and the objective; an exception
         raised in it ends the work and leaves nothing behind
+    memory : what a `lensshift.stream` keeps between its steps
     options : the fields of the method
 
     Returns
@@ -119,7 +122,7 @@ def reconstruct(
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     blur = blur if chosen.undoes_lens else without_lens(blur)
     used = _frame_numbers(burst, frames)
-    request = replace(request, frames=used, **_told(response))
+    request = replace(request, frames=used, memory=memory, **_told(response))
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -129,7 +132,7 @@ def reconstruct(
     settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     shifts = part.offset_px if field is None else field.offset_px
     doubt = None
-    if name == "auto" or choice.channel == "phasor":
+    if (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick):
         doubt, request = _doubted(part, shifts, scale, request)
     seen: dict[str, Any] = {"blur": blur, "shift_field": field, "noise_sigma": noise_sigma,
                             "pixel_variance": variance}  # fmt: skip

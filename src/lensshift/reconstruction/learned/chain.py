@@ -55,6 +55,21 @@ class State:
     turn: Turn
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """A picture before the last stage: while the scene rests, new frames need that stage only.
+
+    Parameters
+    ----------
+    v, past : [row col] the picture and what it was a stage before
+    channels : of the stage before
+    """
+
+    v: Picture
+    past: Picture
+    channels: Single
+
+
 class LearnedPrior(Protocol):
     """What improves a picture: the networks of all stages, and the numbers of the data steps."""
 
@@ -92,17 +107,28 @@ class Chain:
     turn: Turn
 
     def run(
-        self, prior: LearnedPrior, on_stage: Callable[[int, float], None] | None = None
-    ) -> tuple[Picture, Single, Single, float]:
-        """Return picture, what is said of its error, the weights, rms of the last step over s."""
+        self,
+        prior: LearnedPrior,
+        on_stage: Callable[[int, float], None] | None = None,
+        held: Held | None = None,
+    ) -> tuple[Picture, Single, Single, float, Held]:
+        """Return picture, what is said of its error, the weights, rms of the last step over s.
+
+        And what a run that begins before the last stage needs; `held` is that of another run.
+        """
         density = self.A.adjoint(self.weight)
         floor = np.float32(LEAST_DENSITY * len(self.y) / self.scale**2)
         noise: Single = 1 / np.sqrt(density + floor)
-        past: Picture = self.A.adjoint(self.weight * self.y) / (density + floor * np.float32(1e-3))
-        v: Picture = self._start(past, density, _sigmoid(prior.numbers["lowest"][0]))
-        channels: Any = None  # of the stage before
         stages, share = len(prior.numbers["trust"]), _around(self.weight > 0)
-        for t in range(stages):
+        if held is None:
+            b = self.A.adjoint(self.weight * self.y)
+            past: Picture = b / (density + floor * np.float32(1e-3))
+            v: Picture = self._start(past, density, _sigmoid(prior.numbers["lowest"][0]))
+            channels: Any = None  # of the stage before
+        else:
+            v, past, channels = held.v, held.past, held.channels
+        for t in range(0 if held is None else stages - 1, stages):
+            half_done = Held(v, past, channels)  # in the end that before the last stage
             trust, forgive, doubt = (
                 np.float32(np.exp(prior.numbers[name][t])) for name in ("trust", "forgive", "doubt")
             )
@@ -124,7 +150,7 @@ class Chain:
                 prior.last_steps if t + 1 == stages else DATA_STEPS,
             )  # fmt: skip
         change = float(np.sqrt(np.mean((np.abs(v - past) / np.maximum(s, TINY)) ** 2)))
-        return v, prior.spread(channels, state), robust, change
+        return v, prior.spread(channels, state), robust, change, half_done
 
     def _believed(
         self, size: Single, share: Single, forgive: np.float32, doubt: np.float32

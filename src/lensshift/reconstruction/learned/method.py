@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
-from lensshift.reconstruction.learned.solver import Solution, solve, solve_phasor
+from lensshift.reconstruction.learned.chain import Held
+from lensshift.reconstruction.learned.memory import Memory, in_burst_units, in_problem_units
+from lensshift.reconstruction.learned.solver import OnStage, Solution, solve, solve_phasor
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
@@ -43,7 +45,7 @@ LEAST_FRAMES = 3
 
 def auto(problem: Problem, request: Request) -> Estimate:
     """Exact data steps and a learned prior; the noise decides what is believed of both."""
-    law = noise_of(problem)
+    law = noise_of(problem, request.memory)
     used = problem.weight > 0
     variance = law.variance(light_of(problem.y, used))
     least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA)
@@ -88,23 +90,16 @@ def solved(
         if request.on_iteration is not None:
             request.on_iteration(len(objective), misfit)
 
+    memory = request.memory
+    kept = None if memory is None else memory.recalled()
+    held = None if kept is None else in_problem_units(kept, problem)
+
     def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
-        solver = solve_phasor if problem.y.dtype.kind == "c" else solve
-        found = solver(
-            problem.model, problem.y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage
-        )
-        A = problem.model.operator
-        if problem.y.dtype.kind == "c":
-            weight = found.weight / np.where(np.isfinite(noise), noise, np.inf) ** 2
-            low_hr_px = LOW_PASS_PX * problem.scale
-            found = replace(
-                found, image=with_means_of(A, found.image, problem.y, weight, low_hr_px)
-            )
-        return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
+        return _solved_once(problem, noise, on_stage, held)
 
     found, misfit = run(noise)
     told_px, width_px = request.told_blur_px, None
-    if told_px is not None and not request.shifts_doubted:
+    if told_px is not None and not request.shifts_doubted and held is None:
         width_px = fitting_width_px(problem, found.image, noise, told_px)
     left, weighed, used = misfit, noise, problem.weight > 0
     # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
@@ -120,6 +115,8 @@ def solved(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
         )
         found, left = run(weighed)
+    if memory is not None:
+        memory.keep(in_burst_units(found.held, problem))
     estimate = Estimate(
         image=found.image,
         objective=tuple(objective),
@@ -132,6 +129,22 @@ def solved(
     sizes = std if std.ndim == 2 else std[:2]  # the third is a correlation
     sizes[...] = np.hypot(sizes, left.unexplained)
     return _judged(estimate, wrong, used, request), std
+
+
+def _solved_once(
+    problem: Problem, noise: NDArray[np.float64], on_stage: OnStage, held: tuple[Held, ...] | None
+) -> tuple[Solution, Misfit]:
+    of_phasors = problem.y.dtype.kind == "c"
+    found = (solve_phasor if of_phasors else solve)(
+        problem.model, problem.y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage,
+        held=held,
+    )  # fmt: skip
+    A = problem.model.operator
+    if of_phasors:
+        weight = found.weight / np.where(np.isfinite(noise), noise, np.inf) ** 2
+        low_hr_px = LOW_PASS_PX * problem.scale
+        found = replace(found, image=with_means_of(A, found.image, problem.y, weight, low_hr_px))
+    return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
 
 
 def with_means_of(
@@ -177,8 +190,20 @@ def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[n
     return np.asarray(np.sqrt(sigma**2 + error_px[:, None, None] ** 2 * steep))
 
 
-def noise_of(problem: Problem) -> NoiseLaw:
+def noise_of(problem: Problem, memory: Memory | None = None) -> NoiseLaw:
     """Return the noise of an LR pixel in units of the problem: as told, else as the frames say."""
+    known = None if memory is None else memory.recalled()
+    law: NoiseLaw = (
+        _estimated_noise(problem)
+        if known is None
+        else known.scaled(1 / problem.intensity, -problem.level / problem.intensity)
+    )
+    if memory is not None:
+        memory.keep(law.scaled(problem.intensity, problem.level))
+    return law
+
+
+def _estimated_noise(problem: Problem) -> NoiseLaw:
     told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
     if told is not None:
         return constant_noise(told)

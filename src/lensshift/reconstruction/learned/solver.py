@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.forward.model import ForwardModel
-from lensshift.reconstruction.learned.chain import TINY, Chain, LearnedPrior, Picture, Single
+from lensshift.reconstruction.learned.chain import (
+    TINY,
+    Chain,
+    Held,
+    LearnedPrior,
+    Picture,
+    Single,
+)
 from lensshift.reconstruction.learned.network import learned_weights
 from lensshift.reconstruction.learned.priors import BrightnessPrior, PhasorPrior
 from lensshift.reconstruction.learned.turn import turn_of
@@ -39,12 +46,14 @@ class Solution:
         phasor, that across it, and the correlation of the two
     weight : [frame row col] 0 .. 1, how much of each LR pixel was believed in the end
     change : rms change of the picture in the last stage over the std of what it began with
+    held : of each tile, what another burst of the same shifts and scene can begin with
     """
 
     image: NDArray[np.inexact[Any]]
     std: NDArray[np.float64]
     weight: Single
     change: float
+    held: tuple[Held, ...] = ()
 
 
 def solve(
@@ -54,6 +63,7 @@ def solve(
     *,
     blur_px: float,
     on_stage: OnStage | None = None,
+    held: tuple[Held, ...] | None = None,
 ) -> Solution:
     """Return the picture that explains the frames y = A x + n.
 
@@ -64,17 +74,29 @@ def solve(
     sigma : [frame row col] noise of each LR pixel; infinite where a pixel must not be used
     blur_px : standard deviation of the pixel response in LR pixels
     on_stage : called with the number of the stage and the misfit in units of the noise
+    held : of an earlier solution, in the units of y: only the last stage is done
     """
     used = np.isfinite(sigma)
     unit, level = float(np.mean(sigma[used])), float(np.median(y[used]))
     known = np.where(used, (y - level) / unit, 0.0).astype(np.float32)
-    found = _in_tiles(_brightness_prior(), model, known, sigma / unit, blur_px, on_stage)
+    start = None if held is None else _moved(held, 1 / unit, -level / unit, np.float32)
+    found = _in_tiles(_brightness_prior(), model, known, sigma / unit, blur_px, on_stage, start)
     return Solution(
         image=found.image * unit + level,
         std=found.std[0] * (STD_SCALE * unit),
         weight=found.weight,
         change=found.change,
+        held=_moved(found.held, unit, level, np.float64),
     )
+
+
+def _moved(held: tuple[Held, ...], factor: Any, level: float, kind: Any) -> tuple[Held, ...]:
+    """Return pictures times a factor plus a level, in another precision."""
+    return tuple(
+        Held((one.v * factor + level).astype(kind), (one.past * factor + level).astype(kind),
+             one.channels)
+        for one in held
+    )  # fmt: skip
 
 
 def solve_phasor(
@@ -84,6 +106,7 @@ def solve_phasor(
     *,
     blur_px: float,
     on_stage: OnStage | None = None,
+    held: tuple[Held, ...] | None = None,
 ) -> Solution:
     """Return the phasors that explain the frames; see `solve`.
 
@@ -96,13 +119,15 @@ def solve_phasor(
     unit, middle = float(np.mean(sigma[used])), np.sum(y[used])
     turn = np.conj(middle) / abs(middle) if abs(middle) > 0 else 1.0
     known = np.where(used, y * (turn / unit), 0.0).astype(np.complex64)
-    found = _in_tiles(_phasor_prior(), model, known, sigma / unit, blur_px, on_stage)
+    start = None if held is None else _moved(held, turn / unit, 0.0, np.complex64)
+    found = _in_tiles(_phasor_prior(), model, known, sigma / unit, blur_px, on_stage, start)
     scale = np.array([unit, unit, 1.0])
     return Solution(
         image=found.image * (unit * np.conj(turn)),
         std=found.std * scale[:, None, None],
         weight=found.weight,
         change=found.change,
+        held=_moved(found.held, unit * np.conj(turn), 0.0, np.complex128),
     )
 
 
@@ -123,6 +148,7 @@ def _in_tiles(
     sigma: NDArray[np.float64],
     blur_px: float,
     on_stage: OnStage | None,
+    held: tuple[Held, ...] | None,
 ) -> Solution:
     """Return the solution of a burst in units of its noise."""
     used = np.isfinite(sigma)
@@ -131,15 +157,17 @@ def _in_tiles(
     facts, turn = _facts(blur_px * model.scale, model.scale, len(y)), turn_of(model.mean_offset_px)
     image = np.empty(model.hr_shape, np.complex128 if y.dtype.kind == "c" else np.float64)
     spread: list[NDArray[np.float64]] = []
-    believed, changes = np.empty(y.shape, np.float32), []
-    for part, inner in _tiles(model.lr_shape, model.scale):
+    believed, changes, kept = np.empty(y.shape, np.float32), [], []
+    for number, (part, inner) in enumerate(_tiles(model.lr_shape, model.scale)):
         frames = (slice(None), *part)
         whole = all(p == slice(0, n) for p, n in zip(part, model.lr_shape, strict=True))
         operator = (model if whole else model.crop(*part)).operator
         chain = Chain(
             operator, y[frames], relative[frames], weight[frames], facts, model.scale, turn
         )
-        v, s, robust, change = chain.run(prior, on_stage)
+        start = None if held is None else held[number]
+        v, s, robust, change, half_done = chain.run(prior, on_stage, start)
+        kept.append(half_done)
         rows, cols = (slice(i.start - p.start, i.stop - p.start)
                       for i, p in zip(inner, part, strict=True))  # fmt: skip
         to, of = (_times(place, model.scale) for place in (inner, (rows, cols)))
@@ -149,7 +177,8 @@ def _in_tiles(
             whole_picture[to] = tile[of]
         believed[(slice(None), *inner)] = robust[:, rows, cols]
         changes.append(change)
-    return Solution(image, np.stack(spread), believed / np.maximum(weight, TINY), max(changes))
+    believed /= np.maximum(weight, TINY)
+    return Solution(image, np.stack(spread), believed, max(changes), tuple(kept))
 
 
 def _tiles(lr_shape: tuple[int, int], scale: int) -> list[tuple[Region, Region]]:

@@ -136,7 +136,9 @@ def _one_frequency(
         part, frames.phasor, scale, blur=blur, shift_field=shift_field, noise_sigma=noise_sigma,
         pixel_variance=pixel_variance,
     )  # fmt: skip
-    sigma = _noise(problem)
+    turned_rad = frames.scale.reference_m * frames.scale.rad_per_m
+    problem = replace(problem, phase_rad=turned_rad)
+    sigma = _noise(problem, request)
     seen = problem.weight > 0
     typical = float(np.median(sigma[seen]))
     if method == "auto":
@@ -169,13 +171,13 @@ def _check(method: str, request: Request, photometric: bool) -> None:
         raise ValueError("photometric estimation expects real frames, not the phasor channel")
 
 
-def _noise(problem: Problem) -> NDArray[np.float64]:
+def _noise(problem: Problem, request: Request) -> NDArray[np.float64]:
     """Return the noise [frame row col] of a component: as told, or estimated with its law."""
     seen = problem.weight > 0
     told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
     if told is not None:
         return np.where(seen, told / np.sqrt(np.where(seen, problem.weight, 1.0)), np.inf)
-    usual = noise_of(problem).variance(np.median(np.abs(problem.y[seen])))
+    usual = noise_of(problem, request.memory).variance(np.median(np.abs(problem.y[seen])))
     sigma = np.sqrt(usual * relative_variance(problem.y, problem.weight))
     return np.where(seen, np.maximum(sigma, LEAST_SIGMA), np.inf)
 

@@ -1,0 +1,57 @@
+"""What a stream keeps of one step for the next."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from lensshift.reconstruction.learned.chain import Held
+from lensshift.reconstruction.problem import Problem
+
+
+@dataclass(slots=True)
+class Memory:
+    """Laws of noise and half-done pictures of a step, in the order in which the next one asks.
+
+    Parameters
+    ----------
+    quick : whether the step that runs takes what is remembered and does the last stage only; else
+        it computes all anew
+    """
+
+    quick: bool = False
+    _before: deque[Any] = field(default_factory=deque)
+    _now: list[Any] = field(default_factory=list)
+
+    def begin(self, *, quick: bool) -> None:
+        """Begin a step; what the last one kept is remembered."""
+        self.quick = quick
+        self._before, self._now = deque(self._now), []
+
+    def recalled(self) -> Any:
+        """Return what was kept at this point of the step before, None if it is to be made anew."""
+        found = self._before.popleft() if self._before else None
+        return found if self.quick else None
+
+    def keep(self, thing: Any) -> None:
+        """Keep something for this point of the next step."""
+        self._now.append(thing)
+
+
+def in_burst_units(held: tuple[Held, ...], problem: Problem) -> tuple[Held, ...]:
+    """Return pictures of a problem in the units of its burst, which the next problem shares."""
+    return tuple(
+        Held(one.v * problem.unit + problem.level, one.past * problem.unit + problem.level,
+             one.channels)
+        for one in held
+    )  # fmt: skip
+
+
+def in_problem_units(held: tuple[Held, ...], problem: Problem) -> tuple[Held, ...]:
+    """Undo `in_burst_units`, perhaps for another problem."""
+    return tuple(
+        Held((one.v - problem.level) / problem.unit, (one.past - problem.level) / problem.unit,
+             one.channels)
+        for one in held
+    )  # fmt: skip

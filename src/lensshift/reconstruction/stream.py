@@ -1,0 +1,225 @@
+"""Frames one at a time: a picture after each of them, while the lens goes round its plan."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst, Estimate, Frame, Reconstruction, Status
+from lensshift.reconstruction.learned.memory import Memory
+from lensshift.reconstruction.method import Method
+from lensshift.reconstruction.methods import make_method
+from lensshift.reconstruction.options import one_of
+from lensshift.reconstruction.reconstruct import reconstruct
+
+Array = NDArray[Any]
+Pace = Literal["auto", "live", "refined"]
+
+# A frame is of another scene where most pixels are farther from the picture than noise and shifts
+# explain (`misfit.LIMIT` and `misfit.ALLOWED_SHIFT_PX` are those of a solved burst).
+CONTRADICTS, ALLOWED_SHIFT_PX, MOST = 4.0, 0.1, 0.5
+# A frame was taken elsewhere on the plan if there it leaves less than this part of the squares.
+BETTER_PLACE = 0.5
+# Rounds of the plan after which all is computed anew, so that nothing drifts.
+REFINED_ROUNDS = 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What a frame says against the picture: the share of pixels, and the sum of their squares."""
+
+    share: float
+    squares: float
+
+
+class Stream:
+    """The picture of the last frames of a camera whose lens goes round a plan; see `stream`."""
+
+    def __init__(self, template: Burst, scale: int, pace: Pace, settings: dict[str, Any]) -> None:
+        self._template, self._scale, self._pace = template, scale, pace
+        self._settings = settings
+        self._frames: dict[int, Frame] = {}
+        self._memory = Memory()
+        self._result: Reconstruction | None = None
+        self._next = self._since_refined = 0
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """The places of the plan whose frames are in the picture, the latest last."""
+        return tuple(self._frames)
+
+    def step(self, frame: Frame | ArrayLike, *, place: int | None = None) -> Reconstruction:
+        """Take one frame and return the picture.
+
+        Its settings say what was done: `pace` "live" (the last stage, from the picture before) or
+        "refined" (all, as `reconstruct`), `places` of the frames in it, and `event`: "scene
+        changed", "frames lost" or None.
+
+        Parameters
+        ----------
+        frame : a `Frame`, or its amplitudes or phasors [row col]
+        place : where on the plan it was taken; by default the place after the last one
+
+        Raises
+        ------
+        ValueError
+            If the place is not on the plan, or the frame is of another shape.
+        """
+        one = frame if isinstance(frame, Frame) else _frame_of(frame)
+        if one.amplitude.shape != self._template.grid.shape:
+            raise ValueError(
+                f"expected a frame of {self._template.grid.shape}, got {one.amplitude.shape}"
+            )
+        at, event = self._placed(one, place)
+        if event == "scene changed":
+            self._frames.clear()
+        count, rested = self._template.frame_count, len(self._frames)
+        self._frames.pop(at, None)
+        self._frames[at] = one
+        self._next = (at + 1) % count
+        due = self._pace == "auto" and self._since_refined + 1 >= REFINED_ROUNDS * count
+        live = self._pace != "refined" and not due and event is None and rested == count
+        return self._solved(event, live=live)
+
+    def _solved(self, event: str | None, *, live: bool) -> Reconstruction:
+        places = sorted(self._frames)
+        burst = _burst_of(self._template, places, [self._frames[k] for k in places])
+        memory, self._memory = self._memory, Memory()  # what is interrupted is not remembered
+        memory.begin(quick=live)
+        found = reconstruct(burst, self._scale, memory=memory, **self._settings)
+        self._memory = memory
+        self._since_refined = self._since_refined + 1 if live else 0
+        said = {"pace": "live" if live else "refined", "places": places, "event": event}
+        self._result = replace(found, settings=dict(found.settings) | said)
+        return self._result
+
+    def _placed(self, frame: Frame, place: int | None) -> tuple[int, str | None]:
+        """Return where a frame was taken, and what happened if the picture is another there."""
+        count = self._template.frame_count
+        if place is not None and not 0 <= place < count:
+            raise ValueError(f"expected a place from 0 to {count - 1}, got {place}")
+        at = self._next if place is None else place
+        if self._result is None or at not in self._frames:  # what nobody saw may be anything
+            return at, None
+        seen = self._seen(frame, at)
+        if seen.share == 0.0:
+            return at, None
+        if place is None and len(self._frames) == count:
+            others = {k: self._seen(frame, k) for k in range(count) if k != at}
+            best = min(others, key=lambda k: others[k].squares)
+            if others[best].squares < BETTER_PLACE * seen.squares:
+                self._warn(f"frames were lost: the one after place {self._next} is of {best}")
+                return best, "frames lost"
+        if seen.share > MOST:
+            self._warn("the scene changed: what was seen before is left out")
+            return at, "scene changed"
+        return at, None
+
+    def _seen(self, frame: Frame, at: int) -> _Seen:
+        """Compare a frame with what the picture says of a place of the plan."""
+        estimate = None if self._result is None else self._result.amplitude
+        if estimate is None:  # a stream of distances alone
+            return _Seen(0.0, 0.0)
+        expected = estimate.predict(self._template.offset_px[at])
+        slopes = np.gradient(expected) if min(expected.shape) > 1 else [np.zeros_like(expected)]
+        noise = _noise_of(estimate)
+        variance = noise**2 + ALLOWED_SHIFT_PX**2 * sum(np.abs(s) ** 2 for s in slopes)
+        seen = np.where(frame.valid, np.abs(np.abs(frame.amplitude) - np.abs(expected)), 0.0) ** 2
+        around = uniform_filter(seen / np.maximum(variance, 1e-30), 3)
+        inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
+        return _Seen(float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner])))
+
+    def _warn(self, text: str) -> None:
+        warnings.warn(text, QualityWarning, stacklevel=4)
+
+
+def stream(
+    plan: ArrayLike | Burst,
+    scale: int = 2,
+    method: str | Method = "auto",
+    *,
+    pitch_mm: float | tuple[float, float] = 1.0,
+    shape: tuple[int, int] | None = None,
+    modulation_hz: float | None = None,
+    pace: Pace = "auto",
+    **settings: Any,
+) -> Stream:
+    """Return what takes frames one at a time and gives a picture after each.
+
+    The last frame of each place of the plan is in the picture. A frame that most of the picture
+    contradicts begins a new one ("scene changed"); one that fits another place of the plan goes
+    there ("frames lost"). While the scene rests, a new frame costs the last stage of the solver
+    only, which begins with what the stages before it made of earlier frames.
+
+    Parameters
+    ----------
+    plan : the shifts [place 2] (row, col) that the lens goes round, in LR pixels, or a burst that
+        has them, whose grid, modulation, intrinsics and pixel response are those of the stream
+    scale, method : as in `reconstruct`; other methods than "auto" are always "refined"
+    pitch_mm, shape, modulation_hz : of the frames, where the plan is no burst
+    pace : "live": the last stage wherever the scene rests; "refined": all stages at each step;
+        "auto": all stages once a round of the plan
+    settings : of `reconstruct`
+
+    Raises
+    ------
+    ValueError
+        If the plan is none, or a setting is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np, lensshift
+    >>> square = [(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)]
+    >>> camera = lensshift.stream(square, shape=(16, 64))
+    >>> picture = camera.step(np.ones((16, 64)))
+    >>> picture.amplitude.image.shape
+    (32, 128)
+    """
+    one_of("auto", "live", "refined").check("pace", pace)
+    name = make_method(method, dict(settings.pop("options", {}))).name
+    if isinstance(plan, Burst):
+        template = plan
+    else:
+        offset_px = np.asarray(plan, np.float64)
+        if offset_px.ndim != 2 or offset_px.shape[1] != 2 or not len(offset_px):
+            raise ValueError(f"expected a plan [place 2] of shifts, got shape {offset_px.shape}")
+        if shape is None:
+            raise ValueError("shape: expected (rows, cols) of the frames")
+        template = Burst.from_arrays(
+            np.zeros((len(offset_px), *shape)), offset_px=offset_px, pitch_mm=pitch_mm,
+            modulation_hz=modulation_hz,
+        )  # fmt: skip
+    paced: Pace = pace if name == "auto" else "refined"
+    return Stream(template, scale, paced, {"method": method} | settings)
+
+
+def _frame_of(values: ArrayLike) -> Frame:
+    amplitude = np.asarray(values)
+    if amplitude.ndim != 2:
+        raise ValueError(f"expected a frame [row col], got shape {amplitude.shape}")
+    return Frame(amplitude, None, np.isfinite(amplitude), float("nan"))
+
+
+def _burst_of(template: Burst, places: list[int], frames: list[Frame]) -> Burst:
+    """Return the frames of some places as a burst."""
+    having = [one.distance_m for one in frames if one.distance_m is not None]
+    part = template.select(places)
+    return replace(
+        part,
+        amplitude=np.stack([one.amplitude for one in frames]),
+        distance_m=np.stack(having) if len(having) == len(frames) else None,
+        valid=np.stack([one.valid for one in frames]),
+        time_s=None, raw={}, phasors=None,
+    )  # fmt: skip
+
+
+def _noise_of(estimate: Estimate) -> float:
+    """Return the noise of a pixel of the frames; a complex one has it twice."""
+    noise = estimate.noise_sigma or 0.0
+    return noise if estimate.status is not Status.NOT_FINITE else float("inf")

@@ -1,0 +1,176 @@
+"""Frames one at a time: as good as whole bursts, quick while the scene rests, and not fooled."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from mosaic import canvas, observe, phasor_mosaic
+
+import lensshift
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Frame
+from lensshift.core.units import distance_to_phase
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
+
+SHAPE, SCALE = (21, 26), 2
+SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)])
+SQUARE_PIXEL_PX = 1 / np.sqrt(12)
+PER_M = distance_to_phase(1.0, 15e6)
+INNER = (slice(4, -4), slice(4, -4))
+
+
+def scene(seed):
+    return observe(canvas(np.random.default_rng(seed), SHAPE), SHAPE, rng=np.random.default_rng(0))
+
+
+def clean_frames(truth, offset_px=SQUARE_PX):
+    model = forward_model(SHAPE, SCALE, offset_px, blur=GaussianBlur(SQUARE_PIXEL_PX))
+    return model.operator.forward(truth)
+
+
+def camera(**settings):
+    return lensshift.stream(SQUARE_PX, SCALE, shape=SHAPE, **settings)
+
+
+def error(result, truth):
+    return float(np.sqrt(np.mean((np.abs(result.amplitude.image) - np.abs(truth))[INNER] ** 2)))
+
+
+def run(one, clean, count, *, sigma, rng, first=0, place=None):
+    """Step through frames of a resting scene; the places go on round and round."""
+    found = []
+    for number in range(first, first + count):
+        y = clean[number % 4]
+        noise = sigma * rng.standard_normal(y.shape)
+        if y.dtype.kind == "c":
+            noise = noise + 1j * sigma * rng.standard_normal(y.shape)
+        found.append(one.step(y + noise, place=None if place is None else number % 4))
+    return found
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_a_resting_scene_is_as_sharp_at_the_live_pace(seed):
+    truth, rng = scene(seed).truth, np.random.default_rng(seed)
+    clean, errors = clean_frames(truth), {}
+    for pace in ("live", "refined", "auto"):
+        found = run(camera(pace=pace), clean, 16, sigma=0.02, rng=rng)
+        errors[pace] = np.mean([error(one, truth) for one in found[8:]])
+        paces = [one.settings["pace"] for one in found[4:]]
+        assert paces == {"live": ["live"] * 12, "refined": ["refined"] * 12}.get(
+            pace, (["live"] * 3 + ["refined"]) * 3
+        )
+    assert errors["live"] < 1.06 * errors["refined"]  # 0.5 dB
+    assert errors["auto"] < 1.06 * errors["refined"]
+
+
+def test_phasors_stream_as_well():
+    mosaic, rng = phasor_mosaic(3, SHAPE), np.random.default_rng(0)
+    clean, errors = clean_frames(mosaic.truth), {}
+    for pace in ("live", "refined"):
+        one = camera(pace=pace, modulation_hz=15e6, channel="phasor")
+        found = run(one, clean, 14, sigma=mosaic.sigma, rng=rng)
+        errors[pace] = np.mean([error(r, mosaic.truth) for r in found[8:]])
+        assert found[-1].distance_m is not None
+        assert found[-1].settings["pace"] == pace
+    assert errors["live"] < 1.1 * errors["refined"]
+
+
+def test_the_refined_pace_is_reconstruct():
+    truth = scene(21).truth
+    y = clean_frames(truth) + 0.01 * np.random.default_rng(1).standard_normal((4, *SHAPE))
+    one = camera(pace="refined")
+    for number in range(4):
+        found = one.step(y[number])
+        burst = lensshift.Burst.from_arrays(
+            y[: number + 1], offset_px=SQUARE_PX[: number + 1], pitch_mm=1.0
+        )
+        expected = lensshift.reconstruct(burst, SCALE)
+        np.testing.assert_array_equal(found.amplitude.image, expected.amplitude.image)
+        assert found.settings["places"] == list(range(number + 1))
+
+
+def test_another_scene_is_noticed_and_shown_within_a_round():
+    before, after = scene(31).truth, scene(32).truth
+    rng, one = np.random.default_rng(5), camera()
+    run(one, clean_frames(before), 6, sigma=0.02, rng=rng)
+    with pytest.warns(QualityWarning, match="scene changed"):
+        found = run(one, clean_frames(after), 4, sigma=0.02, rng=rng, first=6)
+    events = [result.settings["event"] for result in found]
+    assert events == ["scene changed", None, None, None]
+    alone = run(camera(), clean_frames(after), 4, sigma=0.02, rng=rng)
+    assert error(found[-1], after) < 1.1 * error(alone[-1], after)
+
+
+def test_lost_frames_are_noticed():
+    truth, rng = scene(41).truth, np.random.default_rng(6)
+    clean, one = clean_frames(truth), camera()
+    usual = error(run(one, clean, 8, sigma=0.02, rng=rng)[-1], truth)
+    with pytest.warns(QualityWarning, match="frames were lost"):
+        found = run(one, clean, 4, sigma=0.02, rng=rng, first=10)  # two are missing
+    assert [result.settings["event"] for result in found] == ["frames lost", None, None, None]
+    assert all(error(result, truth) < 1.2 * usual for result in found)
+
+
+def test_frames_that_say_where_they_are_from_may_come_in_any_order():
+    truth, rng = scene(42).truth, np.random.default_rng(7)
+    clean, one = clean_frames(truth), camera()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for place in (0, 2, 1, 3, 3, 0, 2):
+            noisy = clean[place] + 0.02 * rng.standard_normal(SHAPE)
+            found = one.step(noisy, place=place)
+    assert one.frames[-1] == 2
+    assert found.settings["places"] == [0, 1, 2, 3]
+
+
+def test_frames_with_holes_and_distances_and_a_burst_as_plan():
+    clean, rng = clean_frames(scene(51).truth), np.random.default_rng(9)
+    clean += 0.1 - clean.min()
+    noise = 0.01 * (rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape))
+    amplitude, distance_m = np.abs(clean + noise), 3 + np.angle(clean + noise) / PER_M
+    template = lensshift.Burst.from_arrays(
+        amplitude, distance_m, offset_px=SQUARE_PX, pitch_mm=0.1, modulation_hz=15e6
+    )
+    one, valid = lensshift.stream(template), np.ones(SHAPE, bool)
+    valid[3, 4] = False
+    for k in (0, 1, 2, 3, 0):
+        found = one.step(Frame(amplitude[k], distance_m[k], valid, float(k)))
+    assert found.distance_m is not None
+    error_m = found.distance_m.image[INNER] - 3
+    assert np.sqrt(np.mean(error_m**2)) < 0.5 * np.std(distance_m)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: lensshift.stream([[0, 0, 0]], shape=SHAPE), "plan"),
+        (lambda: lensshift.stream(SQUARE_PX), "shape"),
+        (lambda: camera(pace="hurry"), "pace"),
+        (lambda: camera(method="magic"), "magic"),
+        (lambda: camera().step(np.ones((3, 4))), r"\(21, 26\)"),
+        (lambda: camera().step(np.ones(5)), "row col"),
+        (lambda: camera().step(np.ones(SHAPE), place=4), "place"),
+    ],
+)
+def test_what_cannot_be_is_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_an_interrupted_step_leaves_a_stream_that_goes_on():
+    truth, rng = scene(61).truth, np.random.default_rng(8)
+    clean, seen = clean_frames(truth), []
+
+    def stop(number, misfit):
+        seen.append(number)
+        if len(seen) == 25:
+            raise KeyboardInterrupt
+
+    one = camera(on_iteration=stop)
+    with pytest.raises(KeyboardInterrupt):
+        run(one, clean, 12, sigma=0.02, rng=rng)
+    found = run(one, clean, 8, sigma=0.02, rng=rng, place=True)
+    assert error(found[-1], truth) < 0.05
