@@ -200,3 +200,11 @@ def test_other_units_than_metres_and_hertz_are_questioned(
         )
     assert [w.category for w in caught] == ([QualityWarning] if doubted else [])
     assert str(caught[0].message).startswith(doubted) if doubted else True
+
+
+@pytest.mark.parametrize("sent", [5.0, np.ones(3), np.ones((1, 2, 4, 6))])
+def test_what_the_camera_sent_has_an_entry_a_frame(sent: object) -> None:
+    with pytest.raises(DataError, match="raw_sent"):
+        Burst.from_arrays(
+            np.ones((2, 4, 6)), offset_px=np.zeros((2, 2)), pitch_mm=0.1, raw={"sent": sent}
+        )

@@ -170,3 +170,13 @@ def test_points_need_distances_and_intrinsics() -> None:
         points_m(np.ones(3), BENT)
     with pytest.raises(ValueError, match="expected row of shape"):
         PointCloud(np.ones((4, 3)), np.ones(3, int), np.ones(4, int))
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (2, 9), (3, 2), (4, 3)])
+def test_directions_of_few_pixels_are_refined_too(shape: tuple[int, int]) -> None:
+    """Through two pixels goes a line, through three a parabola."""
+    grid = Grid(shape, (0.1, 0.1))
+    pinhole = Pinhole.of_field(grid, np.deg2rad(20.0))
+    fine = PixelDirections(pinhole.directions(shape)).refine(2)
+    wanted = pinhole.refine(2).directions((2 * shape[0], 2 * shape[1]))
+    np.testing.assert_allclose(fine.direction, wanted, atol=3e-3)

@@ -349,3 +349,16 @@ def test_frames_of_another_brightness_raise_a_warning() -> None:
     gain = np.array([1.0, 1.3, 1.0, 0.7])[:, None, None]
     with pytest.warns(QualityWarning, match="brightness"):
         reconstruct(replace(burst, amplitude=gain * burst.amplitude), std=False)
+
+
+@pytest.mark.parametrize("shape", [(1, 30), (30, 1)])
+def test_a_line_of_pixels_has_distances(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal((2, 4, *shape))
+    z = np.exp(1j) + 0.01 * (noise[0] + 1j * noise[1])
+    axis = int(np.argmax(shape))
+    offset_px = np.zeros((4, 2))
+    offset_px[:, axis] = [-0.25, 0.25, -0.25, 0.25]
+    burst = Burst.from_arrays(z, offset_px=offset_px, pitch_mm=0.1, modulation_hz=15e6)
+    found_m = images(reconstruct(burst, channel="phasor"))[1]
+    np.testing.assert_allclose(found_m, phase_to_distance(1.0, 15e6), atol=0.05)
