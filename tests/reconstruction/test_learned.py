@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
 
-from lensshift import Burst, reconstruct
+from lensshift import Burst, ShiftField, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned import convolution, network, solver
@@ -20,6 +20,7 @@ from lensshift.reconstruction.problem import make_problem
 
 BOX_PX = 1 / np.sqrt(12)
 INNER = (slice(4, -4), slice(4, -4))
+SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
 
 
 def solved(burst, *, a=1.0, b=0.0, sigma=None):
@@ -244,6 +245,22 @@ def test_given_variances_are_the_noise(seed):
     problem = _problem(burst.y, pixel_variance=variance)
     told = noise_of(problem).sigma / np.sqrt(problem.weight)
     np.testing.assert_allclose(told * problem.intensity, np.sqrt(variance), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("spread_px", "constant"), [(0.01, False), (0.2, True)])
+def test_shifts_that_differ_over_the_sensor_leave_one_number_for_the_noise(spread_px, constant):
+    """The law of the noise knows one shift a frame; with others it would take the scene for it."""
+    rng, shape = np.random.default_rng(3), (40, 60)
+    light = np.broadcast_to(np.linspace(1.0, 5.0, shape[1]), (4, *shape))
+    y = light + 0.05 * np.sqrt(light) * rng.standard_normal(light.shape)
+    burst = Burst.from_arrays(y, offset_px=SQUARE_PX, pitch_mm=0.1)
+    field_px = np.broadcast_to(SQUARE_PX[:, None, None], (4, *shape, 2)).copy()
+    field_px[..., 1] += spread_px * np.linspace(-1, 1, shape[1])
+    problem = make_problem(
+        burst, burst.amplitude, 2, blur=GaussianBlur(BOX_PX), noise_sigma=None,
+        shift_field=ShiftField(field_px),
+    )  # fmt: skip
+    assert (noise_of(problem).b == 0.0) is constant
 
 
 def test_an_error_bar_is_not_passed_off_as_noise():

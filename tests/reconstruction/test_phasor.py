@@ -362,3 +362,15 @@ def test_a_line_of_pixels_has_distances(shape: tuple[int, int]) -> None:
     burst = Burst.from_arrays(z, offset_px=offset_px, pitch_mm=0.1, modulation_hz=15e6)
     found_m = images(reconstruct(burst, channel="phasor"))[1]
     np.testing.assert_allclose(found_m, phase_to_distance(1.0, 15e6), atol=0.05)
+
+
+def test_slopes_are_no_noise_that_grows_with_the_light() -> None:
+    """Constants, slopes along both axes and their product leave nothing: the law is flat."""
+    rng = np.random.default_rng(5)
+    row, col = np.meshgrid(np.linspace(0, 1, 31), np.linspace(0, 1, 40), indexing="ij")
+    amplitude = 1 + 4 * row + 3 * col + 2 * row * col
+    noise = rng.standard_normal((2, 4, *amplitude.shape))
+    phasor = amplitude * np.exp(0.7j) + 0.003 * (noise[0] + 1j * noise[1])
+    found = relative_variance(phasor, np.ones(phasor.shape))
+    np.testing.assert_allclose(found, 1.0, atol=0.35)
+    assert abs(found.mean() - 1) < 0.15
