@@ -207,15 +207,22 @@ def _residuals(values: Array, filters: _Filters, fits: slice) -> Array:
     """Return the residuals [fit window frame row col] of the fits, in units of those of noise."""
     shape = values.shape[-2:]
     pads = [min(PAD_PX, n - 1) for n in shape]
-    wide = np.pad(
-        values, ((0, 0), (0, 0), *((p, p) for p in pads)), mode="reflect", reflect_type="odd"
-    )
+    wide = _continued(_continued(values, pads[0], 2), pads[1], 3)
     padded = _padded_shape(shape)
     spectrum = fft.rfft2(wide, padded)
     found = np.einsum("skjrc,wjrc->swkrc", filters.response[fits], spectrum)
     rows, cols = (slice(pad, pad + n) for pad, n in zip(pads, shape, strict=True))
     rest = fft.irfft2(found, padded)[..., rows, cols]
     return np.asarray(rest / filters.gain[fits][:, None, :, None, None])
+
+
+def _continued(values: Array, pad: int, axis: int) -> Array:
+    """Return values that go on beyond the border as their mirror image about it, turned over."""
+    if pad == 0:
+        return values
+    moved = np.moveaxis(values, axis, 0)
+    parts = [2 * moved[:1] - moved[pad:0:-1], moved, 2 * moved[-1:] - moved[-2 : -pad - 2 : -1]]
+    return np.moveaxis(np.concatenate(parts), 0, axis)
 
 
 def _blocks(values: Array, used: Mask, filters: _Filters, lit: Array) -> tuple[Array, Array]:
@@ -266,17 +273,17 @@ def _alone(values: Array) -> Array:
 
 def _usual(rest: Array, used: Mask) -> Array:
     """Return the usual size of the residual around each pixel [window 1 row col]."""
-    rows, cols = rest.shape[-2:]
-    size = np.where(used, np.abs(rest), np.nan)
-    out = np.empty((len(rest), 1, rows, cols), np.float32)
-    for top in range(0, rows, OUTLIER_BLOCK_PX):
-        for left in range(0, cols, OUTLIER_BLOCK_PX):
-            part = np.s_[:, :, top : top + OUTLIER_BLOCK_PX, left : left + OUTLIER_BLOCK_PX]
-            ordered = np.sort(size[part].reshape(len(rest), -1), axis=1)  # NaN last
-            middle = np.isfinite(ordered).sum(axis=1) // 2
-            found = np.take_along_axis(ordered, middle[:, None], axis=1)[:, 0]
-            out[part] = np.nan_to_num(found)[:, None, None, None]
-    return GAUSSIAN_MAD * out
+    windows, count, rows, cols = rest.shape
+    side = OUTLIER_BLOCK_PX
+    tall, wide = -(-rows // side), -(-cols // side)
+    size = np.full((windows, count, tall * side, wide * side), np.nan, np.float32)
+    size[:, :, :rows, :cols] = np.where(used, np.abs(rest), np.nan)
+    blocks = size.reshape(windows, count, tall, side, wide, side).transpose(0, 2, 4, 1, 3, 5)
+    ordered = np.sort(blocks.reshape(windows, tall, wide, -1), axis=-1)  # NaN last
+    middle = np.isfinite(ordered).sum(axis=-1, keepdims=True) // 2
+    found = np.nan_to_num(np.take_along_axis(ordered, middle, axis=-1)[..., 0])
+    around = np.repeat(np.repeat(found, side, axis=1), side, axis=2)[:, None, :rows, :cols]
+    return np.asarray(GAUSSIAN_MAD * around)
 
 
 def _refilled(values: Array, missing: Mask, filters: _Filters) -> Array:
