@@ -64,7 +64,7 @@ def _frames(scene: Callable[..., Array], offset_px: Array, sigma: float, seed: i
         (lambda d: d[:, ::-1], "rows and columns swapped"),
         (lambda d: 2 * d, r"HR pixels.*divide"),
         (lambda d: 0.5 * d, r"too small.*multiply"),
-        (lambda d: 0 * d, r"register|does not fit"),
+        (lambda d: 0 * d, r"not told.*register"),
         (lambda d: np.roll(d, 1, axis=0), r"order of the frames|swapped, and a sign"),
     ],
     ids=["sign", "sign of rows", "swap", "HR pixels", "too small", "zero", "order"],

@@ -61,6 +61,7 @@ CURES: Mapping[str, str] = {
     "their unit (HR pixels)": "divide offset_px by the scale: it is in LR pixels",
     "their unit (too small)": "multiply offset_px by the scale: it is in LR pixels",
     "shifts that did not happen": "the frames lie at one place: check whether the lens moved",
+    "shifts that were not told": "let `lensshift.register` find offset_px: the frames lie apart",
     "the order of the frames": "bring the frames into the order of offset_px",
     "no simple mistake": "check offset_px, or let `lensshift.register` find it",
 }
@@ -227,7 +228,7 @@ def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str,
     from scipy.optimize import linear_sum_assignment
 
     flip_row, flip_col = np.array([-1.0, 1.0]), np.array([1.0, -1.0])
-    swapped = given_px[:, ::-1].copy()
+    swapped, untold = given_px[:, ::-1].copy(), np.abs(given_px).max() < SAME_PX
     apart = np.sum((found_px[:, None, :] - given_px[None, :, :]) ** 2, axis=-1)
     return [
         ("their sign", -given_px),
@@ -241,7 +242,7 @@ def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str,
         ("their unit (too small)", given_px * scale),
         ("shifts that did not happen", np.zeros_like(given_px)),
         ("the order of the frames", given_px[linear_sum_assignment(apart)[1]]),
-        (NO_MISTAKE, found_px),
+        ("shifts that were not told" if untold else NO_MISTAKE, found_px),
     ]
 
 
