@@ -151,7 +151,8 @@ def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> D
     if found is None:
         return None
     apart_px = found - given
-    if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * float(np.ptp(given, axis=0).max())):
+    span_px = float(np.ptp(given, axis=0).max())
+    if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * span_px or AGREED_PX):
         return None
     first = (found, given / scale, given * scale)
     if all(trial.compare(other, 1)[0] < SUSPICIOUS for other in first):
