@@ -114,6 +114,22 @@ def test_lost_frames_are_noticed():
     assert all(error(result, truth) < 1.2 * usual for result in found)
 
 
+def test_something_that_moves_is_computed_anew_and_said():
+    truth, rng, one = scene(43).truth, np.random.default_rng(9), camera(pace="live")
+    run(one, clean_frames(truth), 8, sigma=0.01, rng=rng)
+    moved = truth.copy()
+    moved[10:22, 14:26] += 0.6
+    with pytest.warns(QualityWarning, match="something moved"):
+        found = run(one, clean_frames(moved), 1, sigma=0.01, rng=rng)[0]
+    assert found.settings["pace"] == "refined"
+    assert found.settings["event"] is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        found = run(one, clean_frames(moved), 4, sigma=0.01, rng=rng, first=1)[-1]
+    assert found.settings["pace"] == "live"
+    assert error(found, moved) < 0.05
+
+
 def test_frames_that_say_where_they_are_from_may_come_in_any_order():
     truth, rng = scene(42).truth, np.random.default_rng(7)
     clean, one = clean_frames(truth), camera()

@@ -24,6 +24,8 @@ Pace = Literal["auto", "live", "refined"]
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts
 # explain (`misfit.LIMIT` and `misfit.ALLOWED_SHIFT_PX` are those of a solved burst).
 CONTRADICTS, ALLOWED_SHIFT_PX, MOST = 4.0, 0.1, 0.5
+# With more than this part of the pixels something moves: half-done pictures show where it was.
+RESTS = 0.01
 # A frame was taken elsewhere on the plan if there it leaves less than this part of the squares.
 BETTER_PLACE = 0.5
 # Rounds of the plan after which all is computed anew, so that nothing drifts.
@@ -76,7 +78,7 @@ class Stream:
             raise ValueError(
                 f"expected a frame of {self._template.grid.shape}, got {one.amplitude.shape}"
             )
-        at, event = self._placed(one, place)
+        at, event, rests = self._placed(one, place)
         if event == "scene changed":
             self._frames.clear()
         count, rested = self._template.frame_count, len(self._frames)
@@ -84,7 +86,7 @@ class Stream:
         self._frames[at] = one
         self._next = (at + 1) % count
         due = self._pace == "auto" and self._since_refined + 1 >= REFINED_ROUNDS * count
-        live = self._pace != "refined" and not due and event is None and rested == count
+        live = self._pace != "refined" and not due and rests and rested == count
         return self._solved(event, live=live)
 
     def _solved(self, event: str | None, *, live: bool) -> Reconstruction:
@@ -99,27 +101,27 @@ class Stream:
         self._result = replace(found, settings=dict(found.settings) | said)
         return self._result
 
-    def _placed(self, frame: Frame, place: int | None) -> tuple[int, str | None]:
-        """Return where a frame was taken, and what happened if the picture is another there."""
+    def _placed(self, frame: Frame, place: int | None) -> tuple[int, str | None, bool]:
+        """Return where a frame was taken, what happened, and whether the scene rests."""
         count = self._template.frame_count
         if place is not None and not 0 <= place < count:
             raise ValueError(f"expected a place from 0 to {count - 1}, got {place}")
         at = self._next if place is None else place
         if self._result is None or at not in self._frames:  # what nobody saw may be anything
-            return at, None
+            return at, None, False
         seen = self._seen(frame, at)
-        if seen.share == 0.0:
-            return at, None
+        if seen.share <= RESTS:
+            return at, None, True
         if place is None and len(self._frames) == count:
             others = {k: self._seen(frame, k) for k in range(count) if k != at}
             best = min(others, key=lambda k: others[k].squares)
             if others[best].squares < BETTER_PLACE * seen.squares:
                 self._warn(f"frames were lost: the one after place {self._next} is of {best}")
-                return best, "frames lost"
+                return best, "frames lost", False
         if seen.share > MOST:
             self._warn("the scene changed: what was seen before is left out")
-            return at, "scene changed"
-        return at, None
+            return at, "scene changed", False
+        return at, None, False
 
     def _seen(self, frame: Frame, at: int) -> _Seen:
         """Compare a frame with what the picture says of a place of the plan."""
