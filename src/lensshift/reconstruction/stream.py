@@ -124,7 +124,10 @@ class Stream:
         return at, None, False
 
     def _seen(self, frame: Frame, at: int) -> _Seen:
-        """Compare a frame with what the picture says of a place of the plan."""
+        """Compare a frame with what the picture says of a place of the plan.
+
+        By more than the last frame of that place differs from it, which is in the picture.
+        """
         estimate = None if self._result is None else self._result.amplitude
         if estimate is None:  # a stream of distances alone
             return _Seen(0.0, 0.0)
@@ -132,7 +135,11 @@ class Stream:
         slopes = np.gradient(expected) if min(expected.shape) > 1 else [np.zeros_like(expected)]
         noise = _noise_of(estimate)
         variance = noise**2 + ALLOWED_SHIFT_PX**2 * sum(np.abs(s) ** 2 for s in slopes)
-        seen = np.where(frame.valid, np.abs(np.abs(frame.amplitude) - np.abs(expected)), 0.0) ** 2
+        seen, last = (
+            np.where(one.valid, np.abs(one.amplitude) - np.abs(expected), 0.0) ** 2
+            for one in (frame, self._frames[at])
+        )
+        variance = variance + uniform_filter(last, 3)
         around = uniform_filter(seen / np.maximum(variance, 1e-30), 3)
         inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
         return _Seen(float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner])))
