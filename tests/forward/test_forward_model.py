@@ -305,3 +305,20 @@ def test_a_model_cannot_spoil_those_that_come_after(rng):
             with pytest.raises(ValueError, match="read-only"):
                 values[:] = 0
     np.testing.assert_array_equal(forward_model((4, 6), 2, SQUARE).predict(x), seen)
+
+
+@pytest.mark.parametrize("field", [False, True])
+def test_a_part_of_the_frames_is_made_of_the_part_of_the_picture(field, rng):
+    shape, scale, offset_px = (14, 19), 2, np.array([[0.3, -0.2], [-0.4, 0.1]])
+    shifts = {"offset_px": offset_px}
+    if field:
+        px = np.broadcast_to(offset_px[:, None, None], (2, *shape, 2)).copy()
+        px += 0.1 * rng.standard_normal(px.shape)
+        shifts = {"shift_field_px": px}
+    model = forward_model(shape, scale, blur=GaussianBlur(0.3), **shifts)
+    rows, cols = slice(3, 12), slice(5, 18)
+    x = rng.standard_normal((28, 38))
+    whole = model.operator.forward(x)[:, rows, cols]
+    part = model.crop(rows, cols).operator.forward(x[6:24, 10:36])
+    inner = (slice(None), slice(2, -2), slice(2, -2))
+    np.testing.assert_allclose(part[inner], whole[inner], atol=1e-12)

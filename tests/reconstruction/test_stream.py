@@ -66,6 +66,16 @@ def test_a_resting_scene_is_as_sharp_at_the_live_pace(seed):
     assert errors["auto"] < 1.06 * errors["refined"]
 
 
+def test_a_large_level_streams_as_well():
+    truth = 290 + 0.5 * scene(14).truth
+    clean, errors = clean_frames(truth), {}
+    for pace in ("live", "refined"):
+        found = run(camera(pace=pace), clean, 12, sigma=0.01, rng=np.random.default_rng(2))
+        errors[pace] = np.mean([error(one, truth) for one in found[8:]])
+        assert found[-1].settings["pace"] == pace
+    assert errors["live"] < 1.1 * errors["refined"]
+
+
 def test_phasors_stream_as_well():
     mosaic, rng = phasor_mosaic(3, SHAPE), np.random.default_rng(0)
     clean, errors = clean_frames(mosaic.truth), {}
