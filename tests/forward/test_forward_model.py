@@ -210,51 +210,6 @@ def test_pixels_that_look_outside_are_marked():
     np.testing.assert_array_equal(warped.inside[0], model.inside[2])
 
 
-@pytest.mark.parametrize(
-    ("scale", "offset_px", "expected"),
-    [
-        (2, SQUARE, True),
-        (2, [[0.75, -0.25]], True),
-        (3, [[0, 0], [1 / 3, -1 / 3]], True),
-        (4, [[1 / 8, 3 / 8]], True),
-        (1, [[0, 1]], True),
-        (2, [[0, 0]], False),
-        (2, [[0.25, 0.26]], False),
-    ],
-)
-def test_which_shifts_lie_on_the_hr_grid(scale, offset_px, expected):
-    assert forward_model((6, 8), scale, offset_px).on_hr_grid is expected
-
-
-@pytest.mark.parametrize("blur", BLURS, ids=str)
-@pytest.mark.parametrize(("scale", "offset_px"), [(2, SQUARE), (3, [[0, 1 / 3], [-1 / 3, 0]])])
-def test_interlaced_convolution_equals_the_operator(scale, offset_px, blur, rng):
-    model = forward_model((6, 8), scale, offset_px, blur=blur)
-    interlace = model.interlace
-    np.testing.assert_allclose(interlace.kernel, interlace.kernel[::-1], atol=1e-12)
-    assert interlace.kernel.sum() == pytest.approx(1, abs=1e-13)
-    x = rng.standard_normal(model.hr_shape)
-
-    def convolve(line):
-        same = interlace.kernel.size // 2
-        full = np.convolve(line, interlace.kernel)
-        return full[same : same + line.size]
-
-    blurred = np.apply_along_axis(convolve, 1, np.apply_along_axis(convolve, 0, x))
-    held = np.outer(convolve(np.ones(x.shape[0])), convolve(np.ones(x.shape[1])))
-    frames = [
-        (blurred / held)[np.ix_(row, col)]
-        for row, col in zip(interlace.row_index, interlace.col_index, strict=True)
-    ]
-    np.testing.assert_allclose(model.operator(x), frames, atol=1e-12)
-
-
-def test_interlace_needs_shifts_on_the_grid():
-    with pytest.raises(ValueError, match="on an HR pixel"):
-        _ = forward_model((6, 8), 2, [[0.1, 0.2]]).interlace
-    assert not forward_model((6, 8), 2, shift_field_px=np.full((1, 6, 8, 2), 0.25)).on_hr_grid
-
-
 def test_without_shifts_there_is_one_frame_in_place():
     model = forward_model((4, 6), 2)
     assert model.frames == 1

@@ -42,25 +42,6 @@ class Taps:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Interlace:
-    """Frames that sample one and the same small convolution of the HR image.
-
-        y[k, u, v] = (kernel x kernel * image)[row_index[k, u], col_index[k, v]]
-
-    Parameters
-    ----------
-    row_index, col_index : [frame row] and [frame col] HR indices; outside 0 .. size-1 where the
-        centre of the pixel lies outside the image (the taps that remain sum to 1 there, as they
-        do for every pixel near the border)
-    kernel : [tap] 1-D weights of odd length, symmetric, sum 1; the same for row and col
-    """
-
-    row_index: NDArray[np.int64]
-    col_index: NDArray[np.int64]
-    kernel: Weights
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ForwardModel:
     """How one HR image becomes K LR frames; made by `forward_model`.
 
@@ -159,37 +140,6 @@ class ForwardModel:
             rows=_taps(self.blur, row_at, self.scale, hr_shape[0]),
             cols=_taps(self.blur, col_at, self.scale, hr_shape[1]),
             inside=_inside(row_at, col_at, hr_shape),
-        )
-
-    @property
-    def on_hr_grid(self) -> bool:
-        """True if every LR pixel is centred on an HR pixel: a fast convolution will do.
-
-        That is so for +-1/4 px at x2, 0 and +-1/3 px at x3, and so on.
-        """
-        return self.offset_px is not None and all(
-            bool(np.all(taps.position_hr_px == np.round(taps.position_hr_px)))
-            for taps in (self.rows, self.cols)
-        )
-
-    @property
-    def interlace(self) -> Interlace:
-        """The HR indices and the kernel of a model that is `on_hr_grid`.
-
-        Raises
-        ------
-        ValueError
-            If the model is not on the HR grid.
-        """
-        if not self.on_hr_grid:
-            raise ValueError("expected shifts that put every LR pixel on an HR pixel")
-        # A line long enough that no end of it cuts the kernel.
-        centre = 1 << 20
-        kernel = _taps(self.blur, np.array([[float(centre)]]), self.scale, 2 * centre + 1)
-        return Interlace(
-            self.rows.position_hr_px.astype(np.int64),
-            self.cols.position_hr_px.astype(np.int64),
-            kernel.weight[0, 0],
         )
 
 

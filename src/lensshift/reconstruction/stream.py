@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst, Estimate, Frame, Reconstruction, Status
+from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
@@ -133,7 +133,7 @@ class Stream:
             return _Seen(0.0, 0.0)
         expected = estimate.predict(self._template.offset_px[at])
         slopes = np.gradient(expected) if min(expected.shape) > 1 else [np.zeros_like(expected)]
-        noise = _noise_of(estimate)
+        noise = estimate.noise_sigma or 0.0
         variance = noise**2 + ALLOWED_SHIFT_PX**2 * sum(np.abs(s) ** 2 for s in slopes)
         seen, last = (
             np.where(one.valid, np.abs(one.amplitude) - np.abs(expected), 0.0) ** 2
@@ -226,9 +226,3 @@ def _burst_of(template: Burst, places: list[int], frames: list[Frame]) -> Burst:
         valid=np.stack([one.valid for one in frames]),
         time_s=None, raw={}, phasors=None,
     )  # fmt: skip
-
-
-def _noise_of(estimate: Estimate) -> float:
-    """Return the noise of a pixel of the frames; a complex one has it twice."""
-    noise = estimate.noise_sigma or 0.0
-    return noise if estimate.status is not Status.NOT_FINITE else float("inf")

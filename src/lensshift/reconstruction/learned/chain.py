@@ -69,6 +69,12 @@ class Held:
     past: Picture
     channels: Single
 
+    def moved(self, factor: Any, level: float = 0.0, kind: Any = None) -> Held:
+        """Return the pictures times a factor plus a level, perhaps in another precision."""
+        pictures = (one * factor + level for one in (self.v, self.past))
+        v, past = (one if kind is None else one.astype(kind) for one in pictures)
+        return Held(v, past, self.channels)
+
 
 class LearnedPrior(Protocol):
     """What improves a picture: the networks of all stages, and the numbers of the data steps."""

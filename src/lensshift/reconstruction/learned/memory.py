@@ -6,9 +6,6 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from lensshift.reconstruction.learned.chain import Held
-from lensshift.reconstruction.problem import Problem
-
 
 @dataclass(slots=True)
 class Memory:
@@ -37,21 +34,3 @@ class Memory:
     def keep(self, thing: Any) -> None:
         """Keep something for this point of the next step."""
         self._now.append(thing)
-
-
-def in_burst_units(held: tuple[Held, ...], problem: Problem) -> tuple[Held, ...]:
-    """Return pictures of a problem in the units of its burst, which the next problem shares."""
-    return tuple(
-        Held(one.v * problem.unit + problem.level, one.past * problem.unit + problem.level,
-             one.channels)
-        for one in held
-    )  # fmt: skip
-
-
-def in_problem_units(held: tuple[Held, ...], problem: Problem) -> tuple[Held, ...]:
-    """Undo `in_burst_units`, perhaps for another problem."""
-    return tuple(
-        Held((one.v - problem.level) / problem.unit, (one.past - problem.level) / problem.unit,
-             one.channels)
-        for one in held
-    )  # fmt: skip

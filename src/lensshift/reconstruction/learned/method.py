@@ -12,7 +12,7 @@ from lensshift.core.types import Estimate, Status
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.chain import Held
-from lensshift.reconstruction.learned.memory import Memory, in_burst_units, in_problem_units
+from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.learned.solver import OnStage, Solution, solve, solve_phasor
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
@@ -92,7 +92,8 @@ def solved(
 
     memory = request.memory
     kept = None if memory is None else memory.recalled()
-    held = None if kept is None else in_problem_units(kept, problem)
+    unit, level = problem.unit, problem.level
+    held = kept and tuple(one.moved(1 / unit, -level / unit) for one in kept)
 
     def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
         return _solved_once(problem, noise, on_stage, held)
@@ -116,7 +117,7 @@ def solved(
         )
         found, left = run(weighed)
     if memory is not None:
-        memory.keep(in_burst_units(found.held, problem))
+        memory.keep(tuple(one.moved(unit, level) for one in found.held))
     estimate = Estimate(
         image=found.image,
         objective=tuple(objective),

@@ -79,24 +79,15 @@ def solve(
     used = np.isfinite(sigma)
     unit, level = float(np.mean(sigma[used])), float(np.median(y[used]))
     known = np.where(used, (y - level) / unit, 0.0).astype(np.float32)
-    start = None if held is None else _moved(held, 1 / unit, -level / unit, np.float32)
+    start = held and tuple(one.moved(1 / unit, -level / unit, np.float32) for one in held)
     found = _in_tiles(_brightness_prior(), model, known, sigma / unit, blur_px, on_stage, start)
     return Solution(
         image=found.image * unit + level,
         std=found.std[0] * (STD_SCALE * unit),
         weight=found.weight,
         change=found.change,
-        held=_moved(found.held, unit, level, np.float64),
+        held=tuple(one.moved(unit, level, np.float64) for one in found.held),
     )
-
-
-def _moved(held: tuple[Held, ...], factor: Any, level: float, kind: Any) -> tuple[Held, ...]:
-    """Return pictures times a factor plus a level, in another precision."""
-    return tuple(
-        Held((one.v * factor + level).astype(kind), (one.past * factor + level).astype(kind),
-             one.channels)
-        for one in held
-    )  # fmt: skip
 
 
 def solve_phasor(
@@ -119,7 +110,7 @@ def solve_phasor(
     unit, middle = float(np.mean(sigma[used])), np.sum(y[used])
     turn = np.conj(middle) / abs(middle) if abs(middle) > 0 else 1.0
     known = np.where(used, y * (turn / unit), 0.0).astype(np.complex64)
-    start = None if held is None else _moved(held, turn / unit, 0.0, np.complex64)
+    start = held and tuple(one.moved(turn / unit, 0.0, np.complex64) for one in held)
     found = _in_tiles(_phasor_prior(), model, known, sigma / unit, blur_px, on_stage, start)
     scale = np.array([unit, unit, 1.0])
     return Solution(
@@ -127,7 +118,7 @@ def solve_phasor(
         std=found.std * scale[:, None, None],
         weight=found.weight,
         change=found.change,
-        held=_moved(found.held, unit * np.conj(turn), 0.0, np.complex128),
+        held=tuple(one.moved(unit * np.conj(turn), 0.0, np.complex128) for one in found.held),
     )
 
 
