@@ -19,7 +19,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.units import distance_to_phase
 from lensshift.evaluation import depth_error
 from lensshift.io import load_image_stack
-from lensshift.reconstruction.phasor.frequencies import Tones
+from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.scene import Cuboid, Plane, Scene
 
 OFFSETS = [(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)]
@@ -48,11 +48,46 @@ def test_the_distance_of_exact_phases(distance_m: float, hz: tuple[float, ...], 
     rng = np.random.default_rng(seed)
     phase = distance_to_phase(np.full((3, 5), distance_m), 1.0) * np.array(hz)[:, None, None]
     turned = phase + 2 * np.pi * rng.integers(-3, 4, phase.shape)
-    found_m, std_m, sure = Tones(hz, turned, np.full(phase.shape, 1e-3)).distance_m()
+    tones = Tones(hz, turned, np.full(phase.shape, 1e-3))
+    found_m, _, sure = tones.alone()
     np.testing.assert_allclose(found_m, distance_m, atol=1e-9)
     per_m = distance_to_phase(1.0, 1.0) * np.array(hz)
-    np.testing.assert_allclose(std_m, 1e-3 / np.sqrt(np.sum(per_m**2)))
+    np.testing.assert_allclose(tones.sigma_m, 1e-3 / np.sqrt(np.sum(per_m**2)))
     assert np.all(sure)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dark_pixels_ask_their_neighbours_for_the_turn(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth_m = np.full((31, 46), 4.4)
+    truth_m[8:21, 11:29] = 2.4  # no turn apart, and of the wall's phase in neither frequency
+    std_rad = np.where(truth_m < 3, 0.4, 0.02) * np.ones((2, 1, 1))
+    phase_rad = distance_to_phase(1.0, 1.0) * np.array(PAIR_HZ)[:, None, None] * truth_m
+    noisy = Tones(PAIR_HZ, phase_rad + std_rad * rng.standard_normal(std_rad.shape), std_rad)
+    alone_m, _, sure = noisy.alone()
+    dark, slip_m = truth_m < 3, 0.5 * noisy.turn_m
+    assert np.mean(np.abs(alone_m - truth_m)[dark] > slip_m) > 0.1
+    assert np.mean(sure[dark]) < 0.5
+    found_m, std_m = common_distance(noisy)
+    off_m = np.abs(found_m - truth_m)
+    assert np.mean(off_m[dark] > slip_m) < 0.02
+    assert off_m[~dark].max() < slip_m
+    assert np.mean(off_m[dark] < 2 * std_m[dark]) > 0.93
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.45])
+def test_a_doubtful_turn_is_part_of_the_std(share: float) -> None:
+    """Between two surfaces a turn apart, with that share of the likelihood for the other."""
+    turn_m, per_m = Tones(PAIR_HZ, *np.zeros((2, 2, 1))).turn_m, distance_to_phase(1.0, 1.0)
+    distance_m = 0.3 + turn_m * (np.arange(49) > 24).reshape(7, 7)
+    phase_rad = per_m * np.array(PAIR_HZ)[:, None, None] * distance_m
+    std_rad = np.full(phase_rad.shape, 1e-3)
+    # C of the far turn less that of the near one is 2 log((1 - share) / share)
+    step_rad, std_rad[1, 3, 3] = 2 * np.pi / 5, 0.6
+    phase_rad[1, 3, 3] += 0.5 * step_rad - np.log((1 - share) / share) * 0.6**2 / step_rad
+    found_m, std_m = common_distance(Tones(PAIR_HZ, phase_rad, std_rad))
+    np.testing.assert_allclose(found_m, distance_m, atol=1e-5)
+    assert std_m[3, 3] == pytest.approx(turn_m * np.sqrt(share), rel=0.01)
 
 
 @pytest.mark.parametrize("hz", [PAIR_HZ, (20e6, 100e6), (80e6, 60e6), (15e6,)])

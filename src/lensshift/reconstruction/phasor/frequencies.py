@@ -2,7 +2,7 @@
 
 A pixel that sees two surfaces mixes the light of each frequency by itself, so each gives its own
 picture of phasors. Which turn the highest one is in is asked afterwards, in the fine picture, where
-few pixels are mixed, and they take the turns of those that are not.
+few pixels are mixed: pixels that know it tell those that do not.
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ from lensshift.core.units import SPEED_OF_LIGHT_MPS
 
 Array = NDArray[Any]
 
-AROUND_HR_PX = 7  # along the window in which a turn is looked for
+AROUND_HR_PX = 7  # along the window in which surfaces are looked for
 ALIKE = 1.0 / 16.0  # of a turn: what four pixels of one surface may differ by
 FARTHEST_M = 200.0  # no camera that counts turns sees farther
-SURE_SIGMAS = 3.0  # the usual 3 sigma
+SURE = 3.0**2  # chi-square by which a turn is sure: the usual 3 sigma
+CORNER = 3  # neighbours alike, where a surface of four pixels or more ends
 FORBIDDEN = 1e12  # chi-square that no noise reaches
+AROUND = [(row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)]
+ROUNDS = 8  # in which a turn is told on, by a pixel each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +35,7 @@ class Tones:
     Parameters
     ----------
     hz : [frequency]
-    phase_rad : [frequency row col]
+    phase_rad : [frequency ...]
     std_rad : same shape, standard deviation of the phases
     """
 
@@ -41,81 +44,155 @@ class Tones:
     std_rad: NDArray[np.float64]
 
     @property
-    def rad_per_m(self) -> NDArray[np.float64]:
-        """4 pi f / c, [frequency 1 1]."""
-        return 4.0 * np.pi / SPEED_OF_LIGHT_MPS * np.asarray(self.hz)[:, None, None]
-
-    @property
     def turn_m(self) -> float:
         """c / 2f of the highest frequency."""
         return SPEED_OF_LIGHT_MPS / 2.0 / max(self.hz)
 
-    @property
-    def repeat_m(self) -> float:
-        """Distance after which all phases are back, c / (2 gcd f), at most 200 m."""
-        common_hz = max(math.gcd(*(round(hz) for hz in self.hz)), 1)
-        return min(SPEED_OF_LIGHT_MPS / 2.0 / common_hz, FARTHEST_M)
+    def turns(self, low_m: float = 0.0, high_m: float = np.inf) -> range:
+        """Return the turns of the highest frequency that reach from low to high.
 
-    def off_rad(self, distance_m: Array) -> NDArray[np.float64]:
-        """Return how far the phases are from those of a distance [row col], within half a turn."""
-        return np.asarray(np.angle(np.exp(1j * (self.phase_rad - self.rad_per_m * distance_m))))
-
-    def distance_m(
-        self, between_m: tuple[Array, Array] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the distance [row col] that fits all phases, its std, and where the turn is sure.
-
-            n = argmin C_n,   C_n = 2 sum_f (1 - cos(phi_f - 4 pi f d_n / c)) / s_f^2
-            d_n = d_fastest + n c / 2f
-            d = d_n + sum_f w_f (phi_f - 4 pi f d_n / c) c / (4 pi f) / sum_f w_f,
-            w_f = (4 pi f / (c s_f))^2
-
-        C_n is a chi-square: the turn is sure where the second best is 3 sigma worse. The standard
-        deviation grows with what the frequencies contradict each other by.
-
-        Parameters
-        ----------
-        between_m : least and largest distance [row col] that the turn may lead to, each by half a
-            turn more; None: all up to `repeat_m`
+        After c / (2 gcd f), at most 200 m, all phases are back.
         """
-        fastest, per_m, turn_m = int(np.argmax(self.hz)), self.rad_per_m, self.turn_m
-        first_m = np.mod(self.phase_rad[fastest] / per_m[fastest], turn_m)
-        best_m, least = first_m, np.full(first_m.shape, np.inf)
-        second = least
-        for number in range(math.ceil(self.repeat_m / turn_m - 1e-6)):
-            tried_m = first_m + number * turn_m
-            cost = 2.0 * np.sum((1.0 - np.cos(self.off_rad(tried_m))) / self.std_rad**2, axis=0)
-            if between_m is not None:
-                low_m, high_m = between_m
-                away = np.maximum(low_m - tried_m, tried_m - high_m) > 0.5 * turn_m
-                cost = np.where(away, cost + FORBIDDEN, cost)
+        common_hz = max(math.gcd(*(round(hz) for hz in self.hz)), 1)
+        repeat_m = min(SPEED_OF_LIGHT_MPS / 2.0 / common_hz, FARTHEST_M)
+        last = math.ceil(min(repeat_m, high_m) / self.turn_m - 1e-6)
+        return range(min(max(math.floor(low_m / self.turn_m), 0), last - 1), last)
+
+    def at(self, where: NDArray[np.bool_]) -> Tones:
+        """Return some pixels [row col] of the pictures, [frequency pixel]."""
+        return Tones(self.hz, self.phase_rad[:, where], self.std_rad[:, where])
+
+    @property
+    def sigma_m(self) -> NDArray[np.float64]:
+        """Standard deviation [...] of the distance within its turn."""
+        return np.asarray(1.0 / np.sqrt(np.sum(self._weight(), axis=0)))
+
+    def in_turn(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the distance [...] in a turn of the highest frequency, and its chi-square.
+
+            d_n = argmin_d C_n,   C_n = min_d sum_f (phi_f - 4 pi f d / c)^2 / s_f^2
+
+        with phase differences within half a turn of d_fastest + n c / 2f.
+        """
+        per_m, fastest = self.rad_per_m, int(np.argmax(self.hz))
+        first_m = np.mod(self.phase_rad[fastest] / per_m[fastest], self.turn_m)
+        tried_m = first_m + number * self.turn_m
+        off_rad = _within_half_a_turn(self.phase_rad - per_m * tried_m)
+        weight = self._weight()
+        more_m = np.sum(weight * off_rad / per_m, axis=0) / np.sum(weight, axis=0)
+        chi_square = np.sum(((off_rad - per_m * more_m) / self.std_rad) ** 2, axis=0)
+        return tried_m + more_m, chi_square
+
+    def alone(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the distance [...] that fits all phases best, its chi-square, where it is sure.
+
+        It is where the second best turn is worse by 9.
+        """
+        shape = self.phase_rad.shape[1:]
+        best_m, least, second = np.zeros(shape), np.full(shape, np.inf), np.full(shape, np.inf)
+        for number in self.turns():
+            tried_m, cost = self.in_turn(number)
             second = np.minimum(np.maximum(cost, least), second)
             best_m, least = np.where(cost < least, tried_m, best_m), np.minimum(cost, least)
-        sure = second - least > SURE_SIGMAS**2
-        weight = (per_m / self.std_rad) ** 2
-        total, off_rad = weight.sum(axis=0), self.off_rad(best_m)
-        correction_m = np.sum(weight * off_rad / per_m, axis=0) / total
-        left = np.sum(((off_rad - per_m * correction_m) / self.std_rad) ** 2, axis=0)
-        doubt = np.maximum(left / max(len(self.hz) - 1, 1), 1.0)
-        return best_m + correction_m, np.sqrt(doubt / total), sure
+        return best_m, least, second - least > SURE
+
+    @property
+    def rad_per_m(self) -> NDArray[np.float64]:
+        """4 pi f / c, [frequency ...]."""
+        per_m = 4.0 * np.pi / SPEED_OF_LIGHT_MPS * np.asarray(self.hz)
+        return per_m.reshape(-1, *(1,) * (self.phase_rad.ndim - 1))
+
+    def _weight(self) -> NDArray[np.float64]:
+        return np.asarray((self.rad_per_m / self.std_rad) ** 2)
 
 
 def common_distance(pictures: Tones) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the distance [row col] of all frequencies, and its standard deviation.
 
-    A pixel that sees two surfaces has phases of none, and its turn may be any. Where four pixels
-    agree on a distance they see one surface; all others may only be in the turns of those around,
-    or between them.
+        n = argmin  C_n / max(1, min C / (F - 1)) + 9 mean_around |d_n - d_around| 2f / c
+
+    A pixel that is sure and like three around keeps the turn of its own phases. Any other takes
+    the one that its phases and those around ask for: all around a turn away are worth 3 sigma. A
+    pixel that sees two surfaces has phases of none, fits no turn, and must be among or between the
+    surfaces near it. The variance is what the phases allow, more where they contradict each other,
+    and the square of how far the other turns are, by how likely they are.
     """
+    found_m, least, sure = pictures.alone()
+    doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
+    std_m = pictures.sigma_m * np.sqrt(doubt)
+    alike = _alike(found_m, pictures.sigma_m, pictures.turn_m)
+    asked = (alike < CORNER) | ~sure
+    if not asked.any():
+        return found_m, std_m
+    some, half_m = pictures.at(asked), 0.5 * pictures.turn_m
+    inside = alike > len(AROUND) // 2
+    seen_m = found_m[inside] if inside.any() else found_m
+    numbers = some.turns(seen_m.min() - half_m, seen_m.max() + half_m)
+    tried_m, cost = (np.stack(both) for both in zip(*map(some.in_turn, numbers), strict=True))
+    cost /= doubt[asked]
+    for _ in range(ROUNDS):
+        before_m = found_m[asked]
+        total = cost + SURE * _apart_m(tried_m, found_m, asked) / pictures.turn_m
+        found_m[asked] = _least(tried_m, total)
+        if np.array_equal(before_m, found_m[asked]):
+            break
+    surface = _alike(found_m, pictures.sigma_m, pictures.turn_m) >= CORNER
+    low_m, high_m = _reach(found_m, surface, ALIKE * pictures.turn_m)
+    beyond_m = np.maximum(low_m[asked] - tried_m, tried_m - high_m[asked])
+    total += FORBIDDEN * np.maximum(beyond_m, 0.0)
+    found_m[asked] = _least(tried_m, total)
+    likely = np.exp(0.5 * (total.min(axis=0) - total))
+    likely /= likely.sum(axis=0)
+    contradiction = np.maximum(_least(cost, total) / max(len(pictures.hz) - 1, 1), 1.0)
+    others = np.sum(likely * (tried_m - found_m[asked]) ** 2, axis=0)
+    std_m[asked] = np.sqrt(some.sigma_m**2 * doubt[asked] * contradiction + others)
+    return found_m, std_m
+
+
+def _within_half_a_turn(phase_rad: Array) -> NDArray[np.float64]:
+    return np.asarray(phase_rad - 2.0 * np.pi * np.rint(phase_rad / (2.0 * np.pi)))
+
+
+def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]:
+    """Return how many [row col] of the 8 neighbours have that distance, within 3 sigma.
+
+    It may differ by 1/16 of a turn besides, as surfaces are slanted.
+    """
+    rows, cols = distance_m.shape
+    wide_m = np.pad(distance_m, 1, constant_values=np.inf)
+    variance_m2 = np.pad(sigma_m**2, 1)
+    count = np.zeros(distance_m.shape, np.int_)
+    for down, right in AROUND:
+        at = np.s_[down : down + rows, right : right + cols]
+        beyond_m = np.abs(wide_m[at] - distance_m) - ALIKE * turn_m
+        count += beyond_m < np.sqrt(SURE * (variance_m2[at] + sigma_m**2))
+    return count
+
+
+def _apart_m(tried_m: Array, distance_m: Array, asked: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return how far [turn pixel] the pixels `asked` would be from their 8 neighbours, the mean."""
+    rows, cols = distance_m.shape
+    wide_m = np.pad(distance_m, 1, mode="edge")
+    apart_m = np.zeros(tried_m.shape)
+    for down, right in AROUND:
+        near_m = wide_m[down : down + rows, right : right + cols]
+        apart_m += np.abs(tried_m - near_m[asked])
+    return apart_m / len(AROUND)
+
+
+def _least(values: Array, cost: Array) -> NDArray[np.float64]:
+    """Return the values [pixel] of the turns [turn pixel] that cost least."""
+    number = np.argmin(cost, axis=0)[None]
+    return np.asarray(np.take_along_axis(values, number, axis=0)[0])
+
+
+def _reach(
+    distance_m: Array, surface: NDArray[np.bool_], margin_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return from where to where [row col] the surfaces around go, any distance where none is."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    found_m, std_m, sure = pictures.distance_m()
-    apart_m = maximum_filter(found_m, 2, mode="constant", cval=np.inf) - minimum_filter(found_m, 2)
-    one = maximum_filter(apart_m < ALIKE * pictures.turn_m, 2, origin=-1) & sure
-    if not one.any():
-        return found_m, std_m
-    low_m = minimum_filter(np.where(one, found_m, np.inf), AROUND_HR_PX)
-    high_m = maximum_filter(np.where(one, found_m, -np.inf), AROUND_HR_PX)
-    nobody = ~np.isfinite(low_m)
-    low_m[nobody], high_m[nobody] = found_m[one].min(), found_m[one].max()
-    return pictures.distance_m((low_m, high_m))[:2]
+    low_m = minimum_filter(np.where(surface, distance_m, np.inf), AROUND_HR_PX)
+    high_m = maximum_filter(np.where(surface, distance_m, -np.inf), AROUND_HR_PX)
+    known = np.isfinite(low_m)
+    return np.where(known, low_m - margin_m, -np.inf), np.where(known, high_m + margin_m, np.inf)
