@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-REACH_HR_PX = 3  # with 2 and 4 as good on mosaics, with 1 a tenth worse
+REACH_HR_PX = 6  # with 8 surfaces are 5 % smoother and edges as good, for twice the time
 
 
 def pooled_phase(
@@ -18,14 +18,16 @@ def pooled_phase(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the phase [row col] of phasors with what alike ones around know, and its std.
 
-        w_j = exp(-(phi_j - phi)^2 / 2 (s_j^2 + s^2) - (a_j - a)^2 / 2 (t_j^2 + t^2)) / s_j^2
+        w_j = exp(-(phi_j - phi)^2 / 2 S_j - (a_j - a)^2 / 2 (t_j^2 + t^2)) / S_j
+        S_j = s_j^2 + s^2
         phi' = phi + sum_j w_j (phi_j - phi) / sum_j w_j
         s'^2 = sum_j w_j (s_j^2 + (phi_j - phi')^2) / sum_j w_j
 
     Each neighbour is a guess at the surface that a pixel sees: as good as both their amplitudes and
-    phases agree within their errors, and as much worth as it knows of its own phase. A dark pixel
-    beside a bright surface takes its distance from the dark ones behind it, and what is measured
-    well stays as it is.
+    phases agree within their errors, and as much worth as the difference of both phases is known. A
+    dark pixel beside a bright surface takes its distance from the dark ones behind it, and what is
+    measured well stays as it is. One that knows little is not swayed by a few that know much and
+    see something else.
 
     Parameters
     ----------
@@ -36,30 +38,54 @@ def pooled_phase(
     """
     phase = np.angle(image)
     t2, s2 = (np.square(a, dtype=np.float32) for a in (amplitude_std, phase_std_rad))
-    out = np.empty((2, *image.shape), np.float32)
-    _pool(phase.astype(np.float32), np.abs(image).astype(np.float32), t2, s2, out)
-    return phase + out[0], np.sqrt(out[1], dtype=np.float64)
+    # Each pixel is one of its guesses.
+    total, moved, square = 0.5 / s2, np.zeros_like(s2), np.full_like(s2, 0.5)
+    amplitude = np.abs(image).astype(np.float32)
+    _pool(phase.astype(np.float32), amplitude, t2, s2, total, moved, square)
+    off = moved / total
+    return phase + off, np.sqrt(np.maximum(square / total - off**2, 0.0), dtype=np.float64)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _pool(phase: Array, amplitude: Array, t2: Array, s2: Array, out: Array) -> None:
-    """Write by how much phases move, and their variance, to out [2 row col]."""
+def _pool(
+    phase: Array, amplitude: Array, t2: Array, s2: Array, total: Array, moved: Array, square: Array
+) -> None:
+    """Add w, w off and w (s^2 + off^2) of all pairs to total, moved and square.
+
+    What two pixels are worth to each other is the same: each pair is looked at once, a row of pairs
+    after the other, in loops that a compiler turns into vectors. exp(-x / 2) = (1 - x / 128)^64.
+    """
     rows, cols = phase.shape
-    turn, half = np.float32(2.0 * np.pi), np.float32(np.pi)
-    for i in range(rows):
-        for j in range(cols):
-            total = moved = square = np.float32(0.0)
-            for u in range(max(i - REACH_HR_PX, 0), min(i + REACH_HR_PX + 1, rows)):
-                for v in range(max(j - REACH_HR_PX, 0), min(j + REACH_HR_PX + 1, cols)):
-                    off = phase[u, v] - phase[i, j]
-                    off -= turn if off > half else -turn if off < -half else np.float32(0.0)
-                    differ = amplitude[u, v] - amplitude[i, j]
-                    apart = off * off / (s2[u, v] + s2[i, j])
-                    apart += differ * differ / (t2[u, v] + t2[i, j])
-                    weight = np.exp(-np.float32(0.5) * apart) / s2[u, v]
-                    total += weight
-                    moved += weight * off
-                    square += weight * (s2[u, v] + off * off)
-            off = moved / total
-            out[0, i, j] = off
-            out[1, i, j] = max(square / total - off * off, np.float32(0.0))
+    turn, half, zero = np.float32(2.0 * np.pi), np.float32(np.pi), np.float32(0.0)
+    one, step = np.float32(1.0), np.float32(1.0 / 128.0)
+    w, off = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    for down in range(REACH_HR_PX + 1):
+        for right in range(-REACH_HR_PX if down else 1, REACH_HR_PX + 1):
+            first, n = max(0, -right), cols - abs(right)
+            for i in range(rows - down):
+                here, there = slice(first, first + n), slice(first + right, first + right + n)
+                p, q = phase[i, here], phase[i + down, there]
+                a, b = amplitude[i, here], amplitude[i + down, there]
+                s_p, s_q = s2[i, here], s2[i + down, there]
+                t_p, t_q = t2[i, here], t2[i + down, there]
+                for j in range(n):
+                    apart = q[j] - p[j]
+                    apart -= turn if apart > half else -turn if apart < -half else zero
+                    differ = b[j] - a[j]
+                    known = one / (s_p[j] + s_q[j])
+                    x = apart * apart * known + differ * differ / (t_p[j] + t_q[j])
+                    e = max(one - x * step, zero)
+                    for _ in range(6):
+                        e *= e
+                    w[j], off[j] = e * known, apart
+                sum_w, sum_off, sum_2 = total[i, here], moved[i, here], square[i, here]
+                for j in range(n):
+                    sum_w[j] += w[j]
+                    sum_off[j] += w[j] * off[j]
+                    sum_2[j] += w[j] * (s_q[j] + off[j] * off[j])
+                i_2 = i + down
+                sum_w, sum_off, sum_2 = total[i_2, there], moved[i_2, there], square[i_2, there]
+                for j in range(n):
+                    sum_w[j] += w[j]
+                    sum_off[j] -= w[j] * off[j]
+                    sum_2[j] += w[j] * (s_p[j] + off[j] * off[j])
