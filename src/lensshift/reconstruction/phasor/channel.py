@@ -33,7 +33,7 @@ TURNED_LIMIT = 0.01
 # Standard deviation of a phase that may be anything.
 NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
-# (training/validate.py --phasor --calibrate); that of the phase would be 0.9 and is left wider.
+# (training/validate.py --phasor --calibrate); that of the phase would be 0.8 and is left wider.
 AMPLITUDE_STD_SCALE = 0.79
 # A pixel between two surfaces keeps this share of their step to both of them.
 FLYING_SHARE = 0.2
