@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift import load_burst, save_burst
-from lensshift.capture.acquire import Acquisition, Progress, acquire, acquire_at, bursts
+from lensshift.capture.acquire import Acquisition, Progress, acquire, acquire_at
 from lensshift.capture.plan import PLANS, load_plan, named_plan, shortest_order
 from lensshift.capture.rig import CameraFrame
+from lensshift.capture.rounds import bursts
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid

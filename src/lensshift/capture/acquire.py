@@ -21,7 +21,7 @@ from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
-from lensshift.io.capture_file import Record, burst_of_capture
+from lensshift.io.capture_file import burst_of_capture
 
 Array = NDArray[Any]
 
@@ -171,46 +171,16 @@ def acquire_at(
             if direct and here != step - 1 and step > 0:  # come from where the scan comes from
                 stage.move_to(positions[step - 1], direct=True)
             here = step
-            for record in _at_position(stage, camera, target, settings, missing, direct=direct):
-                file.append({"step": step, **record, **_offsets(record, calibration)})
+            for record in at_position(stage, camera, target, settings, missing, direct=direct):
+                file.append({"step": step, **record, **offsets(record, calibration)})
             if on_step is not None:
                 on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
-    burst = _looking(burst_of_capture(file.header, file.frames, file.path), camera)
+    burst = looking(burst_of_capture(file.header, file.frames, file.path), camera)
     save_burst(burst, file.path)
     return burst
 
 
-def bursts(
-    stage: Stage,
-    camera: Camera,
-    plan: ShiftPlan,
-    calibration: Calibration,
-    settings: Acquisition | None = None,
-) -> Iterator[Burst]:
-    """Yield one burst of the plan after another until the caller stops; then the lens returns.
-
-    Raises
-    ------
-    ValueError, DeviceError
-        As `acquire`.
-    """
-    settings = settings or Acquisition()
-    positions = calibration.stage_mm(plan.target_px)
-    check_travel(stage, positions)
-    if settings.reorder:
-        positions = positions[shortest_order(positions, settings.approach_mm, positions[-1])]
-    header = capture_header(stage, camera, positions, calibration, asdict(settings), plan.name)
-    with returning(stage, calibration.rest_mm):
-        while True:
-            records: list[Record] = []
-            for step, target in enumerate(positions):
-                for record in _at_position(stage, camera, target, settings, settings.frames):
-                    whole = {"step": step, **record, **_offsets(record, calibration)}
-                    records.append({name: np.asarray(value) for name, value in whole.items()})
-            yield _looking(burst_of_capture(header, records, Path(plan.name or "burst")), camera)
-
-
-def _looking(burst: Burst, camera: Camera) -> Burst:
+def looking(burst: Burst, camera: Camera) -> Burst:
     """Return the burst with where the pixels look, if the camera has told it with its frames.
 
     Few cameras do, so `Camera` does not ask for it.
@@ -265,7 +235,7 @@ def check_travel(stage: Stage, position_mm: ArrayLike) -> None:
             raise ValueError(f"position {number} at {at} mm is out of travel ({reach} mm)")
 
 
-def _at_position(
+def at_position(
     stage: Stage,
     camera: Camera,
     target_mm: Array,
@@ -333,7 +303,7 @@ def _record(shot: CameraFrame, here_mm: Array, target_mm: Array) -> dict[str, An
     return record
 
 
-def _offsets(record: Mapping[str, Any], calibration: Calibration) -> dict[str, Array]:
+def offsets(record: Mapping[str, Any], calibration: Calibration) -> dict[str, Array]:
     """Return where the image lies, from the position read back."""
     offsets = {"offset_px": calibration.offset_px(record["stage_mm"])}
     if calibration.stage_map.sigma_px > 0:  # 0: nobody knows it
@@ -363,7 +333,7 @@ def _mean(shots: list[CameraFrame]) -> CameraFrame:
 
 
 def _progress(
-    step: int, steps: int, stage: Stage, camera: Camera, frames: list[Record]
+    step: int, steps: int, stage: Stage, camera: Camera, frames: list[dict[str, Array]]
 ) -> Progress:
     cycles = [float(one["raw_cycle"]) for one in frames[-2:]]
     times = [float(one["arrived_s"]) for one in frames[-2:]]

@@ -12,9 +12,10 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lensshift.capture.acquire import Acquisition, OnStep, acquire, acquire_at, bursts
+from lensshift.capture.acquire import Acquisition, OnStep, acquire, acquire_at
 from lensshift.capture.plan import named_plan
 from lensshift.capture.rig import Camera, OnHoming, Stage
+from lensshift.capture.rounds import bursts, frames
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftPlan, StageMap
@@ -132,6 +133,11 @@ class Rig:
         """Yield one burst after another until the caller stops."""
         wanted = named_plan(plan) if isinstance(plan, str) else plan
         return bursts(self.stage, self.camera, wanted, self.calibration, self.acquisition)
+
+    def frames(self, plan: ShiftPlan | str) -> Iterator[dict[str, Any]]:
+        """Yield one frame after another until the caller stops, see `capture.rounds.frames`."""
+        wanted = named_plan(plan) if isinstance(plan, str) else plan
+        return frames(self.stage, self.camera, wanted, self.calibration, self.acquisition)
 
     def close(self) -> None:
         """Stop and let go of everything; a second call does nothing."""

@@ -13,6 +13,7 @@ from lensshift.cli.emulate import emulate
 from lensshift.cli.evaluate import evaluate
 from lensshift.cli.info import info
 from lensshift.cli.lens import lens_verbs
+from lensshift.cli.live import live
 from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.register import register
 from lensshift.cli.reproduce import reproduce
@@ -55,6 +56,7 @@ app.command()(run)
 app.command()(simulate)
 app.command()(reproduce)
 app.command()(capture)
+app.command()(live)
 app.command()(register)
 app.command()(calibrate)
 app.command()(reconstruct)

@@ -38,8 +38,9 @@ _MARK = b"LSCAPTR1"
 _HEAD = struct.Struct("<8sQI")
 _LARGEST = 1 << 31  # bytes of a record: more is damage
 _SCHEMA = "lensshift-capture/1"
-# Fields of a record that every frame has.
-FRAME_FIELDS = ("amplitude", "valid", "offset_px", "stage_mm", "stage_commanded_mm", "time_s")
+# Fields of a record that every frame has; those that it has if a stage moved the lens.
+FRAME_FIELDS = ("amplitude", "valid", "offset_px", "time_s")
+_STAGE_FIELDS = ("offset_sigma_px", "stage_mm", "stage_commanded_mm")
 
 
 class CaptureWriter:
@@ -217,7 +218,7 @@ def burst_of_capture(header: Mapping[str, Any], frames: Sequence[Record], source
     try:
         stacked = {name: np.stack([one[name] for one in frames]) for name in names}
         per_frame: dict[str, Any] = {
-            name: stacked.get(name) for name in (*FRAME_FIELDS[1:], "offset_sigma_px")
+            name: stacked.get(name) for name in (*FRAME_FIELDS[1:], *_STAGE_FIELDS)
         }
         return Burst.from_arrays(
             stacked["amplitude"],

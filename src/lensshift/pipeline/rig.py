@@ -114,7 +114,7 @@ def run_emulated(
     named_plan(plan)
     folder = made_folder(writable_folder(out_dir))
     settings = settings or RigSettings(speed=EMULATED_SPEED)
-    with EmulatedRig(settings, camera_port=_free_port()) as emulated:
+    with EmulatedRig(settings, camera_port=free_port()) as emulated:
         taken = _take(emulated, folder, plan, on_step)
         # The origin of the image is where the calibration says that the offset is zero.
         assumed_px = _assumed(taken)
@@ -217,7 +217,8 @@ def _take(
         return _Taken(burst, rig.calibration, np.stack(true), dict(rig.camera.counts()))
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """Return a UDP port of this computer that nobody listens on."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.bind(("127.0.0.1", 0))
         return int(udp.getsockname()[1])

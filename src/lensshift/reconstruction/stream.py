@@ -50,6 +50,20 @@ class Stream:
         self._memory = Memory()
         self._result: Reconstruction | None = None
         self._next = self._since_refined = 0
+        self._event: str | None = None
+        self._rests = True
+
+    @property
+    def window(self) -> Burst:
+        """The frames in the picture, as a burst, in the order of the plan.
+
+        Raises
+        ------
+        ValueError
+            Before the first frame.
+        """
+        places = sorted(self._frames)
+        return _burst_of(self._template, places, [self._frames[k] for k in places])
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -73,6 +87,16 @@ class Stream:
         ValueError
             If the place is not on the plan, or the frame is of another shape.
         """
+        count, rested = self._template.frame_count, len(self._frames)
+        self.hold(frame, place=place)
+        due = self._pace == "auto" and self._since_refined + 1 >= REFINED_ROUNDS * count
+        return self._solved(live=self._pace != "refined" and not due and rested == count)
+
+    def hold(self, frame: Frame | ArrayLike, *, place: int | None = None) -> None:
+        """Take a frame without a picture for it: the next `step` has it as well.
+
+        For who falls behind the camera, and otherwise as `step`.
+        """
         one = frame if isinstance(frame, Frame) else _frame_of(frame)
         if one.amplitude.shape != self._template.grid.shape:
             raise ValueError(
@@ -81,23 +105,22 @@ class Stream:
         at, event, rests = self._placed(one, place)
         if event == "scene changed":
             self._frames.clear()
-        count, rested = self._template.frame_count, len(self._frames)
+        self._event = event or self._event
+        self._rests = rests and self._rests
         self._frames.pop(at, None)
         self._frames[at] = one
-        self._next = (at + 1) % count
-        due = self._pace == "auto" and self._since_refined + 1 >= REFINED_ROUNDS * count
-        live = self._pace != "refined" and not due and rests and rested == count
-        return self._solved(event, live=live)
+        self._next = (at + 1) % self._template.frame_count
 
-    def _solved(self, event: str | None, *, live: bool) -> Reconstruction:
-        places = sorted(self._frames)
-        burst = _burst_of(self._template, places, [self._frames[k] for k in places])
+    def _solved(self, *, live: bool) -> Reconstruction:
+        live = live and self._rests
         memory, self._memory = self._memory, Memory()  # what is interrupted is not remembered
         memory.begin(quick=live)
-        found = reconstruct(burst, self._scale, memory=memory, **self._settings)
+        found = reconstruct(self.window, self._scale, memory=memory, **self._settings)
         self._memory = memory
         self._since_refined = self._since_refined + 1 if live else 0
-        said = {"pace": "live" if live else "refined", "places": places, "event": event}
+        pace = "live" if live else "refined"
+        said = {"pace": pace, "places": sorted(self._frames), "event": self._event}
+        self._event, self._rests = None, True
         self._result = replace(found, settings=dict(found.settings) | said)
         return self._result
 
@@ -145,7 +168,7 @@ class Stream:
         return _Seen(float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner])))
 
     def _warn(self, text: str) -> None:
-        warnings.warn(text, QualityWarning, stacklevel=4)
+        warnings.warn(text, QualityWarning, stacklevel=5)
 
 
 def stream(

@@ -1,0 +1,108 @@
+"""Go round a plan until the caller stops: one burst after another, or one frame after another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.capture.acquire import (
+    Acquisition,
+    at_position,
+    check_travel,
+    looking,
+    offsets,
+    returning,
+)
+from lensshift.capture.journal import capture_header
+from lensshift.capture.plan import shortest_order
+from lensshift.capture.rig import Camera, Stage
+from lensshift.core.calibration import Calibration
+from lensshift.core.motion import ShiftPlan
+from lensshift.core.types import Burst
+from lensshift.io.capture_file import burst_of_capture
+
+Array = NDArray[Any]
+
+
+def bursts(
+    stage: Stage,
+    camera: Camera,
+    plan: ShiftPlan,
+    calibration: Calibration,
+    settings: Acquisition | None = None,
+) -> Iterator[Burst]:
+    """Yield one burst of the plan after another until the caller stops; then the lens returns.
+
+    Raises
+    ------
+    ValueError, DeviceError
+        As `acquire`.
+    """
+    settings = settings or Acquisition()
+    order, positions = _in_order(stage, plan, calibration, settings)
+    header = capture_header(stage, camera, positions, calibration, asdict(settings), plan.name)
+    each = len(order) * (1 if settings.average else settings.frames)
+    with returning(stage, calibration.rest_mm):
+        rounds = _rounds(stage, camera, positions, calibration, settings)
+        while True:
+            records = [
+                {name: np.asarray(value) for name, value in one.items()}
+                for one in islice(rounds, each)
+            ]
+            yield looking(burst_of_capture(header, records, Path(plan.name or "burst")), camera)
+
+
+def frames(
+    stage: Stage,
+    camera: Camera,
+    plan: ShiftPlan,
+    calibration: Calibration,
+    settings: Acquisition | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Yield one frame after another, round after round of the plan, until the caller stops.
+
+    Each is the record of a journal; its `step` is the place on the plan. Then the lens returns.
+
+    Raises
+    ------
+    ValueError, DeviceError
+        As `acquire`.
+    """
+    settings = settings or Acquisition()
+    order, positions = _in_order(stage, plan, calibration, settings)
+    with returning(stage, calibration.rest_mm):
+        for record in _rounds(stage, camera, positions, calibration, settings):
+            yield record | {"step": order[record["step"]]}
+
+
+def _in_order(
+    stage: Stage, plan: ShiftPlan, calibration: Calibration, settings: Acquisition
+) -> tuple[list[int], Array]:
+    """Return the places of a plan in the order of visits that go on for ever, and where they are.
+
+    Raises
+    ------
+    ValueError
+        If the plan leads out of the travel of the stage.
+    """
+    positions = calibration.stage_mm(plan.target_px)
+    check_travel(stage, positions)
+    order = list(range(len(positions)))
+    if settings.reorder:
+        order = shortest_order(positions, settings.approach_mm, positions[-1])
+    return order, positions[order]
+
+
+def _rounds(
+    stage: Stage, camera: Camera, positions: Array, calibration: Calibration, settings: Acquisition
+) -> Iterator[dict[str, Any]]:
+    while True:
+        for step, target in enumerate(positions):
+            for record in at_position(stage, camera, target, settings, settings.frames):
+                yield {"step": step, **record, **offsets(record, calibration)}

@@ -1,0 +1,1 @@
+"""The live page: frames come in, a picture is made after each, a browser shows the latest one."""

@@ -1,0 +1,69 @@
+"""An emulated rig in a process of its own: what it computes slows no picture."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import Any
+
+from lensshift.capture.opening import Rig, open_rig
+from lensshift.core.errors import DeviceError
+
+# Frames at 100 Hz and swift stages: about 35 frames a second, with two at each place. Stages take
+# some ten milliseconds to settle, whatever their speed: their protocol wants to be asked thrice.
+RATE_HZ, SPEED, FRAMES = 100.0, 100.0, 2
+_READY_S = 120.0  # the first start after an installation compiles
+_PATIENCE_S = 20.0
+
+
+@contextmanager
+def emulated_rig(seed: int = 0) -> Iterator[Rig]:
+    """Start the emulated devices and open them as a rig.
+
+    Raises
+    ------
+    DeviceError
+        If they do not start.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_emulate, args=(theirs, seed), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        table = tomllib.loads(_said(ours))
+        table["acquisition"] = {"frames": FRAMES, "frame_timeout_s": _PATIENCE_S}
+        with open_rig(table) as rig:
+            yield rig
+    finally:
+        ours.close()  # which tells it to end
+        process.join(_PATIENCE_S)
+
+
+def _said(ours: Connection) -> str:
+    try:
+        if ours.poll(_READY_S):
+            return str(ours.recv())
+    except (EOFError, OSError):
+        pass
+    raise DeviceError("did not start", device="emulated rig")
+
+
+def _emulate(theirs: Any, seed: int) -> None:
+    """Emulate until the other end of the pipe is closed, also by the death of its process."""
+    # Ctrl-C reaches all processes of a terminal; the stages must still take the lens to rest.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
+    from lensshift.pipeline.rig import free_port
+
+    settings = RigSettings(speed=SPEED, rate_hz=RATE_HZ, seed=seed)
+    with EmulatedRig(settings, camera_port=free_port()) as rig:
+        theirs.send(rig.rig_file())
+        try:
+            theirs.recv()
+        except (EOFError, OSError):
+            return

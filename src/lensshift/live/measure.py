@@ -1,0 +1,105 @@
+"""What is measured beside the pictures, in a process of its own: no picture waits for it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst
+
+Array = NDArray[Any]
+
+_CURVE_POINTS = 51
+
+
+def beside() -> ProcessPoolExecutor:
+    """Return the process that measures; it gives way to all others."""
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, mp_context=context, initializer=_give_way)
+
+
+def _give_way() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that started it
+    if hasattr(os, "nice"):
+        os.nice(10)
+
+
+def shift_error(window: Burst) -> dict[str, float]:
+    """Return how far the registered shifts are from the planned ones.
+
+        rms over frames and axes of (registered - planned), the mean of each axis left out
+
+    Returns
+    -------
+    dict
+        "rms_px" and "sigma_px", the standard error of a registered shift (rms).
+    """
+    from lensshift.registration import register
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)  # sigma_px says it
+        found = register(window)
+    error_px = found.offset_px - window.offset_px
+    error_px = error_px - error_px.mean(axis=0)
+    sigma_px = np.zeros(1) if found.offset_sigma_px is None else found.offset_sigma_px[1:]
+    return {"rms_px": _rms(error_px), "sigma_px": _rms(sigma_px)}
+
+
+def edge_curve(image: Array, pitch_mm: float, scale: int, box: tuple[int, ...]) -> dict[str, Any]:
+    """Return the MTF of the edge in a box of an image, or why there is none.
+
+    Parameters
+    ----------
+    image : [row col]
+    pitch_mm : of the pixels of the image
+    scale : how many of them are as wide as an LR pixel
+    box : (row start, row stop, col start, col stop)
+
+    Returns
+    -------
+    dict
+        "why" alone; or "frequency_lpmm", "modulation", its 95 % band "low" and "high" or None,
+        "nyquist_lpmm" of the LR pixels, "mtf50" in words, "notes" and "usable".
+    """
+    from lensshift.evaluation.slanted_edge import measure_edge
+
+    frequency_lpmm = np.linspace(0.0, 1.2 / (2.0 * pitch_mm), _CURVE_POINTS)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", QualityWarning)  # the notes say it
+            found = measure_edge(
+                image,
+                pitch_mm,
+                region=(box[0], box[1], box[2], box[3]),
+                valid=np.isfinite(image),
+                scale=scale,
+                frequency_lpmm=frequency_lpmm,
+            )
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return {"why": str(error)}
+    return {
+        "frequency_lpmm": found.mtf.frequency_lpmm.tolist(),
+        "modulation": _finite(found.mtf.modulation),
+        "low": None if found.low is None else _finite(found.low),
+        "high": None if found.high is None else _finite(found.high),
+        "nyquist_lpmm": found.nyquist_lpmm,
+        "mtf50": f"{found.mtf50_lpmm} lp/mm",
+        "notes": list(found.notes),
+        "usable": found.usable,
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
+
+
+def _finite(values: Array) -> list[float | None]:
+    return [float(one) if np.isfinite(one) else None for one in values]

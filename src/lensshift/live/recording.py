@@ -1,0 +1,112 @@
+"""Keep what arrives, and pictures that somebody wants to keep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensshift.core.errors import DataError
+from lensshift.core.types import Burst
+from lensshift.io import save_burst, save_reconstruction
+from lensshift.io.capture_file import CaptureWriter, burst_of_capture, read_capture
+from lensshift.live.picture import Picture, one_frame
+from lensshift.live.sources import Shot
+
+
+class Recording:
+    """Frames of one plan: a journal while they come, a burst file after `close`.
+
+    Parameters
+    ----------
+    folder : for `recording-0001.nc` and so on
+    """
+
+    def __init__(self, folder: Path, plan: Burst) -> None:
+        self.path = unused(folder, "recording", ".nc")
+        self.count = 0
+        self._plan = plan
+        header: dict[str, Any] = {
+            "plan": plan.meta.get("plan", ""),
+            "pitch_mm": list(plan.grid.pitch_mm),
+            "shape": list(plan.grid.shape),
+            "modulation_hz": plan.modulation_hz,
+            "meta": dict(plan.meta),
+        }
+        self._file = CaptureWriter.create(self.path, header)
+
+    def append(self, shot: Shot) -> bool:
+        """Write a frame; return whether it belongs here, which one of another plan does not."""
+        if shot.plan is not self._plan:
+            return False
+        record: dict[str, Any] = {
+            "step": shot.place,
+            "amplitude": shot.frame.amplitude,
+            "valid": shot.frame.valid,
+            "offset_px": shot.offset_px,
+            "time_s": shot.frame.time_s,
+            "distance_m": shot.frame.distance_m,
+            "stage_mm": shot.stage_mm,
+            "stage_commanded_mm": shot.commanded_mm,
+        }
+        self._file.append({name: value for name, value in record.items() if value is not None})
+        self._file.frames.clear()  # they are on disk; a long recording shall not fill memory
+        self.count += 1
+        return True
+
+    def close(self) -> None:
+        """End it: a burst file takes the place of the journal; without a frame nothing is left.
+
+        Raises
+        ------
+        DataError
+            If the file cannot be written; the journal stays.
+        """
+        self._file.close()
+        if not self.count:
+            self.path.unlink(missing_ok=True)
+            return
+        header, frames = read_capture(self.path)
+        burst = burst_of_capture(header, frames, self.path)
+        save_burst(replace(burst, intrinsics=self._plan.intrinsics), self.path)
+
+
+def save_snapshot(picture: Picture, folder: Path) -> tuple[Path, ...]:
+    """Write a picture as result file and PNG, and the frames in it as a burst file.
+
+    Raises
+    ------
+    DataError
+        If a file cannot be written.
+    """
+    from lensshift.report.save import save_figure
+    from lensshift.report.shots import shots_figure
+
+    result = unused(folder, "snapshot", ".nc")
+    frames, preview = result.with_name(f"{result.stem}-frames.nc"), result.with_suffix(".png")
+    save_burst(picture.window, frames)
+    save_reconstruction(picture.result, result)
+    shown = {"one frame": one_frame(picture), picture.settings.method: _images(picture)}
+    save_figure(shots_figure(shown, f"{picture.window.frame_count} frames"), preview)
+    return result, frames, preview
+
+
+def _images(picture: Picture) -> dict[str, np.ndarray[Any, Any]]:
+    return {name: np.abs(one.image) for name, one in picture.result.channels.items()}
+
+
+def unused(folder: Path, name: str, ending: str) -> Path:
+    """Return the first of NAME-0001 and so on that no file has.
+
+    Raises
+    ------
+    DataError
+        If all are taken.
+    """
+    for number in range(1, 10_000):
+        path = folder / f"{name}-{number:04d}{ending}"
+        if not path.exists():
+            return path
+    raise DataError("expected room for another file, 9999 are there", source=folder)

@@ -1,0 +1,126 @@
+"""Run the page: a socket, a token, a server until somebody ends it."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lensshift.live.server import MISSING, make_app
+from lensshift.live.worker import Live
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether nobody beyond this computer can reach an address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens; port 0 takes a free one.
+
+    Raises
+    ------
+    OSError
+        If the port is taken or the host is none of this computer's.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    found = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.bind((host, port))
+        found.listen()
+    except OSError as error:
+        found.close()
+        problem = f"cannot listen at {host}, port {port}: {error.strerror or error}"
+        raise OSError(f"{problem}; --port 0 takes a free one") from error
+    return found
+
+
+def serve(
+    live: Live,
+    listener: socket.socket,
+    folder: Path,
+    *,
+    seconds: float | None = None,
+    on_ready: Callable[[str], None],
+) -> None:
+    """Serve until Ctrl-C, SIGTERM or so many seconds.
+
+    Parameters
+    ----------
+    folder : for recordings and snapshots
+    on_ready : called with the address to open, once it answers
+
+    Raises
+    ------
+    ImportError
+        If the extra `live` is not installed.
+    KeyboardInterrupt
+        After Ctrl-C, when the server has ended.
+    """
+    require_web()
+    import uvicorn
+
+    token = secrets.token_urlsafe(16)
+    # Pictures are not compressed on this computer, and a browser that stands still may stay.
+    config = uvicorn.Config(
+        make_app(live, token, folder),
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
+    )
+
+    class _Server(uvicorn.Server):
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            on_ready(f"http://{_named(listener)}/{token}/")
+
+    server = _Server(config)
+
+    def end() -> None:
+        server.should_exit = True
+
+    timer = None if seconds is None else threading.Timer(seconds, end)
+    try:
+        if timer is not None:
+            timer.daemon = True
+            timer.start()
+        server.run([listener])
+    finally:
+        if timer is not None:
+            timer.cancel()
+        listener.close()
+
+
+def require_web() -> None:
+    """Raise with what to install if there is no web server.
+
+    Raises
+    ------
+    ImportError
+        If the extra `live` is not installed.
+    """
+    try:
+        import starlette
+        import uvicorn
+        import websockets
+    except ImportError as error:
+        raise ImportError(MISSING) from error
+    del starlette, uvicorn, websockets
+
+
+def _named(listener: socket.socket) -> str:
+    name: Any = listener.getsockname()
+    host, port = name[0], name[1]
+    if ipaddress.ip_address(host).is_unspecified:
+        host = socket.gethostname()
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -1,0 +1,336 @@
+"""Where frames come from: a rig, a recording or a simulated camera, all alike."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.camera import PlainOptics, RunningCamera, TofCamera
+from lensshift.camera.view import intrinsics_of
+from lensshift.capture.acquire import check_travel
+from lensshift.capture.drivers.replay import ReplayCamera
+from lensshift.capture.opening import Rig
+from lensshift.capture.plan import named_plan
+from lensshift.core.errors import DataError, DeviceTimeout
+from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import Intrinsics
+from lensshift.core.motion import ShiftPlan
+from lensshift.core.types import Burst, Frame
+from lensshift.scene import Scene
+
+Array = NDArray[Any]
+
+REACH_PX = 1.25  # of a simulated camera, along each axis
+_WAIT_S = 1.0  # for a frame of a recording with gaps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A frame as it arrives.
+
+    Parameters
+    ----------
+    frame : what the camera saw
+    place : where on the plan
+    taken_s : `time.monotonic()` when its last byte had come
+    plan : burst of empty frames with the shifts of the plan, the grid, and what else is known
+    offset_px : [2] where the image lies by what the stage reads back, or as planned
+    stage_mm, commanded_mm : [2] where the lens was, and where it was sent; None without a stage
+    """
+
+    frame: Frame
+    place: int
+    taken_s: float
+    plan: Burst
+    offset_px: Array
+    stage_mm: Array | None = None
+    commanded_mm: Array | None = None
+
+
+class Source(Protocol):
+    """What gives frames until nobody asks for more."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        ...
+
+    @property
+    def pattern(self) -> str:
+        """Name of the plan that the lens goes round."""
+        ...
+
+    def choose(self, pattern: str) -> None:
+        """Go round another plan from the next frame on.
+
+        Raises
+        ------
+        ValueError
+            If there is no such plan, the stage cannot go there, or the plan is fixed.
+        """
+        ...
+
+    def shots(self) -> Iterator[Shot]:
+        """Yield frames as they arrive; closing the iterator brings the lens back to rest."""
+        ...
+
+
+class RigSource:
+    """Frames of an open rig; each began after the stage had settled."""
+
+    def __init__(self, rig: Rig, pattern: str = "square") -> None:
+        self._rig = rig
+        self.name = f"{rig.stage.name}, {rig.camera.name}"
+        self._plan = self._checked(pattern)
+
+    @property
+    def pattern(self) -> str:
+        """Name of the plan that the lens goes round."""
+        return self._plan.name
+
+    def choose(self, pattern: str) -> None:
+        """Go round another plan, if the stage reaches all of it."""
+        self._plan = self._checked(pattern)
+
+    def _checked(self, pattern: str) -> ShiftPlan:
+        plan = named_plan(pattern)
+        check_travel(self._rig.stage, self._rig.calibration.stage_mm(plan.target_px))
+        return plan
+
+    def shots(self) -> Iterator[Shot]:
+        """Yield frames until the iterator is closed; the lens rests between two plans."""
+        while True:
+            plan, template = self._plan, None
+            with closing(self._rig.frames(plan)) as records:  # type: ignore[type-var]
+                for record in records:
+                    if template is None:  # where the pixels look comes with the frames
+                        template = self._template(plan)
+                    yield _of_record(record, template)
+                    if self._plan is not plan:
+                        break
+
+    def _template(self, plan: ShiftPlan) -> Burst:
+        camera, calibration = self._rig.camera, self._rig.calibration
+        return template_of(
+            plan.target_px,
+            camera.grid,
+            camera.modulation_hz,
+            getattr(camera, "intrinsics", None),
+            calibration.psf_sigma_px,
+            plan.name,
+        )
+
+
+class SimulatedSource:
+    """Frames of a simulated camera whose image moves by the plan, and a little beside it.
+
+    Parameters
+    ----------
+    rate_hz : frames per second
+    shift_error_px : rms error of each shift along each axis, which nobody is told
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        camera: TofCamera,
+        pattern: str = "square",
+        *,
+        rate_hz: float = 25.0,
+        shift_error_px: float = 0.02,
+        seed: int = 0,
+    ) -> None:
+        self._running = RunningCamera(scene, camera, reach_px=REACH_PX)
+        self._camera, self._rate_hz = camera, rate_hz
+        self._error_px, self._rng = shift_error_px, np.random.default_rng(seed)
+        self.name = "simulated camera"
+        self._plan = named_plan(pattern)
+
+    @property
+    def pattern(self) -> str:
+        """Name of the plan that the image goes round."""
+        return self._plan.name
+
+    def choose(self, pattern: str) -> None:
+        """Go round another plan."""
+        self._plan = named_plan(pattern)
+
+    def shots(self) -> Iterator[Shot]:
+        """Yield frames at their rate; what is late is not caught up with."""
+        while True:
+            plan = self._plan
+            template = self._template(plan)
+            for place, offset_px in enumerate(plan.target_px):
+                due_s = time.monotonic() + 1.0 / self._rate_hz
+                moved_px = offset_px + self._error_px * self._rng.standard_normal(2)
+                image = self._running.frame(moved_px[None], self._rng)
+                time.sleep(max(0.0, due_s - time.monotonic()))
+                now_s = time.monotonic()
+                frame = Frame(image.amplitude, image.distance_m, image.valid, now_s)
+                yield Shot(frame, place, now_s, template, offset_px)
+                if self._plan is not plan:
+                    break
+
+    def _template(self, plan: ShiftPlan) -> Burst:
+        camera, optics = self._camera, self._camera.optics
+        blur_px = optics.blur_sigma_px if isinstance(optics, PlainOptics) else 0.0
+        side_px = math.sqrt(camera.pixels.fill_factor)
+        return template_of(
+            plan.target_px,
+            camera.grid,
+            camera.illumination.modulation_hz[0],
+            intrinsics_of(camera),
+            math.hypot(side_px / math.sqrt(12.0), blur_px),
+            plan.name,
+        )
+
+
+class BurstSource:
+    """Frames of a burst file or of the journal of a capture, over and over.
+
+    Parameters
+    ----------
+    rate_hz : frames per second; infinity: as fast as they are fetched
+    again : begin anew at the end
+    """
+
+    def __init__(
+        self, burst: Burst, name: str, *, rate_hz: float = 20.0, again: bool = True
+    ) -> None:
+        self._burst, self._rate_hz, self._again = burst, rate_hz, again
+        self.name = f"recording {name}"
+        self.pattern = str(burst.meta.get("plan") or "recorded")
+        steps = burst.meta.get("step")
+        fits = isinstance(steps, list | tuple) and len(steps) == burst.frame_count
+        given = np.asarray(steps if fits else np.arange(burst.frame_count), dtype=np.intp)
+        places, self._place = np.unique(given, return_inverse=True)
+        offset_px = [burst.offset_px[self._place == n].mean(axis=0) for n in range(len(places))]
+        self.plan = template_of(
+            np.stack(offset_px),
+            burst.grid,
+            burst.frequencies_hz[0] if len(burst.frequencies_hz) == 1 else None,
+            burst.intrinsics,
+            burst.meta.get("psf_sigma_px"),
+            self.pattern,
+        )
+
+    def choose(self, pattern: str) -> None:
+        """Refuse another plan: the recorded one is over."""
+        if pattern != self.pattern:
+            raise ValueError(
+                f"a recording has its own plan ({self.pattern}); it cannot become {pattern!r}"
+            )
+
+    def shots(self) -> Iterator[Shot]:
+        """Yield the frames in the order in which they were taken."""
+        burst = self._burst
+        for count in itertools.count():
+            if count >= burst.frame_count and not self._again:
+                return
+            number = count % burst.frame_count
+            if math.isfinite(self._rate_hz):
+                time.sleep(1.0 / self._rate_hz)
+            now_s = time.monotonic()
+            valid = np.ones(burst.grid.shape, bool) if burst.valid is None else burst.valid[number]
+            distance_m = None if burst.distance_m is None else burst.distance_m[number]
+            frame = Frame(burst.amplitude[number], distance_m, valid, now_s)
+            stage, sent = (
+                None if places_mm is None else places_mm[number]
+                for places_mm in (burst.stage_mm, burst.stage_commanded_mm)
+            )
+            place = int(self._place[number])
+            yield Shot(frame, place, now_s, self.plan, burst.offset_px[number], stage, sent)
+
+
+class CameraSource:
+    """Frames of a recording of a camera, which says nothing of the lens: it went round a plan."""
+
+    def __init__(self, camera: ReplayCamera, pattern: str = "square") -> None:
+        self._camera = camera
+        self.name = camera.name
+        self._plan = named_plan(pattern)
+
+    @property
+    def pattern(self) -> str:
+        """Name of the plan that the lens is taken to have gone round."""
+        return self._plan.name
+
+    def choose(self, pattern: str) -> None:
+        """Take the lens to have gone round another plan."""
+        self._plan = named_plan(pattern)
+
+    def shots(self) -> Iterator[Shot]:
+        """Yield frames as recorded; a lost frame still counts as a place of the plan."""
+        self._camera.open()
+        plan, template, first = self._plan, None, 0
+        try:
+            while True:
+                try:
+                    one = self._camera.next_frame(_WAIT_S)
+                except DeviceTimeout:
+                    continue
+                if template is None or self._plan is not plan:
+                    plan, first = self._plan, one.cycle
+                    template = self._template(plan)
+                place = (one.cycle - first) % template.frame_count
+                offset_px = plan.target_px[place]
+                yield Shot(one.frame, place, one.arrived_s, template, offset_px)
+        finally:
+            self._camera.close()
+
+    def _template(self, plan: ShiftPlan) -> Burst:
+        camera = self._camera
+        known = getattr(camera, "intrinsics", None)
+        return template_of(
+            plan.target_px, camera.grid, camera.modulation_hz, known, None, plan.name
+        )
+
+
+def template_of(
+    offset_px: Array,
+    grid: Grid,
+    modulation_hz: float | None,
+    intrinsics: Intrinsics | None,
+    blur_px: float | None,
+    name: str,
+) -> Burst:
+    """Return a burst of empty frames: a plan, with what is known of the camera.
+
+    Parameters
+    ----------
+    blur_px : width of the pixel response, lens included, in LR pixels; None: not known
+    """
+    meta: dict[str, Any] = {"plan": name}
+    if blur_px is not None:
+        meta["psf_sigma_px"] = float(blur_px)
+    empty = Burst(np.zeros((len(offset_px), *grid.shape)), offset_px, grid, meta=meta)
+    try:
+        return replace(empty, modulation_hz=modulation_hz, intrinsics=intrinsics)
+    except DataError as error:
+        raise ValueError(f"the camera contradicts itself: {error}") from error
+
+
+def _of_record(record: dict[str, Any], template: Burst) -> Shot:
+    frame = Frame(
+        np.asarray(record["amplitude"]),
+        record.get("distance_m"),
+        np.asarray(record["valid"]),
+        float(record["time_s"]),
+    )
+    return Shot(
+        frame,
+        int(record["step"]),
+        float(record["arrived_s"]),
+        template,
+        np.asarray(record["offset_px"]),
+        np.asarray(record["stage_mm"]),
+        np.asarray(record["stage_commanded_mm"]),
+    )

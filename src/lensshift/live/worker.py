@@ -1,0 +1,189 @@
+"""Two threads: one takes frames, one makes pictures of the latest; neither waits for a browser."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import closing
+
+from lensshift.core.types import Burst
+from lensshift.live.picture import Picture, Settings
+from lensshift.live.recording import Recording
+from lensshift.live.sources import Shot, Source
+from lensshift.reconstruction.stream import Stream, stream
+
+_RATE_OVER_S = 3.0
+_LOOK_S = 0.2  # how soon the solver notices the end
+# What a device, a file or a setting can do to a thread.
+FAILURES = (ValueError, TypeError, OSError, RuntimeError, MemoryError, ImportError)
+
+
+class Mailbox:
+    """The latest frame of each place: what is not fetched in time is replaced."""
+
+    def __init__(self) -> None:
+        self._shots: dict[int, Shot] = {}
+        self._changed = threading.Condition()
+
+    def put(self, shot: Shot) -> None:
+        """Leave a frame; those of another plan go."""
+        with self._changed:
+            if any(one.plan is not shot.plan for one in self._shots.values()):
+                self._shots.clear()
+            self._shots.pop(shot.place, None)
+            self._shots[shot.place] = shot
+            self._changed.notify()
+
+    def take(self, timeout_s: float) -> list[Shot]:
+        """Return what there is, the latest last; nothing if nothing came in time."""
+        with self._changed:
+            if not self._shots:
+                self._changed.wait(timeout_s)
+            shots = list(self._shots.values())
+            self._shots.clear()
+            return shots
+
+
+class Rate:
+    """Events per second over the last seconds."""
+
+    def __init__(self) -> None:
+        self._at_s: deque[float] = deque(maxlen=1000)
+
+    def tick(self) -> None:
+        """Take note of an event."""
+        self._at_s.append(time.monotonic())
+
+    def per_s(self) -> float:
+        """Return the rate; 0 before the second event."""
+        now_s = time.monotonic()
+        recent = [at_s for at_s in tuple(self._at_s) if at_s > now_s - _RATE_OVER_S]
+        return (len(recent) - 1) / (now_s - recent[0]) if len(recent) > 1 else 0.0
+
+
+class Live:
+    """A source, a solver and its latest picture; use it in a `with` block.
+
+    Parameters
+    ----------
+    source : of the frames
+    settings : of the pictures, which `change` changes
+    """
+
+    def __init__(self, source: Source, settings: Settings | None = None) -> None:
+        self.source = source
+        self.settings = settings or Settings()
+        self.picture: Picture | None = None
+        self.problem = ""
+        self.arrived, self.solved = Rate(), Rate()
+        self.frame_count = 0
+        self._recording: Recording | None = None
+        self._recording_lock = threading.Lock()
+        self._mailbox = Mailbox()
+        self._ending = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._guarded, args=(work,), name=name)
+            for name, work in (("frames", self._receive), ("pictures", self._solve))
+        ]
+
+    def __enter__(self) -> Live:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End both threads; the lens is back at rest when this returns."""
+        self._ending.set()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+        self.record(None)
+
+    @property
+    def ended(self) -> bool:
+        """Whether no frame comes any more."""
+        return not self._threads[0].is_alive()
+
+    def change(self, settings: Settings) -> None:
+        """Make the pictures from now on in another way."""
+        self.settings = settings
+
+    @property
+    def recording(self) -> Recording | None:
+        """What the frames are written to, or None."""
+        return self._recording
+
+    def record(self, recording: Recording | None) -> None:
+        """Write the frames from now on; end the recording before.
+
+        Raises
+        ------
+        DataError
+            If that cannot be made a burst file.
+        """
+        with self._recording_lock:
+            before, self._recording = self._recording, recording
+        if before is not None:
+            before.close()
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except FAILURES as error:
+            self.problem = " ".join(str(error).split()) or type(error).__name__
+
+    def _receive(self) -> None:
+        with closing(self.source.shots()) as shots:  # type: ignore[type-var]
+            for shot in shots:
+                self.arrived.tick()
+                self.frame_count += 1
+                self._mailbox.put(shot)
+                self._write(shot)
+                if self._ending.is_set():
+                    return
+
+    def _write(self, shot: Shot) -> None:
+        with self._recording_lock:
+            recording = self._recording
+            if recording is not None and recording.append(shot):
+                return
+        if recording is not None:  # another plan is another burst
+            self.record(None)
+
+    def _solve(self) -> None:
+        made: tuple[Burst, Settings] | None = None
+        camera: Stream | None = None
+        while not self._ending.is_set():
+            shots = self._mailbox.take(_LOOK_S)
+            settings = self.settings
+            if not shots:
+                continue
+            plan = shots[-1].plan
+            if camera is None or made is None or made[0] is not plan or made[1] != settings:
+                camera, made = _stream_of(plan, settings), (plan, settings)
+            try:
+                self._step(camera, shots, settings)
+            except FAILURES as error:  # a setting that does not go with these frames; others may
+                self.problem = " ".join(str(error).split()) or type(error).__name__
+                camera = None
+            else:
+                self.problem = "" if not self.ended else self.problem
+
+    def _step(self, camera: Stream, shots: Sequence[Shot], settings: Settings) -> None:
+        for shot in shots[:-1]:
+            camera.hold(shot.frame, place=shot.place)
+        last = shots[-1]
+        result = camera.step(last.frame, place=last.place)
+        number = 1 if self.picture is None else self.picture.number + 1
+        self.picture = Picture(number, result, last, camera.window, settings)
+        self.solved.tick()
+
+
+def _stream_of(plan: Burst, settings: Settings) -> Stream:
+    blur = "auto" if settings.blur_px is None else settings.blur_px
+    return stream(plan, settings.scale, settings.method, psf_sigma_px=blur)
