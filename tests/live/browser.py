@@ -32,8 +32,7 @@ class Page:
         self.requests: list[str] = []
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        number = next(self._numbers)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
+        number = self.send(method, **params)
         while True:
             said = json.loads(self._socket.recv(timeout=60))
             if said.get("id") == number:
@@ -41,8 +40,15 @@ class Page:
                 return dict(said["result"])
             self._note(said)
 
+    def send(self, method: str, **params: Any) -> int:
+        """Send a command without waiting for its result."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
+        return number
+
     def _note(self, said: dict[str, Any]) -> None:
-        about = said.get("params", {})
+        said = {"method": "", "params": {}} | said
+        about = said["params"]
         if said["method"] == "Network.requestWillBeSent":
             self.requests.append(about["request"]["url"])
         elif said["method"] == "Network.webSocketCreated":

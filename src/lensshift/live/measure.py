@@ -29,7 +29,7 @@ def beside() -> ProcessPoolExecutor:
 def _give_way() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that started it
     if hasattr(os, "nice"):
-        os.nice(10)
+        os.nice(4)
 
 
 def shift_error(window: Burst) -> dict[str, float]:
@@ -53,7 +53,9 @@ def shift_error(window: Burst) -> dict[str, float]:
     return {"rms_px": _rms(error_px), "sigma_px": _rms(sigma_px)}
 
 
-def edge_curve(image: Array, pitch_mm: float, scale: int, box: tuple[int, ...]) -> dict[str, Any]:
+def edge_curve(
+    image: Array, pitch_mm: float, scale: int, box: tuple[int, ...], most_lpmm: float
+) -> dict[str, Any]:
     """Return the MTF of the edge in a box of an image, or why there is none.
 
     Parameters
@@ -62,6 +64,7 @@ def edge_curve(image: Array, pitch_mm: float, scale: int, box: tuple[int, ...]) 
     pitch_mm : of the pixels of the image
     scale : how many of them are as wide as an LR pixel
     box : (row start, row stop, col start, col stop)
+    most_lpmm : where the curve ends, unless one cycle per pixel is less
 
     Returns
     -------
@@ -71,7 +74,7 @@ def edge_curve(image: Array, pitch_mm: float, scale: int, box: tuple[int, ...]) 
     """
     from lensshift.evaluation.slanted_edge import measure_edge
 
-    frequency_lpmm = np.linspace(0.0, 1.2 / (2.0 * pitch_mm), _CURVE_POINTS)
+    frequency_lpmm = np.linspace(0.0, min(most_lpmm, 1.0 / pitch_mm), _CURVE_POINTS)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", QualityWarning)  # the notes say it

@@ -50,6 +50,7 @@ def serve(
     *,
     seconds: float | None = None,
     on_ready: Callable[[str], None],
+    on_start: Callable[[Callable[[], None]], None] | None = None,
 ) -> None:
     """Serve until Ctrl-C, SIGTERM or so many seconds.
 
@@ -57,6 +58,7 @@ def serve(
     ----------
     folder : for recordings and snapshots
     on_ready : called with the address to open, once it answers
+    on_start : called with what ends the server, for who serves in another thread
 
     Raises
     ------
@@ -89,6 +91,8 @@ def serve(
     def end() -> None:
         server.should_exit = True
 
+    if on_start is not None:
+        on_start(end)
     timer = None if seconds is None else threading.Timer(seconds, end)
     try:
         if timer is not None:

@@ -105,7 +105,7 @@ class Pages:
             else {"name": recording.path.name, "frames": recording.count},
             "numbers": {
                 "frames_hz": round(frames_hz, 2),
-                "bursts_hz": round(frames_hz / places, 2) if places else None,
+                "bursts_hz": round(live.visited.per_s() / places, 2) if places else None,
                 "pictures_hz": round(live.solved.per_s(), 2),
                 "shift": None
                 if shift is None
@@ -197,17 +197,19 @@ class Pages:
             return _json({"error": str(error)}, 400)
         scale, pitch_mm = picture.result.scale, float(np.mean(picture.window.grid.pitch_mm))
         coarse = (box[0] // scale, -(-box[1] // scale), box[2] // scale, -(-box[3] // scale))
-        loop, found = asyncio.get_running_loop(), {}
+        loop, found, most_lpmm = asyncio.get_running_loop(), {}, 0.6 * scale / pitch_mm
         for name, image, times, place in (
             ("one", images[0], 1, coarse),
             ("fine", images[1], scale, box),
         ):
             try:
                 found[name] = await loop.run_in_executor(
-                    pool, edge_curve, image, pitch_mm / times, times, place
+                    pool, edge_curve, image, pitch_mm / times, times, place, most_lpmm
                 )
             except BrokenExecutor as error:
                 return _json({"error": f"the measuring process has gone: {error}"}, 500)
+            except asyncio.CancelledError:  # the server ends, which is no error of this request
+                return _json({"error": "lensshift live is ending"}, 503)
         nyquist = {"one_lpmm": 0.5 / pitch_mm, "fine_lpmm": 0.5 * scale / pitch_mm}
         return _json({"box": box, "number": picture.number, "nyquist": nyquist, **found})
 

@@ -165,9 +165,10 @@ class SimulatedSource:
 
     def shots(self) -> Iterator[Shot]:
         """Yield frames at their rate; what is late is not caught up with."""
+        plan, template = self._plan, self._template(self._plan)
         while True:
-            plan = self._plan
-            template = self._template(plan)
+            if self._plan is not plan:
+                plan, template = self._plan, self._template(self._plan)
             for place, offset_px in enumerate(plan.target_px):
                 due_s = time.monotonic() + 1.0 / self._rate_hz
                 moved_px = offset_px + self._error_px * self._rng.standard_normal(2)

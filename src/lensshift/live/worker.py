@@ -76,8 +76,8 @@ class Live:
         self.source = source
         self.settings = settings or Settings()
         self.picture: Picture | None = None
-        self.problem = ""
-        self.arrived, self.solved = Rate(), Rate()
+        self._failure = self._refusal = ""
+        self.arrived, self.visited, self.solved = Rate(), Rate(), Rate()
         self.frame_count = 0
         self._recording: Recording | None = None
         self._recording_lock = threading.Lock()
@@ -109,6 +109,11 @@ class Live:
         """Whether no frame comes any more."""
         return not self._threads[0].is_alive()
 
+    @property
+    def problem(self) -> str:
+        """What ended the frames, or else what speaks against the settings; or nothing."""
+        return self._failure or self._refusal
+
     def change(self, settings: Settings) -> None:
         """Make the pictures from now on in another way."""
         self.settings = settings
@@ -135,12 +140,16 @@ class Live:
         try:
             work()
         except FAILURES as error:
-            self.problem = " ".join(str(error).split()) or type(error).__name__
+            self._failure = _words(error)
 
     def _receive(self) -> None:
         with closing(self.source.shots()) as shots:  # type: ignore[type-var]
+            last: Shot | None = None
             for shot in shots:
                 self.arrived.tick()
+                if last is None or shot.place != last.place or shot.plan.frame_count == 1:
+                    self.visited.tick()  # several frames at one place are one visit
+                last = shot
                 self.frame_count += 1
                 self._mailbox.put(shot)
                 self._write(shot)
@@ -160,19 +169,17 @@ class Live:
         camera: Stream | None = None
         while not self._ending.is_set():
             shots = self._mailbox.take(_LOOK_S)
-            settings = self.settings
             if not shots:
                 continue
-            plan = shots[-1].plan
-            if camera is None or made is None or made[0] is not plan or made[1] != settings:
-                camera, made = _stream_of(plan, settings), (plan, settings)
+            plan, settings = shots[-1].plan, self.settings
             try:
+                if camera is None or made is None or made[0] is not plan or made[1] != settings:
+                    camera, made = _stream_of(plan, settings), (plan, settings)
                 self._step(camera, shots, settings)
             except FAILURES as error:  # a setting that does not go with these frames; others may
-                self.problem = " ".join(str(error).split()) or type(error).__name__
-                camera = None
+                camera, self._refusal = None, _words(error)
             else:
-                self.problem = "" if not self.ended else self.problem
+                self._refusal = ""
 
     def _step(self, camera: Stream, shots: Sequence[Shot], settings: Settings) -> None:
         for shot in shots[:-1]:
@@ -187,3 +194,7 @@ class Live:
 def _stream_of(plan: Burst, settings: Settings) -> Stream:
     blur = "auto" if settings.blur_px is None else settings.blur_px
     return stream(plan, settings.scale, settings.method, psf_sigma_px=blur)
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

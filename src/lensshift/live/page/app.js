@@ -13,7 +13,8 @@ globalThis.lensshift = stats;
 addEventListener("error", (event) => stats.failures.push(event.message));
 addEventListener("unhandledrejection", (event) => stats.failures.push(String(event.reason)));
 
-let geometry = "", age = null, scale = 0;
+const TOLD_MS = 200; // numbers that change faster cannot be read
+let geometry = "", age = null, scale = 0, told = 0;
 
 function connect() {
   const socket = new WebSocket(new URL("pictures", location.href.replace(/^http/, "ws")));
@@ -26,10 +27,13 @@ function connect() {
   socket.onmessage = ({ data }) => {
     const came = performance.now();
     requestAnimationFrame(async () => {
+      // The next one travels while this one is drawn; a tab that stands still asks for none.
+      if (socket.readyState === WebSocket.OPEN) socket.send("next");
       const { head, layers } = unpacked(data);
       if (layers.size) await draw(head, layers, came);
+      if (came - told < TOLD_MS && head.number) return;
+      told = came;
       numbers(head);
-      if (socket.readyState === WebSocket.OPEN) socket.send("next");
     });
   };
 }

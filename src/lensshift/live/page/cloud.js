@@ -4,7 +4,7 @@ import { grey, rangeOf, viridis } from "./colours.js";
 
 const canvas = document.getElementById("cloud"), note = document.getElementById("cloud-note");
 const colour = document.getElementById("colour"), flying = document.getElementById("flying");
-const gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
+const gl = canvas.getContext("webgl2", { antialias: false, alpha: true });
 const VERTEX = `#version 300 es
 in vec3 look; in float metres; in float shade; in float flies;
 uniform vec3 middle; uniform vec2 turn; uniform vec4 lens; uniform vec2 limits; uniform float keep;
@@ -15,8 +15,8 @@ void main() {
   p = vec3(cos(turn.x) * p.x + sin(turn.x) * p.z, p.y, cos(turn.x) * p.z - sin(turn.x) * p.x);
   p = vec3(p.x, cos(turn.y) * p.y - sin(turn.y) * p.z, sin(turn.y) * p.y + cos(turn.y) * p.z);
   float z = p.z + lens.x, near = 0.02 * lens.x, far = 20.0 * lens.x;
-  gl_Position = vec4(2.4 * p.x / lens.y, -2.4 * p.y, (z * (far + near) - 2.0 * far * near) / (far - near), z);
-  gl_PointSize = clamp(1.2 * lens.w * metres * 1.2 * lens.z / z, 1.5, 64.0);
+  gl_Position = vec4(5.0 * p.x / lens.y, -5.0 * p.y, (z * (far + near) - 2.0 * far * near) / (far - near), z);
+  gl_PointSize = clamp(1.1 * lens.w * metres * 2.5 * lens.z / z, 1.5, 64.0);
   if (!(metres > 0.0) || flies > keep) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
 }`;
 const FRAGMENT = `#version 300 es
@@ -24,7 +24,7 @@ precision mediump float; in float level; uniform sampler2D map; out vec4 seen;
 void main() { seen = vec4(texture(map, vec2(level * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, 1.0); }`;
 
 let turn = [0.5, 0.3], zoom = 1, latest = null, range = null, ranged = "";
-let program, buffers = {}, uniforms = {}, maps = {}, pitch = 0.01, middle = null;
+let program, buffers = {}, uniforms = {}, maps = {}, pitch = 0.01, middle = null, size = 1;
 
 if (gl) begin();
 else note.textContent = "This browser has no WebGL2, which the point cloud needs.";
@@ -86,7 +86,10 @@ export function showCloud(head, layers) {
   put("shade", shade.values);
   put("flies", flies ? flies.values : new Float32Array(latest.count));
   const [low, high] = rangeOf(metres.values);
-  middle ??= [0, 0, 0.5 * (low + high)];
+  if (!middle) {
+    middle = [0, 0, 0.5 * (low + high)];
+    size = Math.max(0.1, latest.cols * pitch * middle[2], high - low);
+  }
   const share = flies ? flies.values.reduce((sum, x) => sum + x, 0) / latest.count : 0;
   note.textContent = [
     `${latest.count.toLocaleString("en")} pixels, ${low.toFixed(2)} to ${high.toFixed(2)} m`,
@@ -104,10 +107,10 @@ export function drawCloud() {
   gl.viewport(0, 0, width, height);
   gl.clearColor(0, 0, 0, 0);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-  const wide = Math.max(0.3, latest.cols * pitch * middle[2]), shape = width / height;
+  const shape = width / height;
   gl.uniform3fv(uniforms.middle, middle);
   gl.uniform2fv(uniforms.turn, turn);
-  gl.uniform4f(uniforms.lens, 1.5 * wide * Math.max(1, 1.2 / shape) / zoom, shape, height, pitch);
+  gl.uniform4f(uniforms.lens, size * Math.max(1.8, 3.4 / shape) / zoom, shape, height, pitch);
   gl.uniform2fv(uniforms.limits, range);
   gl.uniform1f(uniforms.keep, flying.checked ? 2 : 0.5);
   gl.bindTexture(gl.TEXTURE_2D, maps[colour.value]);

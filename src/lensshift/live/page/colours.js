@@ -29,7 +29,7 @@ export const viridis = Uint32Array.from({ length: 256 }, (_, i) => {
 
 // Lowest and highest of most values: stray ones shall not take the contrast of the rest.
 export function rangeOf(values) {
-  const step = Math.max(1, Math.floor(values.length / 4096));
+  const step = Math.max(1, Math.floor(values.length / 1024));
   const some = [];
   for (let i = 0; i < values.length; i += step) if (values[i] === values[i]) some.push(values[i]);
   if (!some.length) return [0, 1];

@@ -49,7 +49,7 @@ function show(answer) {
 }
 
 export function drawCurves() {
-  const dense = window.devicePixelRatio || 1, style = getComputedStyle(document.documentElement);
+  const dense = window.devicePixelRatio || 1, style = getComputedStyle(document.body);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   const em = parseFloat(style.fontSize);
   const ink = (name) => style.getPropertyValue(name);

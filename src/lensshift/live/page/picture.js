@@ -40,8 +40,9 @@ function draw() {
   const [layer, one, words] = chosen(layers);
   const any = layers.get("amplitude") ?? layers.get("distance");
   stage.style.aspectRatio = `${any.cols} / ${any.rows}`;
-  stage.style.maxWidth = `${Math.max(20, 62 * any.cols / any.rows)}vh`;
-  at("panels").classList.toggle("wide", any.cols > 2.2 * any.rows);
+  const wide = any.cols > 2.2 * any.rows;
+  at("panels").classList.toggle("wide", wide);
+  stage.style.maxWidth = `${Math.max(20, (wide ? 34 : 58) * any.cols / any.rows)}vh`;
   at("tag-one").hidden = wipe.hidden = before.hidden = !one;
   at("tag-fine").textContent = layer ? (one ? "super-resolved" : words) : `no ${words} with this method`;
   at("fine").hidden = !layer;
