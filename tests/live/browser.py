@@ -18,7 +18,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--remote-debugging-port=0",
     "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--mute-audio",
+    "--disable-gpu", "--enable-unsafe-swiftshader", "--mute-audio",
 )  # fmt: skip
 
 

@@ -127,7 +127,7 @@ def live(
         else:
             source = _simulated(str(simulate), pattern, rate_hz)
         with listening(host, port) as listener, source as frames:
-            _show(current, frames, settings, (listener, out, seconds), open_page=open_page)
+            _show(current, frames, settings, (listener, out, seconds, debug), open_page=open_page)
 
 
 def _show(
@@ -138,7 +138,7 @@ def _show(
     from lensshift.live.sources import RigSource
     from lensshift.live.worker import Live
 
-    listener, out, seconds = where
+    listener, out, seconds, debug = where
 
     def ready(address: str) -> None:
         current.result |= {"address": address, "source": frames.name}
@@ -151,7 +151,7 @@ def _show(
 
     with Live(frames, settings) as running:
         try:
-            serve(running, listener, out, seconds=seconds, on_ready=ready)
+            serve(running, listener, out, seconds=seconds, debug=debug, on_ready=ready)
         except KeyboardInterrupt:  # the way out, not a failure
             current.say("ending; the lens goes to rest")
     pictures = 0 if running.picture is None else running.picture.number

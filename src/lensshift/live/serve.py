@@ -49,6 +49,7 @@ def serve(
     folder: Path,
     *,
     seconds: float | None = None,
+    debug: bool = False,
     on_ready: Callable[[str], None],
     on_start: Callable[[Callable[[], None]], None] | None = None,
 ) -> None:
@@ -57,6 +58,7 @@ def serve(
     Parameters
     ----------
     folder : for recordings and snapshots
+    debug : whether the log of the server is shown
     on_ready : called with the address to open, once it answers
     on_start : called with what ends the server, for who serves in another thread
 
@@ -74,7 +76,7 @@ def serve(
     # Pictures are not compressed on this computer, and a browser that stands still may stay.
     config = uvicorn.Config(
         make_app(live, token, folder),
-        log_level="warning",
+        log_level="info" if debug else "critical",  # a request cut off by the end is no error
         access_log=False,
         ws="websockets-sansio",
         ws_per_message_deflate=False,

@@ -76,7 +76,7 @@ function numbers(head) {
   tell("source", head.source);
   tell("state", head.problem || (head.ended ? "No more frames come." : ""));
   tell("n-bursts", bursts_hz === null ? "–" : bursts_hz.toFixed(1));
-  tell("n-rates", `${frames_hz.toFixed(1)} frames, ${pictures_hz.toFixed(1)} pictures made, ${rate().toFixed(1)} shown per second`);
+  tell("n-rates", `${frames_hz.toFixed(1)} frames, ${pictures_hz.toFixed(1)} pictures, ${rate().toFixed(1)} shown per s`);
   tell("n-shift", shift ? `${shift.rms_px.toFixed(3)} px` : "–");
   tell("n-shift-note", shift
     ? `rms, registered (± ${shift.sigma_px.toFixed(3)} px) against planned, ${shift.ago_s.toFixed(0)} s ago`

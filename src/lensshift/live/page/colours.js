@@ -44,7 +44,7 @@ export function paint(canvas, layer, [low, high], table) {
     canvas.width = layer.cols;
     canvas.height = layer.rows;
   }
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", { willReadFrequently: true }); // small ones: no need of a GPU
   const image = context.createImageData(layer.cols, layer.rows);
   const pixels = new Uint32Array(image.data.buffer);
   const factor = 255 / (high - low);
