@@ -4,6 +4,8 @@
 
                      cli                        you type
                       |
+                    live                        the page that you look at
+                      |
                    pipeline                     the whole chain in one file
                       |
                     report                      figures of results

@@ -17,7 +17,7 @@ from lensshift import load_burst, save_burst
 from lensshift.capture.acquire import Acquisition, Progress, acquire, acquire_at
 from lensshift.capture.plan import PLANS, load_plan, named_plan, shortest_order
 from lensshift.capture.rig import CameraFrame
-from lensshift.capture.rounds import bursts
+from lensshift.capture.rounds import bursts, frames
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
@@ -328,6 +328,21 @@ def test_an_endless_stream_ends_with_the_lens_at_rest() -> None:
     three = list(islice(stream, 3))
     stream.close()
     assert [one.frame_count for one in three] == [4, 4, 4]
+    np.testing.assert_array_equal(stage.place_mm, REST)
+
+
+def test_frames_one_by_one_know_their_place_on_the_plan() -> None:
+    stage, camera = devices()
+    plan = named_plan("square")
+    stream = frames(stage, camera, plan, CALIBRATION, Acquisition(frames=2))
+    records = list(islice(stream, 16))
+    stream.close()  # type: ignore[attr-defined]
+    places = [one["step"] for one in records]
+    assert sorted(places) == [0] * 4 + [1] * 4 + [2] * 4 + [3] * 4
+    assert places[:8] == places[8:]
+    for one in records:
+        expected_mm = CALIBRATION.stage_mm(plan.target_px[one["step"]][None])[0]
+        np.testing.assert_allclose(one["stage_commanded_mm"], expected_mm)
     np.testing.assert_array_equal(stage.place_mm, REST)
 
 

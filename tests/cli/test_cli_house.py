@@ -17,7 +17,7 @@ from lensshift.cli.reconstruct import _WIDTH_SOURCES
 from lensshift.cli.session import Progress, to_json
 from lensshift.reconstruction.reconstruct import WidthSource
 
-VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"]]
+VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"], ["live"]]
 COMMAND = [sys.executable, "-c", "from lensshift.cli import main; main()"]
 
 

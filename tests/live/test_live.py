@@ -6,6 +6,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,15 @@ from serving import QUICK, served, source_of, until
 
 import lensshift
 from lensshift import Burst
-from lensshift.core.errors import DataError
+from lensshift.capture.rig import CameraFrame
+from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
+from lensshift.core.grid import Grid
+from lensshift.core.types import Frame
 from lensshift.io import load_burst, load_reconstruction
 from lensshift.live.controls import box_of, checked, control
 from lensshift.live.message import coded, message, unpacked
 from lensshift.live.picture import Settings
-from lensshift.live.sources import BurstSource, Shot, SimulatedSource
+from lensshift.live.sources import BurstSource, CameraSource, Shot, SimulatedSource
 from lensshift.live.worker import Live, Mailbox
 
 pytestmark = pytest.mark.filterwarnings("ignore::lensshift.QualityWarning")
@@ -129,6 +133,48 @@ def test_a_simulated_camera_changes_its_plan() -> None:
     with pytest.raises(ValueError, match="expected a plan of"):
         source.choose("circle")
     assert source.pattern == "3x3"
+
+
+class PlayedCamera:
+    """Stands in for a recording whose third frame is lost."""
+
+    name, grid, modulation_hz = "recording", Grid((4, 6), (0.155, 0.155)), None
+
+    def __init__(self) -> None:
+        self._left = [0, 1, None, 3]
+        self.closed = False
+
+    def open(self) -> None:
+        """Begin to play."""
+
+    def close(self) -> None:
+        self.closed = True
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        if not self._left:
+            raise DeviceError("the recording has ended after 3 frames")
+        cycle = self._left.pop(0)
+        if cycle is None:
+            raise DeviceTimeout("the recording has a gap here")
+        frame = Frame(np.ones((4, 6)), None, np.ones((4, 6), bool), float(cycle))
+        return CameraFrame(frame, cycle, time.monotonic())
+
+
+def test_a_lost_frame_of_a_recording_counts_as_a_place() -> None:
+    camera: Any = PlayedCamera()
+    places: list[Any] = []
+    with pytest.raises(DeviceError, match="has ended"):
+        places.extend(shot and shot.place for shot in CameraSource(camera).shots())
+    found = CameraSource(PlayedCamera()).shots()  # type: ignore[arg-type]
+    assert [one and one.place for one in islice(found, 4)] == [0, 1, None, 3]
+    assert camera.closed
+
+
+def test_the_end_of_a_recording_is_said() -> None:
+    with Live(CameraSource(PlayedCamera()), QUICK) as live:  # type: ignore[arg-type]
+        until(lambda: live.ended and live.picture is not None)
+        assert "has ended after 3 frames" in live.problem
+        assert live.recording is None
 
 
 # --- controls ------------------------------------------------------------------------------------
@@ -286,9 +332,11 @@ def test_a_socket_that_does_not_ask_slows_nobody(burst: Burst, tmp_path: Path) -
             until(lambda: live.frame_count > frames + 20)
             assert time.monotonic() - begin_s < 10
             assert pictures.per_s() > 0
+            number = head["number"] + 2
+            until(lambda: live.picture is not None and live.picture.number >= number)
             asking.send("next")
             later, _ = unpacked(asking.recv(timeout=60))  # type: ignore[arg-type]
-            assert later["number"] > head["number"] + 1  # the latest, not the next one
+            assert later["number"] >= number  # the latest, not the next one
 
 
 def test_the_server_measures_edges_and_saves(burst: Burst, tmp_path: Path) -> None:

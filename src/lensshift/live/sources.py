@@ -78,8 +78,11 @@ class Source(Protocol):
         """
         ...
 
-    def shots(self) -> Iterator[Shot]:
-        """Yield frames as they arrive; closing the iterator brings the lens back to rest."""
+    def shots(self) -> Iterator[Shot | None]:
+        """Yield frames as they arrive, None now and then while none comes.
+
+        Closing the iterator brings the lens back to rest.
+        """
         ...
 
 
@@ -268,7 +271,7 @@ class CameraSource:
         """Take the lens to have gone round another plan."""
         self._plan = named_plan(pattern)
 
-    def shots(self) -> Iterator[Shot]:
+    def shots(self) -> Iterator[Shot | None]:
         """Yield frames as recorded; a lost frame still counts as a place of the plan."""
         self._camera.open()
         plan, template, first = self._plan, None, 0
@@ -276,7 +279,8 @@ class CameraSource:
             while True:
                 try:
                     one = self._camera.next_frame(_WAIT_S)
-                except DeviceTimeout:
+                except DeviceTimeout:  # a gap, which may be long
+                    yield None
                     continue
                 if template is None or self._plan is not plan:
                     plan, first = self._plan, one.cycle

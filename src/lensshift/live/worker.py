@@ -146,6 +146,10 @@ class Live:
         with closing(self.source.shots()) as shots:  # type: ignore[type-var]
             last: Shot | None = None
             for shot in shots:
+                if self._ending.is_set():
+                    return
+                if shot is None:
+                    continue
                 self.arrived.tick()
                 if last is None or shot.place != last.place or shot.plan.frame_count == 1:
                     self.visited.tick()  # several frames at one place are one visit
@@ -153,8 +157,6 @@ class Live:
                 self.frame_count += 1
                 self._mailbox.put(shot)
                 self._write(shot)
-                if self._ending.is_set():
-                    return
 
     def _write(self, shot: Shot) -> None:
         with self._recording_lock:
