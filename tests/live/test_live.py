@@ -226,6 +226,16 @@ def test_a_setting_that_fails_is_said_and_can_be_undone(
         until(lambda: not live.problem)
 
 
+def test_a_warning_stands_for_a_while(burst: Burst, monkeypatch: pytest.MonkeyPatch) -> None:
+    live = Live(source_of(burst), QUICK)
+    assert live.warning == ""
+    live.warn("something\n moves")
+    assert live.warning == "something moves"
+    now_s = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now_s + 6.0)
+    assert live.warning == ""
+
+
 @pytest.mark.parametrize("box", [None, [0, 1, 2], [0, 0, 0, 4], [0, 99, 0, 4], [0, 4, 0.5, 4]])
 def test_boxes_outside_the_picture_are_refused(box: Any) -> None:
     with pytest.raises(ValueError, match="expected a box"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -150,6 +151,8 @@ def _show(
             webbrowser.open(address)
 
     with Live(frames, settings) as running:
+        # One a picture is too many for a terminal: the page shows the latest.
+        warnings.showwarning = lambda message, *_, **__: running.warn(str(message))
         try:
             serve(running, listener, out, seconds=seconds, debug=debug, on_ready=ready)
         except KeyboardInterrupt:  # the way out, not a failure

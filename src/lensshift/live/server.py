@@ -99,6 +99,7 @@ class Pages:
                 "blur_px": live.settings.blur_px,
             },
             "problem": live.problem,
+            "warning": live.warning,
             "ended": live.ended,
             "recording": None
             if recording is None

@@ -15,6 +15,7 @@ from lensshift.live.sources import Shot, Source
 from lensshift.reconstruction.stream import Stream, stream
 
 _RATE_OVER_S = 3.0
+_WARNED_S = 5.0  # how long a warning stands
 _LOOK_S = 0.2  # how soon the solver notices the end
 # What a device, a file or a setting can do to a thread.
 FAILURES = (ValueError, TypeError, OSError, RuntimeError, MemoryError, ImportError)
@@ -77,6 +78,7 @@ class Live:
         self.settings = settings or Settings()
         self.picture: Picture | None = None
         self._failure = self._refusal = ""
+        self._warning, self._warned_s = "", 0.0
         self.arrived, self.visited, self.solved = Rate(), Rate(), Rate()
         self.frame_count = 0
         self._recording: Recording | None = None
@@ -113,6 +115,15 @@ class Live:
     def problem(self) -> str:
         """What ended the frames, or else what speaks against the settings; or nothing."""
         return self._failure or self._refusal
+
+    @property
+    def warning(self) -> str:
+        """The latest warning, if it is a few seconds old; or nothing."""
+        return self._warning if time.monotonic() < self._warned_s + _WARNED_S else ""
+
+    def warn(self, text: str) -> None:
+        """Take note of what speaks against a picture."""
+        self._warning, self._warned_s = " ".join(text.split()), time.monotonic()
 
     def change(self, settings: Settings) -> None:
         """Make the pictures from now on in another way."""

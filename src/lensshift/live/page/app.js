@@ -74,7 +74,7 @@ function tell(id, text) {
 function numbers(head) {
   const { bursts_hz, frames_hz, pictures_hz, shift } = head.numbers;
   tell("source", head.source);
-  tell("state", head.problem || (head.ended ? "No more frames come." : ""));
+  tell("state", head.problem || (head.ended ? "No more frames come." : head.warning));
   tell("n-bursts", bursts_hz === null ? "–" : bursts_hz.toFixed(1));
   tell("n-rates", `${frames_hz.toFixed(1)} frames, ${pictures_hz.toFixed(1)} pictures, ${rate().toFixed(1)} shown per s`);
   tell("n-shift", shift ? `${shift.rms_px.toFixed(3)} px` : "–");
