@@ -13,9 +13,10 @@ from typing import Any
 from lensshift.capture.opening import Rig, open_rig
 from lensshift.core.errors import DeviceError
 
-# Frames at 100 Hz and swift stages: about 35 frames a second, with two at each place. Stages take
-# some ten milliseconds to settle, whatever their speed: their protocol wants to be asked thrice.
-RATE_HZ, SPEED, FRAMES = 100.0, 100.0, 2
+# Stages take some thirty milliseconds to settle, whatever their speed, because their protocol
+# wants to be asked thrice; so with three frames at each place there are about 28 a second. A
+# faster camera would give more, and take from the pictures the time that it is emulated in.
+RATE_HZ, SPEED, FRAMES = 70.0, 100.0, 3
 _READY_S = 120.0  # the first start after an installation compiles
 _PATIENCE_S = 20.0
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 _LOOK_S = 0.003  # between two looks for a new picture
 _ALIVE_S = 0.5  # without a picture, the page hears at least so often that there is none
 _SHIFTS_EVERY_S = 2.0
+_SHIFTS_SHARE = 0.1  # of one core, at most
 _ASSUMED_FIELD_RAD = math.radians(40.0)  # across, where nobody says where pixels look
 
 
@@ -66,9 +67,10 @@ class Pages:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     async def _measure_shifts(self, pool: ProcessPoolExecutor) -> None:
+        taken_s = 0.0
         while True:
-            await asyncio.sleep(_SHIFTS_EVERY_S)
-            picture = self._live.picture
+            await asyncio.sleep(max(_SHIFTS_EVERY_S, taken_s / _SHIFTS_SHARE))
+            picture, begin_s = self._live.picture, time.monotonic()
             if picture is None or picture.window.frame_count < 2:
                 self._shift = None
                 continue
@@ -82,6 +84,7 @@ class Pages:
                 return
             else:
                 self._shift = found | {"at_s": time.monotonic()}
+            taken_s = time.monotonic() - begin_s
 
     def head(self, picture: Picture | None) -> dict[str, Any]:
         """Return what the page is told, with or without a picture."""

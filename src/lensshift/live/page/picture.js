@@ -42,7 +42,7 @@ function draw() {
   stage.style.aspectRatio = `${any.cols} / ${any.rows}`;
   const wide = any.cols > 2.2 * any.rows;
   at("panels").classList.toggle("wide", wide);
-  stage.style.maxWidth = `${Math.max(20, (wide ? 29 : 58) * any.cols / any.rows)}vh`;
+  stage.style.maxWidth = `${Math.max(20, (wide ? (innerHeight > 1200 ? 38 : 29) : 58) * any.cols / any.rows)}vh`;
   at("tag-one").hidden = wipe.hidden = before.hidden = !one;
   at("tag-fine").textContent = layer ? (one ? "super-resolved" : words) : `no ${words} with this method`;
   at("fine").hidden = !layer;
