@@ -110,7 +110,7 @@ def browser(folder: Path) -> Iterator[Page]:
     with (folder / "chromium.log").open("w+b") as log:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
         try:
-            with client.connect(_tab(folder), max_size=None, compression=None) as socket:
+            with client.connect(_tab(folder), max_size=None, ping_interval=None) as socket:
                 page = Page(socket)
                 for domain in ("Page", "Runtime", "Network", "Log"):
                     page.call(f"{domain}.enable")

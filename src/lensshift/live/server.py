@@ -67,10 +67,10 @@ class Pages:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     async def _measure_shifts(self, pool: ProcessPoolExecutor) -> None:
-        taken_s = 0.0
+        cost_s = 0.0
         while True:
-            await asyncio.sleep(max(_SHIFTS_EVERY_S, taken_s / _SHIFTS_SHARE))
-            picture, begin_s = self._live.picture, time.monotonic()
+            await asyncio.sleep(max(_SHIFTS_EVERY_S, cost_s / _SHIFTS_SHARE))
+            picture = self._live.picture
             if picture is None or picture.window.frame_count < 2:
                 self._shift = None
                 continue
@@ -83,8 +83,7 @@ class Pages:
             except BrokenExecutor:  # somebody ended that process; the pictures go on
                 return
             else:
-                self._shift = found | {"at_s": time.monotonic()}
-            taken_s = time.monotonic() - begin_s
+                self._shift, cost_s = found | {"at_s": time.monotonic()}, found["cost_s"]
 
     def head(self, picture: Picture | None) -> dict[str, Any]:
         """Return what the page is told, with or without a picture."""
