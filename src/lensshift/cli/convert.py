@@ -54,6 +54,9 @@ OutArgument = Annotated[
         metavar="OUT", help="A burst to .nc, .npz, .tif; a result to .tif, .png, .npz, .ply, .pcd."
     ),
 ]
+WindowOption = Annotated[
+    int | None, typer.Option(min=0, help="Number of the picture of a sequence.")
+]
 BitsOption = Annotated[Bits, typer.Option(help="Depth of a PNG pixel.")]
 
 
@@ -72,6 +75,7 @@ def convert(
     lens: LensOption = None,
     normals: NormalsOption = False,
     keep_flying: FlyingOption = False,
+    window: WindowOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -83,14 +87,18 @@ def convert(
       lensshift convert sharp.nc sharp.png --bits 16
       lensshift convert sharp.nc cloud.ply --normals
       lensshift convert sharp.nc cloud.pcd --focal-length-mm 42.7
+      lensshift convert sr.nc cloud.ply --window 17
     """
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
     points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
     with session(as_json=as_json, debug=debug) as current:
         refuse_overwriting((source, offsets), (target,))
         current.result |= {"input": source, "files": [target]}
-        if kind_of(source) is Kind.RECONSTRUCTION:
-            current.result["range"] = _convert_result(current, source, target, bits, points)
+        kind = kind_of(source)
+        if (kind is Kind.SEQUENCE) is (window is None):
+            raise typer.BadParameter("--window says which picture of a sequence is meant")
+        if kind in (Kind.RECONSTRUCTION, Kind.SEQUENCE):
+            current.result["range"] = _convert_result(current, source, target, bits, points, window)
         else:
             _convert_burst(source, target, stack, points)
         current.say(f"wrote {target}")
@@ -113,16 +121,21 @@ def _convert_burst(source: Path, target: Path, stack: StackOptions, points: Poin
 
 
 def _convert_result(
-    current: Session, source: Path, target: Path, bits: Bits, points: PointOptions
+    current: Session,
+    source: Path,
+    target: Path,
+    bits: Bits,
+    points: PointOptions,
+    window: int | None,
 ) -> tuple[float, float] | None:
     from lensshift.core.grid import Grid
-    from lensshift.io import export_reconstruction, load_reconstruction
+    from lensshift.io import export_reconstruction, load_reconstruction, load_window
 
     if target.suffix.lower() not in (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES):
         raise typer.BadParameter(
             f"{target}: a reconstruction becomes .tif, .png, .npz, .ply or .pcd"
         )
-    result = load_reconstruction(source)
+    result = load_reconstruction(source) if window is None else load_window(source, window)
     rows, cols = (count // result.scale for count in result.grid.shape)
     row_mm, col_mm = (pitch_mm * result.scale for pitch_mm in result.grid.pitch_mm)
     told = points.intrinsics(Grid((rows, cols), (row_mm, col_mm)), None)

@@ -33,6 +33,16 @@ from lensshift.cli.points import (
     PointOptions,
     refuse_points,
 )
+from lensshift.cli.recording import (
+    EveryOption,
+    PaceName,
+    PaceOption,
+    SchedulerOption,
+    Split,
+    WindowOption,
+    WorkersOption,
+    reconstruct_windows,
+)
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
@@ -156,19 +166,26 @@ def reconstruct(
     key: KeyOption = None,
     frame_axis: FrameAxisOption = FrameAxis.FIRST,
     modulation_hz: ModulationOption = None,
+    window: WindowOption = None,
+    every: EveryOption = None,
+    pace: PaceOption = PaceName.AUTO,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Reconstruct a super-resolved image from a burst.
 
     Writes the result file and a PNG preview beside a bicubic of the same burst, with the points in
-    space where it is known how the pixels look.
+    space where it is known how the pixels look. With --window: a picture of each window of frames
+    of a recording of any length, without previews; called again, it goes on after a break.
 
     \b
     Examples:
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
+      lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
     """
     settings: dict[str, Any] = {
         "scale": scale, "method": method, "channel": channel.value,
@@ -181,6 +198,10 @@ def reconstruct(
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
         settings |= parse_options(method, option or [])
+        split = Split(window, every, pace, workers, scheduler)
+        if split.asked(stack, points, frames, shift_map, calibration, export):
+            reconstruct_windows(current, burst, out, split, settings, psf_sigma_px)
+            return
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
         frames_in = _looking(frames_in, points, channel, files)
@@ -188,8 +209,7 @@ def reconstruct(
             known["psf_sigma_px"] = psf_sigma_px
         elif fill_factor is not None:
             known.pop("psf_sigma_px", None)  # it holds the pixel as well
-        settings |= known
-        _reconstruct(current, burst, frames_in, settings, files, points)
+        _reconstruct(current, burst, frames_in, settings | known, files, points)
 
 
 def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files) -> Burst:

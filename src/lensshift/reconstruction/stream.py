@@ -50,6 +50,8 @@ class Stream:
         self._memory = Memory()
         self._result: Reconstruction | None = None
         self._next = self._since_refined = 0
+        self._event: str | None = None
+        self._rests = True
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -57,11 +59,18 @@ class Stream:
         return tuple(self._frames)
 
     def step(self, frame: Frame | ArrayLike, *, place: int | None = None) -> Reconstruction:
-        """Take one frame and return the picture.
+        """Take one frame and return the picture: `take`, then `picture`.
 
-        Its settings say what was done: `pace` "live" (the last stage, from the picture before) or
-        "refined" (all, as `reconstruct`), `places` of the frames in it, and `event`: "scene
-        changed", "frames lost" or None.
+        Raises
+        ------
+        ValueError
+            As `take` does.
+        """
+        self.take(frame, place=place)
+        return self.picture()
+
+    def take(self, frame: Frame | ArrayLike, *, place: int | None = None) -> None:
+        """Take one frame and do nothing else, where not every frame needs a picture.
 
         Parameters
         ----------
@@ -81,16 +90,28 @@ class Stream:
         at, event, rests = self._placed(one, place)
         if event == "scene changed":
             self._frames.clear()
-        count, rested = self._template.frame_count, len(self._frames)
+        self._rests = self._rests and rests and len(self._frames) == self._template.frame_count
         self._frames.pop(at, None)
         self._frames[at] = one
-        self._next = (at + 1) % count
-        due = self._pace == "auto" and self._since_refined + 1 >= REFINED_ROUNDS * count
-        live = self._pace != "refined" and not due and rests and rested == count
+        self._next = (at + 1) % self._template.frame_count
+        self._event = event or self._event
+
+    def picture(self) -> Reconstruction:
+        """Return the picture of the frames taken so far.
+
+        Its settings say what was done: `pace` "live" (the last stage, from the picture before) or
+        "refined" (all, as `reconstruct`), `places` of the frames in it, and `event` since the last
+        one: "scene changed", "frames lost" or None.
+        """
+        round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
+        live = self._rests and self._pace != "refined" and not (self._pace == "auto" and round_ends)
+        event, self._event, self._rests = self._event, None, True
         return self._solved(event, live=live)
 
     def _solved(self, event: str | None, *, live: bool) -> Reconstruction:
         places = sorted(self._frames)
+        if not places:
+            raise ValueError("expected a frame before the first picture")
         burst = _burst_of(self._template, places, [self._frames[k] for k in places])
         memory, self._memory = self._memory, Memory()  # what is interrupted is not remembered
         memory.begin(quick=live)
