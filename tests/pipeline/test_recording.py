@@ -255,6 +255,10 @@ def test_the_command(film: Path, tmp_path: Path):
     assert CliRunner().invoke(app, ["info", str(out)]).output.count("windows     11") == 1
     cut = CliRunner().invoke(app, ["convert", str(out), str(tmp_path / "w.png"), "--window", "10"])
     assert cut.exit_code == 0, cut.output
+    pytest.importorskip("mcap_ros2.writer", reason="mcap is not installed")
+    stream = CliRunner().invoke(app, ["convert", str(out), str(tmp_path / "w.mcap")])
+    assert stream.exit_code == 0, stream.output
+    assert (tmp_path / "w.mcap").stat().st_size > 11 * 18 * 28
     again = CliRunner().invoke(app, asked)
     assert again.exit_code == 2
     assert "exists" in again.output
