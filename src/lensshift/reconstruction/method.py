@@ -12,7 +12,7 @@ from lensshift.reconstruction.options import check_settings, option, truth, weig
 from lensshift.reconstruction.problem import Problem, brightness_of
 
 if TYPE_CHECKING:
-    from lensshift.reconstruction.learned.solver import Solve
+    from lensshift.reconstruction.devices import Device
 
 Weight = float | Literal["cross-validation"] | None
 
@@ -33,7 +33,7 @@ class Request:
     told_blur_px : width of the pixel response, lens included, as the user or the burst told it
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     memory : what a stream keeps between its steps, or None
-    solve : what finds the pictures of "auto" on a device, or None
+    device : where "auto" finds its pictures, or None for the kernels of this processor
     """
 
     prior_weight: Weight = option(None, weight())
@@ -46,7 +46,7 @@ class Request:
     told_blur_px: float | None = None
     shifts_doubted: bool = False
     memory: Memory | None = None
-    solve: Solve | None = None
+    device: Device | None = None
 
     def __post_init__(self) -> None:
         check_settings(self)
