@@ -121,6 +121,13 @@ CalibrationOption = Annotated[
     Path | None,
     typer.Option("--calibration", help="From `lensshift calibrate`: shifts from stage positions."),
 ]
+DeviceOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="cpu|cuda|cuda:N|numpy",
+        help="Where the method auto is computed, by PyTorch; default: compiled for this processor.",
+    ),
+]
 ExportOption = Annotated[
     list[Path] | None,
     typer.Option("--export", help="Also write .tif, .png, .npz, .ply or .pcd; repeatable."),
@@ -144,6 +151,7 @@ def reconstruct(
     seed: SeedOption = 0,
     shift_map: ShiftMapOption = None,
     calibration: CalibrationOption = None,
+    device: DeviceOption = None,
     export: ExportOption = None,
     fov_deg: FieldOption = None,
     focal_length_px: FocalPxOption = None,
@@ -174,7 +182,7 @@ def reconstruct(
         "scale": scale, "method": method, "channel": channel.value,
         "prior_weight": parse_weight(prior_weight), "frames": parse_frames(frames),
         "noise_sigma": noise_sigma, "fill_factor": fill_factor, "non_negative": non_negative,
-        "photometric": photometric, "seed": seed,
+        "photometric": photometric, "seed": seed, "device": device,
     }  # fmt: skip
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
     points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
