@@ -15,7 +15,7 @@ from lensshift.forward.blur import ApertureBlur, GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction import batch
 from lensshift.reconstruction.learned import solver
-from lensshift.reconstruction.learned.device import device_kernels
+from lensshift.reconstruction.learned.device import DeviceKernels, device_kernels
 
 # Of peak: rounding of single precision in another order. The promise is 1e-3.
 SAME = 2e-5
@@ -212,3 +212,27 @@ def test_a_cuda_device_that_is_not_there_is_an_error():
     count = import_module("torch").cuda.device_count()
     with pytest.raises(ValueError, match=rf"finds {count} CUDA devices here, so there is no"):
         reconstruct(burst_of(), device=f"cuda:{count}")
+
+
+class _Elsewhere(DeviceKernels):
+    """A device that has shapes alone, and refuses what lies on another one."""
+
+    def back(self, values):
+        return np.ones(values.shape, np.complex64 if values.is_complex() else np.float32)
+
+
+@pytest.mark.parametrize("of_field", [False, True])
+@pytest.mark.parametrize("of", [mosaic_burst, phasor_mosaic])
+def test_nothing_stays_behind_on_the_way_to_a_device(of, of_field):
+    torch = pytest.importorskip("torch", reason="the extra torch is not installed")
+    burst = of(0, SHAPE)
+    field = np.broadcast_to(burst.offset_px[:, None, None], (4, *SHAPE, 2))
+    shifts = {"shift_field_px": field} if of_field else {"offset_px": burst.offset_px}
+    model = forward_model(SHAPE, 2, **shifts)
+    found = solver.solve(
+        model, burst.y, np.full(burst.y.shape, burst.sigma), blur_px=0.3,
+        on=_Elsewhere(torch, "meta"),
+    )  # fmt: skip
+    assert found.image.shape == model.hr_shape
+    with pytest.raises(RuntimeError, match="meta"):  # it would have been noticed
+        torch.ones(3, device="meta") + torch.ones(3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from queue import SimpleQueue
+from threading import Lock
 from typing import Any
 
 from lensshift.core.types import Burst, Reconstruction
@@ -67,20 +68,27 @@ def _at_once(
     """Reconstruct each burst in a thread of its own, and solve here what they ask.
 
     What happens to a burst before and after, and whether it is solved once or twice, is its own
-    affair. All others wait for it until it asks or is done.
+    affair. All others wait for it until it asks or is done. One thread runs at a time: they are
+    there to be interrupted where they ask, and in each other's way they took 1.6 times as long.
     """
     came: SimpleQueue[tuple[Asked, Future[Solution]] | None] = SimpleQueue()
+    running = Lock()
 
     def ask(asked: Asked) -> Solution:
         answer: Future[Solution] = Future()
         came.put((asked, answer))
-        return answer.result()
+        running.release()
+        try:
+            return answer.result()
+        finally:
+            running.acquire()
 
     def one(burst: Burst) -> Reconstruction:
-        try:
-            return reconstruct(burst, device=Device(device, ask), **settings)
-        finally:
-            came.put(None)
+        with running:
+            try:
+                return reconstruct(burst, device=Device(device, ask), **settings)
+            finally:
+                came.put(None)
 
     on_the_way, waiting = len(bursts), list[tuple[Asked, Future[Solution]]]()
     with ThreadPoolExecutor(len(bursts)) as threads:

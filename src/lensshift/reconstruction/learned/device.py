@@ -48,7 +48,7 @@ class DeviceKernels:
         return values if isinstance(values, np.ndarray) else np.asarray(values.cpu())
 
     def operator(self, model: ForwardModel) -> LinearOperator:
-        """Return A of pictures [burst row col] in single precision, without its gain and bias."""
+        """Return A of pictures [burst row col] in single precision; the gain of the model is 1."""
         if model.rows.start.ndim == 3:
             forward, adjoint = _of_field(self, model)
         else:

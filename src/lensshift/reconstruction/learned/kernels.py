@@ -36,7 +36,7 @@ class Kernels(Protocol):
         ...
 
     def operator(self, model: ForwardModel) -> LinearOperator:
-        """Return A of pictures [burst row col] in single precision, without its gain and bias."""
+        """Return A of pictures [burst row col] in single precision; the gain of the model is 1."""
         ...
 
     def applied(self, network: Network, seen: Sequence[Array], facts: NDArray[np.float32]) -> Array:

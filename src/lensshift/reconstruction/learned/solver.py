@@ -87,8 +87,8 @@ class Asked:
 
     @property
     def geometry(self) -> tuple[Any, ...]:
-        """What bursts have to share to be solved together."""
-        model, held = self.model, self.held is not None
+        """What bursts have to share to be solved together; what begins with `held` is alone."""
+        model, held = self.model, self.held and id(self.held)
         places = (taps.position_hr_px.tobytes() for taps in (model.rows, model.cols))
         return (self.y.shape, self.of_phasors, held, self.blur_px, model.scale, model.blur, *places)
 
@@ -135,32 +135,26 @@ def solve_together(asked: Sequence[Asked], on: Kernels = COMPILED) -> list[Solut
 
 def _solved(asked: Sequence[Asked], on: Kernels) -> list[Solution]:
     """Return the solutions of bursts of one geometry."""
-    units = [one.unit() for one in asked]
-    kind = np.complex64 if asked[0].of_phasors else np.float32
-    y, sigma, held = [], [], []
-    for one, (unit, factor, level) in zip(asked, units, strict=True):
-        y.append(np.where(np.isfinite(one.sigma), (one.y - level) * factor, 0.0).astype(kind))
-        sigma.append(one.sigma / unit)
-        held.append(one.held and tuple(h.moved(factor, -level * factor, kind) for h in one.held))
+    first, units = asked[0], [one.unit() for one in asked]
+    kind = np.complex64 if first.of_phasors else np.float32
+    y = [
+        np.where(np.isfinite(one.sigma), (one.y - level) * factor, 0.0).astype(kind)
+        for one, (_, factor, level) in zip(asked, units, strict=True)
+    ]
+    sigma = [one.sigma / unit for one, (unit, _, _) in zip(asked, units, strict=True)]
+    _, factor, level = units[0]
+    held = first.held and tuple(h.moved(factor, -level * factor, kind) for h in first.held)
 
     def on_stage(number: int, misfits: Any) -> None:
         for one, misfit in zip(asked, on.back(misfits), strict=True):
             if one.on_stage is not None:
                 one.on_stage(number, float(misfit))
 
-    first = asked[0]
     found = _in_tiles(
         _phasor_prior() if first.of_phasors else _brightness_prior(), first.model, np.stack(y),
-        np.stack(sigma), first.blur_px, on_stage, None if first.held is None else _joined(held), on,
+        np.stack(sigma), first.blur_px, on_stage, held, on,
     )  # fmt: skip
     return [_in_units(found, n, *unit) for n, unit in enumerate(units)]
-
-
-def _joined(held: Sequence[Any]) -> tuple[Held, ...]:
-    """Return what several bursts begin with, tile by tile."""
-    parts = (zip(*((h.v, h.past, h.channels) for h in tile), strict=True)
-             for tile in zip(*held, strict=True))  # fmt: skip
-    return tuple(Held(*(np.concatenate(one) for one in part)) for part in parts)
 
 
 def _in_units(found: Solution, n: int, unit: float, factor: Any, level: float) -> Solution:
