@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from lensshift.optics.shift import shift_map as shift_map
     from lensshift.pipeline import run as run
     from lensshift.pipeline.recording import reconstruct_recording as reconstruct_recording
+    from lensshift.reconstruction.batch import reconstruct_batch as reconstruct_batch
     from lensshift.reconstruction.methods import method_names as method_names
     from lensshift.reconstruction.reconstruct import reconstruct as reconstruct
     from lensshift.reconstruction.shift_refinement import refine_shifts as refine_shifts
@@ -117,6 +118,7 @@ _HOME = {
     "simulate_burst": "camera",
     "method_names": "reconstruction.methods",
     "reconstruct": "reconstruction.reconstruct",
+    "reconstruct_batch": "reconstruction.batch",
     "refine_shifts": "reconstruction.shift_refinement",
     "Stream": "reconstruction.stream",
     "stream": "reconstruction.stream",

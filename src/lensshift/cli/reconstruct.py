@@ -131,6 +131,13 @@ CalibrationOption = Annotated[
     Path | None,
     typer.Option("--calibration", help="From `lensshift calibrate`: shifts from stage positions."),
 ]
+DeviceOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="cpu|cuda|cuda:N|numpy",
+        help="Where the method auto is computed, by PyTorch; default: compiled for this processor.",
+    ),
+]
 ExportOption = Annotated[
     list[Path] | None,
     typer.Option("--export", help="Also write .tif, .png, .npz, .ply or .pcd; repeatable."),
@@ -154,6 +161,7 @@ def reconstruct(
     seed: SeedOption = 0,
     shift_map: ShiftMapOption = None,
     calibration: CalibrationOption = None,
+    device: DeviceOption = None,
     export: ExportOption = None,
     fov_deg: FieldOption = None,
     focal_length_px: FocalPxOption = None,
@@ -191,7 +199,7 @@ def reconstruct(
         "scale": scale, "method": method, "channel": channel.value,
         "prior_weight": parse_weight(prior_weight), "frames": parse_frames(frames),
         "noise_sigma": noise_sigma, "fill_factor": fill_factor, "non_negative": non_negative,
-        "photometric": photometric, "seed": seed,
+        "photometric": photometric, "seed": seed, "device": device,
     }  # fmt: skip
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
     points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
@@ -205,11 +213,15 @@ def reconstruct(
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
         frames_in = _looking(frames_in, points, channel, files)
-        if psf_sigma_px is not None:
-            known["psf_sigma_px"] = psf_sigma_px
-        elif fill_factor is not None:
-            known.pop("psf_sigma_px", None)  # it holds the pixel as well
+        known |= _told_width(psf_sigma_px, fill_factor)
         _reconstruct(current, burst, frames_in, settings | known, files, points)
+
+
+def _told_width(psf_sigma_px: float | None, fill_factor: float | None) -> dict[str, Any]:
+    """Return the width of the blur as an option of `reconstruct`, if it is told."""
+    if psf_sigma_px is None and fill_factor is None:
+        return {}
+    return {"psf_sigma_px": psf_sigma_px}  # that of a calibration would hold the pixel as well
 
 
 def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files) -> Burst:
