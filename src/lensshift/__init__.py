@@ -59,11 +59,16 @@ if TYPE_CHECKING:
     from lensshift.io import load_burst as load_burst
     from lensshift.io import load_image_stack as load_image_stack
     from lensshift.io import load_reconstruction as load_reconstruction
+    from lensshift.io import load_window as load_window
+    from lensshift.io import open_recording as open_recording
     from lensshift.io import save_burst as save_burst
     from lensshift.io import save_reconstruction as save_reconstruction
+    from lensshift.io import write_recording as write_recording
     from lensshift.optics.lens_file import load_lens as load_lens
     from lensshift.optics.shift import shift_map as shift_map
     from lensshift.pipeline import run as run
+    from lensshift.pipeline.recording import reconstruct_recording as reconstruct_recording
+    from lensshift.reconstruction.batch import reconstruct_batch as reconstruct_batch
     from lensshift.reconstruction.methods import method_names as method_names
     from lensshift.reconstruction.reconstruct import reconstruct as reconstruct
     from lensshift.reconstruction.shift_refinement import refine_shifts as refine_shifts
@@ -103,14 +108,19 @@ _HOME = {
     "load_burst": "io",
     "load_image_stack": "io",
     "load_reconstruction": "io",
+    "load_window": "io",
+    "open_recording": "io",
     "save_burst": "io",
     "save_reconstruction": "io",
+    "write_recording": "io",
     "load_lens": "optics.lens_file",
     "shift_map": "optics.shift",
     "run": "pipeline",
+    "reconstruct_recording": "pipeline.recording",
     "simulate_burst": "camera",
     "method_names": "reconstruction.methods",
     "reconstruct": "reconstruction.reconstruct",
+    "reconstruct_batch": "reconstruction.batch",
     "refine_shifts": "reconstruction.shift_refinement",
     "Stream": "reconstruction.stream",
     "stream": "reconstruction.stream",

@@ -193,7 +193,7 @@ def test_a_second_process_at_the_same_file(bench: Bench) -> None:
     with bench.open() as rig:
         rig.capture("square", bench.out, on_step=after(2, intrude))
     assert refused[0].startswith("2")
-    assert "another process is writing this capture" in refused[0]
+    assert "another process is writing this file" in refused[0]
 
 
 def capturing(bench: Bench, **options: Any) -> subprocess.Popen[bytes]:

@@ -60,7 +60,12 @@ def test_result_to_picture(call: Call, result_file: Path, bits: str, mode: str) 
     [
         ("burst.nc", "burst.nc", 2, "would overwrite the input"),
         ("burst.nc", "b.png", 2, "a burst becomes a burst file"),
-        ("burst_x2.nc", "b.nc", 2, "a reconstruction becomes .tif, .png, .npz, .ply or .pcd"),
+        (
+            "burst_x2.nc",
+            "b.nc",
+            2,
+            "a reconstruction becomes .tif, .png, .npz, .ply, .pcd, .mcap or .rrd",
+        ),
         ("none.nc", "b.nc", 1, "there is no such file"),
         ("text.nc", "b.nc", 1, "expected .tif, .tiff, .png, .npy or .npz"),
         ("burst.nc", "none/b.nc", 1, "there is no folder"),

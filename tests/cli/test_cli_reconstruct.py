@@ -45,6 +45,7 @@ def test_options_reach_the_reconstruction(
         "reconstruct", burst_file, "-o", tmp_path / "o.nc", "--scale", 3, "--method", "irwsr",
         "--channel", "distance", "--psf-sigma-px", 0.4, "--prior-weight", "0.5", "--frames", "0,2",
         "--noise-sigma", 0.01, "--non-negative", "--photometric", "--fill-factor", 0.9, "--seed", 7,
+        "--device", "cuda:1",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     used = dict(fake.calls[0])
@@ -52,7 +53,7 @@ def test_options_reach_the_reconstruction(
     assert used == {
         "scale": 3, "method": "irwsr", "channel": "distance", "psf_sigma_px": 0.4,
         "prior_weight": 0.5, "frames": (0, 2), "noise_sigma": 0.01, "non_negative": True,
-        "photometric": True, "fill_factor": 0.9, "seed": 7,
+        "photometric": True, "fill_factor": 0.9, "seed": 7, "device": "cuda:1",
     }  # fmt: skip
     bicubic = {"scale": 3, "method": "bicubic", "channel": "distance", "frames": (0, 2)}
     assert fake.calls[1] == bicubic | {"seed": 7, "std": False}

@@ -106,7 +106,7 @@ def test_frames_held_back_are_in_the_next_picture(burst: Burst) -> None:
     one_by_one, held = (lensshift.stream(burst, 2, "tikhonov") for _ in range(2))
     for place in range(3):
         one_by_one.step(burst.amplitude[place], place=place)
-        held.hold(burst.amplitude[place], place=place)
+        held.take(burst.amplitude[place], place=place)
     images = [camera.step(burst.amplitude[3], place=3) for camera in (one_by_one, held)]
     first, second = (one.amplitude.image for one in images if one.amplitude is not None)
     np.testing.assert_array_equal(first, second)

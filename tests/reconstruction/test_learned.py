@@ -377,7 +377,7 @@ def test_phasors_run_through_the_chain_that_was_trained(unturned):
     noise = rng.standard_normal((2, 5, 13, 16))
     y = model.operator(scene) + 0.02 * (noise[0] + 1j * noise[1])
     sigma = 0.02 * rng.uniform(0.8, 1.2, y.shape)
-    found = solver.solve_phasor(model, y, sigma, blur_px=0.3)
+    found = solver.solve(model, y, sigma, blur_px=0.3)
     image, spread = _run(chain, model, np.stack([y.real, y.imag]), sigma, 0.6)
     np.testing.assert_allclose(image[0] + 1j * image[1], found.image, atol=2e-5)
     np.testing.assert_allclose(np.exp(spread[:2]), found.std[:2], rtol=2e-3)

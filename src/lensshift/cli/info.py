@@ -77,6 +77,8 @@ def info(
         current.say(f"{file}: {kind.value}" + (f", schema {schema}" if schema else ""))
         if kind is Kind.RECONSTRUCTION:
             _say_result(current, load_reconstruction(file))
+        elif kind is Kind.SEQUENCE:
+            _say_sequence(current, file)
         elif kind is Kind.STACK:
             _say_stack(current, file, stack)
         else:
@@ -151,6 +153,19 @@ def _say_stack(current: Session, file: Path, stack: StackOptions) -> None:
     current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
     options = [f"--{name.replace('_', '-')}" for name in known["missing"]]
     current.say(f"missing     {' and '.join(options)}, to make a burst of it")
+
+
+def _say_sequence(current: Session, file: Path) -> None:
+    from lensshift.io import load_window
+    from lensshift.io.sequence_file import sequence_numbers
+
+    known = sequence_numbers(file)
+    first = known["first_frame"]
+    count, bad = len(first), int(known["contradicted"].sum())
+    current.say(f"windows     {count}, of frames {first[0]} to {first[-1]} on")
+    current.say(f"contradicted by their frames: {bad}; all stages: {int(known['refined'].sum())}")
+    current.result |= {"windows": count, "contradicted": bad}
+    _say_result(current, load_window(file, 0))
 
 
 def _say_result(current: Session, result: Reconstruction) -> None:

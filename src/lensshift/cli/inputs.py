@@ -78,6 +78,7 @@ class Kind(Enum):
 
     BURST = "burst"
     RECONSTRUCTION = "reconstruction"
+    SEQUENCE = "sequence"
     STACK = "image stack"
 
 
@@ -88,7 +89,7 @@ def kind_of(path: Path) -> Kind:
     if path.is_dir() or not is_hdf5(path):
         return Kind.STACK
     schema = read_schema(path)
-    for kind in (Kind.BURST, Kind.RECONSTRUCTION):
+    for kind in (Kind.BURST, Kind.RECONSTRUCTION, Kind.SEQUENCE):
         if schema.startswith(f"lensshift-{kind.value}/"):
             return kind
     raise DataError(f"expected a burst or a reconstruction, got {schema!r:.80}", source=path)
@@ -110,8 +111,8 @@ def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = F
             modulation_hz=options.modulation_hz,
             to_register=to_register,
         )
-    if kind is Kind.RECONSTRUCTION:
-        raise DataError("expected a burst, got a reconstruction", source=path)
+    if kind is not Kind.BURST:
+        raise DataError(f"expected a burst, got a {kind.value}", source=path)
     if options != StackOptions():
         raise typer.BadParameter(
             f"{path} is a burst file and says itself where its frames lie; leave out --offsets, "
@@ -121,13 +122,15 @@ def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = F
 
 
 def load_input_image(path: Path, *, key: str | None = None, frame: int = 0) -> NDArray[Any]:
-    """Read one image [row col] from an image file, a burst file or a reconstruction."""
-    from lensshift.io import load_burst, load_reconstruction
+    """Read one image [row col] from an image, a burst, a reconstruction or a sequence."""
+    from lensshift.io import load_burst, load_reconstruction, load_window
     from lensshift.io.image_file import load_frames, load_named_arrays
 
     kind = kind_of(path)
     if kind is Kind.RECONSTRUCTION:
         return _channel_image(load_reconstruction(path), path, key)
+    if kind is Kind.SEQUENCE:
+        return _channel_image(load_window(path, frame), path, key)
     if kind is Kind.BURST:
         return one_frame(burst_channel(load_burst(path), path, key), path, frame)
     if path.suffix.lower() == ".npz":

@@ -85,7 +85,7 @@ def measured_image(
     path: Path, pitch_mm: str | None, *, key: str | None = None, frame: int = 0
 ) -> Measured:
     """Read one image and what its file says about it."""
-    from lensshift.io import load_burst, load_reconstruction
+    from lensshift.io import load_burst, load_reconstruction, load_window
 
     kind = kind_of(path)
     if kind is not Kind.STACK and pitch_mm is not None:
@@ -96,8 +96,9 @@ def measured_image(
         valid = None if burst.valid is None else one_frame(burst.valid, path, frame)
         return Measured(one_frame(values, path, frame), burst.grid.pitch_mm, True, valid)
     values = load_input_image(path, key=key, frame=frame)
-    if kind is Kind.RECONSTRUCTION:
-        result = load_reconstruction(path)
+    if kind in (Kind.RECONSTRUCTION, Kind.SEQUENCE):
+        one = kind is Kind.RECONSTRUCTION
+        result = load_reconstruction(path) if one else load_window(path, frame)
         return Measured(values, result.grid.pitch_mm, True, scale=result.scale)
     pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
     return Measured(values, pitch, pitch_mm is not None)

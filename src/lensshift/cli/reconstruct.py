@@ -33,6 +33,16 @@ from lensshift.cli.points import (
     PointOptions,
     refuse_points,
 )
+from lensshift.cli.recording import (
+    EveryOption,
+    PaceName,
+    PaceOption,
+    SchedulerOption,
+    Split,
+    WindowOption,
+    WorkersOption,
+    reconstruct_windows,
+)
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
@@ -121,6 +131,13 @@ CalibrationOption = Annotated[
     Path | None,
     typer.Option("--calibration", help="From `lensshift calibrate`: shifts from stage positions."),
 ]
+DeviceOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="cpu|cuda|cuda:N|numpy",
+        help="Where the method auto is computed, by PyTorch; default: compiled for this processor.",
+    ),
+]
 ExportOption = Annotated[
     list[Path] | None,
     typer.Option("--export", help="Also write .tif, .png, .npz, .ply or .pcd; repeatable."),
@@ -144,6 +161,7 @@ def reconstruct(
     seed: SeedOption = 0,
     shift_map: ShiftMapOption = None,
     calibration: CalibrationOption = None,
+    device: DeviceOption = None,
     export: ExportOption = None,
     fov_deg: FieldOption = None,
     focal_length_px: FocalPxOption = None,
@@ -156,40 +174,54 @@ def reconstruct(
     key: KeyOption = None,
     frame_axis: FrameAxisOption = FrameAxis.FIRST,
     modulation_hz: ModulationOption = None,
+    window: WindowOption = None,
+    every: EveryOption = None,
+    pace: PaceOption = PaceName.AUTO,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Reconstruct a super-resolved image from a burst.
 
     Writes the result file and a PNG preview beside a bicubic of the same burst, with the points in
-    space where it is known how the pixels look.
+    space where it is known how the pixels look. With --window: a picture of each window of frames
+    of a recording of any length, without previews; called again, it goes on after a break.
 
     \b
     Examples:
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
+      lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
     """
     settings: dict[str, Any] = {
         "scale": scale, "method": method, "channel": channel.value,
         "prior_weight": parse_weight(prior_weight), "frames": parse_frames(frames),
         "noise_sigma": noise_sigma, "fill_factor": fill_factor, "non_negative": non_negative,
-        "photometric": photometric, "seed": seed,
+        "photometric": photometric, "seed": seed, "device": device,
     }  # fmt: skip
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
     points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
     with session(as_json=as_json, debug=debug) as current:
         check_method(method)
         settings |= parse_options(method, option or [])
+        split = Split(window, every, pace, workers, scheduler)
+        if split.asked(stack, points, frames, shift_map, calibration, export):
+            reconstruct_windows(current, burst, out, split, settings, psf_sigma_px)
+            return
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
         frames_in = _looking(frames_in, points, channel, files)
-        if psf_sigma_px is not None:
-            known["psf_sigma_px"] = psf_sigma_px
-        elif fill_factor is not None:
-            known.pop("psf_sigma_px", None)  # it holds the pixel as well
-        settings |= known
-        _reconstruct(current, burst, frames_in, settings, files, points)
+        known |= _told_width(psf_sigma_px, fill_factor)
+        _reconstruct(current, burst, frames_in, settings | known, files, points)
+
+
+def _told_width(psf_sigma_px: float | None, fill_factor: float | None) -> dict[str, Any]:
+    """Return the width of the blur as an option of `reconstruct`, if it is told."""
+    if psf_sigma_px is None and fill_factor is None:
+        return {}
+    return {"psf_sigma_px": psf_sigma_px}  # that of a calibration would hold the pixel as well
 
 
 def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files) -> Burst:

@@ -9,11 +9,11 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
@@ -24,6 +24,8 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to stdout.")
 ]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+T = TypeVar("T")
 
 # What can go wrong without a fault in this program.
 _FAILURES = (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError)
@@ -129,6 +131,12 @@ class Progress:
     def count(self, done: int, total: int) -> None:
         """Take note of one step of a known number."""
         self._show(f"{done} of {total}")
+
+    def counted(self, things: Iterable[T], total: int) -> Iterator[T]:
+        """Yield things and take note of each."""
+        for number, thing in enumerate(things):
+            yield thing
+            self.count(number + 1, total)
 
     def _show(self, state: str) -> None:
         now_s = time.monotonic()

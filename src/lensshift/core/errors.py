@@ -22,8 +22,8 @@ class DataError(ValueError):
         super().__init__(": ".join(part for part in (self.source, field, self.problem) if part))
 
     def in_file(self, source: str | Path) -> DataError:
-        """Return the same error with the name of the file in front."""
-        return DataError(self.problem, field=self.field, source=source)
+        """Return the same error with the name of the file in front, unless it names one."""
+        return DataError(self.problem, field=self.field, source=self.source or source)
 
 
 class QualityWarning(UserWarning):

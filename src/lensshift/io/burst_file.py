@@ -15,6 +15,9 @@ Schema `lensshift-burst/1`, group `entry/data` and the root, dimensions (frame, 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +27,9 @@ from numpy.typing import NDArray
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
 from lensshift.io.capture_file import burst_of_capture, is_capture, read_capture
-from lensshift.io.container_reader import open_container
+from lensshift.io.container_reader import Container, open_container
 from lensshift.io.container_writer import (
+    Allocated,
     Variable,
     pixel_centres,
     sealed_text,
@@ -38,6 +42,7 @@ from lensshift.io.intrinsics_fields import (
     intrinsics_of_fields,
     intrinsics_variables,
 )
+from lensshift.io.piecewise_file import PiecewiseFile
 
 SCHEMA = "lensshift-burst/1"
 _AXES = ("frame", "row", "col")
@@ -61,7 +66,7 @@ def save_burst(burst: Burst, path: str | Path) -> None:
         If the file cannot be written, or a dtype or `meta` cannot be stored.
     """
     try:
-        meta = to_json(burst.meta, "meta")
+        attributes = _attributes(burst)
     except DataError as error:
         raise error.in_file(path) from error
     write_container(
@@ -69,14 +74,18 @@ def save_burst(burst: Burst, path: str | Path) -> None:
         schema=SCHEMA,
         axes=_AXES,
         variables=_variables(burst),
-        attributes={
-            "pitch_mm": np.asarray(burst.grid.pitch_mm, dtype=np.float64),
-            "modulation_hz": _frequencies(burst),
-            "offset_source": sealed_text(burst.offset_source),
-            "meta": sealed_text(meta),
-            **intrinsics_attributes(burst.intrinsics),
-        },
+        attributes=attributes,
     )
+
+
+def _attributes(burst: Burst) -> dict[str, Any]:
+    return {
+        "pitch_mm": np.asarray(burst.grid.pitch_mm, dtype=np.float64),
+        "modulation_hz": _frequencies(burst),
+        "offset_source": sealed_text(burst.offset_source),
+        "meta": sealed_text(to_json(burst.meta, "meta")),
+        **intrinsics_attributes(burst.intrinsics),
+    }
 
 
 def load_burst(path: str | Path) -> Burst:
@@ -91,33 +100,141 @@ def load_burst(path: str | Path) -> Burst:
     if is_capture(path):
         return burst_of_capture(*read_capture(path), Path(path))
     with open_container(path, SCHEMA) as container:
-        fields: dict[str, Any] = {
-            field: container.pairs(name)
-            for field, (name, _, _) in _PAIRS.items()
-            if field == "offset_px" or container.has(f"{name}_row") or container.has(f"{name}_col")
-        }
-        if container.has("distance"):
-            fields["distance_m"] = container.array("distance")
-        if container.has("phasors"):
-            fields["phasors"] = container.array("phasors", kinds="c")
-        if container.has("time"):
-            fields["time_s"] = container.array("time", kinds="uif")
-        fields["raw"] = {
+        raw = {
             name.removeprefix(_RAW): container.array(name)
             for name in container.names()
             if name.startswith(_RAW)
         }
-        flags = container.array("flags", kinds="ui")
-        return Burst.from_arrays(
-            container.array("amplitude"),
-            pitch_mm=container.number_pair("pitch_mm"),
-            valid=(flags & _INVALID) == 0,
-            modulation_hz=container.numbers("modulation_hz"),
-            offset_source=container.text("offset_source"),
-            intrinsics=intrinsics_of_fields(container.fields(NAMES)),
-            meta=container.mapping("meta"),
-            **fields,
-        )
+        return _burst(container, (), raw=raw)
+
+
+class Recording:
+    """An open burst file of any length, of which parts are read; see `open_recording`.
+
+    Parameters
+    ----------
+    frame_count : number of frames
+    offset_px : [frame 2]
+    """
+
+    def __init__(self, container: Container) -> None:
+        self._container = container
+        self.offset_px = container.pairs("offset")
+        self.frame_count = len(self.offset_px)
+
+    def burst(self, first: int, count: int) -> Burst:
+        """Return some frames as a burst, without what the camera sent raw.
+
+        Raises
+        ------
+        DataError
+            If there are no such frames, or they are damaged.
+        """
+        if not 0 <= first < first + count <= self.frame_count:
+            problem = f"expected frames from 0 to {self.frame_count - 1}"
+            raise DataError(
+                f"{problem}, got {first} to {first + count - 1}", source=self._container.path
+            )
+        return _burst(self._container, (slice(first, first + count),))
+
+
+@contextmanager
+def open_recording(path: str | Path) -> Iterator[Recording]:
+    """Open a burst file that may be larger than memory.
+
+    Raises
+    ------
+    DataError
+        As `load_burst`, or if it is an unfinished capture.
+    """
+    if is_capture(path):
+        raise DataError("the capture is not finished; resume it", source=path)
+    with open_container(path, SCHEMA) as container:
+        yield Recording(container)
+
+
+def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) -> Path:
+    """Write bursts one after the other as one burst file, which may be larger than memory.
+
+    Of one grid, modulation and kind; `meta`, intrinsics and source of the offsets are those of the
+    first, raw data are left out. What was begun is gone on with: parts that are there are skipped.
+
+    Raises
+    ------
+    DataError
+        If the parts do not hold that many frames or do not fit together, or the file cannot be
+        written.
+    """
+    file, at = None, 0
+    try:
+        for part in parts:
+            variables = _recorded(part)
+            if file is None:
+                file = _begun(path, frame_count, part, variables)
+            if at + part.frame_count > frame_count:
+                raise DataError(f"expected {frame_count} frames, got more", source=path)
+            if not file.written[at : at + part.frame_count].all():
+                file.write(at, {name: np.asarray(one.values) for name, one in variables.items()})
+            at += part.frame_count
+        if file is None or at < frame_count:
+            raise DataError(f"expected {frame_count} frames, got {at}", source=path)
+        return file.finish()
+    finally:
+        if file is not None:
+            file.close()
+
+
+def _recorded(part: Burst) -> dict[str, Variable]:
+    """Return what each frame of a part has, as the file keeps it."""
+    variables = _variables(replace(part, raw={}, phasors=None))
+    return {name: one for name, one in variables.items() if one.dims[0] == "frame"
+            and name != "frame"}  # fmt: skip
+
+
+def _begun(
+    path: str | Path, frame_count: int, part: Burst, variables: Mapping[str, Variable]
+) -> PiecewiseFile:
+    if part.phasors is not None:
+        raise DataError("phasors of several frequencies are not recorded in parts", source=path)
+    space = {
+        name: replace(one, values=Allocated((frame_count, *one.values.shape[1:]), one.values.dtype))
+        for name, one in variables.items()
+    }
+    space |= intrinsics_variables(part.intrinsics) | pixel_centres(part.grid.shape)
+    return PiecewiseFile.begin(
+        path, schema=SCHEMA, axes=_AXES, variables=space, attributes=_attributes(part),
+        begun=to_json({"frames": frame_count, "names": sorted(space)}, "begun"),
+    )  # fmt: skip
+
+
+def _burst(
+    container: Container, part: tuple[slice, ...], *, raw: Mapping[str, NDArray[Any]] | None = None
+) -> Burst:
+    """Read a burst, or some of its frames."""
+    fields: dict[str, Any] = {
+        field: container.pairs(name, part=part)
+        for field, (name, _, _) in _PAIRS.items()
+        if field == "offset_px" or container.has(f"{name}_row") or container.has(f"{name}_col")
+    }
+    if container.has("distance"):
+        fields["distance_m"] = container.array("distance", part=part)
+    if container.has("phasors"):
+        each = part and (slice(None), *part)
+        fields["phasors"] = container.array("phasors", kinds="c", part=each)
+    if container.has("time"):
+        fields["time_s"] = container.array("time", kinds="uif", part=part)
+    flags = container.array("flags", kinds="ui", part=part)
+    return Burst.from_arrays(
+        container.array("amplitude", part=part),
+        pitch_mm=container.number_pair("pitch_mm"),
+        valid=(flags & _INVALID) == 0,
+        modulation_hz=container.numbers("modulation_hz"),
+        offset_source=container.text("offset_source"),
+        intrinsics=intrinsics_of_fields(container.fields(NAMES)),
+        meta=container.mapping("meta"),
+        raw=raw or {},
+        **fields,
+    )
 
 
 def _variables(burst: Burst) -> dict[str, Variable]:

@@ -74,7 +74,7 @@ class CaptureWriter:
         with ExitStack() as undo:
             undo.callback(target.unlink, missing_ok=True)
             undo.callback(file.close)
-            _lock(file, target)
+            lock(file, target)
             writer = cls(target, file, header, [])
             writer._write(payload)
             undo.pop_all()
@@ -98,7 +98,7 @@ class CaptureWriter:
             raise DataError(f"cannot write: {error.strerror}", source=path) from error
         with ExitStack() as undo:
             undo.callback(file.close)
-            _lock(file, target)
+            lock(file, target)
             header, frames, length = _records(target)
             file.truncate(length)
             file.seek(length)
@@ -277,7 +277,7 @@ def _unpacked(payload: bytes) -> Record:
         return {name: arrays[name] for name in arrays.files}
 
 
-def _lock(file: BinaryIO, path: Path) -> None:
+def lock(file: BinaryIO, path: Path) -> None:
     """Keep other writers away until the file is closed or the process dies."""
     try:
         if os.name == "nt":
@@ -289,4 +289,4 @@ def _lock(file: BinaryIO, path: Path) -> None:
 
             fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        raise DataError("another process is writing this capture", source=path) from error
+        raise DataError("another process is writing this file", source=path) from error

@@ -45,8 +45,16 @@ class Container:
         with reading(self.path):
             return sorted(self.group)
 
-    def array(self, name: str, *, kinds: str = "uifc") -> NDArray[Any]:
-        """Read a variable whose dtype is of one of the given kinds."""
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of a variable without reading it."""
+        with reading(self.path, name):
+            item = _member(self.group, name)
+            return tuple(getattr(item, "shape", None) or ())
+
+    def array(
+        self, name: str, *, kinds: str = "uifc", part: tuple[slice, ...] = ()
+    ) -> NDArray[Any]:
+        """Read a variable whose dtype is of one of the given kinds, or a part of it."""
         import h5py
 
         with reading(self.path, name):
@@ -60,15 +68,24 @@ class Container:
             if item.shape is None or item.size == 0:
                 raise DataError(f"expected values, got shape {item.shape}", field=name)
             check_held(item.shape, item.nbytes, item.id.get_storage_size(), name)
-            chunk_bytes = math.prod(item.chunks or (0,)) * item.dtype.itemsize
-            self.unpacked.append(max(item.nbytes, chunk_bytes))
-            check_unpacked(sum(self.unpacked), self.path.stat().st_size, name)
-            values = np.asarray(item[()])
+            if not part:
+                chunk_bytes = math.prod(item.chunks or (0,)) * item.dtype.itemsize
+                self.unpacked.append(max(item.nbytes, chunk_bytes))
+                check_unpacked(sum(self.unpacked), self.path.stat().st_size, name)
+            values = np.asarray(item[part or ()])
             return values.astype(values.dtype.newbyteorder("="), copy=False)
 
-    def pairs(self, name: str) -> NDArray[np.float64]:
+    def start_of(self, name: str) -> int:
+        """Return where in the file the bytes of a variable begin that lie in one run."""
+        with reading(self.path, name):
+            start = _member(self.group, name).id.get_offset()
+            if start is None:
+                raise DataError("expected one run of bytes", field=name)
+            return int(start)
+
+    def pairs(self, name: str, *, part: tuple[slice, ...] = ()) -> NDArray[np.float64]:
         """Read `name_row` and `name_col`, one number a frame each, as [frame 2]."""
-        columns = [self.array(f"{name}_{axis}", kinds="uif") for axis in ("row", "col")]
+        columns = [self.array(f"{name}_{axis}", kinds="uif", part=part) for axis in ("row", "col")]
         if columns[0].ndim != 1 or columns[0].shape != columns[1].shape:
             raise DataError(
                 f"expected one number a frame like {name}_row, got shapes "

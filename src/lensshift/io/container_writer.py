@@ -28,12 +28,25 @@ _LIBVER = ("v110", "v110")
 _STORABLE = frozenset(["u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8", "c8", "c16"])
 
 
+@dataclass(frozen=True, slots=True)
+class Allocated:
+    """Space for an array that is filled later, see `io.piecewise_file`."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def ndim(self) -> int:
+        """Number of dimensions."""
+        return len(self.shape)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Variable:
     """One array with named dimensions and its attributes (`units` and so on)."""
 
     dims: tuple[str, ...]
-    values: NDArray[Any]
+    values: NDArray[Any] | Allocated
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -59,6 +72,29 @@ def write_container(
     DataError
         If a variable does not fit or the file cannot be written.
     """
+    # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
+    image = BytesIO()
+    write_hdf5(image, path, schema=schema, axes=axes, variables=variables, attributes=attributes)
+    with written_whole(path) as temporary:
+        temporary.write_bytes(image.getbuffer())
+
+
+def write_hdf5(
+    target: BytesIO | Path,
+    path: str | Path,
+    *,
+    schema: str,
+    axes: Sequence[str],
+    variables: Mapping[str, Variable],
+    attributes: Mapping[str, Any],
+) -> None:
+    """Write what `write_container` writes to memory or a new file; `path` is for messages.
+
+    Raises
+    ------
+    DataError
+        If a variable does not fit.
+    """
     try:
         lengths = _dimension_lengths(variables)
     except DataError as error:
@@ -71,11 +107,7 @@ def write_container(
         "schema": sealed_text(schema),
         "software": f"lensshift {_version()}",
     }
-    # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
-    image = BytesIO()
-    _write_hdf5(image, lengths, variables, described | dict(attributes))
-    with written_whole(path) as temporary:
-        temporary.write_bytes(image.getbuffer())
+    _write_groups(target, lengths, variables, described | dict(attributes))
 
 
 def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
@@ -110,8 +142,8 @@ def sealed_text(text: str) -> NDArray[np.bytes_]:
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
 
 
-def _write_hdf5(
-    target: BytesIO,
+def _write_groups(
+    target: BytesIO | Path,
     lengths: Mapping[str, int],
     variables: Mapping[str, Variable],
     attributes: Mapping[str, Any],
@@ -155,6 +187,11 @@ def _dimension_lengths(variables: Mapping[str, Variable]) -> dict[str, int]:
 
 
 def _write_variable(data: Any, name: str, variable: Variable) -> None:
+    if isinstance(variable.values, Allocated):
+        written = data.create_variable(name, variable.dims, variable.values.dtype)
+        written[(-1,) * variable.values.ndim] = 0  # takes all the space
+        _set_attributes(written.attrs, variable.attributes)
+        return
     values = variable.values.astype(variable.values.dtype.newbyteorder("="), copy=False)
     compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
     written = data.create_variable(

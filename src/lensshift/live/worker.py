@@ -195,10 +195,9 @@ class Live:
                 self._refusal = ""
 
     def _step(self, camera: Stream, shots: Sequence[Shot], settings: Settings) -> None:
-        for shot in shots[:-1]:
-            camera.hold(shot.frame, place=shot.place)
-        last = shots[-1]
-        result = camera.step(last.frame, place=last.place)
+        for shot in shots:
+            camera.take(shot.frame, place=shot.place)
+        result, last = camera.picture(), shots[-1]
         number = 1 if self.picture is None else self.picture.number + 1
         self.picture = Picture(number, result, last, camera.window, settings)
         self.solved.tick()

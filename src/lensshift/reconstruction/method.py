@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lensshift.core.types import Estimate
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.options import check_settings, option, truth, weight, whole
 from lensshift.reconstruction.problem import Problem, brightness_of
+
+if TYPE_CHECKING:
+    from lensshift.reconstruction.devices import Device
 
 Weight = float | Literal["cross-validation"] | None
 
@@ -30,6 +33,7 @@ class Request:
     told_blur_px : width of the pixel response, lens included, as the user or the burst told it
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     memory : what a stream keeps between its steps, or None
+    device : where "auto" finds its pictures, or None for the kernels of this processor
     """
 
     prior_weight: Weight = option(None, weight())
@@ -42,6 +46,7 @@ class Request:
     told_blur_px: float | None = None
     shifts_doubted: bool = False
     memory: Memory | None = None
+    device: Device | None = None
 
     def __post_init__(self) -> None:
         check_settings(self)

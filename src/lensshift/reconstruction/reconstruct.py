@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
 from lensshift.forward.blur import Blur
+from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
@@ -56,6 +57,7 @@ def reconstruct(
     std: bool = True,
     on_iteration: Callable[[int, float], None] | None = None,
     memory: Memory | None = None,
+    device: str | Device | None = None,
     **options: Any,
 ) -> Reconstruction:
     """Reconstruct a super-resolved image from a burst of shifted frames.
@@ -92,6 +94,8 @@ def reconstruct(
     on_iteration : called with the number of the iteration and the objective; an exception
         raised in it ends the work and leaves nothing behind
     memory : what a `lensshift.stream` keeps between its steps
+    device : where the method "auto" is computed: "cpu", "cuda" or "cuda:1" by PyTorch, "numpy" by
+        the same code in NumPy; None: compiled for this processor, the fastest without CUDA
     options : the fields of the method
 
     Returns
@@ -102,8 +106,10 @@ def reconstruct(
     Raises
     ------
     ValueError
-        If an argument is out of range or unknown to the method, or a shift field is not of this
-        burst.
+        If an argument is out of range or unknown to the method, a shift field is not of this
+        burst, or there is no such device.
+    ImportError
+        If a device needs PyTorch, which is not installed.
 
     Warns
     -----
@@ -122,7 +128,7 @@ def reconstruct(
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     blur = blur if chosen.undoes_lens else without_lens(blur)
     used = _frame_numbers(burst, frames)
-    request = replace(request, frames=used, memory=memory, **_told(response))
+    request = replace(request, frames=used, memory=memory, **_told(response, device, name))
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -264,11 +270,12 @@ def _response(
     return {"psf_sigma_px": float(told), "psf_source": "burst"}
 
 
-def _told(response: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a request holds of the response; of too wide a one the user was told."""
+def _told(response: Mapping[str, Any], device: str | Device | None, method: str) -> dict[str, Any]:
+    """Return what a request holds of response and device; of too wide a one the user was told."""
     width_px = response["psf_sigma_px"]
     told_px = None if response["psf_source"] == "assumed" else width_px
-    return {"shifts_doubted": width_px > QUESTIONED_BLUR_PX, "told_blur_px": told_px}
+    return {"shifts_doubted": width_px > QUESTIONED_BLUR_PX, "told_blur_px": told_px,
+            "device": on_device(device, method)}  # fmt: skip
 
 
 def _frame_numbers(burst: Burst, frames: Sequence[int] | None) -> tuple[int, ...]:
@@ -312,5 +319,6 @@ def _settings(
         "photometric": photometric,
         "shift_field": field is not None,
         "seed": request.seed,
+        "device": None if request.device is None else request.device.name,
         **request.options,
     }

@@ -63,6 +63,8 @@ class Stream:
             Before the first frame.
         """
         places = sorted(self._frames)
+        if not places:
+            raise ValueError("expected a frame before the first picture")
         return _burst_of(self._template, places, [self._frames[k] for k in places])
 
     @property
@@ -71,11 +73,18 @@ class Stream:
         return tuple(self._frames)
 
     def step(self, frame: Frame | ArrayLike, *, place: int | None = None) -> Reconstruction:
-        """Take one frame and return the picture.
+        """Take one frame and return the picture: `take`, then `picture`.
 
-        Its settings say what was done: `pace` "live" (the last stage, from the picture before) or
-        "refined" (all, as `reconstruct`), `places` of the frames in it, and `event`: "scene
-        changed", "frames lost" or None.
+        Raises
+        ------
+        ValueError
+            As `take` does.
+        """
+        self.take(frame, place=place)
+        return self.picture()
+
+    def take(self, frame: Frame | ArrayLike, *, place: int | None = None) -> None:
+        """Take one frame and do nothing else, where not every frame needs a picture.
 
         Parameters
         ----------
@@ -87,16 +96,6 @@ class Stream:
         ValueError
             If the place is not on the plan, or the frame is of another shape.
         """
-        count, rested = self._template.frame_count, len(self._frames)
-        self.hold(frame, place=place)
-        due = self._pace == "auto" and self._since_refined + 1 >= REFINED_ROUNDS * count
-        return self._solved(live=self._pace != "refined" and not due and rested == count)
-
-    def hold(self, frame: Frame | ArrayLike, *, place: int | None = None) -> None:
-        """Take a frame without a picture for it: the next `step` has it as well.
-
-        For who falls behind the camera, and otherwise as `step`.
-        """
         one = frame if isinstance(frame, Frame) else _frame_of(frame)
         if one.amplitude.shape != self._template.grid.shape:
             raise ValueError(
@@ -105,22 +104,32 @@ class Stream:
         at, event, rests = self._placed(one, place)
         if event == "scene changed":
             self._frames.clear()
-        self._event = event or self._event
-        self._rests = rests and self._rests
+        self._rests = self._rests and rests and len(self._frames) == self._template.frame_count
         self._frames.pop(at, None)
         self._frames[at] = one
         self._next = (at + 1) % self._template.frame_count
+        self._event = event or self._event
 
-    def _solved(self, *, live: bool) -> Reconstruction:
-        live = live and self._rests
+    def picture(self) -> Reconstruction:
+        """Return the picture of the frames taken so far.
+
+        Its settings say what was done: `pace` "live" (the last stage, from the picture before) or
+        "refined" (all, as `reconstruct`), `places` of the frames in it, and `event` since the last
+        one: "scene changed", "frames lost" or None.
+        """
+        round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
+        live = self._rests and self._pace != "refined" and not (self._pace == "auto" and round_ends)
+        event, self._event, self._rests = self._event, None, True
+        return self._solved(event, live=live)
+
+    def _solved(self, event: str | None, *, live: bool) -> Reconstruction:
+        places, burst = sorted(self._frames), self.window
         memory, self._memory = self._memory, Memory()  # what is interrupted is not remembered
         memory.begin(quick=live)
-        found = reconstruct(self.window, self._scale, memory=memory, **self._settings)
+        found = reconstruct(burst, self._scale, memory=memory, **self._settings)
         self._memory = memory
         self._since_refined = self._since_refined + 1 if live else 0
-        pace = "live" if live else "refined"
-        said = {"pace": pace, "places": sorted(self._frames), "event": self._event}
-        self._event, self._rests = None, True
+        said = {"pace": "live" if live else "refined", "places": places, "event": event}
         self._result = replace(found, settings=dict(found.settings) | said)
         return self._result
 
@@ -168,7 +177,7 @@ class Stream:
         return _Seen(float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner])))
 
     def _warn(self, text: str) -> None:
-        warnings.warn(text, QualityWarning, stacklevel=5)
+        warnings.warn(text, QualityWarning, stacklevel=4)
 
 
 def stream(

@@ -1,1 +1,1 @@
-"""The default solver: exact data steps alternate with a small learned prior, in NumPy."""
+"""The default solver: exact data steps alternate with a small learned prior."""

@@ -7,6 +7,9 @@
 W is the inverse noise variance, less where a pixel contradicts the picture. As noise falls, W grows
 and the data decide. All numbers but the network's are the same everywhere: there is no switch and
 no scale for the whole picture. `training/network.py` is the same chain in PyTorch.
+
+Bursts of one geometry go through it together, on their own axis. What it is computed with, compiled
+kernels or the array API of a device, it is handed (`kernels.py`).
 """
 
 from __future__ import annotations
@@ -17,20 +20,21 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.learned.kernels import Kernels
 from lensshift.reconstruction.learned.turn import Turn
 
-Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
-Picture = NDArray[Any]  # float32, or complex64 for phasors
+# Of NumPy or of the device, float32; a picture is complex64 for phasors.
+Single = NDArray[np.floating[Any]]
+Picture = NDArray[Any]
 
 # The form of the chain that the weights were trained in (training/network.py); not to be tuned.
 START_STEPS, DATA_STEPS = 8, 4
-START_STIFFNESS = np.float32(0.02)
+START_STIFFNESS = 0.02
 LEAST_DENSITY = 0.02
 PRECISION_RANGE = (1e-3, 1e4)
-TINY = np.float32(1e-12)
+TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,11 +43,14 @@ class State:
 
     Parameters
     ----------
-    v, past : [row col] the picture and what it was a stage before
-    gradient : [row col] where the frames want it to go, each HR pixel by its own sum of weights
-    misfit : [row col] rms residual of the frames around
-    noise, trusted : [row col] noise of the frames at an HR pixel, and of what is believed of them
+    v, past : [burst row col] the picture and what it was a stage before
+    gradient : [burst row col] where the frames want it to go, each HR pixel by its own sum of
+        weights
+    misfit : [burst row col] rms residual of the frames around
+    noise, trusted : [burst row col] noise of the frames at an HR pixel, and of what is believed of
+        them
     turn : how a network looks at them
+    on : what it is computed with
     """
 
     v: Picture
@@ -53,6 +60,7 @@ class State:
     noise: Single
     trusted: Single
     turn: Turn
+    on: Kernels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +69,7 @@ class Held:
 
     Parameters
     ----------
-    v, past : [row col] the picture and what it was a stage before
+    v, past : [burst row col] the picture and what it was a stage before
     channels : of the stage before
     """
 
@@ -69,11 +77,19 @@ class Held:
     past: Picture
     channels: Single
 
-    def moved(self, factor: Any, level: float = 0.0, kind: Any = None) -> Held:
+    def moved(self, factor: Any, level: Any = 0.0, kind: Any = None) -> Held:
         """Return the pictures times a factor plus a level, perhaps in another precision."""
         pictures = (one * factor + level for one in (self.v, self.past))
         v, past = (one if kind is None else one.astype(kind) for one in pictures)
         return Held(v, past, self.channels)
+
+    def through(self, carry: Callable[[Any], Any]) -> Held:
+        """Return it on a device, or back from there."""
+        return Held(carry(self.v), carry(self.past), carry(self.channels))
+
+    def one(self, number: int) -> Held:
+        """Return that of one of the bursts alone, still with the axis."""
+        return self.through(lambda values: values[number : number + 1])
 
 
 class LearnedPrior(Protocol):
@@ -96,88 +112,104 @@ class LearnedPrior(Protocol):
         ...
 
     def spread(self, channels: Single, state: State) -> Single:
-        """Return [picture row col], what the last stage says of the error."""
+        """Return [burst picture row col], what the last stage says of the error."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """One burst in units of its noise: frames y, their relative sigma and weight 1 / sigma^2."""
+    """Bursts in units of their noise: frames y, their relative sigma and weight 1 / sigma^2."""
 
     A: LinearOperator
     y: Picture
     sigma: Single
     weight: Single
-    facts: Single
+    facts: NDArray[np.float32]
     scale: int
     turn: Turn
+    on: Kernels
 
     def run(
         self,
         prior: LearnedPrior,
-        on_stage: Callable[[int, float], None] | None = None,
+        on_stage: Callable[[int, Any], None] | None = None,
         held: Held | None = None,
-    ) -> tuple[Picture, Single, Single, float, Held]:
+    ) -> tuple[Picture, Single, Single, Any, Held]:
         """Return picture, what is said of its error, the weights, rms of the last step over s.
 
         And what a run that begins before the last stage needs; `held` is that of another run.
         """
+        xp = self.on.xp
         density = self.A.adjoint(self.weight)
-        floor = np.float32(LEAST_DENSITY * len(self.y) / self.scale**2)
-        noise: Single = 1 / np.sqrt(density + floor)
-        stages, share = len(prior.numbers["trust"]), _around(self.weight > 0)
+        floor = LEAST_DENSITY * self.y.shape[1] / self.scale**2
+        noise: Single = 1 / xp.sqrt(density + floor)
+        used = xp.ones_like(self.weight) * (self.weight > 0)
+        stages, share = len(prior.numbers["trust"]), self._around(used)
         if held is None:
             b = self.A.adjoint(self.weight * self.y)
-            past: Picture = b / (density + floor * np.float32(1e-3))
-            v: Picture = self._start(past, density, _sigmoid(prior.numbers["lowest"][0]))
+            past: Picture = b / (density + floor * 1e-3)
+            v: Picture = self._start(b, past, density, _sigmoid(prior.numbers["lowest"][0]))
             channels: Any = None  # of the stage before
         else:
             v, past, channels = held.v, held.past, held.channels
         for t in range(0 if held is None else stages - 1, stages):
             half_done = Held(v, past, channels)  # in the end that before the last stage
             trust, forgive, doubt = (
-                np.float32(np.exp(prior.numbers[name][t])) for name in ("trust", "forgive", "doubt")
+                float(np.exp(prior.numbers[name][t])) for name in ("trust", "forgive", "doubt")
             )
             r = self.y - self.A.forward(v)
-            size = _size(r)
-            robust = self._believed(size, share, forgive, doubt)
+            size = self._size(r)
+            robust = self._believed(size, used, share, forgive, doubt)
             mass = self.A.adjoint(robust)
             if on_stage is not None:
-                on_stage(t + 1, float(np.sqrt(np.sum(robust * size**2) / np.sum(robust > 0))))
+                left = _total(xp, robust * size**2) / _total(xp, robust > 0)
+                on_stage(t + 1, xp.sqrt(left))
+            chi_square = self.A.adjoint(self.weight * size**2) / (density + floor)
             state = State(
                 v, past, self.A.adjoint(robust * r) / (mass + floor),
-                np.sqrt(np.maximum(self.A.adjoint(self.weight * size**2) / (density + floor), 0)),
-                noise, 1 / np.sqrt(mass + floor), self.turn,
+                xp.sqrt(xp.clip(chi_square, 0, None)), noise, 1 / xp.sqrt(mass + floor),
+                self.turn, self.on,
             )  # fmt: skip
             x, s, channels = prior.improve(t, state, self.facts, channels)
-            k: Single = np.clip(trust / (s * s), *PRECISION_RANGE).astype(np.float32, copy=False)
+            k: Single = xp.clip(trust / (s * s), *PRECISION_RANGE)
             past, v = v, self._data_step(
                 x, robust, mass, k, _sigmoid(prior.numbers["lowest"][t + 1]),
                 prior.last_steps if t + 1 == stages else DATA_STEPS,
             )  # fmt: skip
-        change = float(np.sqrt(np.mean((np.abs(v - past) / np.maximum(s, TINY)) ** 2)))
-        return v, prior.spread(channels, state), robust, change, half_done
+        change = xp.mean((xp.abs(v - past) / xp.clip(s, TINY, None)) ** 2, (1, 2))
+        return v, prior.spread(channels, state), robust, xp.sqrt(change), half_done
 
     def _believed(
-        self, size: Single, share: Single, forgive: np.float32, doubt: np.float32
+        self, size: Single, used: Single, share: Single, forgive: float, doubt: float
     ) -> Single:
         """Return the weights after Huber: what a pixel may be off by grows with its neighbours."""
-        square = _around(np.where(self.weight > 0, size * size, np.float32(0)))
-        around = np.sqrt(np.maximum(square, 0) / (share + np.float32(1e-6)))
+        xp = self.on.xp
+        square = self._around(used * size * size)
+        around = xp.sqrt(xp.clip(square, 0, None) / (share + 1e-6))
         limit = forgive * self.sigma + doubt * around
-        believed: Single = self.weight * np.minimum(limit / (size + TINY), 1)
+        believed: Single = self.weight * xp.clip(limit / (size + TINY), None, 1)
         return believed
 
-    def _start(self, x: Picture, density: Single, lowest: np.float32) -> Picture:
+    def _around(self, values: Single) -> Single:
+        """Return the sum over 3 x 3 pixels of each frame, over nine."""
+        around: Single = self.on.mean_around(values, 3)
+        return around
+
+    def _size(self, r: Picture) -> Single:
+        """Return the size of a residual, of each component if it has two."""
+        xp = self.on.xp
+        size: Single = xp.abs(r)
+        return size * 0.5**0.5 if r.dtype == xp.complex64 else size
+
+    def _start(self, b: Picture, x: Picture, density: Single, lowest: float) -> Picture:
         def apply(p: Picture) -> Picture:
             spread: Picture = self.A.adjoint(self.weight * self.A.forward(p))
-            return spread + START_STIFFNESS * _stiffness(p)
+            return spread + START_STIFFNESS * _stiffness(self.on.xp, p)
 
-        b = self.A.adjoint(self.weight * self.y)
         return chebyshev(apply, b, x, density + 8 * START_STIFFNESS, lowest, START_STEPS)
 
     def _data_step(
-        self, x: Picture, robust: Single, mass: Single, k: Single, lowest: np.float32, steps: int
+        self, x: Picture, robust: Single, mass: Single, k: Single, lowest: float, steps: int
     ) -> Picture:
         def apply(p: Picture) -> Picture:
             spread: Picture = self.A.adjoint(robust * self.A.forward(p))
@@ -188,15 +220,9 @@ class Chain:
         return chebyshev(apply, b, x, mass + k, lowest, steps)
 
 
-def _around(values: NDArray[Any]) -> Single:
-    """Return the sum over 3 x 3 pixels of each frame, over nine."""
-    around: Single = uniform_filter(values.astype(np.float32), (1, 3, 3), mode="constant")
-    return around
-
-
-def _size(r: Picture) -> Single:
-    """Return the size of a residual, of each component if it has two."""
-    return np.abs(r) * np.float32(0.5**0.5) if r.dtype.kind == "c" else np.abs(r)
+def _total(xp: Any, values: Any) -> Any:
+    """Return the sum over the frames of each burst."""
+    return xp.sum(values, (1, 2, 3))
 
 
 def chebyshev(
@@ -204,7 +230,7 @@ def chebyshev(
     b: Picture,
     x: Picture,
     diagonal: Single,
-    lowest: np.float32,
+    lowest: float,
     steps: int,
 ) -> Picture:
     """Return x after some Chebyshev steps on apply(x) = b.
@@ -229,17 +255,17 @@ def chebyshev(
     return x
 
 
-def _stiffness(x: Picture) -> Picture:
+def _stiffness(xp: Any, x: Picture) -> Picture:
     """Return the gradient of half the squared differences between neighbours."""
-    out = np.zeros_like(x)
-    step = np.diff(x, axis=0)
-    out[1:] += step
-    out[:-1] -= step
-    step = np.diff(x, axis=1)
+    out: Picture = xp.zeros_like(x)
+    step = x[:, 1:] - x[:, :-1]
     out[:, 1:] += step
     out[:, :-1] -= step
+    step = x[..., 1:] - x[..., :-1]
+    out[..., 1:] += step
+    out[..., :-1] -= step
     return out
 
 
-def _sigmoid(value: float) -> np.float32:
-    return np.float32(1 / (1 + np.exp(-value)))
+def _sigmoid(value: float) -> float:
+    return float(1 / (1 + np.exp(-value)))

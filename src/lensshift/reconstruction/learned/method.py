@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
-from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.learned.solver import OnStage, Solution, solve, solve_phasor
+from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
@@ -96,7 +95,8 @@ def solved(
     held = kept and tuple(one.moved(1 / unit, -level / unit) for one in kept)
 
     def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
-        return _solved_once(problem, noise, on_stage, held)
+        asked = Asked(problem.model, problem.y, noise, problem.blur_sigma_px, on_stage, held)
+        return _solved_once(problem, asked, request)
 
     found, misfit = run(noise)
     told_px, width_px = request.told_blur_px, None
@@ -132,16 +132,11 @@ def solved(
     return _judged(estimate, wrong, used, request), std
 
 
-def _solved_once(
-    problem: Problem, noise: NDArray[np.float64], on_stage: OnStage, held: tuple[Held, ...] | None
-) -> tuple[Solution, Misfit]:
-    of_phasors = problem.y.dtype.kind == "c"
-    found = (solve_phasor if of_phasors else solve)(
-        problem.model, problem.y, noise, blur_px=problem.blur_sigma_px, on_stage=on_stage,
-        held=held,
-    )  # fmt: skip
-    A = problem.model.operator
-    if of_phasors:
+def _solved_once(problem: Problem, asked: Asked, request: Request) -> tuple[Solution, Misfit]:
+    A, noise = problem.model.operator, asked.sigma
+    there = request.device
+    found = solve_together([asked])[0] if there is None else there.solve(asked)
+    if asked.of_phasors:
         weight = found.weight / np.where(np.isfinite(noise), noise, np.inf) ** 2
         low_hr_px = LOW_PASS_PX * problem.scale
         found = replace(found, image=with_means_of(A, found.image, problem.y, weight, low_hr_px))

@@ -55,23 +55,25 @@ class Network:
         return x
 
 
-def fold(pictures: list[Single]) -> Single:
-    """Return pictures [row col] as channels [row/2 col/2 n 2 2], repeated at an odd end."""
-    rows, cols = pictures[0].shape
-    even = np.empty((len(pictures), rows + rows % 2, cols + cols % 2), np.float32)
-    for target, picture in zip(even, pictures, strict=True):
-        target[:rows, :cols] = picture
-    even[:, rows:] = even[:, rows - 1 : rows]
-    even[:, :, cols:] = even[:, :, cols - 1 : cols]
-    blocks = even.reshape(len(pictures), even.shape[1] // 2, 2, even.shape[2] // 2, 2)
-    return blocks.transpose(1, 3, 0, 2, 4)
+def fold(xp: Any, pictures: list[Any]) -> Any:
+    """Return pictures [burst row col] as channels [burst row/2 col/2 n 2 2].
+
+    The last row or column is repeated at an odd end.
+    """
+    x = xp.stack(pictures, 1)
+    for axis in (2, 3):
+        if x.shape[axis] % 2:
+            x = xp.concat([x, x[:, :, -1:] if axis == 2 else x[..., -1:]], axis)
+    bursts, count, rows, cols = x.shape
+    blocks = x.reshape(bursts, count, rows // 2, 2, cols // 2, 2)
+    return xp.moveaxis(blocks, (2, 4), (1, 2))
 
 
-def unfold(channels: Single, shape: tuple[Any, ...]) -> Single:
-    """Return the picture [row col] of four channels [row/2 col/2 4]."""
-    rows, cols = channels.shape[:2]
-    blocks = channels.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3)
-    return np.ascontiguousarray(blocks.reshape(2 * rows, 2 * cols)[: shape[0], : shape[1]])
+def unfold(channels: Any, shape: tuple[int, ...]) -> Any:
+    """Return the picture [burst row col] of four channels [burst row/2 col/2 4]."""
+    bursts, rows, cols = channels.shape[:3]
+    blocks = channels.reshape(bursts, rows, cols, 2, 2).swapaxes(2, 3)
+    return blocks.reshape(bursts, 2 * rows, 2 * cols)[:, : shape[0], : shape[1]]
 
 
 @lru_cache

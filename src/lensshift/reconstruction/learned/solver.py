@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -20,6 +20,7 @@ from lensshift.reconstruction.learned.chain import (
     Picture,
     Single,
 )
+from lensshift.reconstruction.learned.kernels import COMPILED, Kernels
 from lensshift.reconstruction.learned.network import learned_weights
 from lensshift.reconstruction.learned.priors import BrightnessPrior, PhasorPrior
 from lensshift.reconstruction.learned.turn import turn_of
@@ -45,80 +46,130 @@ class Solution:
     std : [row col] standard deviation of its error; of phasors [3 row col]: that along the
         phasor, that across it, and the correlation of the two
     weight : [frame row col] 0 .. 1, how much of each LR pixel was believed in the end
-    change : rms change of the picture in the last stage over the std of what it began with
+    change : rms change of the picture in the last stage over the std of what it began with; inside
+        this module all of these have an axis [burst] in front
     held : of each tile, what another burst of the same shifts and scene can begin with
     """
 
     image: NDArray[np.inexact[Any]]
     std: NDArray[np.float64]
     weight: Single
-    change: float
+    change: Any
     held: tuple[Held, ...] = ()
 
 
-def solve(
-    model: ForwardModel,
-    y: NDArray[np.float64],
-    sigma: NDArray[np.float64],
-    *,
-    blur_px: float,
-    on_stage: OnStage | None = None,
-    held: tuple[Held, ...] | None = None,
-) -> Solution:
-    """Return the picture that explains the frames y = A x + n.
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """A burst y = A x + n whose picture is wanted.
 
     Parameters
     ----------
     model : how an HR image becomes the frames; its gain and bias are 1 and 0
-    y : [frame row col] real
-    sigma : [frame row col] noise of each LR pixel; infinite where a pixel must not be used
+    y : [frame row col] real, or complex for phasors
+    sigma : [frame row col] noise of each LR pixel, of each component if it has two; infinite where
+        a pixel must not be used
     blur_px : standard deviation of the pixel response in LR pixels
     on_stage : called with the number of the stage and the misfit in units of the noise
     held : of an earlier solution, in the units of y: only the last stage is done
     """
-    used = np.isfinite(sigma)
-    unit, level = float(np.mean(sigma[used])), float(np.median(y[used]))
-    known = np.where(used, (y - level) / unit, 0.0).astype(np.float32)
-    start = held and tuple(one.moved(1 / unit, -level / unit, np.float32) for one in held)
-    found = _in_tiles(_brightness_prior(), model, known, sigma / unit, blur_px, on_stage, start)
-    return Solution(
-        image=found.image * unit + level,
-        std=found.std[0] * (STD_SCALE * unit),
-        weight=found.weight,
-        change=found.change,
-        held=tuple(one.moved(unit, level, np.float64) for one in found.held),
-    )
+
+    model: ForwardModel
+    y: NDArray[np.inexact[Any]]
+    sigma: NDArray[np.float64]
+    blur_px: float
+    on_stage: OnStage | None = None
+    held: tuple[Held, ...] | None = None
+
+    @property
+    def of_phasors(self) -> bool:
+        """Whether the picture is one of phasors."""
+        return self.y.dtype.kind == "c"
+
+    @property
+    def geometry(self) -> tuple[Any, ...]:
+        """What bursts have to share to be solved together; what begins with `held` is alone."""
+        model, held = self.model, self.held and id(self.held)
+        places = (taps.position_hr_px.tobytes() for taps in (model.rows, model.cols))
+        return (self.y.shape, self.of_phasors, held, self.blur_px, model.scale, model.blur, *places)
+
+    def unit(self) -> tuple[float, complex | float, float]:
+        """Return the mean noise; by what and after what is taken off y is in units of it.
+
+        Phasors are turned by their mean as well, and keep their level.
+        """
+        used = np.isfinite(self.sigma)
+        unit = float(np.mean(self.sigma[used]))
+        if not self.of_phasors:
+            return unit, 1 / unit, float(np.median(self.y[used]))
+        middle = np.sum(self.y[used])
+        turn = np.conj(middle) / abs(middle) if abs(middle) > 0 else 1.0
+        return unit, turn / unit, 0.0
 
 
-def solve_phasor(
+Solve = Callable[[Asked], Solution]
+SolveTogether = Callable[[Sequence[Asked]], list[Solution]]
+
+
+def solve(
     model: ForwardModel,
-    y: NDArray[np.complex128],
+    y: NDArray[np.inexact[Any]],
     sigma: NDArray[np.float64],
     *,
     blur_px: float,
-    on_stage: OnStage | None = None,
-    held: tuple[Held, ...] | None = None,
+    on: Kernels = COMPILED,
 ) -> Solution:
-    """Return the phasors that explain the frames; see `solve`.
+    """Return the picture that explains the frames y = A x + n; see `Asked`."""
+    return solve_together([Asked(model, y, sigma, blur_px)], on)[0]
 
-    Parameters
-    ----------
-    y : [frame row col] complex
-    sigma : [frame row col] noise of each component of each LR pixel
-    """
-    used = np.isfinite(sigma)
-    unit, middle = float(np.mean(sigma[used])), np.sum(y[used])
-    turn = np.conj(middle) / abs(middle) if abs(middle) > 0 else 1.0
-    known = np.where(used, y * (turn / unit), 0.0).astype(np.complex64)
-    start = held and tuple(one.moved(turn / unit, 0.0, np.complex64) for one in held)
-    found = _in_tiles(_phasor_prior(), model, known, sigma / unit, blur_px, on_stage, start)
-    scale = np.array([unit, unit, 1.0])
+
+def solve_together(asked: Sequence[Asked], on: Kernels = COMPILED) -> list[Solution]:
+    """Return the pictures of several bursts, those of one geometry found at the same time."""
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for number, one in enumerate(asked):
+        groups.setdefault(one.geometry, []).append(number)
+    found: dict[int, Solution] = {}
+    for numbers in groups.values():
+        found |= zip(numbers, _solved([asked[n] for n in numbers], on), strict=True)
+    return [found[number] for number in range(len(asked))]
+
+
+def _solved(asked: Sequence[Asked], on: Kernels) -> list[Solution]:
+    """Return the solutions of bursts of one geometry."""
+    first, units = asked[0], [one.unit() for one in asked]
+    kind = np.complex64 if first.of_phasors else np.float32
+    y = [
+        np.where(np.isfinite(one.sigma), (one.y - level) * factor, 0.0).astype(kind)
+        for one, (_, factor, level) in zip(asked, units, strict=True)
+    ]
+    sigma = [one.sigma / unit for one, (unit, _, _) in zip(asked, units, strict=True)]
+    _, factor, level = units[0]
+    held = first.held and tuple(h.moved(factor, -level * factor, kind) for h in first.held)
+
+    def on_stage(number: int, misfits: Any) -> None:
+        for one, misfit in zip(asked, on.back(misfits), strict=True):
+            if one.on_stage is not None:
+                one.on_stage(number, float(misfit))
+
+    found = _in_tiles(
+        _phasor_prior() if first.of_phasors else _brightness_prior(), first.model, np.stack(y),
+        np.stack(sigma), first.blur_px, on_stage, held, on,
+    )  # fmt: skip
+    return [_in_units(found, n, *unit) for n, unit in enumerate(units)]
+
+
+def _in_units(found: Solution, n: int, unit: float, factor: Any, level: float) -> Solution:
+    """Return the solution of burst n in the units of its frames."""
+    of_phasors = found.image.dtype.kind == "c"
+    std = found.std[n] * np.array([unit, unit, 1.0])[:, None, None] if of_phasors else (
+        found.std[n, 0] * (STD_SCALE * unit)
+    )  # fmt: skip
+    kind = np.complex128 if of_phasors else np.float64
     return Solution(
-        image=found.image * (unit * np.conj(turn)),
-        std=found.std * scale[:, None, None],
-        weight=found.weight,
-        change=found.change,
-        held=tuple(one.moved(unit * np.conj(turn), 0.0, np.complex128) for one in found.held),
+        image=found.image[n] / factor + level,
+        std=std,
+        weight=found.weight[n],
+        change=float(found.change[n]),
+        held=tuple(one.one(n).moved(1 / factor, level, kind) for one in found.held),
     )
 
 
@@ -138,38 +189,43 @@ def _in_tiles(
     y: Picture,
     sigma: NDArray[np.float64],
     blur_px: float,
-    on_stage: OnStage | None,
+    on_stage: Callable[[int, Any], None],
     held: tuple[Held, ...] | None,
+    on: Kernels,
 ) -> Solution:
-    """Return the solution of a burst in units of its noise."""
+    """Return the solution of bursts in units of their noise, on their own axis."""
     used = np.isfinite(sigma)
     relative = np.where(used, sigma, 1.0).astype(np.float32)
     weight = np.where(used, relative**-2, 0).astype(np.float32)
-    facts, turn = _facts(blur_px * model.scale, model.scale, len(y)), turn_of(model.mean_offset_px)
-    image = np.empty(model.hr_shape, np.complex128 if y.dtype.kind == "c" else np.float64)
+    facts = _facts(blur_px * model.scale, model.scale, y.shape[1])
+    turn, shape = turn_of(model.mean_offset_px), (len(y), *model.hr_shape)
+    image = np.empty(shape, np.complex128 if y.dtype.kind == "c" else np.float64)
     spread: list[NDArray[np.float64]] = []
     believed, changes, kept = np.empty(y.shape, np.float32), [], []
     for number, (part, inner) in enumerate(_tiles(model.lr_shape, model.scale)):
-        frames = (slice(None), *part)
+        frames = (..., *part)
         whole = all(p == slice(0, n) for p, n in zip(part, model.lr_shape, strict=True))
-        operator = (model if whole else model.crop(*part)).operator
+        operator = on.operator(model if whole else model.crop(*part))
         chain = Chain(
-            operator, y[frames], relative[frames], weight[frames], facts, model.scale, turn
-        )
-        start = None if held is None else held[number]
-        v, s, robust, change, half_done = chain.run(prior, on_stage, start)
-        kept.append(half_done)
+            operator, on.there(y[frames]), on.there(relative[frames]), on.there(weight[frames]),
+            facts, model.scale, turn, on,
+        )  # fmt: skip
+        start = None if held is None else held[number].through(on.there)
+        *found, half_done = chain.run(prior, on_stage, start)
+        v, s, robust, change = map(on.back, found)
+        kept.append(half_done.through(on.back))
         rows, cols = (slice(i.start - p.start, i.stop - p.start)
                       for i, p in zip(inner, part, strict=True))  # fmt: skip
         to, of = (_times(place, model.scale) for place in (inner, (rows, cols)))
-        spread = spread or [np.empty(model.hr_shape) for _ in s]
-        image[to] = v[of]
-        for whole_picture, tile in zip(spread, s, strict=True):
-            whole_picture[to] = tile[of]
-        believed[(slice(None), *inner)] = robust[:, rows, cols]
+        spread = spread or [np.empty(shape) for _ in range(s.shape[1])]
+        image[(..., *to)] = v[(..., *of)]
+        for place, whole_picture in enumerate(spread):
+            whole_picture[(..., *to)] = s[(slice(None), place, *of)]
+        believed[(..., *inner)] = robust[..., rows, cols]
         changes.append(change)
     believed /= np.maximum(weight, TINY)
-    return Solution(image, np.stack(spread), believed, max(changes), tuple(kept))
+    most = np.max(changes, axis=0)
+    return Solution(image, np.stack(spread, axis=1), believed, most, tuple(kept))
 
 
 def _tiles(lr_shape: tuple[int, int], scale: int) -> list[tuple[Region, Region]]:
@@ -191,7 +247,7 @@ def _times(region: Region, scale: int) -> Region:
     return rows, cols
 
 
-def _facts(blur_hr_px: float, scale: int, frames: int) -> Single:
+def _facts(blur_hr_px: float, scale: int, frames: int) -> NDArray[np.float32]:
     samples = frames / scale**2
     return np.array(
         [blur_hr_px - 0.6, scale / 2 - 1, np.log(samples) / 2, 1 / (1 + samples)], np.float32

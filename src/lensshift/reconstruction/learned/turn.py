@@ -25,17 +25,19 @@ class Turn:
     cols: bool
     transposed: bool
 
-    def there(self, picture: Picture) -> Picture:
-        """Return the picture [row col] as the network sees it."""
-        turned = self._mirrored(picture)
-        return turned.T if self.transposed else turned
+    def there(self, xp: Any, picture: Picture) -> Picture:
+        """Return the picture [... row col] as the network sees it."""
+        turned = self._mirrored(xp, picture)
+        return turned.mT if self.transposed else turned
 
-    def back(self, picture: Picture) -> Picture:
+    def back(self, xp: Any, picture: Picture) -> Picture:
         """Undo `there`."""
-        return self._mirrored(picture.T if self.transposed else picture)
+        return self._mirrored(xp, picture.mT if self.transposed else picture)
 
-    def _mirrored(self, picture: Picture) -> Picture:
-        return picture[:: -1 if self.rows else 1, :: -1 if self.cols else 1]
+    def _mirrored(self, xp: Any, picture: Picture) -> Picture:
+        ends = tuple(axis for axis, turned in ((-2, self.rows), (-1, self.cols)) if turned)
+        mirrored: Picture = xp.flip(picture, ends) if ends else picture
+        return mirrored
 
 
 def turn_of(offset_px: NDArray[np.float64]) -> Turn:

@@ -1,0 +1,189 @@
+"""Containers larger than memory: allocated at once, filled piece by piece, whole at the end.
+
+Until then the file is called NAME.part. Arrays that are filled lie in one run of bytes each, whose
+place is known once the file is made, so filling them is plain writing: HDF5, which a kill in the
+middle would leave damaged, is not open meanwhile. The variable `written` says which pieces are
+there; what was begun with the same settings is gone on with.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.io.atomic import writable_target
+from lensshift.io.capture_file import lock
+from lensshift.io.container_reader import open_container
+from lensshift.io.container_writer import Allocated, Variable, sealed_text, write_hdf5
+
+WRITTEN = "written"
+
+
+class PiecewiseFile:
+    """A container whose first dimension is filled in pieces; use `begin`, in a `with` block.
+
+    Parameters
+    ----------
+    written : [piece] which pieces are there
+    """
+
+    def __init__(
+        self,
+        target: Path,
+        part: Path,
+        file: BinaryIO,
+        starts: Mapping[str, int],
+        spaces: Mapping[str, Allocated],
+        written: NDArray[np.bool_],
+    ) -> None:
+        self.written = written
+        self._target, self._part, self._file = target, part, file
+        self._starts, self._spaces = dict(starts), dict(spaces)
+
+    @classmethod
+    def begin(
+        cls,
+        path: str | Path,
+        *,
+        schema: str,
+        axes: Sequence[str],
+        variables: Mapping[str, Variable],
+        attributes: Mapping[str, Any],
+        begun: str,
+    ) -> Self:
+        """Allocate a file, or go on with what was begun.
+
+        Parameters
+        ----------
+        variables : those with `Allocated` values are filled later; their first dimension is that
+            of the first variable
+        begun : what must be the same to go on, as text
+
+        Raises
+        ------
+        DataError
+            If there is too little room, the file cannot be written, another process writes it, or
+            it was begun otherwise.
+        """
+        target = writable_target(path)
+        part = target.with_name(f"{target.name}.part")
+        first = next(iter(variables.values()))
+        said = {"units": "1", "long_name": "1 where the piece was written"}
+        space = Allocated((first.values.shape[0],), np.dtype("<u1"))
+        variables = {**variables, WRITTEN: Variable((first.dims[0],), space, said)}
+        spaces = {k: v.values for k, v in variables.items() if isinstance(v.values, Allocated)}
+        if not part.exists():
+            _check_room(target, spaces)
+            described = {**attributes, "begun": sealed_text(begun)}
+            _allocate(target, part, variables, schema=schema, axes=axes, attributes=described)
+        with open_container(part, schema) as container:
+            if container.text("begun") != begun:
+                problem = (
+                    f"{part.name} was begun with other settings or of another recording; give "
+                    "those, choose another name, or remove it"
+                )
+                raise DataError(problem, source=path)
+            starts = {name: container.start_of(name) for name in spaces}
+            written = container.array(WRITTEN) != 0
+        file = part.open("r+b", buffering=0)
+        try:
+            lock(file, part)
+        except DataError:
+            file.close()
+            raise
+        return cls(target, part, file, starts, spaces, written)
+
+    def write(self, first: int, pieces: Mapping[str, NDArray[Any]]) -> None:
+        """Write consecutive pieces of all arrays; they count once all of them are there.
+
+        Parameters
+        ----------
+        first : number of the first piece
+        pieces : by name, [piece ...]
+
+        Raises
+        ------
+        DataError
+            If a name is missing or strange, a shape is wrong, or the disk is full.
+        """
+        count = len(next(iter(pieces.values())))
+        if set(pieces) != set(self._spaces) - {WRITTEN}:
+            raise DataError(f"expected {sorted(self._spaces)}, got {sorted(pieces)}")
+        for name, values in (*pieces.items(), (WRITTEN, np.ones(count))):
+            space = self._spaces[name]
+            if np.shape(values) != (count, *space.shape[1:]):
+                raise DataError(
+                    f"expected {(count, *space.shape[1:])}, got {np.shape(values)}", field=name
+                )
+            stride = int(np.prod(space.shape[1:])) * space.dtype.itemsize
+            self._put(self._starts[name] + first * stride, np.asarray(values, space.dtype))
+        self.written[first : first + count] = True
+
+    def _put(self, at: int, values: NDArray[Any]) -> None:
+        data = memoryview(values.tobytes())
+        try:
+            self._file.seek(at)
+            while data:
+                data = data[self._file.write(data) :]
+        except OSError as error:
+            problem = f"cannot write: {error.strerror}; {int(self.written.sum())} pieces are kept"
+            raise DataError(problem, source=self._part) from error
+
+    def finish(self) -> Path:
+        """Give the file its name.
+
+        Raises
+        ------
+        DataError
+            If pieces are missing.
+        """
+        missing = int(np.sum(~self.written))
+        if missing:
+            raise DataError(f"{missing} pieces are missing", source=self._part)
+        self._file.close()
+        return self._part.replace(self._target)
+
+    def close(self) -> None:
+        """Let go of the file; a second call does nothing."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _allocate(
+    target: Path, part: Path, variables: Mapping[str, Variable], **described: Any
+) -> None:
+    fresh = target.with_name(f"{target.name}.new")
+    fresh.unlink(missing_ok=True)
+    try:
+        write_hdf5(fresh, target, variables=variables, **described)
+        fresh.replace(part)
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror or error}", source=target) from error
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def _check_room(target: Path, spaces: Mapping[str, Allocated]) -> None:
+    needed = sum(int(np.prod(one.shape)) * one.dtype.itemsize for one in spaces.values())
+    free = shutil.disk_usage(target.parent).free
+    if needed > free:
+        raise DataError(
+            f"the file takes {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free", source=target
+        )

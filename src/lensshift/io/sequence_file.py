@@ -1,0 +1,181 @@
+"""Pictures of the windows of a recording as one file, which may be larger than memory.
+
+Schema `lensshift-sequence/1`, group `entry/data` and the root, dimensions (window, row, col) of the
+HR grid:
+
+    amplitude, amplitude_std, distance, distance_std   [window row col]   float32
+    flags          [window row col]   CF flags, bit 0: flying
+    misfit         [window]           mean square residual in units of the noise
+    first_frame    [window]           number of its first frame in the recording
+    time           [window]           s, mean of its frames; NaN if the recording has none
+    refined, contradicted, written    [window]   0 or 1
+    attributes: pitch_mm of the HR grid, scale, method, settings (JSON), those of a pinhole
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import Intrinsics
+from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.io.container_reader import open_container
+from lensshift.io.container_writer import (
+    Allocated,
+    Variable,
+    pixel_centres,
+    sealed_text,
+    to_json,
+)
+from lensshift.io.intrinsics_fields import (
+    NAMES,
+    intrinsics_attributes,
+    intrinsics_of_fields,
+    intrinsics_variables,
+)
+from lensshift.io.piecewise_file import PiecewiseFile
+
+SCHEMA = "lensshift-sequence/1"
+_AXES = ("window", "row", "col")
+# Channel -> (name in the file, unit, what it is)
+_CHANNELS = {
+    "amplitude": ("amplitude", "1", "amplitude"),
+    "distance": ("distance", "m", "radial distance, camera frame"),
+}
+_NUMBERS = {
+    "misfit": ("<f4", "1", "mean square residual in units of the noise"),
+    "first_frame": ("<i8", "1", "number of the first frame in the recording"),
+    "time": ("<f8", "s", "mean time of the frames"),
+    "refined": ("<u1", "1", "1: all stages of the solver, 0: the last one"),
+    "contradicted": ("<u1", "1", "1: the frames contradict the picture"),
+}
+
+
+def begin_sequence(
+    path: str | Path,
+    windows: int,
+    grid: Grid,
+    channels: tuple[str, ...],
+    *,
+    scale: int,
+    method: str,
+    settings: Mapping[str, Any],
+    flying: bool,
+    intrinsics: Intrinsics | None,
+) -> PiecewiseFile:
+    """Begin the file of a sequence, or go on with one that was begun with the same settings.
+
+    Parameters
+    ----------
+    grid, intrinsics : of the HR pictures
+    channels : among "amplitude" and "distance"
+    flying : whether there are flags
+
+    Raises
+    ------
+    DataError
+        As `PiecewiseFile.begin`.
+    """
+    variables: dict[str, Variable] = {}
+    for channel in channels:
+        name, units, label = _CHANNELS[channel]
+        for part, meaning in (("", label), ("_std", f"standard deviation of {label}")):
+            described: dict[str, Any] = {"units": units, "long_name": meaning}
+            variables[name + part] = _space((windows, *grid.shape), "<f4", described)
+    if flying:
+        described = {
+            "long_name": "quality flags",
+            "flag_masks": np.asarray([np.uint8(1)]),
+            "flag_meanings": "flying",
+        }
+        variables["flags"] = _space((windows, *grid.shape), "<u1", described)
+    for name, (dtype, units, meaning) in _NUMBERS.items():
+        variables[name] = _space((windows,), dtype, {"units": units, "long_name": meaning})
+    said = to_json(settings, "settings")
+    return PiecewiseFile.begin(
+        path,
+        schema=SCHEMA,
+        axes=_AXES,
+        variables=variables | intrinsics_variables(intrinsics) | pixel_centres(grid.shape),
+        attributes={
+            "pitch_mm": np.asarray(grid.pitch_mm, dtype=np.float64),
+            "scale": np.int64(scale),
+            "method": sealed_text(method),
+            "settings": sealed_text(said),
+            **intrinsics_attributes(intrinsics),
+        },
+        begun=said,
+    )
+
+
+def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
+    """Return the fields of one window of a sequence that a reconstruction knows itself."""
+    fields: dict[str, NDArray[Any]] = {}
+    for channel, estimate in found.channels.items():
+        name, _, _ = _CHANNELS[channel]
+        fields[name] = np.asarray(estimate.image, np.float32)
+        std = np.full(estimate.image.shape, np.nan) if estimate.std is None else estimate.std
+        fields[f"{name}_std"] = np.asarray(std, np.float32)
+    if found.flying is not None:
+        fields["flags"] = np.asarray(found.flying, np.uint8)
+    first = next(iter(found.channels.values()))
+    fields["misfit"] = np.array(first.notes.get("misfit", np.nan))
+    contradicted = any(one.status is Status.CONTRADICTED for one in found.channels.values())
+    fields["contradicted"] = np.array(contradicted)
+    return fields
+
+
+def sequence_numbers(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Read what a sequence says of each window: first_frame, time, misfit and so on, [window].
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged or no sequence.
+    """
+    with open_container(path, SCHEMA) as container:
+        return {name: container.array(name) for name in _NUMBERS}
+
+
+def load_window(path: str | Path, number: int) -> Reconstruction:
+    """Read the picture of one window of a sequence.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged or no sequence, or there is no such window.
+    """
+    with open_container(path, SCHEMA) as container:
+        count = container.shape("first_frame")[0]
+        if not 0 <= number < count:
+            raise DataError(f"expected a window from 0 to {count - 1}, got {number}")
+        one = (slice(number, number + 1),)
+        channels = {}
+        for channel, (name, _, _) in _CHANNELS.items():
+            if container.has(name):
+                values, std = (container.array(n, part=one)[0] for n in (name, f"{name}_std"))
+                channels[channel] = Estimate(values, std, status=Status.COMPLETE)
+        if not channels:
+            raise DataError("there is neither an amplitude nor a distance channel")
+        flying = container.array("flags", part=one)[0] != 0 if container.has("flags") else None
+        shape = next(iter(channels.values())).image.shape
+        return Reconstruction(
+            amplitude=channels.get("amplitude"),
+            distance_m=channels.get("distance"),
+            grid=Grid((int(shape[0]), int(shape[1])), container.number_pair("pitch_mm")),
+            scale=int(container.number("scale") or 1),
+            method=container.text("method"),
+            settings=container.mapping("settings") | {"window": number},
+            flying=flying,
+            intrinsics=intrinsics_of_fields(container.fields(NAMES)),
+        )
+
+
+def _space(shape: tuple[int, ...], dtype: str, described: Mapping[str, Any]) -> Variable:
+    return Variable(_AXES[: len(shape)], Allocated(shape, np.dtype(dtype)), described)

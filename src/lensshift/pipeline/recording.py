@@ -1,0 +1,285 @@
+"""A recording of any length to a sequence of pictures, on as many workers as there are."""
+
+from __future__ import annotations
+
+import logging
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.io.burst_file import Recording, open_recording
+from lensshift.io.piecewise_file import PiecewiseFile
+from lensshift.io.sequence_file import begin_sequence, of_sequence
+from lensshift.reconstruction.reconstruct import reconstruct
+from lensshift.reconstruction.stream import Pace, stream
+
+Array = NDArray[Any]
+
+# What one task returns is at most of this size, so that memory is bounded; a task is also what is
+# lost with a worker, and where nothing is known of what was before.
+TASK_BYTES, MOST_WINDOWS = 16_000_000, 256
+SAME_PLACE_PX = 1e-9  # rounding
+AHEAD = 3  # tasks for each worker that are under way
+SAID = 3  # contradictions of a task that are told in words
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """What is done with a recording; a worker needs no more.
+
+    Parameters
+    ----------
+    recording : burst file, at a path that all workers know
+    window, every : frames of a picture, and from the first one of a picture to that of the next
+    count : pictures
+    periodic : whether the shifts return after each window, so that a stream serves
+    scale, method, pace, settings : as in `lensshift.stream`
+    """
+
+    recording: str
+    window: int
+    every: int
+    count: int
+    periodic: bool
+    scale: int
+    method: str
+    pace: Pace
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Pictures of consecutive windows, as the file keeps them, and what was wrong with them."""
+
+    first: int
+    fields: dict[str, Array]
+    said: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceSummary:
+    """What became of a recording.
+
+    Parameters
+    ----------
+    windows, resumed : pictures in the file, and how many of them were there before
+    contradicted : pictures that their frames contradict, of those made now
+    said : what was wrong, the first few
+    """
+
+    path: Path
+    windows: int
+    resumed: int
+    contradicted: int
+    said: tuple[str, ...]
+    seconds: float
+
+
+def reconstruct_recording(
+    recording: str | Path,
+    out: str | Path,
+    scale: int = 2,
+    method: str = "auto",
+    *,
+    window: int = 4,
+    every: int | None = None,
+    pace: Pace = "auto",
+    workers: int | None = None,
+    scheduler: str | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+    **settings: Any,
+) -> SequenceSummary:
+    """Make a picture of each window of frames of a recording that may be larger than memory.
+
+    Pictures are written as they come. After a break the same call goes on where it was; the result
+    does not depend on the workers, nor on breaks.
+
+    Parameters
+    ----------
+    recording : burst file of any length
+    out : file of the sequence (see `lensshift.io.sequence_file`), `out`.part until it is complete
+    window : frames of each picture
+    every : frames from one picture to the next; by default `window`, each frame is in one picture
+    pace : as in `lensshift.stream`, which serves where the shifts return after each window; other
+        windows are reconstructed each on its own
+    workers : processes of dask.distributed to start; None: all is done here
+    scheduler : address of a dask scheduler instead, whose workers can read the recording
+    on_progress : called with the windows done, and all of them
+    settings : of `reconstruct`, the same for all windows
+
+    Raises
+    ------
+    DataError
+        If a file cannot be read or written, or `out` was begun otherwise.
+    ValueError
+        If the recording is shorter than a window, or a setting is wrong.
+    ImportError
+        If workers are asked for and dask.distributed is not installed.
+    """
+    started_s, bad = time.perf_counter(), 0
+    said: list[str] = []
+    with ExitStack() as stack:
+        source = stack.enter_context(open_recording(recording))
+        step = window if every is None else every
+        job = _plan(source, recording, window, step, scale, method, pace, dict(settings))
+        file, tasks = _begun(stack, source, job, out)
+        resumed = done = int(file.written.sum())
+        solved = _solved_here if workers is None and scheduler is None else _solved_by_dask
+        for one in solved(job, tasks, workers, scheduler):
+            file.write(one.first, one.fields)
+            said.extend(one.said)
+            bad += int(one.fields["contradicted"].sum())
+            done += len(one.fields["contradicted"])
+            if on_progress is not None:
+                on_progress(done, job.count)
+        path = file.finish()
+    seconds = time.perf_counter() - started_s
+    return SequenceSummary(path, job.count, resumed, bad, tuple(said[:SAID]), seconds)
+
+
+def solve_windows(job: Windows, first: int, count: int) -> Solved:
+    """Return the pictures of some windows; what a worker does."""
+    start = first * job.every
+    with open_recording(job.recording) as source:
+        template = source.burst(0, job.window)
+        burst = source.burst(start, (count - 1) * job.every + job.window)
+    rows: list[dict[str, Array]] = []
+    said: list[str] = []
+    for number, (found, wrong) in enumerate(_pictures(job, template, burst, start, count)):
+        part = slice(number * job.every, number * job.every + job.window)
+        when_s = np.nan if burst.time_s is None else float(np.mean(burst.time_s[part]))
+        rows.append({
+            **of_sequence(found),
+            "first_frame": np.array(start + part.start),
+            "time": np.array(when_s),
+            "refined": np.array(found.settings.get("pace", "refined") == "refined"),
+        })  # fmt: skip
+        said.extend(f"window {first + number}: {text}" for text in wrong)
+    fields = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    return Solved(first, fields, tuple(said[:SAID]))
+
+
+def _pictures(
+    job: Windows, template: Burst, burst: Burst, start: int, count: int
+) -> Iterator[tuple[Reconstruction, list[str]]]:
+    """Yield the picture of each window of a burst, and what was said of it."""
+    told: dict[str, Any] = {"scale": job.scale, "method": job.method} | dict(job.settings)
+    camera = stream(template, pace=job.pace, **told) if job.periodic else None
+    taken = 0
+    for number in range(count):
+        begin = number * job.every
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", QualityWarning)
+            if camera is None:
+                found = reconstruct(burst.select(range(begin, begin + job.window)), **told)
+            else:
+                for k in range(max(taken, begin), begin + job.window):
+                    camera.take(_frame(burst, k), place=(start + k) % job.window)
+                taken = begin + job.window
+                found = camera.picture()
+        yield found, [str(one.message) for one in said]
+
+
+def _frame(burst: Burst, k: int) -> Frame:
+    distance_m = None if burst.distance_m is None else burst.distance_m[k]
+    valid = np.ones(burst.grid.shape, bool) if burst.valid is None else burst.valid[k]
+    time_s = float("nan") if burst.time_s is None else float(burst.time_s[k])
+    return Frame(burst.amplitude[k], distance_m, valid, time_s)
+
+
+def _plan(
+    source: Recording,
+    recording: str | Path,
+    window: int,
+    every: int,
+    scale: int,
+    method: str,
+    pace: Pace,
+    settings: dict[str, Any],
+) -> Windows:
+    if window < 1 or every < 1:
+        raise ValueError(f"expected window and every from 1, got {window} and {every}")
+    if source.frame_count < window:
+        raise ValueError(f"expected at least {window} frames, got {source.frame_count}")
+    count = (source.frame_count - window) // every + 1
+    whole = source.offset_px[: source.frame_count // window * window].reshape(-1, window, 2)
+    periodic = bool(np.ptp(whole, axis=0).max() <= SAME_PLACE_PX)
+    several = source.burst(0, 1).phasors is not None  # a stream has one frequency
+    return Windows(
+        str(Path(recording).resolve()), window, every, count, periodic and not several, scale,
+        method, pace, settings,
+    )  # fmt: skip
+
+
+def _begun(
+    stack: ExitStack, source: Recording, job: Windows, out: str | Path
+) -> tuple[PiecewiseFile, list[tuple[int, int]]]:
+    """Return the file, and the tasks (first window, count) that are left."""
+    template = source.burst(0, job.window)
+    stream(template, job.scale, job.method, pace=job.pace, **dict(job.settings))  # refuses
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        example = reconstruct(template, job.scale, job.method, **dict(job.settings))
+    settings = asdict(job) | {"frames": source.frame_count}
+    file = stack.enter_context(
+        begin_sequence(
+            out, job.count, example.grid, tuple(example.channels), scale=example.scale,
+            method=example.method, settings=settings, flying=example.flying is not None,
+            intrinsics=example.intrinsics,
+        )
+    )  # fmt: skip
+    each = sum(one.nbytes for one in of_sequence(example).values())
+    size = int(np.clip(TASK_BYTES // each, 1, MOST_WINDOWS))
+    tasks = [(first, min(size, job.count - first)) for first in range(0, job.count, size)]
+    return file, [(f, n) for f, n in tasks if not file.written[f : f + n].all()]
+
+
+def _solved_here(
+    job: Windows, tasks: list[tuple[int, int]], workers: int | None, scheduler: str | None
+) -> Iterator[Solved]:
+    for first, count in tasks:
+        yield solve_windows(job, first, count)
+
+
+def _solved_by_dask(
+    job: Windows, tasks: list[tuple[int, int]], workers: int | None, scheduler: str | None
+) -> Iterator[Solved]:
+    """Yield what workers solved, as it comes; what a dying one was at is given to another."""
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError as error:
+        problem = "workers need dask.distributed: pip install 'lensshift[cluster]'"
+        raise ImportError(problem) from error
+    with ExitStack() as stack:
+        where: Any = scheduler
+        if scheduler is None:
+            where = stack.enter_context(
+                distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        client = stack.enter_context(distributed.Client(where, set_as_default=False))
+        ahead = AHEAD * max(1, len(client.scheduler_info()["workers"]))
+        left = (
+            client.submit(solve_windows, job, first, count, pure=False, retries=3)
+            for first, count in tasks
+        )
+        under_way = distributed.as_completed(list(islice(left, ahead)), loop=client.loop)
+        for future in under_way:
+            yield future.result()
+            future.release()
+            under_way.update(list(islice(left, 1)))

@@ -1,0 +1,88 @@
+"""What the chain is computed with: kernels that were compiled for this processor, or a device's.
+
+`device.py` has the other set, and is loaded only where one is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from lensshift.forward.model import ForwardModel
+from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.learned.network import Network
+
+Array = Any  # of NumPy or of the device
+
+
+class Kernels(Protocol):
+    """The few things that no array library does alike or fast, and its namespace for the rest."""
+
+    @property
+    def xp(self) -> Any:
+        """What NumPy and the device's library share of the array API."""
+        ...
+
+    def there(self, values: NDArray[Any]) -> Array:
+        """Return an array on the device."""
+        ...
+
+    def back(self, values: Array) -> NDArray[Any]:
+        """Return an array of the device in NumPy."""
+        ...
+
+    def operator(self, model: ForwardModel) -> LinearOperator:
+        """Return A of pictures [burst row col] in single precision; the gain of the model is 1."""
+        ...
+
+    def applied(self, network: Network, seen: Sequence[Array], facts: NDArray[np.float32]) -> Array:
+        """Return the channels [burst row col out] of a network for parts [burst row col ...]."""
+        ...
+
+    def mean_around(self, values: Array, size_px: int) -> Array:
+        """Return the mean over a window [... row col]; beyond the border there are zeros."""
+        ...
+
+
+class Compiled:
+    """Numba, NumPy and SciPy, one burst after the other."""
+
+    xp: Any = np
+
+    def there(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the array."""
+        return values
+
+    def back(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the array."""
+        return values
+
+    def operator(self, model: ForwardModel) -> LinearOperator:
+        """Return A of pictures [burst row col]."""
+        A = model.operator
+        return LinearOperator(
+            A.in_shape, A.out_shape, lambda x: _each(A.forward, x), lambda y: _each(A.adjoint, y)
+        )
+
+    def applied(
+        self, network: Network, seen: Sequence[NDArray[Any]], facts: NDArray[np.float32]
+    ) -> NDArray[Any]:
+        """Return the channels [burst row col out]."""
+        return _each(lambda *parts: network(parts, facts), *seen)
+
+    def mean_around(self, values: NDArray[Any], size_px: int) -> NDArray[Any]:
+        """Return the mean over a window."""
+        sizes = (1,) * (values.ndim - 2) + (size_px, size_px)
+        return np.asarray(uniform_filter(values, sizes, mode="constant"))
+
+
+COMPILED = Compiled()
+
+
+def _each(apply: Callable[..., NDArray[Any]], *batches: NDArray[Any]) -> NDArray[Any]:
+    found = [apply(*ones) for ones in zip(*batches, strict=True)]
+    return found[0][None] if len(found) == 1 else np.stack(found)

@@ -1,0 +1,291 @@
+"""Recordings larger than memory: parts, breaks, workers, and that none of them changes a number."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from typer.testing import CliRunner
+
+import lensshift
+from lensshift import Burst, DataError
+from lensshift.cli.app import app
+from lensshift.io import piecewise_file
+from lensshift.io.burst_file import open_recording, write_recording
+from lensshift.io.sequence_file import load_window, sequence_numbers
+from lensshift.pipeline import recording
+from lensshift.pipeline.recording import reconstruct_recording
+
+SHAPE, F_HZ = (9, 14), 15e6
+SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)])
+
+
+def part(first: int, count: int, *, step_px: float = 0.0) -> Burst:
+    """Return frames of a card before a wall; every frame has its own noise."""
+    numbers = np.arange(first, first + count)
+    offset_px = SQUARE_PX[numbers % 4] + step_px * numbers[:, None]
+    rows, cols = np.indices(SHAPE)
+    noise = np.stack([np.random.default_rng(k).standard_normal((2, *SHAPE)) for k in numbers])
+    edge = cols[None] - 6.3 - 0.2 * rows[None] - offset_px[:, 1, None, None]
+    on = np.clip(edge + 0.5, 0.0, 1.0)
+    light = 0.3 + 0.4 * on + 0.004 * noise[:, 0]
+    distance_m = 3.5 + 0.5 * on + 0.01 * noise[:, 1]
+    return Burst.from_arrays(
+        light.astype(np.float32), distance_m.astype(np.float32), offset_px=offset_px,
+        pitch_mm=(0.2, 0.1), modulation_hz=F_HZ, time_s=numbers / 50.0, meta={"lens": "none"},
+        intrinsics=lensshift.Pinhole(40.0, 40.0, 6.5, 4.0),
+    )  # fmt: skip
+
+
+def parts(count: int, each: int = 10, **said: float) -> Iterator[Burst]:
+    for first in range(0, count, each):
+        yield part(first, min(each, count - first), **said)
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> Path:
+    return write_recording(tmp_path / "film.nc", 46, parts(46))
+
+
+@pytest.fixture(autouse=True)
+def small_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "MOST_WINDOWS", 3)
+
+
+def pictures(path: Path) -> dict[str, np.ndarray]:
+    with xr.open_dataset(path) as data:
+        return {name: data[name].values for name in data.data_vars}
+
+
+def test_a_recording_in_parts_is_the_burst(film: Path):
+    whole, expected = lensshift.load_burst(film), part(0, 46)
+    for name in ("amplitude", "distance_m", "offset_px", "time_s", "valid"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(expected, name))
+    assert (whole.meta, whole.modulation_hz, whole.grid) == ({"lens": "none"}, F_HZ, expected.grid)
+    with open_recording(film) as source:
+        assert source.frame_count == 46
+        some = source.burst(17, 9)
+        np.testing.assert_array_equal(some.amplitude, expected.amplitude[17:26])
+        np.testing.assert_array_equal(some.offset_px, expected.offset_px[17:26])
+        for first, count in ((40, 7), (-1, 3), (3, 0)):
+            with pytest.raises(DataError, match="expected frames from 0 to 45"):
+                source.burst(first, count)
+
+
+def test_parts_that_do_not_fit_leave_no_recording(tmp_path: Path):
+    target = tmp_path / "film.nc"
+    with pytest.raises(DataError, match="expected 50 frames, got 46"):
+        write_recording(target, 50, parts(46))
+    with pytest.raises(DataError, match="expected 46 frames, got more"):
+        write_recording(tmp_path / "other.nc", 46, parts(50))
+    with pytest.raises(DataError, match="begun with other settings"):
+        write_recording(target, 46, parts(46))
+    assert not target.exists()
+    assert write_recording(target, 50, parts(50)) == target  # gone on with
+    assert not list(tmp_path.glob("film.nc.*"))
+
+
+def test_each_window_is_what_a_stream_makes_of_its_frames(film: Path, tmp_path: Path):
+    found = reconstruct_recording(film, tmp_path / "sr.nc", window=4, every=2)
+    assert (found.windows, found.resumed) == (22, 0)
+    with open_recording(film) as source:
+        template = source.burst(0, 4)
+    for first in (0, 9):  # tasks of three windows begin anew
+        camera = lensshift.stream(template)
+        for number in range(first, first + 3):
+            for k in range(2 * number if number == first else 2 * number + 2, 2 * number + 4):
+                one = part(k, 1)
+                camera.take(
+                    lensshift.Frame(one.amplitude[0], one.distance_m[0], one.valid[0], k / 50.0),
+                    place=k % 4,
+                )
+            expected, window = camera.picture(), load_window(found.path, number)
+            for name, estimate in expected.channels.items():
+                got = window.channels[name]
+                np.testing.assert_array_equal(got.image, estimate.image.astype(np.float32))
+                np.testing.assert_array_equal(got.std, estimate.std.astype(np.float32))
+            np.testing.assert_array_equal(window.flying, expected.flying)
+    said = sequence_numbers(found.path)
+    np.testing.assert_array_equal(said["first_frame"], np.arange(0, 44, 2))
+    np.testing.assert_allclose(said["time"], (np.arange(0, 44, 2) + 1.5) / 50)
+    assert 0 < said["refined"].sum() < 22
+    assert len(load_window(found.path, 3).point_cloud()) > 100
+
+
+def test_shifts_that_do_not_return_are_taken_as_they_are(tmp_path: Path):
+    film = write_recording(tmp_path / "drift.nc", 13, parts(13, step_px=0.01))
+    found = reconstruct_recording(film, tmp_path / "sr.nc", window=5, every=4, channel="amplitude")
+    assert found.windows == 3
+    assert sequence_numbers(found.path)["refined"].all()
+    for number in range(3):
+        alone = lensshift.reconstruct(part(4 * number, 5, step_px=0.01), channel="amplitude")
+        got = load_window(found.path, number).amplitude.image
+        np.testing.assert_array_equal(got, alone.amplitude.image.astype(np.float32))
+
+
+def test_a_break_changes_nothing(film: Path, tmp_path: Path):
+    whole = reconstruct_recording(film, tmp_path / "whole.nc", window=4, every=2)
+    target, seen = tmp_path / "broken.nc", []
+
+    def cut(done: int, total: int) -> None:
+        seen.append((done, total))
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct_recording(film, target, window=4, every=2, on_progress=cut)
+    assert seen == [(3, 22), (6, 22), (9, 22)]
+    assert not target.exists()
+    with pytest.raises(DataError, match="begun with other settings"):
+        reconstruct_recording(film, target, window=4, every=4)
+    found = reconstruct_recording(film, target, window=4, every=2)
+    assert (found.windows, found.resumed) == (22, 9)
+    assert target.read_bytes() == whole.path.read_bytes()
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_what_was_half_written_is_made_anew(film: Path, tmp_path: Path):
+    whole = reconstruct_recording(film, tmp_path / "whole.nc", window=4)
+    with whole.path.open("r+b") as file:
+        with piecewise_file.open_container(whole.path, "lensshift-sequence/1") as container:
+            starts = {name: container.start_of(name) for name in ("written", "distance")}
+        file.seek(starts["written"] + 3)
+        file.write(bytes(3))
+        file.seek(starts["distance"] + 4 * 3 * 18 * 28)
+        file.write(bytes(1000))
+    before = load_window(whole.path, 3).distance_m.image
+    whole.path.rename(tmp_path / "again.nc.part")
+    found = reconstruct_recording(film, tmp_path / "again.nc", window=4)
+    assert found.resumed == 8
+    again = load_window(found.path, 3).distance_m.image
+    assert before[0, 0] == 0
+    assert again.min() > 3
+
+
+def test_two_processes_do_not_write_one_file(film: Path, tmp_path: Path):
+    def second(done: int, total: int) -> None:
+        with pytest.raises(DataError, match=r"sr.nc.part: another program is writing"):
+            reconstruct_recording(film, tmp_path / "sr.nc", window=4)
+
+    reconstruct_recording(film, tmp_path / "sr.nc", window=4, on_progress=second)
+
+
+def test_too_little_room_is_said_before_the_work(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    class Room:
+        free = 10_000
+
+    monkeypatch.setattr(piecewise_file.shutil, "disk_usage", lambda _: Room)
+    with pytest.raises(DataError, match="GB are free"):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4)
+    assert [path.name for path in tmp_path.iterdir()] == ["film.nc"]
+
+
+def test_what_frames_contradict_is_counted_and_named(tmp_path: Path):
+    def moved() -> Iterator[Burst]:
+        for one in parts(24, 4):
+            light = one.amplitude.copy()
+            light[2, 2:7, 2:6] += 0.5 if one.time_s[0] in (0.16, 0.32) else 0.0
+            yield Burst.from_arrays(light, offset_px=one.offset_px, pitch_mm=0.1)
+
+    film = write_recording(tmp_path / "moves.nc", 24, moved())
+    found = reconstruct_recording(film, tmp_path / "sr.nc", window=4)
+    assert found.contradicted == 2
+    assert np.flatnonzero(sequence_numbers(found.path)["contradicted"]).tolist() == [2, 4]
+    assert found.said[0].startswith("window 2: ")
+
+
+@pytest.mark.parametrize(
+    ("said", "wrong"),
+    [
+        ({"window": 0}, "from 1"),
+        ({"window": 4, "every": 0}, "from 1"),
+        ({"window": 99}, "expected at least 99 frames, got 46"),
+        ({"window": 4, "method": "none"}, "none"),
+        ({"window": 4, "bananas": 3}, "bananas"),
+        ({"window": 4, "pace": "fast"}, "pace"),
+    ],
+)
+def test_wrong_settings_begin_nothing(film: Path, tmp_path: Path, said: dict, wrong: str):
+    with pytest.raises(ValueError, match=wrong):
+        reconstruct_recording(film, tmp_path / "sr.nc", **said)
+    assert [path.name for path in tmp_path.iterdir()] == ["film.nc"]
+
+
+@pytest.mark.filterwarnings("ignore")  # those of dask while a worker dies
+def test_workers_give_the_same_file_though_one_is_killed(film: Path, tmp_path: Path):
+    distributed = pytest.importorskip("distributed")
+    whole = reconstruct_recording(film, tmp_path / "whole.nc", window=4, every=1)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        victim = next(iter(cluster.workers.values())).pid
+        killed = threading.Event()
+
+        def kill(done: int, total: int) -> None:
+            if not killed.is_set():
+                os.kill(victim, signal.SIGKILL)
+                killed.set()
+                time.sleep(0.2)
+
+        found = reconstruct_recording(
+            film, tmp_path / "sr.nc", window=4, every=1,
+            scheduler=cluster.scheduler_address, on_progress=kill,
+        )  # fmt: skip
+        assert killed.is_set()
+    expected, got = pictures(whole.path), pictures(found.path)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(got[name], values, err_msg=name)
+
+
+def test_the_command(film: Path, tmp_path: Path):
+    out = tmp_path / "sr.nc"
+    asked = ["reconstruct", str(film), "--window", "4", "--channel", "amplitude", "-o", str(out)]
+    found = CliRunner().invoke(app, asked)
+    assert found.exit_code == 0, found.output
+    assert "11 pictures of 4 frames, 11 made" in found.output
+    assert CliRunner().invoke(app, ["info", str(out)]).output.count("windows     11") == 1
+    cut = CliRunner().invoke(app, ["convert", str(out), str(tmp_path / "w.png"), "--window", "10"])
+    assert cut.exit_code == 0, cut.output
+    pytest.importorskip("mcap_ros2.writer", reason="mcap is not installed")
+    stream = CliRunner().invoke(app, ["convert", str(out), str(tmp_path / "w.mcap")])
+    assert stream.exit_code == 0, stream.output
+    assert (tmp_path / "w.mcap").stat().st_size > 11 * 18 * 28
+    again = CliRunner().invoke(app, asked)
+    assert again.exit_code == 2
+    assert "exists" in again.output
+
+
+@pytest.mark.parametrize(
+    ("told", "wrong"),
+    [
+        (["--every", "2"], "give --window"),
+        (["--workers", "2"], "give --window"),
+        (["--window", "4", "--frames", "0,1"], "--frames: not together with --window"),
+        (["--window", "4", "--export", "a.png"], "--export: not together"),
+        (["--window", "4", "-o", "a.png"], "netCDF file"),
+        (["--window", "4", "--workers", "1", "--scheduler", "tcp://a:1"], "not both"),
+        (["--window", "0"], "greater than or equal to 1"),
+    ],
+)
+def test_the_command_refuses(film: Path, told: list[str], wrong: str):
+    found = CliRunner().invoke(app, ["reconstruct", str(film), *told])
+    assert found.exit_code == 2
+    assert wrong in " ".join(found.output.split())
+
+
+def test_a_sequence_is_no_burst(film: Path, tmp_path: Path):
+    found = reconstruct_recording(film, tmp_path / "sr.nc", window=4)
+    refused = CliRunner().invoke(app, ["reconstruct", str(found.path)])
+    assert refused.exit_code == 1
+    assert "expected a burst, got a sequence" in refused.output
+    with pytest.raises(DataError, match="expected a window from 0 to 10"):
+        load_window(found.path, 11)
