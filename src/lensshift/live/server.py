@@ -83,7 +83,9 @@ class Pages:
             except BrokenExecutor:  # somebody ended that process; the pictures go on
                 return
             else:
-                self._shift, cost_s = found | {"at_s": time.monotonic()}, found["cost_s"]
+                known = all(math.isfinite(number) for number in found.values())
+                self._shift = found | {"at_s": time.monotonic()} if known else None
+                cost_s = found["cost_s"]
 
     def head(self, picture: Picture | None) -> dict[str, Any]:
         """Return what the page is told, with or without a picture."""
