@@ -272,7 +272,9 @@ def _some(used: Mask) -> NDArray[np.intp]:
 def _fit(terms: Array, variance: Array, r: Array) -> tuple[Array, Array]:
     """Return the weighted least-squares coefficients of r [pixel] and their covariance."""
     weighed = terms.conj() / variance
-    covariance = np.linalg.pinv((weighed @ terms.T).real, rcond=1e-9, hermitian=True)
+    values, vectors = np.linalg.eigh((weighed @ terms.T).real)  # `pinv` takes ten times as long
+    told = values > 1e-9 * values[-1]
+    covariance = (vectors[:, told] / values[told]) @ vectors[:, told].T
     return covariance @ (weighed @ r).real, covariance
 
 

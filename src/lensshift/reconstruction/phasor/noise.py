@@ -11,8 +11,6 @@ Array = NDArray[Any]
 
 _BINS = 8
 _FEWEST_IN_A_BIN = 40
-# Blind to constants, slopes and saddles; unit noise gives unit variance.
-_MASK = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]) / 6.0
 
 
 def relative_variance(phasor: Array, weight: Array) -> NDArray[np.float64]:
@@ -31,26 +29,23 @@ def relative_variance(phasor: Array, weight: Array) -> NDArray[np.float64]:
 
     Source: Immerkaer, Fast noise variance estimation, CVIU 64 (1996) 300, for the mask.
     """
-    from scipy.ndimage import convolve
     from scipy.optimize import nnls
 
     known = weight > 0
-    usable = np.zeros_like(known)
-    usable[:, 1:-1, 1:-1] = True
-    for row in (-1, 0, 1):
-        for col in (-1, 0, 1):
-            usable &= np.roll(known, (row, col), axis=(1, 2))
-    amplitude = np.abs(np.where(known, phasor, 0.0))
+    filled = np.where(known, phasor, 0.0)
+    amplitude = np.abs(filled)
+    usable = known
+    for axis in (1, 2):
+        usable = _inner(usable, 0, axis) & _inner(usable, 1, axis) & _inner(usable, 2, axis)
+        filled = _inner(filled, 0, axis) - 2 * _inner(filled, 1, axis) + _inner(filled, 2, axis)
     ones = np.ones(phasor.shape)
     if usable.sum() < 2 * _FEWEST_IN_A_BIN:
         return ones
-    filled = np.where(known, phasor, 0.0)
-    left = np.abs(convolve(filled.real, _MASK[None]) + 1j * convolve(filled.imag, _MASK[None])) ** 2
-    size, square = amplitude[usable], left[usable]
+    size, square = amplitude[:, 1:-1, 1:-1][usable], np.abs(filled[usable]) ** 2
     bins = max(2, min(_BINS, size.size // _FEWEST_IN_A_BIN))
-    parts = np.array_split(np.argsort(size, kind="stable"), bins)
-    place = np.array([np.median(size[part]) for part in parts])
-    variance = np.array([np.median(square[part]) for part in parts])
+    each = size.size // bins
+    parts = np.argsort(size, kind="stable")[: bins * each].reshape(bins, each)
+    place, variance = size[parts[:, each // 2]], np.median(square[parts], axis=1)
     if not np.all(variance > 0):
         return ones
     # Relative errors of all bins are alike.
@@ -59,3 +54,9 @@ def relative_variance(phasor: Array, weight: Array) -> NDArray[np.float64]:
     modelled = constant + slope * amplitude
     typical = constant + slope * float(np.median(amplitude[known]))
     return np.asarray(np.maximum(modelled, 1e-12) / max(typical, 1e-12))
+
+
+def _inner(values: Array, first: int, axis: int) -> Array:
+    """Return all but two of the samples along an axis, from the first, second or third on."""
+    size = values.shape[axis]
+    return values[(slice(None),) * axis + (slice(first, max(size - 2 + first, first)),)]

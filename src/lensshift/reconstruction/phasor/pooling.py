@@ -46,7 +46,7 @@ def pooled_phase(
     return phase + off, np.sqrt(np.maximum(square / total - off**2, 0.0), dtype=np.float64)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _pool(
     phase: Array, amplitude: Array, t2: Array, s2: Array, total: Array, moved: Array, square: Array
 ) -> None:
