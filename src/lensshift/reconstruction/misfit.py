@@ -263,19 +263,32 @@ def _chi_square(
     )
 
 
-def _some(used: Mask) -> NDArray[np.intp]:
-    """Return the places of used pixels, spread over all of them where they are many."""
-    places = np.flatnonzero(used)
-    return places[:: max(1, places.size // MOST_PIXELS)]
+def _some(values: Array) -> Array:
+    """Return pixels [... pixel] of pictures [... row col], spread over all where they are many."""
+    flat = values.reshape(*values.shape[:-2], -1)
+    return flat[..., :: max(1, flat.shape[-1] // MOST_PIXELS) | 1]
 
 
-def _fit(terms: Array, variance: Array, r: Array) -> tuple[Array, Array]:
-    """Return the weighted least-squares coefficients of r [pixel] and their covariance."""
-    weighed = terms.conj() / variance
-    values, vectors = np.linalg.eigh((weighed @ terms.T).real)  # `pinv` takes ten times as long
-    told = values > 1e-9 * values[-1]
-    covariance = (vectors[:, told] / values[told]) @ vectors[:, told].T
-    return covariance @ (weighed @ r).real, covariance
+def _fits(terms: Array, variance: Array, r: Array, on: Mask) -> tuple[Array, Array]:
+    """Return the weighted least-squares coefficients [frame term] and their covariance.
+
+    Parameters
+    ----------
+    terms : [frame term pixel]
+    variance, r, on : [frame pixel], on: where to look
+    """
+    weighed = terms.conj() * (on / variance)[:, None]
+    values, vectors = np.linalg.eigh((weighed @ terms.swapaxes(1, 2)).real)
+    told = values > 1e-9 * values[:, -1:]
+    inverse = told / np.where(told, values, 1.0)
+    covariance = (vectors * inverse[:, None]) @ vectors.swapaxes(1, 2)
+    return (covariance @ (weighed @ r[..., None]).real)[..., 0], covariance
+
+
+def _middle(values: Array, on: Mask) -> Array:
+    """Return the median [frame] of values [frame pixel] where to look."""
+    ordered = np.sort(np.where(on, values, np.inf), axis=-1)
+    return np.take_along_axis(ordered, on.sum(axis=-1, keepdims=True) // 2, axis=-1)
 
 
 def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Array) -> float:
@@ -284,20 +297,19 @@ def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Arra
     Where a frame contradicts more than it usually does, it counts less: that is not its light.
     Neither is what goes with its slopes, the last of `terms` [frame term row col].
     """
-    largest = 0.0
-    for k in range(len(r)):
-        on = _some(used[k])
-        if on.size < WINDOW_PX**2:
-            continue
-        unsure, here, rest_of = (v[k].ravel()[on] for v in (variance, doubt, r))
-        odd = np.maximum(here / max(float(np.median(here)), 1e-12), 1.0)
-        known = terms[k].reshape(len(terms[k]), -1)[:, on]
-        fit, _ = _fit(known, unsure * odd**2, rest_of)
-        rest = float(np.median(np.abs(rest_of - fit @ known))) / GAUSSIAN_MEDIAN
-        of_light = float(np.sqrt(np.mean(np.abs(fit[:2] @ known[:2]) ** 2)))
-        rest = max(rest, LEAST_REST * float(np.sqrt(np.median(unsure))))
-        largest = max(largest, of_light / rest)
-    return largest
+    on = _some(used)
+    enough = on.sum(axis=-1) >= WINDOW_PX**2
+    if not enough.any():
+        return 0.0
+    on, r, terms, variance, doubt = (
+        v[enough] for v in (on, *(_some(v) for v in (r, terms, variance, doubt)))
+    )
+    odd = np.maximum(doubt / np.maximum(_middle(doubt, on), 1e-12), 1.0)
+    fit = _fits(terms, variance * odd**2, r, on)[0][:, None]
+    rest = _middle(np.abs(r - (fit @ terms)[:, 0]), on) / GAUSSIAN_MEDIAN
+    rest = np.maximum(rest, LEAST_REST * np.sqrt(_middle(variance, on)))[:, 0]
+    light = np.abs((fit[..., :2] @ terms[:, :2])[:, 0]) ** 2
+    return float(np.max(np.sqrt(np.mean(light, axis=-1, where=on)) / rest))
 
 
 def _elsewhere(
@@ -309,13 +321,12 @@ def _elsewhere(
     contradict. Outliers count as far as they are like the others.
     """
     wider = variance * np.maximum(np.abs(r) ** 2 / variance / OUTLIER_SQUARE, 1.0)
-    shifts, error = np.zeros((len(r), 2)), np.full(len(r), np.inf)
-    for k in range(len(r)):
-        on = _some(used[k])
-        if on.size >= WINDOW_PX**2:
-            known = slopes[:, k].reshape(2, -1)[:, on]
-            fit, covariance = _fit(known, wider[k].ravel()[on], r[k].ravel()[on])
-            shifts[k], error[k] = -fit, np.sqrt(np.trace(covariance))
+    on = _some(used)
+    enough = on.sum(axis=-1) >= WINDOW_PX**2
+    known = _some(slopes.swapaxes(0, 1))
+    fits, covariance = _fits(known, _some(wider), _some(r), on)
+    shifts = np.where(enough[:, None], -fits, 0.0)
+    error = np.where(enough, np.sqrt(np.trace(covariance, axis1=1, axis2=2)), np.inf)
     off_px, everywhere = {}, True
     for k, (down, right) in enumerate(shifts - np.median(shifts, axis=0)):
         if np.hypot(down, right) - SURE * error[k] < LEAST_OFF_PX:
