@@ -153,5 +153,7 @@ function theme(name) {
 at("theme").onclick = () => theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
 systemDark.onchange = () => theme(systemDark.matches ? "dark" : "light");
 theme(systemDark.matches ? "dark" : "light");
-addEventListener("resize", () => { drawCurves(); drawCloud(); });
+// The window is not all that changes their size: a wide picture takes the whole first row.
+const redraw = new ResizeObserver(() => { drawCurves(); drawCloud(); });
+for (const id of ["mtf", "cloud"]) redraw.observe(document.getElementById(id));
 begin();
