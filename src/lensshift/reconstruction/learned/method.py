@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
+from lensshift.forward.model import forward_model
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.memory import Memory
@@ -38,6 +39,8 @@ EVEN_SHIFT_PX = 0.05
 USUAL_SHIFT_ERROR_PX = 0.02
 # Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each.
 LOW_PASS_PX = 1.5
+# Nearer than this, LR pixels, samples lie on the pixels of the grid.
+NODE_PX = 0.05
 # Fewer frames show no frequency that a scene hardly reaches.
 LEAST_FRAMES = 3
 
@@ -99,6 +102,8 @@ def solved(
         return _solved_once(problem, asked, request)
 
     found, misfit = run(noise)
+    if misfit.curable and not request.shifts_doubted:
+        misfit = _seen_on_nodes(problem, noise, misfit, request)
     told_px, width_px = request.told_blur_px, None
     if told_px is not None and not request.shifts_doubted and held is None:
         width_px = fitting_width_px(problem, found.image, noise, told_px)
@@ -141,6 +146,28 @@ def _solved_once(problem: Problem, asked: Asked, request: Request) -> tuple[Solu
         low_hr_px = LOW_PASS_PX * problem.scale
         found = replace(found, image=with_means_of(A, found.image, problem.y, weight, low_hr_px))
     return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
+
+
+def _seen_on_nodes(
+    problem: Problem, noise: NDArray[np.float64], misfit: Misfit, request: Request
+) -> Misfit:
+    """Return the misfit without doubt where a grid on which the samples lie leaves none.
+
+    A sample in the middle of four pixels does not see the finest pattern of the grid. Detail that
+    fine then seems to contradict, in the frames that are not believed there.
+    """
+    model = problem.model
+    if model.offset_px is None:
+        return misfit
+    turns = np.exp(2j * np.pi * (problem.scale * model.offset_px + (problem.scale - 1) / 2))
+    off_px = np.angle(turns.mean(axis=0)) / (2 * np.pi * problem.scale)
+    if np.max(np.abs(off_px)) < NODE_PX:
+        return misfit
+    moved = forward_model(model.lr_shape, problem.scale, model.offset_px - off_px, blur=model.blur)
+    noise = np.where(moved.inside, noise, np.inf)
+    there = Asked(moved, problem.y, noise, problem.blur_sigma_px)
+    _, again = _solved_once(replace(problem, model=moved), there, request)
+    return misfit if again.curable else replace(again, unexplained=misfit.unexplained)
 
 
 def with_means_of(
