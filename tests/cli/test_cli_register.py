@@ -10,9 +10,10 @@ import typer
 from typer.testing import CliRunner, Result
 
 from lensshift.cli.calibrate import calibrate
+from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.register import register
 from lensshift.core.types import Burst
-from lensshift.io import load_burst, save_burst
+from lensshift.io import load_burst, load_reconstruction, save_burst
 from lensshift.io.calibration_file import load_calibration
 
 OFFSETS = np.array([[0.0, 0.0], [0.3, -0.4], [-0.2, 0.6]])
@@ -22,6 +23,7 @@ def call(*arguments: object) -> Result:
     app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
     app.command()(register)
     app.command()(calibrate)
+    app.command()(reconstruct)
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
@@ -69,10 +71,28 @@ def test_register_needs_no_offsets(tmp_path: Path) -> None:
     frames = np.round(250 * waves(OFFSETS, (15, 26)))
     stack = tmp_path / "b.tif"
     tifffile.imwrite(stack, frames.astype(np.uint8), photometric="minisblack")
-    done = call("register", stack, "--pitch-mm", 1)
+    done = call("register", stack)
     assert done.exit_code == 0, done.output
     found = load_burst(tmp_path / "b_registered.nc")
-    np.testing.assert_allclose(found.offset_px, OFFSETS, atol=0.04)
+    np.testing.assert_allclose(found.offset_px, OFFSETS - OFFSETS.mean(axis=0), atol=0.04)
+
+
+def test_a_bare_stack_is_reconstructed(reference_dir: Path, tmp_path: Path) -> None:
+    with np.load(reference_dir / "real_sequences" / "mdsp_eia.npz") as data:
+        frames = data["frames"]
+    used, rest = [0, 2, 8, 10], [1, 3, 4, 5, 6, 7, 9, 11, 12, 13, 14, 15]
+    stack = tmp_path / "chart.tif"
+    with pytest.warns(DeprecationWarning, match="RGB"):  # what tifffile makes of four frames
+        tifffile.imwrite(stack, frames[used])
+    done = call("reconstruct", stack)
+    assert done.exit_code == 0, done.output
+    assert "no shifts are given; the frames say:" in done.stdout
+    result = load_reconstruction(tmp_path / "chart_x2.nc")
+    steps_px = -0.25 * np.stack(np.divmod(np.arange(16), 4), axis=1)
+    steps_px -= steps_px[used].mean(axis=0)  # as where no shift is told
+    predicted = np.stack([result.channels["amplitude"].predict(steps_px[k]) for k in rest])
+    error = (predicted - frames[rest])[:, 4:-4, 4:-4]
+    assert np.sqrt(np.mean(error**2)) <= 7.6
 
 
 def test_register_as_json_and_refined(burst_file: Path) -> None:

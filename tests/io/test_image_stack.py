@@ -16,8 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
+from lensshift import Burst, reconstruct
 from lensshift.core.errors import DataError
-from lensshift.io import OffsetTable, export_burst, load_image_stack
+from lensshift.io import OffsetTable, export_burst, load_burst, load_image_stack, save_burst
 from lensshift.io.image_file import load_frames, load_named_arrays
 
 SHAPE = (4, 5, 7)
@@ -244,8 +245,6 @@ def test_offsets_from_a_file_beside(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arrays", "options", "said"),
     [
-        ({}, {"offsets": None}, "offset_px: no shifts are given for 4 frames"),
-        ({}, {"pitch_mm": None}, "pitch_mm: no pixel pitch is given"),
         ({}, {"pitch_mm": -1.0}, "pitch_mm: "),
         ({}, {"offsets": [[0, 1]]}, "offset_px: expected shape (4, 2)"),
         ({}, {"offsets": OFFSETS * np.nan}, "offset_px: "),
@@ -426,3 +425,54 @@ def test_png_with_a_wrong_checksum_is_refused(tmp_path: Path) -> None:
     content[content.index(b"IDAT") + 20] ^= 1
     (tmp_path / "a.png").write_bytes(content)
     assert "damaged" in message_of(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("options", "expected_mm"),
+    [
+        ({"imagej": True, "resolution": (10, 5), "metadata": {"unit": "um"}}, (2e-4, 1e-4)),
+        ({"imagej": True, "resolution": (4, 2), "metadata": {"unit": "\\u00B5m"}}, (5e-4, 2.5e-4)),
+        ({"imagej": True, "resolution": (4, 2), "metadata": {"unit": "mm"}}, (0.5, 0.25)),
+        ({"imagej": True, "resolution": (4, 2), "metadata": {"unit": "parsec"}}, (1.0, 1.0)),
+        ({"resolution": (72, 72), "resolutionunit": "INCH"}, (1.0, 1.0)),  # of a screen
+        ({}, (1.0, 1.0)),
+        (
+            {"ome": True, "metadata": {"axes": "TYX", "PhysicalSizeX": 0.65, "PhysicalSizeY": 0.7}},
+            (7e-4, 6.5e-4),
+        ),
+    ],
+)
+def test_the_pixel_size_of_microscopes_is_read(
+    tmp_path: Path, options: dict[str, Any], expected_mm: tuple[float, float]
+) -> None:
+    tifffile.imwrite(tmp_path / "a.tif", frames_of("u2"), photometric="minisblack", **options)
+    assert load_image_stack(tmp_path / "a.tif").grid.pitch_mm == pytest.approx(expected_mm)
+    assert load_image_stack(tmp_path / "a.tif", pitch_mm=3.0).grid.pitch_mm == (3.0, 3.0)
+
+
+def test_the_pixel_size_is_written(tmp_path: Path) -> None:
+    burst = Burst.from_arrays(frames_of("f4"), pitch_mm=(0.0123, 0.0456))
+    export_burst(burst, tmp_path / "a.tif")
+    back = load_image_stack(tmp_path / "a.tif")
+    assert back.grid.pitch_mm == pytest.approx(burst.grid.pitch_mm, rel=1e-6)
+    np.testing.assert_array_equal(back.amplitude, burst.amplitude)
+
+
+def test_frames_of_unknown_shifts_wait_for_registration(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "a.tif", frames_of("u1"), photometric="minisblack")
+    burst = load_image_stack(tmp_path / "a.tif")
+    assert burst.offset_source == "unknown"
+    save_burst(burst, tmp_path / "a.nc")
+    assert load_burst(tmp_path / "a.nc").offset_source == "unknown"
+    with pytest.raises(DataError, match="register"):
+        reconstruct(burst)
+    assert reconstruct(burst, frames=[2], method="bicubic").amplitude.image.shape == (10, 14)
+
+
+def test_pixels_that_are_no_numbers_are_not_valid(tmp_path: Path) -> None:
+    frames = frames_of("f4")
+    frames[1, 2, 3] = np.nan
+    tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack")
+    valid = load_image_stack(tmp_path / "a.tif", OFFSETS).valid
+    assert valid is not None
+    np.testing.assert_array_equal(valid, np.isfinite(frames))

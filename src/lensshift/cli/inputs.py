@@ -96,7 +96,19 @@ def kind_of(path: Path) -> Kind:
 
 
 def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = False) -> Burst:
-    """Read a burst file or an image stack, which needs no offsets if they are still looked for."""
+    """Read a burst file or an image stack, which need no offsets if they are still looked for."""
+    burst = _load(path, options)
+    if burst.offset_source == "unknown" and not to_register:
+        raise DataError(
+            f"no shifts are given for {burst.frame_count} frames; give --offsets, a CSV or JSON "
+            "file, or find them: lensshift register",
+            field="offset_px",
+            source=path,
+        )
+    return burst
+
+
+def _load(path: Path, options: StackOptions) -> Burst:
     from lensshift.io import load_burst, load_image_stack
 
     pitch_mm = None if options.pitch_mm is None else parse_pitch_mm(options.pitch_mm)
@@ -109,7 +121,6 @@ def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = F
             key=options.key,
             frame_axis=options.frame_axis.number,
             modulation_hz=options.modulation_hz,
-            to_register=to_register,
         )
     if kind is not Kind.BURST:
         raise DataError(f"expected a burst, got a {kind.value}", source=path)

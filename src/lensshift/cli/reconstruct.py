@@ -43,6 +43,7 @@ from lensshift.cli.recording import (
     WorkersOption,
     reconstruct_windows,
 )
+from lensshift.cli.register import with_shifts
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
@@ -191,6 +192,7 @@ def reconstruct(
     \b
     Examples:
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
+      lensshift reconstruct stack.tif                       # finds the shifts itself
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
       lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
@@ -211,7 +213,8 @@ def reconstruct(
             reconstruct_windows(current, burst, out, split, settings, psf_sigma_px)
             return
         files = _plan(burst, offsets, out, export or [], scale)
-        frames_in, known = _located(load_input_burst(burst, stack), shift_map, calibration)
+        frames_in = load_input_burst(burst, stack, to_register=True)
+        frames_in, known = _located(current, frames_in, shift_map, calibration)
         frames_in = _looking(frames_in, points, channel, files)
         known |= _told_width(psf_sigma_px, fill_factor)
         _reconstruct(current, burst, frames_in, settings | known, files, points)
@@ -235,9 +238,11 @@ def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files
 
 
 def _located(
-    burst: Burst, shift_map: Path | None, calibration: Path | None
+    current: Session, burst: Burst, shift_map: Path | None, calibration: Path | None
 ) -> tuple[Burst, dict[str, Any]]:
     """Return the burst and settings with what is known of its shifts and of the rig."""
+    if burst.offset_source == "unknown" and shift_map is None:
+        burst = with_shifts(current, burst)
     if shift_map is not None and calibration is not None:
         raise typer.BadParameter("--shift-map and --calibration both say where the image lies")
     if shift_map is not None:

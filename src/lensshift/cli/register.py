@@ -113,6 +113,17 @@ def register(
         current.say(f"wrote {target}")
 
 
+def with_shifts(current: Session, burst: Burst) -> Burst:
+    """Return a burst of unknown shifts with those that its frames tell, and say them."""
+    from lensshift.registration import register as find_shifts
+
+    found = find_shifts(burst)
+    current.say("no shifts are given; the frames say:")
+    _say(current, found)
+    current.result |= _described(found)
+    return found
+
+
 def _target(source: Path, out: Path | None) -> Path:
     if out is not None:
         return out
@@ -122,6 +133,7 @@ def _target(source: Path, out: Path | None) -> Path:
 
 
 def _described(burst: Burst) -> dict[str, Any]:
+    """Return the shifts of a burst for JSON."""
     return {
         "frames": burst.frame_count,
         "offset_px": burst.offset_px,
@@ -130,6 +142,7 @@ def _described(burst: Burst) -> dict[str, Any]:
 
 
 def _say(current: Session, burst: Burst) -> None:
+    """Print the shifts of a burst, with their standard errors."""
     current.say("frame      row px      col px   +- row   +- col")
     errors = burst.offset_sigma_px
     for k, (row, col) in enumerate(burst.offset_px):

@@ -32,8 +32,8 @@ from lensshift.core.optical import Psf as Psf
 from lensshift.core.point_cloud import PointCloud, make_cloud
 from lensshift.core.units import doubt_about_units
 
-OffsetSource = Literal["planned", "calibrated", "registered"]
-OFFSET_SOURCES: tuple[OffsetSource, ...] = ("planned", "calibrated", "registered")
+OffsetSource = Literal["planned", "calibrated", "registered", "unknown"]
+OFFSET_SOURCES: tuple[OffsetSource, ...] = ("planned", "calibrated", "registered", "unknown")
 
 
 class Status(Enum):
@@ -68,9 +68,8 @@ class Frame:
         for name in ("amplitude", "distance_m", "valid"):
             values = getattr(self, name)
             if values is not None and (values.ndim != 2 or values.shape != self.amplitude.shape):
-                raise DataError(
-                    f"expected [row col] like amplitude, got {values.shape}", field=name
-                )
+                problem = f"expected [row col] like amplitude, got {values.shape}"
+                raise DataError(problem, field=name)
             if values is not None:
                 object.__setattr__(self, name, frozen(values))
 
@@ -89,7 +88,7 @@ class Burst:
     distance_m : [frame row col] radial distance, or None
     valid : [frame row col] False where a pixel must not be used; None: all of them are good
     offset_sigma_px : [frame 2] standard deviation of `offset_px`, or None
-    offset_source : where the offsets come from
+    offset_source : where the offsets come from; "unknown": all are 0 until `register` finds them
     stage_mm, stage_commanded_mm : [frame 2] lens position read back and asked for, or None
     time_s : [frame] or None
     modulation_hz : modulation frequency; all of them if the distances are of several; or None
@@ -169,8 +168,8 @@ class Burst:
         amplitude: ArrayLike,
         distance_m: ArrayLike | None = None,
         *,
-        offset_px: ArrayLike,
-        pitch_mm: float | tuple[float, float],
+        offset_px: ArrayLike | None = None,
+        pitch_mm: float | tuple[float, float] = 1.0,
         modulation_hz: float | Sequence[float] | None = None,
         valid: ArrayLike | None = None,
         **fields: Any,
@@ -182,8 +181,8 @@ class Burst:
         amplitude, distance_m, valid : [frame row col]; complex amplitudes
             [frequency frame row col] are the phasors of several frequencies, and the amplitude
             then that of the highest
-        offset_px : [frame 2] as (row, col)
-        pitch_mm : LR pixel pitch, one number or (row, col)
+        offset_px : [frame 2] as (row, col); None: unknown, for `register` to find
+        pitch_mm : LR pixel pitch, one number or (row, col); 1 if it does not matter
         fields : any other field of `Burst`
 
         Raises
@@ -203,15 +202,16 @@ class Burst:
             given = np.abs(given[int(np.argmax(np.asarray(frequencies, np.float64)))])
         frames = as_frames(given, "amplitude")
         pitch = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), (2,))
+        if offset_px is None:
+            fields.setdefault("offset_source", "unknown" if len(frames) > 1 else "planned")
+        rows, cols = (int(n) for n in frames.shape[1:])
         try:
-            grid = Grid(
-                (int(frames.shape[1]), int(frames.shape[2])), (float(pitch[0]), float(pitch[1]))
-            )
+            grid = Grid((rows, cols), (float(pitch[0]), float(pitch[1])))
         except ValueError as error:
             raise DataError(str(error), field="pitch_mm") from error
         burst = cls(
             amplitude=frames,
-            offset_px=np.asarray(offset_px),
+            offset_px=np.zeros((len(frames), 2)) if offset_px is None else np.asarray(offset_px),
             grid=grid,
             distance_m=None if distance_m is None else np.asarray(distance_m),
             valid=None if valid is None else np.asarray(valid),

@@ -15,6 +15,7 @@ from lensshift.io.container_writer import to_json
 from lensshift.io.image_file import TIFF_SUFFIXES
 from lensshift.io.intrinsics_fields import intrinsics_fields
 from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
+from lensshift.io.tiff_scale import SOFTWARE
 
 _CHANNELS = ("amplitude", "distance_m")
 _BURST_ARRAYS = (
@@ -37,6 +38,7 @@ def export_image(
     bits: Literal[8, 16] = 8,
     black: float | None = None,
     white: float | None = None,
+    pitch_mm: tuple[float, float] | None = None,
 ) -> tuple[float, float]:
     """Write an image as TIFF or PNG, by the ending of the name.
 
@@ -50,6 +52,7 @@ def export_image(
     image : [row col], or [frame row col] for TIFF; real
     bits : of a PNG pixel
     black, white : values that become black and white in PNG; None: smallest, largest finite value
+    pitch_mm : pixel size (row, col) for the tags of a TIFF, or None
 
     Returns
     -------
@@ -66,7 +69,7 @@ def export_image(
     values = _as_real(image)
     suffix = Path(path).suffix.lower()
     if suffix in TIFF_SUFFIXES:
-        return _write_tiff(values, path)
+        return _write_tiff(values, path, pitch_mm)
     if suffix != ".png":
         raise ValueError(f"expected a name that ends in .tif or .png, got {Path(path).name!r}")
     if values.ndim != 2:
@@ -110,7 +113,7 @@ def export_burst(burst: Burst, path: str | Path) -> None:
         fields |= intrinsics_fields(burst.intrinsics)
         write_npz(path, fields | {"meta": to_json(burst.meta, "meta")})
     elif Path(path).suffix.lower() in TIFF_SUFFIXES:
-        export_image(burst.amplitude, path)
+        export_image(burst.amplitude, path, pitch_mm=burst.grid.pitch_mm)
     else:
         raise ValueError(f"expected a name that ends in .npz or .tif, got {Path(path).name!r}")
 
@@ -157,7 +160,8 @@ def export_reconstruction(
     if not _wants_npz(path):
         if not channels:
             raise ValueError("expected a reconstruction with at least one channel, got none")
-        return export_image(next(iter(channels.values())).image, path, bits=bits)
+        image, pitch_mm = next(iter(channels.values())).image, reconstruction.grid.pitch_mm
+        return export_image(image, path, bits=bits, pitch_mm=pitch_mm)
     fields: dict[str, Any] = {
         "pitch_mm": reconstruction.grid.pitch_mm,
         "scale": reconstruction.scale,
@@ -198,7 +202,9 @@ def _as_real(image: ArrayLike) -> NDArray[Any]:
     return values
 
 
-def _write_tiff(values: NDArray[Any], path: str | Path) -> tuple[float, float]:
+def _write_tiff(
+    values: NDArray[Any], path: str | Path, pitch_mm: tuple[float, float] | None
+) -> tuple[float, float]:
     import tifffile
 
     if values.dtype not in (np.uint8, np.uint16):
@@ -207,8 +213,15 @@ def _write_tiff(values: NDArray[Any], path: str | Path) -> tuple[float, float]:
             raise ValueError("expected values that float32 can hold; export NPZ")
         values = values.astype(np.float32)
     with written_whole(path) as temporary:
-        tifffile.imwrite(temporary, values, photometric="minisblack")
+        tifffile.imwrite(temporary, values, photometric="minisblack", **_scale_tags(pitch_mm))
     return finite_range(values)
+
+
+def _scale_tags(pitch_mm: tuple[float, float] | None) -> dict[str, Any]:
+    if pitch_mm is None:
+        return {"software": SOFTWARE}
+    per_cm = (10 / pitch_mm[1], 10 / pitch_mm[0])
+    return {"software": SOFTWARE, "resolution": per_cm, "resolutionunit": "CENTIMETER"}
 
 
 def _write_png(

@@ -17,6 +17,7 @@ from lensshift.io.image_file import IMAGE_SUFFIXES, load_frames, load_named_arra
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
+from lensshift.io.tiff_scale import pixel_size_mm
 
 FRAME_KEYS = ("amplitude", "frames", "LR")
 _STACKS = ("distance_m", "valid")
@@ -27,7 +28,6 @@ _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
     "offset_source": str,
     "meta": lambda values: json.loads(str(values)),
 }
-_PITCH_ADVICE = "give the pixel pitch of the sensor in mm (1 if it does not matter)"
 
 
 def load_image_stack(
@@ -39,7 +39,6 @@ def load_image_stack(
     frame_axis: int = 0,
     modulation_hz: float | Sequence[float] | None = None,
     offset_source: OffsetSource | None = None,
-    to_register: bool = False,
 ) -> Burst:
     """Read a burst from image files and a table of shifts.
 
@@ -48,15 +47,17 @@ def load_image_stack(
     source : a multi-page TIFF, an NPY or NPZ file, a folder of images (sorted by the numbers in
         their names), or the image files in order
     offsets : [frame 2] (row, col) in LR pixels, or the CSV or JSON file that holds them (see
-        `load_offsets`); None takes `offset_px` of an NPZ file, or (0, 0) for a single frame
-    pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file
+        `load_offsets`); None takes `offset_px` of an NPZ file, or leaves them to `register`
+    pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file, the
+        pixel size of a TIFF of ImageJ, OME or this package, or 1
     key : name of the array in an NPZ file; None looks for amplitude, frames, LR, or the only stack
     frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]
     modulation_hz : modulation frequency, or all of them
-    offset_source : where the offsets come from; None: as the file says, else "planned"
-    to_register : whether frames without offsets are taken, at (0, 0), for `register` to find them
+    offset_source : where the offsets come from; None: as the file says, else "planned", or
+        "unknown" where there are none
 
-    An NPZ file may also hold the other fields of `Burst` under their names.
+    An NPZ file may also hold the other fields of `Burst` under their names. Pixels that are not
+    finite are not valid.
 
     Raises
     ------
@@ -64,7 +65,7 @@ def load_image_stack(
         If a file is missing, damaged, not greyscale, or does not fit the others.
     """
     fields = load_stack_fields(source, key=key, frame_axis=frame_axis)
-    fields |= _offset_fields(source, offsets, fields, to_register)
+    fields |= _offset_fields(source, offsets, fields)
     given: dict[str, Any] = {
         "pitch_mm": pitch_mm,
         "modulation_hz": modulation_hz,
@@ -72,8 +73,6 @@ def load_image_stack(
     }
     fields |= {name: value for name, value in given.items() if value is not None}
     with reading(_label(source)):
-        if "pitch_mm" not in fields:
-            raise DataError(f"no pixel pitch is given; {_PITCH_ADVICE}", field="pitch_mm")
         return Burst.from_arrays(**fields)
 
 
@@ -93,9 +92,19 @@ def load_stack_fields(
         if path.suffix.lower() == ".npz":
             return _npz_fields(path, key, frame_axis)
         if not path.is_dir():
-            return {"amplitude": _stack(load_frames(path), frame_axis, path)}
+            return _plain_fields(_stack(load_frames(path), frame_axis, path), path)
         source = _images_in(path)
-    return {"amplitude": _concatenate([Path(path) for path in source])}
+    paths = [Path(path) for path in source]
+    return _plain_fields(_concatenate(paths), *paths[:1])
+
+
+def _plain_fields(frames: NDArray[Any], *first: Path) -> dict[str, Any]:
+    """Return the frames, which of their pixels are numbers, and how large these are if told."""
+    fields: dict[str, Any] = {"amplitude": frames}
+    if frames.ndim == 3 and not np.isfinite(frames).all():
+        fields["valid"] = np.isfinite(frames)
+    pitch_mm = pixel_size_mm(first[0]) if first else None
+    return fields if pitch_mm is None else fields | {"pitch_mm": pitch_mm}
 
 
 def _images_in(folder: Path) -> list[Path]:
@@ -190,20 +199,10 @@ def _offset_fields(
     source: str | Path | Sequence[str | Path],
     offsets: str | Path | OffsetTable | ArrayLike | None,
     fields: dict[str, Any],
-    to_register: bool,
 ) -> dict[str, Any]:
     count = int(fields["amplitude"].shape[-3])
     if offsets is None:
-        if "offset_px" in fields:
-            return {}
-        if count == 1 or to_register:
-            return {"offset_px": np.zeros((count, 2))}
-        raise DataError(
-            f"no shifts are given for {count} frames; give a CSV or JSON file of offsets, or find "
-            "them with register",
-            field="offset_px",
-            source=_label(source),
-        )
+        return {}
     named = offsets if isinstance(offsets, str | Path) else _label(source)
     table = load_offsets(offsets) if isinstance(offsets, str | Path) else offsets
     if not isinstance(table, OffsetTable):

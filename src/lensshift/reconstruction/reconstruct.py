@@ -127,7 +127,7 @@ def reconstruct(
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     blur = blur if chosen.undoes_lens else without_lens(blur)
-    used = _frame_numbers(burst, frames)
+    used = _frame_numbers(burst, frames, shift_field)
     request = replace(request, frames=used, memory=memory, **_told(response, device, name))
     part = burst if frames is None else burst.select(used)
     field = None if shift_field is None else _select_field(shift_field, used, burst)
@@ -278,14 +278,17 @@ def _told(response: Mapping[str, Any], device: str | Device | None, method: str)
             "device": on_device(device, method)}  # fmt: skip
 
 
-def _frame_numbers(burst: Burst, frames: Sequence[int] | None) -> tuple[int, ...]:
-    if frames is None:
-        return tuple(range(burst.frame_count))
-    numbers = tuple(int(k) for k in frames)
+def _frame_numbers(
+    burst: Burst, frames: Sequence[int] | None, shift_field: ShiftField | None
+) -> tuple[int, ...]:
+    numbers = tuple(int(k) for k in (range(burst.frame_count) if frames is None else frames))
+    if burst.offset_source == "unknown" and shift_field is None and len(numbers) > 1:
+        problem = "nobody has said where the frames lie; lensshift.register finds it from them"
+        raise DataError(problem, field="offset_px")
     if not numbers or min(numbers) < 0 or max(numbers) >= burst.frame_count:
-        raise ValueError(f"expected frames from 0 to {burst.frame_count - 1}, got {list(frames)}")
+        raise ValueError(f"expected frames from 0 to {burst.frame_count - 1}, got {list(numbers)}")
     if len(set(numbers)) != len(numbers):
-        raise ValueError(f"expected each frame once, got {list(frames)}")
+        raise ValueError(f"expected each frame once, got {list(numbers)}")
     return numbers
 
 

@@ -54,7 +54,7 @@ def register(
         "gradient": least squares on low-passed frames (`gradient_shifts`), faster; "phase": phase
         correlation with one frame, roughest
     reference : number of the frame whose offset is kept; the others are relative to it, and so
-        are the standard errors, which are 0 there
+        are the standard errors, which are 0 there. Where no offset is known, their mean is 0
     channel : "amplitude" (complex phasors are used whole) or "distance"
     photometric : whether frames may differ by a factor and an additive constant
     use_given : whether the burst's own offsets count as measurements with `offset_sigma_px`
@@ -101,9 +101,12 @@ def register(
     if use_given:
         sigma_px = np.minimum(sigma_px, _against_reference(burst.offset_sigma_px, reference))
     _warn_if_poor(sigma_px, fit.converged)
+    offset_px = fit.offset_px + burst.offset_px[reference]
+    if burst.offset_source == "unknown":
+        offset_px -= offset_px.mean(axis=0)
     return replace(
         burst,
-        offset_px=fit.offset_px + burst.offset_px[reference],
+        offset_px=offset_px,
         offset_sigma_px=sigma_px,
         offset_source="registered",
     )

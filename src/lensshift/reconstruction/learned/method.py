@@ -39,8 +39,9 @@ EVEN_SHIFT_PX = 0.05
 USUAL_SHIFT_ERROR_PX = 0.02
 # Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each.
 LOW_PASS_PX = 1.5
-# Nearer than this, LR pixels, samples lie on the pixels of the grid.
-NODE_PX = 0.05
+# Nearer than this, LR pixels, samples lie on the pixels of a grid; the finest that there is; and
+# how much around a doubted part is looked at, the reach of the solver.
+NODE_PX, MOST_SCALE, AROUND_PX = 0.05, 8, 16
 # Fewer frames show no frequency that a scene hardly reaches.
 LEAST_FRAMES = 3
 
@@ -102,8 +103,8 @@ def solved(
         return _solved_once(problem, asked, request)
 
     found, misfit = run(noise)
-    if misfit.curable and not request.shifts_doubted:
-        misfit = _seen_on_nodes(problem, noise, misfit, request)
+    if misfit.curable and not misfit.off_px and not request.shifts_doubted:
+        misfit = _seen_otherwise(problem, noise, misfit, request)
     told_px, width_px = request.told_blur_px, None
     if told_px is not None and not request.shifts_doubted and held is None:
         width_px = fitting_width_px(problem, found.image, noise, told_px)
@@ -148,26 +149,38 @@ def _solved_once(problem: Problem, asked: Asked, request: Request) -> tuple[Solu
     return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
 
 
-def _seen_on_nodes(
+def _seen_otherwise(
     problem: Problem, noise: NDArray[np.float64], misfit: Misfit, request: Request
 ) -> Misfit:
-    """Return the misfit without doubt where a grid on which the samples lie leaves none.
+    """Return the misfit without doubt, if there is a grid on which the frames leave none.
 
-    A sample in the middle of four pixels does not see the finest pattern of the grid. Detail that
-    fine then seems to contradict, in the frames that are not believed there.
+    A sample in the middle of four pixels does not see the finest pattern of the grid, and detail
+    may be finer than the grid. Both seem to contradict in those frames that are not believed there.
     """
-    model = problem.model
+    model, scale = problem.model, problem.scale
     if model.offset_px is None:
         return misfit
-    turns = np.exp(2j * np.pi * (problem.scale * model.offset_px + (problem.scale - 1) / 2))
-    off_px = np.angle(turns.mean(axis=0)) / (2 * np.pi * problem.scale)
-    if np.max(np.abs(off_px)) < NODE_PX:
-        return misfit
-    moved = forward_model(model.lr_shape, problem.scale, model.offset_px - off_px, blur=model.blur)
-    noise = np.where(moved.inside, noise, np.inf)
-    there = Asked(moved, problem.y, noise, problem.blur_sigma_px)
-    _, again = _solved_once(replace(problem, model=moved), there, request)
-    return misfit if again.curable else replace(again, unexplained=misfit.unexplained)
+    doubted = np.any(misfit.doubt > 1.0, axis=0)
+    rows, cols = (
+        slice(max(0, int(at.min()) - AROUND_PX), int(at.max()) + 1 + AROUND_PX)
+        for at in np.nonzero(doubted)
+    )
+    rows, cols = (
+        slice(p.start, min(p.stop, n)) for p, n in zip((rows, cols), doubted.shape, strict=True)
+    )
+    turns = np.exp(2j * np.pi * (scale * model.offset_px + (scale - 1) / 2))
+    off_px = np.angle(turns.mean(axis=0)) / (2 * np.pi * scale)
+    grids = [(scale, off_px)] if np.max(np.abs(off_px)) > NODE_PX else []
+    grids += [(2 * scale, np.zeros(2))] if 2 * scale <= MOST_SCALE else []
+    for finer, moved_px in grids:
+        whole = forward_model(model.lr_shape, finer, model.offset_px - moved_px, blur=model.blur)
+        other = whole.crop(rows, cols)
+        part = replace(problem, model=other, y=np.ascontiguousarray(problem.y[:, rows, cols]))
+        sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
+        _, again = _solved_once(part, Asked(other, part.y, sigma, problem.blur_sigma_px), request)
+        if not again.curable:
+            return replace(misfit, doubt=np.minimum(misfit.doubt, 1.0))
+    return misfit
 
 
 def with_means_of(
