@@ -117,7 +117,7 @@ def solved(
             f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
         )
     elif misfit.curable and not request.shifts_doubted:
-        believed = misfit.weight()
+        believed = misfit.weight(of_phasors=problem.y.dtype.kind == "c")
         weighed = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
         )
