@@ -63,7 +63,7 @@ _WIDTH_SOURCES = {
     "burst": "as the burst says",
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
 }
-EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES)
+EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".png", ".npz", *CLOUD_SUFFIXES)
 
 
 class Channel(StrEnum):
@@ -138,7 +138,9 @@ DeviceOption = Annotated[
 ]
 ExportOption = Annotated[
     list[Path] | None,
-    typer.Option("--export", help="Also write .tif, .png, .npz, .ply or .pcd; repeatable."),
+    typer.Option(
+        "--export", help="Also write .tif, .ome.tif, .fits, .png, .npz, .ply or .pcd; repeatable."
+    ),
 ]
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensshift.core.optical import MtfCurve
+from lensshift.core.point_cloud import PointCloud
 from lensshift.core.showing import Shown, described
 from lensshift.core.types import Burst, Estimate, Reconstruction
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
@@ -29,13 +30,14 @@ _PAIRS = ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm")
 
 
 def figure_of(value: Any) -> Figure:
-    """Draw a burst, a result, one of its channels, an edge or an MTF curve.
+    """Draw a burst, a result, one of its channels, points, an edge or an MTF curve.
 
     Raises
     ------
     TypeError
         If nothing is known about how to draw it.
     """
+    from lensshift.report.cloud import cloud_figure
     from lensshift.report.edges import edge_figure
     from lensshift.report.result import estimate_figure, result_figure
 
@@ -49,6 +51,8 @@ def figure_of(value: Any) -> Figure:
         return edge_figure([value])
     if isinstance(value, MtfCurve):
         return _curve_figure(value)
+    if isinstance(value, PointCloud):
+        return cloud_figure(value, f"{len(value)} points")
     raise TypeError(f"expected something that can be drawn, got {type(value).__name__}")
 
 
