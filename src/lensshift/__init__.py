@@ -92,7 +92,7 @@ if TYPE_CHECKING:
     from lensshift.registration import calibrate as calibrate
     from lensshift.registration import register as register
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "open_rig": "capture.opening",
