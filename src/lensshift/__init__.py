@@ -1,5 +1,20 @@
 """Super-resolution for cameras whose lens moves a fraction of a pixel between frames.
 
+>>> import lensshift
+>>> from lensshift.pipeline import demo_burst
+>>> burst, truth = demo_burst()  # yours: lensshift.Burst.from_arrays(frames, offset_px=shifts)
+>>> result = lensshift.reconstruct(burst, scale=2)
+>>> result["amplitude"].image.shape  # beside .image: .std, .status, .misfit, .predict
+(32, 128)
+>>> lensshift.fidelity(result["amplitude"].image, truth.image).psnr_db > 25
+True
+
+Files: `load_burst`, `load_image_stack`, `save_reconstruction`. Unknown shifts: `register`.
+Resolution: `measure_edges`. A rig: `open_rig`. Values show themselves: `print(result)`,
+`result.plot()`, `result.to_xarray()`. On the command line: ``lensshift --help``.
+
+The folders, and who may import whom (from above to below):
+
 ::
 
                      cli                        you type
@@ -77,7 +92,7 @@ if TYPE_CHECKING:
     from lensshift.registration import calibrate as calibrate
     from lensshift.registration import register as register
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "open_rig": "capture.opening",

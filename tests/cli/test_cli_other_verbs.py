@@ -64,7 +64,7 @@ def test_result_to_picture(call: Call, result_file: Path, bits: str, mode: str) 
             "burst_x2.nc",
             "b.nc",
             2,
-            "a reconstruction becomes .tif, .png, .npz, .ply, .pcd, .mcap or .rrd",
+            "a reconstruction becomes .tif, .ome.tif, .fits, .png, .npz, .ply, .pcd, .mcap or .rrd",
         ),
         ("none.nc", "b.nc", 1, "there is no such file"),
         ("text.nc", "b.nc", 1, "expected .tif, .tiff, .png, .npy or .npz"),

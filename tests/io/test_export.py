@@ -141,5 +141,5 @@ def test_burst_as_pages(tmp_path: Path) -> None:
     burst = make_burst()
     export_burst(burst, tmp_path / "a.tif")
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.tif"), burst.amplitude)
-    with pytest.raises(ValueError, match=r"ends in \.npz or \.tif"):
+    with pytest.raises(ValueError, match=r"ends in \.npz, \.tif"):
         export_burst(burst, tmp_path / "a.png")

@@ -14,19 +14,15 @@ from lensshift.cli.evaluate import evaluate
 from lensshift.cli.info import info
 from lensshift.cli.lens import lens_verbs
 from lensshift.cli.live import live
+from lensshift.cli.methods import methods
 from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.register import register
 from lensshift.cli.reproduce import reproduce
 from lensshift.cli.run import run
 from lensshift.cli.simulate import simulate
+from lensshift.cli.verbs import verb_group
 
-app = typer.Typer(
-    name="lensshift",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+app = verb_group(name="lensshift", pretty_exceptions_enable=False)
 
 
 def _show_version(wanted: bool) -> None:
@@ -60,6 +56,7 @@ app.command()(live)
 app.command()(register)
 app.command()(calibrate)
 app.command()(reconstruct)
+app.command()(methods)
 app.command()(convert)
 app.command()(info)
 app.add_typer(evaluate, name="evaluate")

@@ -48,7 +48,7 @@ def calibrate(
       lensshift calibrate scan.nc -o calibration.json
       lensshift calibrate scan.nc -o calibration.json --report calibration.html
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="calibrating") as current:
         target = out if out is not None else scan.with_name(f"{scan.stem}_calibration.json")
         files = [target] if report is None else [target, report]
         refuse_overwriting((scan,), files)

@@ -37,6 +37,7 @@ from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, se
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
 BURST_SUFFIXES = (".nc", ".nc4", ".h5", ".hdf5")
+IMAGE_SUFFIXES = (".npz", ".tif", ".tiff", ".fits", ".fit")
 
 
 class Bits(StrEnum):
@@ -53,7 +54,8 @@ OutArgument = Annotated[
     Path,
     typer.Argument(
         metavar="OUT",
-        help="A burst to .nc, .npz, .tif; a result to .tif, .png, .npz, .ply, .pcd, .mcap, .rrd.",
+        help="A burst to .nc, .npz, .tif, .ome.tif, .fits; a result to .tif, .ome.tif, .fits, "
+        ".png, .npz, .ply, .pcd, .mcap, .rrd.",
     ),
 ]
 WindowOption = Annotated[
@@ -135,9 +137,10 @@ def _convert_burst(source: Path, target: Path, stack: StackOptions, points: Poin
     from lensshift.io import export_burst, save_burst
 
     suffix = target.suffix.lower()
-    if suffix not in (*BURST_SUFFIXES, ".npz", ".tif", ".tiff"):
+    if suffix not in (*BURST_SUFFIXES, *IMAGE_SUFFIXES):
         raise typer.BadParameter(
-            f"{target}: a burst becomes a burst file ({', '.join(BURST_SUFFIXES)}), .npz or .tif"
+            f"{target}: a burst becomes a burst file ({', '.join(BURST_SUFFIXES)}), .npz, .tif, "
+            ".ome.tif or .fits"
         )
     burst = load_input_burst(source, stack)
     burst = replace(burst, intrinsics=points.intrinsics(burst.grid, burst.intrinsics))
@@ -158,9 +161,10 @@ def _convert_result(
     from lensshift.core.grid import Grid
     from lensshift.io import export_reconstruction, load_reconstruction, load_window
 
-    if target.suffix.lower() not in (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES):
+    if target.suffix.lower() not in (*IMAGE_SUFFIXES, ".png", *CLOUD_SUFFIXES):
         raise typer.BadParameter(
-            f"{target}: a reconstruction becomes .tif, .png, .npz, .ply, .pcd, .mcap or .rrd"
+            f"{target}: a reconstruction becomes .tif, .ome.tif, .fits, .png, .npz, "
+            ".ply, .pcd, .mcap or .rrd"
         )
     result = load_reconstruction(source) if window is None else load_window(source, window)
     rows, cols = (count // result.scale for count in result.grid.shape)

@@ -107,7 +107,7 @@ def depth(
       lensshift evaluate depth frames.nc --plane 2,14,20,44 --focal-length-mm 42.7
       lensshift evaluate depth frames.nc --repeated
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="measuring distances") as current:
         place = parse_region(plane)
         check_outputs([image, truth], csv, plot)
         measured = _distance_image(image, pitch_mm, key, frame)

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensshift.cli.session import DebugOption, Session, session
+from lensshift.cli.verbs import verb_group
 
 if TYPE_CHECKING:
     from lensshift.capture.emulators.rig import EmulatedWorld
 
-emulate = typer.Typer(
-    no_args_is_help=True,
+emulate = verb_group(
     help="Emulate devices over their real protocols until Ctrl-C, on this computer only.",
 )
 

@@ -16,12 +16,10 @@ from lensshift.cli.inputs import load_input_image
 from lensshift.cli.mtf import mtf
 from lensshift.cli.session import DebugOption, JsonOption, session
 from lensshift.cli.star import frc, star, zone
+from lensshift.cli.verbs import verb_group
 from lensshift.core.errors import QualityWarning
 
-evaluate = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+evaluate = verb_group()
 
 for verb in (mtf, gain, gradient, star, zone, frc, depth):
     evaluate.command()(verb)
@@ -68,7 +66,7 @@ def fidelity(
     Example:
       lensshift evaluate fidelity sharp.nc truth.tif --border-px 4 --peak 1
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="comparing") as current:
         from lensshift.evaluation import fidelity as measure
 
         values = load_input_image(image, key=key, frame=frame)

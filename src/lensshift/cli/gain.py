@@ -69,7 +69,7 @@ def gain(
       lensshift evaluate gain sharp.nc burst.nc --region 0,16,4,30
       lensshift evaluate gain sharp.tif frame.tif --pitch-mm 0.155 --plot gain.png
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="measuring edges") as current:
         from lensshift.evaluation.gain import average_gain, pair_edges, resolution_gain
 
         place = parse_region(region)

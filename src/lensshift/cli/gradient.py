@@ -106,7 +106,7 @@ def gradient(
       lensshift evaluate gradient edge.tif --pitch-mm 0.155 --region 0,16,20,44
       lensshift evaluate gradient sharp.nc --against burst.nc --key distance --region 2,14,20,44
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="measuring gradients") as current:
         place = parse_region(region)
         check_outputs([image, against], csv, plot)
         fine = measured_image(image, None if against else pitch_mm, key=key, frame=frame)

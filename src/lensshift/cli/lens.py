@@ -34,11 +34,12 @@ from lensshift.cli.optics import (
     show_figure,
 )
 from lensshift.cli.session import DebugOption, JsonOption, session
+from lensshift.cli.verbs import verb_group
 
 if TYPE_CHECKING:
     from lensshift.optics.lens import Lens
 
-lens_verbs = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+lens_verbs = verb_group()
 
 lens_verbs.command()(optimise)
 lens_verbs.command()(tolerance)
@@ -100,7 +101,7 @@ def show(
       lensshift lens show petzval_b --element 1 --plot lens.svg
       lensshift lens show petzval_b --figure spots --plot spots.png
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
         from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
 
         check_outputs([], None, plot)
@@ -170,7 +171,7 @@ def mtf(
       lensshift lens mtf petzval_b --field-deg 0,0 --field-deg 0,6.5 --band-nm 40
       lensshift lens mtf petzval_b --figure focus --plot focus.png
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
         import numpy as np
 
         from lensshift.optics.mtf import diffraction_limit, led_band
@@ -271,7 +272,7 @@ def shiftmap(
       lensshift lens shiftmap petzval_a --element 1 --shift-px 0.25 -o shiftmap.npz
       lensshift reconstruct burst.nc --shift-map shiftmap.npz
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
         import numpy as np
 
         from lensshift.core.pattern import named_pattern_px
@@ -336,7 +337,7 @@ def which(
     Example:
       lensshift lens which petzval_a
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
         from lensshift.optics.which import format_movers, which_element
 
         check_outputs([], csv, plot)
@@ -363,7 +364,7 @@ def convert(
       lensshift lens convert petzval_a petzval_a.zmx
       lensshift lens convert bought.zmx bought.toml
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
         from lensshift.optics.lens_file import save_lens
         from lensshift.optics.zmx_writer import save_zmx
 

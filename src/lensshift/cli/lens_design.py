@@ -287,7 +287,7 @@ def budget(
     Example:
       lensshift lens budget petzval_search --element 2 --repeatability-um 1 --backlash-um 5
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="computing the budget") as current:
         from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
 
         check_outputs([], None, plot)

@@ -2,9 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import typer
+
+
+def _method_names() -> list[str]:
+    from lensshift.reconstruction.methods import method_names
+
+    return list(method_names())
+
+
+MethodOption = Annotated[
+    str,
+    typer.Option(help="Method; `lensshift methods` lists them.", autocompletion=_method_names),
+]
+WeightOption = Annotated[
+    str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
+]
+MethodOptionsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", metavar="NAME=VALUE",
+        help="Option of the method, as in iterations=30; repeatable; see `lensshift methods`.",
+    ),
+]  # fmt: skip
+
+
+def check_method(method: str) -> None:
+    """Raise a usage error that lists the methods if there is no such method."""
+    names = _method_names()
+    if method not in names:
+        raise typer.BadParameter(f"there is no method {method!r}; choose among {', '.join(names)}")
 
 
 def parse_weight(text: str) -> float | str | None:

@@ -89,7 +89,7 @@ def mtf(
       lensshift evaluate mtf burst.nc --joint --region 0,16,20,50
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="measuring edges") as current:
         from lensshift.evaluation.slanted_edge import average_curves, measure_edges, usable_edges
 
         place = parse_region(region)

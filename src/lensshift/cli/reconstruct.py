@@ -21,7 +21,15 @@ from lensshift.cli.inputs import (
     load_input_burst,
     refuse_overwriting,
 )
-from lensshift.cli.method_options import parse_frames, parse_options, parse_weight
+from lensshift.cli.method_options import (
+    MethodOption,
+    MethodOptionsOption,
+    WeightOption,
+    check_method,
+    parse_frames,
+    parse_options,
+    parse_weight,
+)
 from lensshift.cli.points import (
     CLOUD_SUFFIXES,
     FieldOption,
@@ -55,7 +63,7 @@ _WIDTH_SOURCES = {
     "burst": "as the burst says",
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
 }
-EXPORT_SUFFIXES = (".tif", ".tiff", ".png", ".npz", *CLOUD_SUFFIXES)
+EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".png", ".npz", *CLOUD_SUFFIXES)
 
 
 class Channel(StrEnum):
@@ -75,7 +83,6 @@ OutOption = Annotated[
     typer.Option("--out", "-o", help="Result file; default: BURST_xSCALE.nc beside it."),
 ]
 ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Upscaling factor.")]
-MethodOption = Annotated[str, typer.Option(help="Method; a wrong name lists them.")]
 ChannelOption = Annotated[Channel, typer.Option(help="What to reconstruct.")]
 
 
@@ -98,16 +105,6 @@ PsfOption = Annotated[
         help="Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
         "px; auto, the default: from --calibration or the burst, or a square pixel (with "
         "--fill-factor: 0).",
-    ),
-]  # fmt: skip
-WeightOption = Annotated[
-    str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
-]
-MethodOptionsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--option", metavar="NAME=VALUE",
-        help="Option of the method, as in iterations=30; repeatable. A wrong name lists them.",
     ),
 ]  # fmt: skip
 FramesOption = Annotated[
@@ -141,7 +138,9 @@ DeviceOption = Annotated[
 ]
 ExportOption = Annotated[
     list[Path] | None,
-    typer.Option("--export", help="Also write .tif, .png, .npz, .ply or .pcd; repeatable."),
+    typer.Option(
+        "--export", help="Also write .tif, .ome.tif, .fits, .png, .npz, .ply or .pcd; repeatable."
+    ),
 ]
 
 
@@ -268,15 +267,6 @@ class _Files:
     @property
     def all(self) -> tuple[Path, ...]:
         return (self.result, self.preview, *self.exports)
-
-
-def check_method(method: str) -> None:
-    """Raise a usage error that lists the methods if there is no such method."""
-    from lensshift.reconstruction.methods import method_names
-
-    names = list(dict.fromkeys(("auto", *method_names())))
-    if method not in names:
-        raise typer.BadParameter(f"there is no method {method!r}; choose among {', '.join(names)}")
 
 
 def describe(estimate: Estimate) -> dict[str, Any]:

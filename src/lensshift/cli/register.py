@@ -19,7 +19,7 @@ from lensshift.cli.inputs import (
     load_input_burst,
     refuse_overwriting,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import DebugOption, JsonOption, Session, Waiting, session
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst
@@ -87,7 +87,7 @@ def register(
       lensshift register frames/ --offsets planned.csv --pitch-mm 0.015 --photometric
     """
     stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="finding the shifts") as current:
         target = _target(burst, out)
         refuse_overwriting((burst, offsets), (target,))
         from lensshift.io import save_burst
@@ -117,7 +117,11 @@ def with_shifts(current: Session, burst: Burst) -> Burst:
     """Return a burst of unknown shifts with those that its frames tell, and say them."""
     from lensshift.registration import register as find_shifts
 
-    found = find_shifts(burst)
+    waiting = Waiting("finding the shifts")
+    try:
+        found = find_shifts(burst)
+    finally:
+        waiting.close()
     current.say("no shifts are given; the frames say:")
     _say(current, found)
     current.result |= _described(found)

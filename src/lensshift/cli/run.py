@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensshift.cli.devices import YesOption
-from lensshift.cli.reconstruct import check_method, describe, say_channels
+from lensshift.cli.method_options import check_method
+from lensshift.cli.reconstruct import describe, say_channels
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ ScaleOption = Annotated[
     int | None, typer.Option(min=1, max=8, help="Upscaling factor instead of CONFIG's.")
 ]
 MethodOption = Annotated[
-    str | None, typer.Option(help="Method instead of CONFIG's; a wrong name lists them.")
+    str | None, typer.Option(help="Method instead of CONFIG's; `lensshift methods` lists them.")
 ]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed instead of CONFIG's.")]
 RigOption = Annotated[

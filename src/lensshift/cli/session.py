@@ -48,9 +48,12 @@ class Session:
     as_json: bool = False
     result: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    waiting: Waiting | None = None
 
     def say(self, text: str) -> None:
         """Print a line for people; nothing with --json."""
+        if self.waiting is not None:
+            self.waiting.close()
         if not self.as_json:
             typer.echo(text)
 
@@ -72,13 +75,22 @@ class Session:
         text = " ".join(str(message).split())
         if text not in self.warnings:
             self.warnings.append(text)
+            if self.waiting is not None:
+                self.waiting.end_line()
             typer.echo(f"warning: {text}", err=True)
 
 
 @contextmanager
-def session(*, as_json: bool, debug: bool) -> Iterator[Session]:
-    """Run the body of a verb; print its result, or its error on one line and exit with 1."""
+def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]:
+    """Run the body of a verb; print its result, or its error on one line and exit with 1.
+
+    Parameters
+    ----------
+    as_json, debug : the options of every verb
+    doing : what is said, with the seconds so far, while it lasts and nothing else was printed
+    """
     current = Session(as_json)
+    current.waiting = Waiting(doing) if doing else None
     with ended_by_signals(), warnings.catch_warnings():
         warnings.simplefilter("always", QualityWarning)
         warnings.showwarning = current.warn
@@ -92,11 +104,16 @@ def session(*, as_json: bool, debug: bool) -> Iterator[Session]:
         except _FAILURES as error:
             _report(error, current, debug=debug)
             raise typer.Exit(1) from error
+        finally:
+            if current.waiting is not None:
+                current.waiting.close()
     if as_json:
         typer.echo(to_json(current.result | {"warnings": current.warnings}))
 
 
 def _report(error: Exception, current: Session, *, debug: bool) -> None:
+    if current.waiting is not None:
+        current.waiting.close()
     if debug:
         traceback.print_exception(error)
     text = " ".join(str(error).split()) or type(error).__name__
@@ -118,7 +135,7 @@ class Progress:
         self._label = label
         self._start_s = self._last_s = time.monotonic()
         self._open_line = False
-        self._begun = threading.Timer(_QUIET_S, self._show, [_PREPARING])
+        self._begun = threading.Timer(_QUIET_S, self.say, [_PREPARING])
         if preparing:
             self._begun.daemon = True
             self._begun.start()
@@ -126,11 +143,11 @@ class Progress:
     def __call__(self, iteration: int, objective: float) -> None:
         """Take note of one iteration."""
         self._begun.cancel()
-        self._show(f"iteration {iteration}, objective {objective:.4g}")
+        self.say(f"iteration {iteration}, objective {objective:.4g}")
 
     def count(self, done: int, total: int) -> None:
         """Take note of one step of a known number."""
-        self._show(f"{done} of {total}")
+        self.say(f"{done} of {total}")
 
     def counted(self, things: Iterable[T], total: int) -> Iterator[T]:
         """Yield things and take note of each."""
@@ -138,7 +155,8 @@ class Progress:
             yield thing
             self.count(number + 1, total)
 
-    def _show(self, state: str) -> None:
+    def say(self, state: str) -> None:
+        """Show a state, unless the last one is too fresh."""
         now_s = time.monotonic()
         terminal = sys.stderr.isatty()
         every_s = _TERMINAL_EVERY_S if terminal else _FILE_EVERY_S
@@ -155,6 +173,38 @@ class Progress:
         self._begun.cancel()
         if self._open_line:
             typer.echo("", err=True)
+            self._open_line = False
+
+
+class Waiting:
+    """Say every second on a terminal, else every five, that something still goes on.
+
+    Parameters
+    ----------
+    label : what is done
+    """
+
+    def __init__(self, label: str) -> None:
+        self._progress = Progress(label)
+        self._start_s = time.monotonic()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._tick, daemon=True)
+        self._thread.start()
+
+    def _tick(self) -> None:
+        while not self._over.wait(_QUIET_S if sys.stderr.isatty() else _FILE_EVERY_S):
+            self._progress.say(f"{time.monotonic() - self._start_s:.0f} s")
+
+    def end_line(self) -> None:
+        """End the line on a terminal, before something else is printed."""
+        self._progress.close()
+
+    def close(self) -> None:
+        """Stop, and end the line on a terminal; again does nothing."""
+        if not self._over.is_set():
+            self._over.set()
+            self._thread.join()
+            self._progress.close()
 
 
 def to_json(value: Any) -> str:

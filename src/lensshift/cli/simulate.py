@@ -76,7 +76,7 @@ def simulate(
       lensshift simulate slanted_edge --lens petzval_a --element 1 --seed 3 -o edge.nc
       lensshift simulate my_scene.toml --camera vga --pattern 3x3 --scale 3 -o room.nc
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="simulating") as current:
         truth_file = out.with_suffix(".truth.npz")
         _check_outputs(scene, camera, out, truth_file, phases)
         from lensshift.camera import named_pattern_px, simulate_tof

@@ -80,7 +80,7 @@ def star(
       lensshift evaluate star star.tif --cycles 36 --profile square --pitch-mm 0.155
       lensshift evaluate star sharp.nc --cycles 12 --radius 0.4,1.2 --plot star.png
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="measuring the star") as current:
         from lensshift.evaluation.siemens import siemens_star_mtf
 
         check_outputs([image], csv, plot)
@@ -128,7 +128,7 @@ def zone(
     Example:
       lensshift evaluate zone plate.tif --chirp 2.5 --pitch-mm 0.155 --csv zone.csv
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="measuring the zone plate") as current:
         from lensshift.evaluation.zone_plate import zone_plate_response
 
         check_outputs([image], csv, plot)
@@ -168,7 +168,7 @@ def frc(
     Example:
       lensshift evaluate frc sharp_even.nc sharp_odd.nc --csv frc.csv
     """
-    with session(as_json=as_json, debug=debug) as current:
+    with session(as_json=as_json, debug=debug, doing="correlating") as current:
         from lensshift.evaluation.ring_correlation import fourier_ring_correlation
 
         check_outputs([first, second], csv, None)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import frozen
+from lensshift.core.showing import AsTable, Shown
 
 
 def gaussian_width(mtf50: float) -> float:
@@ -39,8 +40,8 @@ class Psf:
         object.__setattr__(self, "kernel", frozen(kernel / kernel.sum()))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MtfCurve:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MtfCurve(Shown, AsTable):
     """Contrast over spatial frequency on the sensor.
 
     Parameters

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import frozen
 from lensshift.core.intrinsics import Intrinsics, points_m
+from lensshift.core.showing import Shown
 
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PointCloud:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PointCloud(Shown):
     """Points of an image, row by row; pixels without a distance have none.
 
     Parameters
@@ -49,6 +50,25 @@ class PointCloud:
 
     def __len__(self) -> int:
         return len(self.point_m)
+
+    def to_open3d(self) -> dict[str, NDArray[np.float32]]:
+        """Return name -> [n ...] float32 as `open3d.t.geometry.PointCloud` names and takes them.
+
+        cloud = open3d.t.geometry.PointCloud()
+        for name, values in points.to_open3d().items():
+            cloud.point[name] = open3d.core.Tensor(values)
+        """
+        named = {
+            "positions": self.point_m,
+            "normals": self.normal,
+            "amplitude": self.amplitude,
+            "std": self.std_m,
+        }
+        return {
+            name: np.ascontiguousarray(values.reshape(len(self), -1), np.float32)
+            for name, values in named.items()
+            if values is not None
+        }
 
 
 def make_cloud(

@@ -22,6 +22,7 @@ from lensshift.core.burst_checks import (
     check_finite_where_valid,
 )
 from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.frame import Frame as Frame
 from lensshift.core.grid import Grid as Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.motion import ShiftField as ShiftField
@@ -30,6 +31,7 @@ from lensshift.core.motion import StageMap as StageMap
 from lensshift.core.optical import MtfCurve as MtfCurve
 from lensshift.core.optical import Psf as Psf
 from lensshift.core.point_cloud import PointCloud, make_cloud
+from lensshift.core.showing import AsDataset, AsTable, Shown
 from lensshift.core.units import doubt_about_units
 
 OffsetSource = Literal["planned", "calibrated", "registered", "unknown"]
@@ -47,35 +49,8 @@ class Status(Enum):
     NOT_FINITE = "the estimate is not finite"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """One exposure of the camera.
-
-    Parameters
-    ----------
-    amplitude : [row col] normalised
-    distance_m : [row col] radial, or None
-    valid : [row col] False where a pixel must not be used
-    time_s : when it was taken
-    """
-
-    amplitude: NDArray[Any]
-    distance_m: NDArray[Any] | None
-    valid: NDArray[np.bool_]
-    time_s: float
-
-    def __post_init__(self) -> None:
-        for name in ("amplitude", "distance_m", "valid"):
-            values = getattr(self, name)
-            if values is not None and (values.ndim != 2 or values.shape != self.amplitude.shape):
-                problem = f"expected [row col] like amplitude, got {values.shape}"
-                raise DataError(problem, field=name)
-            if values is not None:
-                object.__setattr__(self, name, frozen(values))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Burst:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Burst(Shown, AsDataset, AsTable):
     """K frames of one static scene, each with the lens at another position.
 
     Arrays are copied and read-only: what was checked here cannot change any more.
@@ -270,8 +245,8 @@ def _no_prediction(frame: int | ArrayLike) -> NDArray[Any]:
     raise ValueError("this estimate carries no forward model and cannot predict a frame")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Estimate(Shown):
     """One HR channel and the story of how it was found.
 
     Parameters
@@ -324,8 +299,8 @@ class Estimate:
         return float(np.sqrt(np.mean(self.std**2)) / self.noise_sigma)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reconstruction:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Reconstruction(Shown, AsDataset):
     """What `reconstruct` returns: the channels on the HR grid and how they were made.
 
     Parameters
@@ -357,6 +332,12 @@ class Reconstruction:
         """The channels that there are, by name: "amplitude", "distance"."""
         named = {"amplitude": self.amplitude, "distance": self.distance_m}
         return {name: estimate for name, estimate in named.items() if estimate is not None}
+
+    def __getitem__(self, channel: Literal["amplitude", "distance"]) -> Estimate:
+        if channel not in self.channels:
+            known = " and ".join(self.channels) or "nothing"
+            raise KeyError(f"expected a channel of this result, which has {known}; got {channel!r}")
+        return self.channels[channel]
 
     def point_cloud(
         self,

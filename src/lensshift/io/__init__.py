@@ -4,6 +4,7 @@ from lensshift.io.burst_file import load_burst, open_recording, save_burst, writ
 from lensshift.io.export import export_burst, export_image, export_reconstruction
 from lensshift.io.image_stack import load_image_stack
 from lensshift.io.offset_table import OffsetTable, load_offsets
+from lensshift.io.picture_layers import napari_layers, picture_layers
 from lensshift.io.point_cloud_file import save_point_cloud
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
 from lensshift.io.sequence_file import load_window
@@ -21,7 +22,9 @@ __all__ = [
     "load_shift_field",
     "load_stage_map",
     "load_window",
+    "napari_layers",
     "open_recording",
+    "picture_layers",
     "save_burst",
     "save_point_cloud",
     "save_reconstruction",

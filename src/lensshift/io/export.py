@@ -1,4 +1,4 @@
-"""Images and points for other programs: TIFF, PNG, NPZ, PLY and PCD."""
+"""Images and points for other programs: TIFF, OME-TIFF, FITS, PNG, NPZ, PLY and PCD."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from lensshift.core.types import Burst, Estimate, Reconstruction
 from lensshift.io.atomic import written_whole
 from lensshift.io.container_writer import to_json
 from lensshift.io.image_file import TIFF_SUFFIXES
+from lensshift.io.image_formats import export_fits, export_ome, is_fits, is_ome
 from lensshift.io.intrinsics_fields import intrinsics_fields
 from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
 from lensshift.io.tiff_scale import SOFTWARE
@@ -100,6 +101,8 @@ def finite_range(values: NDArray[Any]) -> tuple[float, float]:
 def export_burst(burst: Burst, path: str | Path) -> None:
     """Write a burst as NPZ (every field, readable by `load_image_stack`) or TIFF (amplitude).
 
+    OME-TIFF (`.ome.tif`) and FITS hold amplitude and distance.
+
     Raises
     ------
     ValueError
@@ -112,10 +115,16 @@ def export_burst(burst: Burst, path: str | Path) -> None:
         fields |= {"pitch_mm": burst.grid.pitch_mm, "offset_source": burst.offset_source}
         fields |= intrinsics_fields(burst.intrinsics)
         write_npz(path, fields | {"meta": to_json(burst.meta, "meta")})
+    elif is_ome(path):
+        export_ome(burst, path)
+    elif is_fits(path):
+        export_fits(burst, path)
     elif Path(path).suffix.lower() in TIFF_SUFFIXES:
         export_image(burst.amplitude, path, pitch_mm=burst.grid.pitch_mm)
     else:
-        raise ValueError(f"expected a name that ends in .npz or .tif, got {Path(path).name!r}")
+        raise ValueError(
+            f"expected a name that ends in .npz, .tif, .ome.tif or .fits, got {Path(path).name!r}"
+        )
 
 
 def export_reconstruction(
@@ -126,10 +135,11 @@ def export_reconstruction(
     keep_flying: bool = False,
     normals: bool = False,
 ) -> tuple[float, float] | None:
-    """Write a reconstruction as NPZ, PLY, PCD, TIFF or PNG, by the ending of the name.
+    """Write a reconstruction as NPZ, PLY, PCD, OME-TIFF, FITS, TIFF or PNG, by the name's ending.
 
     NPZ holds every field, and `point_m` [row col 3] where it is known where the pixels look. PLY
-    and PCD hold the points of `Reconstruction.point_cloud`, TIFF and PNG the first channel.
+    and PCD hold the points of `Reconstruction.point_cloud`, OME-TIFF (`.ome.tif`)
+    and FITS all images with their errors, TIFF and PNG the first channel.
 
     Parameters
     ----------
@@ -138,7 +148,7 @@ def export_reconstruction(
 
     Returns
     -------
-    The range of grey values as `export_image` does; None for NPZ and points.
+    The range of grey values as `export_image` does; None where all numbers are kept.
 
     Raises
     ------
@@ -156,6 +166,9 @@ def export_reconstruction(
     if Path(path).suffix.lower() in CLOUD_SUFFIXES:
         cloud = reconstruction.point_cloud(keep_flying=keep_flying, normals=normals)
         save_point_cloud(cloud, path)
+        return None
+    if is_ome(path) or is_fits(path):
+        (export_ome if is_ome(path) else export_fits)(reconstruction, path)
         return None
     if not _wants_npz(path):
         if not channels:

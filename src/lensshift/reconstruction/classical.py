@@ -135,7 +135,15 @@ class _Sparse(_Penalised):
 
 @dataclass(frozen=True, slots=True)
 class Tikhonov(_Sparse):
-    """Squared differences: one linear solve at the weight that it settles on."""
+    """Squared differences: one linear solve at the weight that it settles on.
+
+        min_x  |A x - y|^2 + weight |D x|^2
+
+    Parameters
+    ----------
+    prior_weight : weight of the prior; None: found from the noise; "cross-validation": by what
+        predicts left-out pixels best
+    """
 
     name: ClassVar[str] = "tikhonov"
     summary: ClassVar[str] = "least squares with squared neighbour differences; linear"
@@ -146,7 +154,16 @@ class Tikhonov(_Sparse):
 
 @dataclass(frozen=True, slots=True)
 class Tv(_Sparse):
-    """Total variation."""
+    """Total variation.
+
+        min_x  |A x - y|^2 + weight |D x|_1
+
+    Parameters
+    ----------
+    prior_weight : weight of the prior; None: found from the noise; "cross-validation": by what
+        predicts left-out pixels best
+    iterations : largest number of reweightings
+    """
 
     iterations: int = option(16, whole(1))
     name: ClassVar[str] = "tv"
@@ -193,7 +210,20 @@ class _Robust(_Penalised):
 
 @dataclass(frozen=True, slots=True)
 class L1Btv(_Robust):
-    """Farsiu's L1 data term with bilateral total variation."""
+    """Farsiu's L1 data term with bilateral total variation.
+
+        min_x  |A x - y|_1 + weight sum_{l, m} alpha^(|l| + |m|) |x - S^(l, m) x|_1
+
+    Parameters
+    ----------
+    prior_weight : weight of the prior; None: found from the noise; "cross-validation": by what
+        predicts left-out pixels best
+    window : largest step l, m in HR pixels
+    alpha : how fast the weight falls with the step
+    iterations : largest number of reweightings
+
+    Source: Farsiu et al. 2004, doi 10.1109/TIP.2004.834669.
+    """
 
     window: int = option(2, whole(1))
     alpha: float = option(0.7, positive(1.0))
@@ -213,7 +243,18 @@ _OF_PRIOR = {"tv": (), "huber": ("threshold",), "btv": ("window", "alpha")}
 
 @dataclass(frozen=True, slots=True)
 class MaximumPosterior(_Robust):
-    """A data term and a prior of the caller's choice."""
+    """A data term and a prior of the caller's choice.
+
+    Parameters
+    ----------
+    prior_weight : weight of the prior; None: found from the noise; "cross-validation": by what
+        predicts left-out pixels best
+    prior : "tv", "huber" or "btv" (bilateral total variation)
+    data_term : "l2", "l1" or "huber"
+    window, alpha : of btv alone, as in `L1Btv`; None: its default
+    threshold : of huber alone: differences up to it are squared; None: its default
+    iterations : largest number of reweightings
+    """
 
     prior: Literal["tv", "huber", "btv"] = option("tv", one_of(*PRIORS))
     data_term: Literal["l2", "l1", "huber"] = option("l2", one_of(*LOSSES))
@@ -251,6 +292,15 @@ class Irwsr(_Robust):
     Against the published toolbox: one objective and its true gradient, weights of the prior that
     do not jump, a start at the final scale, any shifts, shift fields; in single precision.
 
+    Parameters
+    ----------
+    prior_weight : weight of the prior; None: found from the noise; "cross-validation": by what
+        predicts left-out pixels best
+    window, alpha : of bilateral total variation, as in `L1Btv`
+    sparsity : exponent p of the differences, 1 is total variation, less keeps edges more
+    iterations : largest number of reweightings
+    inner_iterations : steps of conjugate gradients in each
+
     Source: Koehler et al. 2016, doi 10.1109/TCI.2016.2516909; toolbox of 2017.
     """
 
@@ -286,7 +336,15 @@ class Irwsr(_Robust):
 
 @dataclass(frozen=True, slots=True)
 class IrwsrToolbox(Method):
-    """The published toolbox."""
+    """The published toolbox step by step, its defects included.
+
+    Parameters
+    ----------
+    prior_weight : weight of the prior; None and "cross-validation": its own search
+    window, alpha, sparsity, iterations, inner_iterations : as in `Irwsr`
+
+    Source: Koehler et al. 2016, doi 10.1109/TCI.2016.2516909; toolbox of 2017.
+    """
 
     prior_weight: Weight = option(None, weight())
     window: int = option(1, whole(1))

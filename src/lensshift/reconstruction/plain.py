@@ -43,7 +43,12 @@ def _frame_of(problem: Problem, frame: int | None) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Nearest(_Plain):
-    """Take one frame and repeat its pixels."""
+    """Take one frame and repeat its pixels.
+
+    Parameters
+    ----------
+    frame : which one
+    """
 
     frame: int = option(0, whole(0))
     name: ClassVar[str] = "nearest"
@@ -58,7 +63,15 @@ class Nearest(_Plain):
 
 @dataclass(frozen=True, slots=True)
 class Bicubic(_Plain):
-    """Interpolate one frame, or combine the aligned frames by mean or median."""
+    """Interpolate one frame, or combine the aligned frames by mean or median.
+
+    Parameters
+    ----------
+    combine : "first", one frame; "mean" or "median" of all of them
+    frame : which one; None: the first
+
+    Source: Keys 1981, doi 10.1109/TASSP.1981.1163711.
+    """
 
     combine: Literal["first", "mean", "median"] = option("first", one_of("first", "mean", "median"))
     frame: int | None = option(None, whole(0))
@@ -81,7 +94,13 @@ class Bicubic(_Plain):
 
 @dataclass(frozen=True, slots=True)
 class Deconvolution(_Plain):
-    """Interpolate one frame and undo the blur of its pixels."""
+    """Interpolate one frame and undo the blur of its pixels.
+
+    Parameters
+    ----------
+    frame : which one
+    algorithm : of scikit-image: "wiener", "unsupervised" (Wiener and Hunt) or "richardson-lucy"
+    """
 
     frame: int = option(0, whole(0))
     algorithm: Literal["wiener", "unsupervised", "richardson-lucy"] = option(
@@ -102,7 +121,14 @@ class Deconvolution(_Plain):
 
 @dataclass(frozen=True, slots=True)
 class ShiftAndAdd(_Plain):
-    """Drop every LR sample into the nearest HR pixel."""
+    """Drop every LR sample into the nearest HR pixel.
+
+    Parameters
+    ----------
+    combine : "mean" or "median" of the samples of one pixel
+
+    Source: Farsiu et al. 2004, doi 10.1109/TIP.2004.834669.
+    """
 
     combine: Literal["mean", "median"] = option("mean", one_of("mean", "median"))
     name: ClassVar[str] = "shift-and-add"
@@ -116,7 +142,15 @@ class ShiftAndAdd(_Plain):
 
 @dataclass(frozen=True, slots=True)
 class Drizzle(_Plain):
-    """Rain shrunken LR pixels onto the HR grid."""
+    """Rain shrunken LR pixels onto the HR grid.
+
+    Parameters
+    ----------
+    pixfrac : side of a drop in LR pixels, above 0 and up to 1
+    kernel : shape of a drop, "square" or "point"
+
+    Source: Fruchter and Hook 2002, doi 10.1086/338393.
+    """
 
     pixfrac: float = option(0.5, positive(1.0))
     kernel: Literal["square", "point"] = option("square", one_of("square", "point"))

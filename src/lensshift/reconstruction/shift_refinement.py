@@ -103,7 +103,8 @@ def refine_shifts(
             break
     if largest_px > 10 * CONVERGED_PX:
         warnings.warn(
-            f"the shifts still move by {largest_px:.3f} px after {max_rounds} rounds",
+            f"the shifts still move by {largest_px:.3f} px after {max_rounds} rounds; "
+            "raise max_rounds, or correct psf_sigma_px",
             QualityWarning,
             stacklevel=2,
         )

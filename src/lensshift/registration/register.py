@@ -254,7 +254,8 @@ def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool) -> None:
         along = ("row", "col")[int(worst[1])]
         warnings.warn(
             f"too little texture along {along}: the shift of frame {worst[0]} is known to "
-            f"{worst_px:.2f} px only (want {POOR_SIGMA_PX} px)",
+            f"{worst_px:.2f} px only (want {POOR_SIGMA_PX} px); take more light or a scene with "
+            "edges across it, or give the shifts",
             QualityWarning,
             stacklevel=3,
         )

@@ -85,6 +85,22 @@ def result_figure(
     return figure
 
 
+def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
+    """Draw one channel and its standard deviation below each other or side by side."""
+    panels = _panels("image", estimate, None)
+    rows, cols = estimate.image.shape
+    across = len(panels) if 2 * rows > cols else 1
+    high_in = wide_in / across * rows / cols * 0.85 + _TITLE_IN
+    with styled():
+        figure = new_figure(wide_in, high_in * len(panels) / across + 0.2)
+        for axes, panel in zip(
+            figure.subplots(len(panels) // across, across, squeeze=False).flat, panels, strict=True
+        ):
+            axes.set_axis_off()
+            _draw(axes, panel)
+    return figure
+
+
 def _panels(
     name: str, estimate: Estimate, reference: Mapping[str, NDArray[Any]] | None
 ) -> list[_Panel]:

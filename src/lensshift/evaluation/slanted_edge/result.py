@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.optical import MtfCurve
+from lensshift.core.showing import AsTable, Shown
 
 Vector = NDArray[np.float64]
 
@@ -94,8 +95,8 @@ class Region:
         return f"rows {rows}, columns {cols}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EdgeResult:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class EdgeResult(Shown, AsTable):
     """One measured edge.
 
     Parameters

@@ -1,0 +1,126 @@
+"""All images of a burst or a result in one file: OME-TIFF for microscopes, FITS for telescopes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lensshift.core.intrinsics import Pinhole
+from lensshift.core.types import Burst, Reconstruction
+from lensshift.io.atomic import written_whole
+from lensshift.io.picture_layers import PictureLayer, picture_layers
+
+if TYPE_CHECKING:
+    from astropy.io.fits import Header
+
+OME_ENDINGS = (".ome.tif", ".ome.tiff")
+FITS_ENDINGS = (".fits", ".fit")
+_UM_PER_MM = 1e3
+
+
+def is_ome(path: str | Path) -> bool:
+    """Tell whether a name asks for OME-TIFF."""
+    return Path(path).name.lower().endswith(OME_ENDINGS)
+
+
+def is_fits(path: str | Path) -> bool:
+    """Tell whether a name asks for FITS."""
+    return Path(path).suffix.lower() in FITS_ENDINGS
+
+
+def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
+    """Write all images as float32 channels of an OME-TIFF, with names and pixel size.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+    """
+    import tifffile
+
+    layers = picture_layers(value)
+    stack = np.stack([one.values.astype(np.float32) for one in layers], axis=-3)
+    row_mm, col_mm = value.grid.pitch_mm
+    told = {
+        "axes": "TCYX" if stack.ndim == 4 else "CYX",
+        "Channel": {"Name": [_label(one) for one in layers]},
+        "PhysicalSizeY": row_mm * _UM_PER_MM,
+        "PhysicalSizeYUnit": "\u00b5m",
+        "PhysicalSizeX": col_mm * _UM_PER_MM,
+        "PhysicalSizeXUnit": "\u00b5m",
+    }
+    with written_whole(path) as part:
+        tifffile.imwrite(part, stack, ome=True, photometric="minisblack", metadata=told)
+
+
+def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
+    """Write all images as extensions of a FITS file, with their coordinates (WCS).
+
+    With a pinhole without distortion they are angles to the right and up from the axis of the
+    camera, by the gnomonic projection (CMLN-TAN, CMLT-TAN); an alternative, A, which is the only
+    one of other cameras, gives mm on the sensor from the middle of the first pixel. The first row
+    of an image is the first of the file.
+
+    Raises
+    ------
+    ImportError
+        If astropy is not installed.
+    DataError
+        If the file cannot be written.
+    """
+    try:
+        from astropy.io import fits
+    except ImportError as error:
+        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
+    first = fits.PrimaryHDU()
+    first.header["ORIGIN"] = "lensshift"
+    if isinstance(value, Reconstruction):
+        first.header["METHOD"] = (value.method, "of the reconstruction")
+        first.header["SCALE"] = (value.scale, "pixels per pixel of a frame, along an axis")
+    pages = [first]
+    for one in picture_layers(value):
+        values = one.values.astype(np.uint8) if one.values.dtype == np.bool_ else one.values
+        page = fits.ImageHDU(values, name=one.name)
+        if one.unit:
+            page.header["BUNIT"] = one.unit
+        _write_wcs(page.header, value)
+        pages.append(page)
+    with written_whole(path) as part:
+        fits.HDUList(pages).writeto(part, overwrite=True, output_verify="exception")
+
+
+def _write_wcs(header: Header, value: Burst | Reconstruction) -> None:
+    from astropy.wcs import WCS
+
+    row_mm, col_mm = value.grid.pitch_mm
+    plain = WCS(naxis=2)
+    plain.wcs.ctype = ["X", "Y"]
+    plain.wcs.cunit = ["mm", "mm"]
+    plain.wcs.crpix = [1.0, 1.0]
+    plain.wcs.cdelt = [col_mm, row_mm]
+    seen = value.intrinsics
+    straight = isinstance(seen, Pinhole) and not any((seen.k1, seen.k2, seen.p1, seen.p2, seen.k3))
+    if isinstance(seen, Pinhole) and straight:
+        angles = WCS(naxis=2)
+        angles.wcs.ctype = ["CMLN-TAN", "CMLT-TAN"]
+        angles.wcs.cunit = ["deg", "deg"]
+        angles.wcs.crval = [0.0, 0.0]
+        angles.wcs.crpix = [seen.cx_px + 1.0, seen.cy_px + 1.0]
+        angles.wcs.cdelt = [float(np.rad2deg(1 / seen.fx_px)), -float(np.rad2deg(1 / seen.fy_px))]
+        header.update(angles.to_header())
+        _as_alternative(header, plain.to_header())
+    else:
+        header.update(plain.to_header())
+
+
+def _as_alternative(header: Header, cards: Any) -> None:
+    for name in ("CRPIX", "CDELT", "CUNIT", "CTYPE", "CRVAL"):
+        for axis in (1, 2):
+            if f"{name}{axis}" in cards:
+                header[f"{name}{axis}A"] = cards[f"{name}{axis}"]
+
+
+def _label(layer: PictureLayer) -> str:
+    return f"{layer.name} ({layer.unit})" if layer.unit else layer.name

@@ -1,0 +1,97 @@
+"""What people expect of a command line: completion, full help, a list of methods, patience."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import fields
+
+import pytest
+from stand_in import Call
+
+from lensshift.cli import session
+from lensshift.reconstruction.methods import METHODS
+from lensshift.reconstruction.reconstruct import reconstruct
+
+MODULE = [sys.executable, "-m", "lensshift"]
+
+
+def ended(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*MODULE, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | environment,
+    )
+
+
+def test_the_package_is_a_command() -> None:
+    assert ended("--version").stdout.startswith("lensshift 0.")
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [("lensshift rec", {"reconstruct"}), ("lensshift reconstruct --method ti", {"tikhonov"})],
+)
+def test_the_shell_is_told_how_a_word_goes_on(words: str, offered: set[str]) -> None:
+    told = ended(
+        _LENSSHIFT_COMPLETE="complete_bash",
+        COMP_WORDS=words,
+        COMP_CWORD=str(len(words.split()) - 1),
+    )
+    assert set(told.stdout.split()) == offered
+    assert "--install-completion" in ended("--help").stdout
+
+
+@pytest.mark.parametrize("group", [[], ["evaluate"], ["lens"], ["emulate"]], ids=str)
+def test_no_description_is_cut(call: Call, group: list[str]) -> None:
+    text = call(*group, "--help").stdout
+    verbs = text.split("Commands:")[1]
+    assert "..." not in verbs
+    assert len(verbs.split()) > 20
+
+
+def test_methods_are_listed_with_their_options(call: Call) -> None:
+    text = call("methods").stdout
+    for name, method in METHODS.items():
+        assert f"{name} " in text
+        assert method.summary in text
+    told = json.loads(call("methods", "--json").stdout)
+    told.pop("warnings")
+    assert list(told) == list(METHODS)
+    for name, method in METHODS.items():
+        options = told[name]["options"]
+        assert [one["name"] for one in options] == [one.name for one in fields(method)]
+        assert all(one["expected"] for one in options)
+    one = call("methods", "tv").stdout
+    assert "iterations=16" in one
+    assert "tikhonov" not in one
+    assert call("methods", "no-such").exit_code == 2
+
+
+def test_every_option_of_a_method_is_in_its_docstring() -> None:
+    for method in METHODS.values():
+        for one in fields(method):
+            if one.name != "prior_weight":
+                assert one.name in (method.__doc__ or ""), (method.name, one.name)
+    assert "prior_weight" in (reconstruct.__doc__ or "")
+
+
+def test_waiting_says_so_and_stops(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "_QUIET_S", 0.02)
+    monkeypatch.setattr(session, "_FILE_EVERY_S", 0.05)
+    before = threading.active_count()
+    with session.session(as_json=False, debug=False, doing="measuring") as current:
+        time.sleep(0.4)
+        current.say("done")
+        said = capsys.readouterr()
+        assert "measuring: 0 s" in said.err
+        time.sleep(0.2)
+    assert said.out == "done\n"
+    assert capsys.readouterr().err == ""
+    assert threading.active_count() == before

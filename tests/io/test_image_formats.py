@@ -1,0 +1,136 @@
+"""OME-TIFF, FITS, napari and Open3D get every image with names, units and places."""
+
+import re
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+import lensshift
+from lensshift.core.types import Burst, Reconstruction
+from lensshift.io import (
+    export_burst,
+    export_reconstruction,
+    load_image_stack,
+    napari_layers,
+    picture_layers,
+    save_burst,
+    save_reconstruction,
+)
+from lensshift.io.picture_layers import napari_reader
+
+NAMES = [
+    "amplitude", "amplitude_std", "amplitude_misfit", "distance", "distance_std",
+    "distance_misfit", "flying",
+]  # fmt: skip
+
+
+def a_burst(seed: int = 0) -> Burst:
+    rng = np.random.default_rng(seed)
+    amplitude = 1.0 + 0.2 * rng.random((4, 9, 13))
+    burst = Burst.from_arrays(
+        amplitude,
+        3.0 + 0.1 * rng.random((4, 9, 13)),
+        offset_px=[[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5]],
+        pitch_mm=(0.15, 0.1),
+        modulation_hz=15e6,
+    )
+    return replace(burst, intrinsics=lensshift.Pinhole(40.0, 60.0, 6.5, 3.0))
+
+
+@pytest.fixture(scope="module")
+def result() -> Reconstruction:
+    return lensshift.reconstruct(a_burst(), scale=2)
+
+
+def test_layers_are_all_images(result: Reconstruction) -> None:
+    layers = picture_layers(result)
+    assert [one.name for one in layers] == NAMES
+    assert {one.name: one.unit for one in layers}["distance_std"] == "m"
+    assert layers[0].values is result["amplitude"].image
+    assert [one.values.shape for one in picture_layers(a_burst())] == [(4, 9, 13)] * 2
+
+
+def test_ome_tiff_names_channels_and_pixels(result: Reconstruction, tmp_path: Path) -> None:
+    export_reconstruction(result, tmp_path / "a.ome.tif")
+    with tifffile.TiffFile(tmp_path / "a.ome.tif") as file:
+        assert file.is_ome
+        assert file.series[0].axes == "CYX"
+        values, told = file.asarray(), file.ome_metadata
+    assert values.shape == (7, 18, 26)
+    np.testing.assert_array_equal(values[3], result["distance"].image.astype(np.float32))
+    assert told is not None
+    assert 'Name="distance_std (m)"' in told
+    export_burst(a_burst(), tmp_path / "b.ome.tif")
+    with tifffile.TiffFile(tmp_path / "b.ome.tif") as file:
+        assert file.series[0].axes == "TCYX"
+    export_burst(replace(a_burst(), distance_m=None), tmp_path / "c.ome.tif")
+    again = load_image_stack(tmp_path / "a.ome.tif")
+    assert again.grid.pitch_mm == pytest.approx((0.075, 0.05))
+
+
+def test_fits_says_where_pixels_look(result: Reconstruction, tmp_path: Path) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    wcs = pytest.importorskip("astropy.wcs")
+    export_reconstruction(result, tmp_path / "a.fits")
+    assert result.intrinsics is not None
+    directions = result.intrinsics.directions(result.grid.shape)
+    with fits.open(tmp_path / "a.fits") as pages:
+        pages.verify("exception")
+        assert [page.name.lower() for page in pages[1:]] == NAMES
+        page = pages["DISTANCE"]
+        np.testing.assert_array_equal(page.data, result["distance"].image)
+        assert page.header["BUNIT"] == "m"
+        row, col = 4, 17
+        right_deg, up_deg = wcs.WCS(page.header).pixel_to_world_values(col, row)
+        x_mm, y_mm = wcs.WCS(page.header, key="A").pixel_to_world_values(col, row)
+    x, y, z = directions[row, col]
+    # The gnomonic projection: tangents of the plane z = 1.
+    right, up = np.deg2rad([right_deg, up_deg])
+    assert np.tan(right) == pytest.approx(x / z, rel=1e-9)
+    assert np.tan(up) / np.cos(right) == pytest.approx(-y / z, rel=1e-9)
+    factor = 1e3 if x_mm < 0.1 else 1.0  # astropy turns mm into m
+    assert (x_mm * factor, y_mm * factor) == pytest.approx((17 * 0.05, 4 * 0.075))
+    export_burst(replace(a_burst(), intrinsics=None), tmp_path / "b.fits")
+    with fits.open(tmp_path / "b.fits") as pages:
+        assert pages["AMPLITUDE"].data.shape == (4, 9, 13)
+
+
+def test_napari_gets_layers_and_reads_files(result: Reconstruction, tmp_path: Path) -> None:
+    layers = napari_layers(result)
+    assert [options["name"] for _, options, _ in layers] == NAMES
+    assert {kind for _, _, kind in layers} == {"image", "labels"}
+    assert [one[1]["name"] for one in layers if one[1]["visible"]] == ["amplitude", "distance"]
+    assert layers[0][1]["scale"] == (0.075, 0.05)
+    assert napari_layers(a_burst())[0][1]["scale"] == (1.0, 0.15, 0.1)
+    save_burst(a_burst(), tmp_path / "burst.nc")
+    save_reconstruction(result, tmp_path / "result.nc")
+    for name, count in (("burst.nc", 2), ("result.nc", 7)):
+        read = napari_reader(str(tmp_path / name))
+        assert read is not None
+        assert len(read(str(tmp_path / name))) == count
+    (tmp_path / "other.nc").write_bytes(b"CDF")
+    assert napari_reader(str(tmp_path / "other.nc")) is None
+    assert napari_reader([str(tmp_path / "burst.nc")]) is None
+
+
+def test_the_manifest_names_what_there_is() -> None:
+    text = (Path(lensshift.__file__).parent / "napari.yaml").read_text(encoding="utf-8")
+    commands = re.findall(r"id: (\S+)\n\s+title: .*\n\s+python_name: (\S+):(\S+)", text)
+    assert commands
+    for name, module, function in commands:
+        assert callable(getattr(import_module(module), function))
+        assert f"- command: {name}" in text
+    assert text.startswith("name: lensshift\n")
+
+
+def test_open3d_gets_float32(result: Reconstruction) -> None:
+    cloud = result.point_cloud(normals=True)
+    arrays = cloud.to_open3d()
+    assert set(arrays) == {"positions", "normals", "amplitude", "std"}
+    assert all(one.dtype == np.float32 and len(one) == len(cloud) for one in arrays.values())
+    assert arrays["std"].shape == (len(cloud), 1)
+    np.testing.assert_allclose(arrays["positions"], cloud.point_m, rtol=1e-6)

@@ -1,0 +1,264 @@
+"""README and docs hold what they promise: commands and snippets run, links lead somewhere."""
+
+import ast
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from lensshift.cli.app import app
+
+ROOT = Path(__file__).resolve().parents[1]
+WRITTEN_BY_THE_BUILD = {"_site", "generated", "gallery", "_ext", "_static", "_templates"}
+DOCUMENTS = [
+    ROOT / "README.md",
+    *(
+        path
+        for path in sorted((ROOT / "docs").rglob("*.md"))
+        if not WRITTEN_BY_THE_BUILD & set(path.relative_to(ROOT / "docs").parts)
+    ),
+]
+GALLERY = sorted((ROOT / "examples" / "gallery").glob("plot_*.py"))
+
+# Lines that are not run, with the reason.
+NOT_RUN = {
+    r"pip install|python3 -m venv|\.venv/bin/activate": "sets up an environment",
+    r"^lensshift live ": "runs until Ctrl-C (tests/live)",
+    r"^lensshift emulate ": "runs until Ctrl-C (tests/capture)",
+    r"rig\.toml|--devices|scan\.nc|calibration\.json|shot\.nc": "needs a rig (tests/pipeline)",
+    r"mdsp_eia|REFERENCE_FOLDER|^python benchmarks/|^python examples/": "test_examples",
+    r"^lensshift (reproduce|lens optimise|lens tolerance)|--workers": "minutes: has its own test",
+    r"recording\.pcap|mine\.zmx|--window 4 --every|sr\.mcap": "files of the reader's own",
+    r"^\$ |^bicubic |^shift-and-add |^auto |^wrote ": "output",
+    r"frames/|planned\.csv": "files of the reader's own",
+}  # fmt: skip
+# Snippets that show an interface of the reader's own.
+NOT_RUN_PYTHON = r"open_rig\(|my_grab|as rig:"
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def blocks(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield the code of a document in its order: ("sh" | "python", text)."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    number = 0
+    while number < len(lines):
+        fence = re.match(r"^(```|:::+)\s*\{?(\w*)", lines[number])
+        if fence and fence[1] == "```":
+            end = next(k for k in range(number + 1, len(lines)) if lines[k].startswith("```"))
+            if fence[2] in ("python", "toml"):
+                yield fence[2], "\n".join(lines[number + 1 : end])
+            number = end + 1
+            continue
+        before = lines[number - 1].strip() if number else ""
+        if lines[number].startswith("    ") and not before:
+            end = number
+            while end < len(lines) and (lines[end].startswith("    ") or not lines[end].strip()):
+                end += 1
+            text = "\n".join(line[4:] for line in lines[number:end]).strip()
+            yield ("python" if re.match(r"(from|import|\w+ = lensshift\.)", text) else "sh"), text
+            number = end
+            continue
+        number += 1
+
+
+def commands(text: str) -> Iterator[str]:
+    """Yield the commands of a shell block, one line each."""
+    for line in text.replace("\\\n", " ").splitlines():
+        if line.strip() and not line.startswith(("=", "y_k", "u =", "point =", "offset =", "Y_k")):
+            yield line.strip()
+
+
+def told_by(document: Path) -> list[str]:
+    return [line for kind, text in blocks(document) if kind == "sh" for line in commands(text)]
+
+
+def lensshift_calls(line: str) -> Iterator[list[str]]:
+    """Yield the words of each call of `lensshift` on a line, without comments."""
+    for part in re.split(r"&&|;|\|", re.sub(r"(^|\s)#.*$", "", line)):
+        words = shlex.split(part)
+        if words and Path(words[0]).name == "lensshift":
+            yield words[1:]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+def test_every_command_names_verbs_and_options_that_exist(document: Path) -> None:
+    for line in told_by(document):
+        for words in lensshift_calls(line):
+            verb = get_command(app)
+            while words and words[0] in getattr(verb, "commands", {}):
+                verb = verb.commands[words.pop(0)]
+            assert not getattr(verb, "commands", {}) or words in (["--help"], []), line
+            known = {name for one in verb.params for name in (*one.opts, *one.secondary_opts)}
+            options = {word.partition("=")[0] for word in words if re.match(r"--?[a-z]", word)}
+            assert options <= known | {"--help"}, line
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+def test_every_snippet_is_python(document: Path) -> None:
+    for kind, text in blocks(document):
+        if kind == "python":
+            ast.parse(text)
+
+
+def test_the_search_for_code_finds_some() -> None:
+    text = "\n".join(line for document in DOCUMENTS for line in told_by(document))
+    assert text.count("lensshift ") > 90
+    assert sum(kind == "python" for one in DOCUMENTS for kind, _ in blocks(one)) > 12
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+def test_links_to_files_lead_somewhere(document: Path) -> None:
+    text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.S)
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        if not re.match(r"https?:|mailto:", target):
+            assert (document.parent / target).exists(), target
+    for target in re.findall(r"\{doc\}`(?:[^`<]*<)?([^`>]+)>?`", text):
+        if "generated" not in target and "gallery" not in target:
+            assert (document.parent / f"{target}.md").exists(), target
+
+
+MESSAGES = ROOT / "docs" / "troubleshooting.md"
+
+
+def test_messages_that_are_explained_exist() -> None:
+    source = " ".join(
+        re.sub(r'["\']\s*\n?\s*f?["\']', "", path.read_text(encoding="utf-8"))
+        for path in (ROOT / "src").rglob("*.py")
+    )
+    source = " ".join(source.split())
+    quoted = re.findall(r"^\*\*`([^`]+)`\*\*", MESSAGES.read_text(encoding="utf-8"), re.M)
+    assert len(quoted) > 12
+    for message in quoted:
+        for part in message.split("..."):
+            if len(part.strip()) > 3:
+                assert part.strip() in source, message
+
+
+def place_of(document: Path, tmp_path: Path) -> dict[str, str]:
+    """Make `lensshift` a command in a folder, with what README assumes; return the environment."""
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    shim = programs / "lensshift"
+    shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m lensshift "$@"\n', encoding="utf-8")
+    shim.chmod(0o755)
+    folder = tmp_path / "work"
+    folder.mkdir()
+    shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__*"))
+    path = os.pathsep.join([str(programs), os.environ.get("PATH", "")])
+    return dict(os.environ) | {"PATH": path, "MPLBACKEND": "agg"}
+
+
+# What a page takes for granted: made by another page, or by the first command of README.
+BEFORE = {
+    "README.md": [
+        "lensshift run examples/four_boxes.toml --out out",
+        "cp out/burst.nc . && cp out/burst.nc recording.nc",
+    ],
+    "docs/point-clouds.md": [],
+    "docs/lens.md": ["lensshift simulate four_boxes -o burst.nc"],
+    "docs/registration.md": [
+        "lensshift simulate four_boxes -o burst.nc && lensshift convert burst.nc frames.tif"
+    ],
+    "docs/gradients.md": [],
+}
+PYTHON_BEFORE = {
+    "README.md": """
+import numpy as np
+from lensshift.pipeline import demo_burst
+demo, _ = demo_burst()
+frames, offset_px = demo.amplitude, demo.offset_px
+frame = frames[0]
+""",
+    "docs/lens.md": "import lensshift\nburst = lensshift.load_burst('burst.nc')\n",
+    "docs/registration.md": "import lensshift\nburst = lensshift.load_burst('burst.nc')\n",
+    "docs/howto/scenes.md": "",
+}
+
+
+def reason_not_to_run(line: str) -> str | None:
+    return next((why for what, why in NOT_RUN.items() if re.search(what, line)), None)
+
+
+def write_files(document: Path, folder: Path) -> None:
+    """Write the files that a page shows, under the name that it says after them."""
+    names = re.findall(r"[Ss]aved as `([\w.]+\.toml)`", document.read_text(encoding="utf-8"))
+    shown = [text for kind, text in blocks(document) if kind == "toml"]
+    for name, text in zip(names, shown, strict=False):
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+def test_commands_and_snippets_run(document: Path, tmp_path: Path) -> None:
+    environment = place_of(document, tmp_path)
+    folder = tmp_path / "work"
+    write_files(document, folder)
+    if not any(blocks(document)):
+        pytest.skip("no code on this page")
+    script = [*BEFORE.get(named(document), [])]
+    code = PYTHON_BEFORE.get(named(document), "")
+    ran = 0
+    for line in script:
+        subprocess.run(["bash", "-c", line], cwd=folder, env=environment, check=True)
+    for kind, text in blocks(document):
+        if kind == "sh":
+            for line in commands(text):
+                if reason_not_to_run(line) or not re.search(r"lensshift |printf", line):
+                    continue
+                done = subprocess.run(
+                    ["bash", "-c", line], cwd=folder, env=environment,
+                    capture_output=True, text=True, check=False,
+                )  # fmt: skip
+                assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+                ran += 1
+        elif kind == "python" and not re.search(NOT_RUN_PYTHON, text):
+            code += text + "\n"  # a page is one session
+            (folder / "page.py").write_text(code, encoding="utf-8")
+            done = subprocess.run(
+                [sys.executable, "page.py"], cwd=folder, env=environment,
+                capture_output=True, text=True, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, f"{text}\n{done.stderr}"
+            ran += 1
+    assert ran or not told_by(document) or all(map(reason_not_to_run, told_by(document)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", GALLERY, ids=lambda path: path.stem)
+def test_gallery_scripts_draw(script: Path, tmp_path: Path) -> None:
+    code = (
+        "import runpy, sys\nfrom matplotlib.figure import Figure\n"
+        f"found = runpy.run_path({str(script)!r})\n"
+        "drawn = [one for one in found.values() if isinstance(one, Figure)]\n"
+        "for number, one in enumerate(drawn): one.savefig(f'{number}.png')\n"
+        "sys.exit(not drawn)"
+    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_examples_in_docstrings_hold() -> None:
+    import doctest
+    from importlib import import_module
+
+    attempted = 0
+    for path in sorted((ROOT / "src" / "lensshift").rglob("*.py")):
+        if ">>>" not in path.read_text(encoding="utf-8"):
+            continue
+        parts = path.relative_to(ROOT / "src").with_suffix("").parts
+        name = ".".join(parts).removesuffix(".__init__")
+        found = doctest.testmod(import_module(name))
+        assert found.failed == 0, name
+        attempted += found.attempted
+    assert attempted > 5
