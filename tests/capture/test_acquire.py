@@ -386,6 +386,15 @@ def test_no_order_is_shorter(cells: list[tuple[int, int]], overrun: float) -> No
     assert way(order, places, overrun) == pytest.approx(best)
 
 
+def test_the_order_knows_which_way_each_axis_overruns() -> None:
+    """One axis runs up forward, the other backward: the cheap way round is a diagonal."""
+    square = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    forward = shortest_order(square, 2.0, [0.0, 0.0])
+    mirrored = shortest_order(square * [1, -1], [2.0, -2.0], [0.0, 0.0])
+    assert forward == mirrored
+    assert shortest_order(-square, -2.0, [0.0, 0.0]) == forward
+
+
 def test_many_places_are_visited_once_and_not_in_the_given_order() -> None:
     places = np.random.default_rng(2).random((16, 2))
     order = shortest_order(places, 0.1, [0.0, 0.0])

@@ -39,7 +39,7 @@ class Acquisition:
     frame_timeout_s : how long to wait for a frame
     hold_mm : how far the stage may stray from its place while frames are taken
     reorder : visit the positions so that the stage moves least
-    approach_mm : how far the stage overruns when it goes back, for the order
+    approach_mm : how far the stage overruns when it goes back, for the order, if it does not tell
     """
 
     frames: int = 1
@@ -79,6 +79,7 @@ class Progress:
     counts: Mapping[str, int]
 
 
+_MEANWHILE = "the lens is on its way back to rest; Ctrl-C once more leaves it where it is"
 OnStep = Callable[[Progress], None]
 
 
@@ -156,7 +157,7 @@ def acquire_at(
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)
     if settings.reorder and not direct:
-        order = shortest_order(positions, settings.approach_mm, stage.position_mm())
+        order = shortest_order(positions, run_up_mm(stage, settings), stage.position_mm())
         positions = positions[order]
     header = capture_header(stage, camera, positions, calibration, asdict(settings), plan_name)
     with opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
@@ -180,6 +181,11 @@ def acquire_at(
     return burst
 
 
+def run_up_mm(stage: Stage, settings: Acquisition) -> Any:
+    """Return how far, and which way, the stage overruns; a stage of its own kind may tell."""
+    return getattr(stage, "approach_mm", settings.approach_mm)
+
+
 def looking(burst: Burst, camera: Camera) -> Burst:
     """Return the burst with where the pixels look, if the camera has told it with its frames.
 
@@ -192,10 +198,11 @@ def looking(burst: Burst, camera: Camera) -> Burst:
 def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
     """Bring the lens back to rest when the block ends, or stop it where the stage has failed.
 
-    SIGTERM and a closed terminal end the block as Ctrl-C does, and wait until the lens is back.
+    SIGTERM and a closed terminal end the block as Ctrl-C does, and wait until the lens is back; a
+    second Ctrl-C waits too, and only a third one leaves the lens where it is.
     """
     finished = failed = False
-    with ended_by_signals():
+    with ended_by_signals(ctrl_c=True):
         try:
             yield
             finished = True
@@ -203,11 +210,11 @@ def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
             failed = bool(error.device) and error.device in stage.name  # or one of its axes
             raise
         finally:
-            with ended_by_signals(at_once=False):
-                _return(stage, rest_mm, finished=finished, failed=failed)
+            with ended_by_signals(at_once=False, ctrl_c=True, meanwhile=_MEANWHILE):
+                _return(stage, np.asarray(rest_mm), finished=finished, failed=failed)
 
 
-def _return(stage: Stage, rest_mm: ArrayLike, *, finished: bool, failed: bool) -> None:
+def _return(stage: Stage, rest_mm: Array, *, finished: bool, failed: bool) -> None:
     if not finished:
         stage.stop()
     if not failed:
@@ -217,6 +224,12 @@ def _return(stage: Stage, rest_mm: ArrayLike, *, finished: bool, failed: bool) -
             stage.stop()
             if finished:
                 raise
+        except KeyboardInterrupt as error:
+            stage.stop()
+            here, rest = (
+                ", ".join(f"{x:.4f}" for x in one) for one in (stage.position_mm(), rest_mm)
+            )
+            raise KeyboardInterrupt(f"the lens stands at {here} mm, rest is {rest} mm") from error
 
 
 def check_travel(stage: Stage, position_mm: ArrayLike) -> None:

@@ -18,6 +18,7 @@ from lensshift.capture.acquire import (
     looking,
     offsets,
     returning,
+    run_up_mm,
 )
 from lensshift.capture.journal import capture_header
 from lensshift.capture.plan import shortest_order
@@ -95,7 +96,7 @@ def _in_order(
     check_travel(stage, positions)
     order = list(range(len(positions)))
     if settings.reorder:
-        order = shortest_order(positions, settings.approach_mm, positions[-1])
+        order = shortest_order(positions, run_up_mm(stage, settings), positions[-1])
     return order, positions[order]
 
 
