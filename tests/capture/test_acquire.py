@@ -337,12 +337,12 @@ def test_frames_one_by_one_know_their_place_on_the_plan() -> None:
     stream = frames(stage, camera, plan, CALIBRATION, Acquisition(frames=2))
     records = list(islice(stream, 16))
     stream.close()  # type: ignore[attr-defined]
-    places = [one["step"] for one in records]
+    places = [one.step for one in records]
     assert sorted(places) == [0] * 4 + [1] * 4 + [2] * 4 + [3] * 4
     assert places[:8] == places[8:]
     for one in records:
-        expected_mm = CALIBRATION.stage_mm(plan.target_px[one["step"]][None])[0]
-        np.testing.assert_allclose(one["stage_commanded_mm"], expected_mm)
+        expected_mm = CALIBRATION.stage_mm(plan.target_px[one.step][None])[0]
+        np.testing.assert_allclose(one.stage_commanded_mm, expected_mm)
     np.testing.assert_array_equal(stage.place_mm, REST)
 
 

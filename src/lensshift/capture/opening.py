@@ -22,6 +22,7 @@ from lensshift.core.motion import ShiftPlan, StageMap
 from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of
 from lensshift.core.types import Burst
 from lensshift.core.units import doubt_about_units
+from lensshift.io.capture_file import FrameRecord
 
 # Lens travel of a quarter pixel of 0.155 mm, with the first lens of the reference design.
 QUARTER_PIXEL_MM = 0.0444
@@ -134,7 +135,7 @@ class Rig:
         wanted = named_plan(plan) if isinstance(plan, str) else plan
         return bursts(self.stage, self.camera, wanted, self.calibration, self.acquisition)
 
-    def frames(self, plan: ShiftPlan | str) -> Iterator[dict[str, Any]]:
+    def frames(self, plan: ShiftPlan | str) -> Iterator[FrameRecord]:
         """Yield one frame after another until the caller stops, see `capture.rounds.frames`."""
         wanted = named_plan(plan) if isinstance(plan, str) else plan
         return frames(self.stage, self.camera, wanted, self.calibration, self.acquisition)
