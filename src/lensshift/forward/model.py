@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.grid import hr_to_lr
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image
 from lensshift.forward.operator import Array, LinearOperator, by_parts
 from lensshift.forward.sampling import (
@@ -125,6 +126,16 @@ class ForwardModel:
             lambda x: stack.forward(x)[0],
             lambda y: stack.adjoint(y[None]),
         )
+
+    def on_grid(self, scale: int, moved_px: ArrayLike = (0.0, 0.0)) -> ForwardModel:
+        """Return the model of the same frames on another HR grid, which is moved by (row, col)."""
+        moved = np.asarray(moved_px, dtype=np.float64)
+        if self.offset_px is not None:
+            return forward_model(self.lr_shape, scale, self.offset_px - moved, blur=self.blur)
+        seen = (hr_to_lr(taps.position_hr_px, self.scale) for taps in (self.rows, self.cols))
+        rows, cols = np.ogrid[: self.lr_shape[0], : self.lr_shape[1]]
+        offset_px = np.stack([u - at for u, at in zip((rows, cols), seen, strict=True)], axis=-1)
+        return forward_model(self.lr_shape, scale, shift_field_px=offset_px - moved, blur=self.blur)
 
     def crop(self, rows: slice, cols: slice) -> ForwardModel:
         """Return the model of a part of the frames (LR rows and columns) and of the HR image."""

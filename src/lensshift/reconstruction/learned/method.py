@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
-from lensshift.forward.model import forward_model
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.memory import Memory
@@ -158,8 +157,6 @@ def _seen_otherwise(
     may be finer than the grid. Both seem to contradict in those frames that are not believed there.
     """
     model, scale = problem.model, problem.scale
-    if model.offset_px is None:
-        return misfit
     doubted = np.any(misfit.doubt > 1.0, axis=0)
     rows, cols = (
         slice(max(0, int(at.min()) - AROUND_PX), int(at.max()) + 1 + AROUND_PX)
@@ -168,13 +165,12 @@ def _seen_otherwise(
     rows, cols = (
         slice(p.start, min(p.stop, n)) for p, n in zip((rows, cols), doubted.shape, strict=True)
     )
-    turns = np.exp(2j * np.pi * (scale * model.offset_px + (scale - 1) / 2))
+    turns = np.exp(2j * np.pi * (scale * model.mean_offset_px + (scale - 1) / 2))
     off_px = np.angle(turns.mean(axis=0)) / (2 * np.pi * scale)
     grids = [(scale, off_px)] if np.max(np.abs(off_px)) > NODE_PX else []
     grids += [(2 * scale, np.zeros(2))] if 2 * scale <= MOST_SCALE else []
     for finer, moved_px in grids:
-        whole = forward_model(model.lr_shape, finer, model.offset_px - moved_px, blur=model.blur)
-        other = whole.crop(rows, cols)
+        other = model.on_grid(finer, moved_px).crop(rows, cols)
         part = replace(problem, model=other, y=np.ascontiguousarray(problem.y[:, rows, cols]))
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
         _, again = _solved_once(part, Asked(other, part.y, sigma, problem.blur_sigma_px), request)
