@@ -86,6 +86,12 @@ class LensField:
         """Of a state."""
         return "rad" if self.motion == "tilt" else "mm"
 
+    @property
+    def middle_px2(self) -> float:
+        """Variance of the spot in the middle of the sensor at rest, the mean of both axes."""
+        middle = np.zeros(1)
+        return float(_evaluated(self.spot_px2, [middle, middle], np.zeros((1, 2))).mean())
+
     def at(self, state: ArrayLike) -> ShiftField:
         """Return shift and spot of every pixel for states [frame 2] in mm or rad.
 

@@ -26,7 +26,7 @@ class ShiftField:
     offset_px : [frame row col 2] (row, col), with the sign of `Burst.offset_px`
     pitch_mm : (row, col) of the pixels it was made for, or None
     spot_px2 : [frame row col 2] variance (row, col) of the spot that the lens makes of a point,
-        without the pixel, or None if that is the same everywhere
+        without the pixel, or None if that is not known to vary
     """
 
     offset_px: NDArray[np.float64]
@@ -42,8 +42,8 @@ class ShiftField:
         object.__setattr__(self, "offset_px", frozen(offset))
         if self.spot_px2 is not None:
             spot = np.asarray(self.spot_px2, dtype=np.float64)
-            if spot.shape != offset.shape or not np.all(np.isfinite(spot) & (spot >= 0)):
-                raise ValueError(f"expected variances {offset.shape} from 0, got {spot.shape}")
+            if spot.shape != offset.shape or not np.all(np.isfinite(spot)):
+                raise ValueError(f"expected finite spot_px2 {offset.shape}, got {spot.shape}")
             object.__setattr__(self, "spot_px2", frozen(spot))
 
     def select(self, frames: Sequence[int]) -> ShiftField:

@@ -30,6 +30,7 @@ from lensshift.reconstruction.problem import (
     make_blur,
     make_problem,
     predictor,
+    square_pixel,
     without_lens,
 )
 from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of_doubt
@@ -90,7 +91,8 @@ def reconstruct(
     shift_field : offset of every pixel of every frame instead of `burst.offset_px`, which it must
         agree with in the middle of the sensor
     lens_field : how shift and spot of the lens vary over the sensor, for the frames of any burst
-        of that lens; instead of `shift_field`
+        of that lens; instead of `shift_field`. `psf_sigma_px` then holds for the middle of the
+        sensor, where nobody told it the pixel is square; all methods undo the spot
     photometric : whether to estimate gain and bias of each frame
     non_negative : whether negative values are forbidden
     seed : of everything random
@@ -129,7 +131,7 @@ def reconstruct(
     request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
     _check(scale, noise_sigma, photometric)
     response = _response(burst, psf_sigma_px, fill_factor)
-    blur = _assumed(make_blur(response["psf_sigma_px"], fill_factor), chosen)
+    blur = _undone(make_blur(response["psf_sigma_px"], fill_factor), response, chosen, lens_field)
     field = _field_of(burst, shift_field, lens_field)
     used = _frame_numbers(burst, frames, field)
     request = replace(request, frames=used, memory=memory, **_told(response, device, name))
@@ -273,7 +275,13 @@ def _response(
     return {"psf_sigma_px": float(told), "psf_source": "burst"}
 
 
-def _assumed(blur: Blur, method: Method) -> Blur:
+def _undone(
+    blur: Blur, response: Mapping[str, Any], method: Method, lens_field: LensField | None
+) -> Blur:
+    """Return the response that the method undoes; with a lens field that of the pixel alone."""
+    if lens_field is not None:
+        told = response["psf_source"] != "assumed"
+        blur = blur.widened(-lens_field.middle_px2) if told else square_pixel(blur)
     return blur if method.undoes_lens else without_lens(blur)
 
 

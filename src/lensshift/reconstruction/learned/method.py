@@ -17,7 +17,7 @@ from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
-from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.problem import Problem, blur_width_px
 
 Array = NDArray[Any]
 
@@ -98,7 +98,9 @@ def solved(
     held = kept and tuple(one.moved(1 / unit, -level / unit) for one in kept)
 
     def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
-        asked = Asked(problem.model, problem.y, noise, problem.blur_sigma_px, on_stage, held)
+        # Of the pixel: the networks have seen few responses that are much wider.
+        width_px = blur_width_px(problem.model.blur)
+        asked = Asked(problem.model, problem.y, noise, width_px, on_stage, held)
         return _solved_once(problem, asked, request)
 
     found, misfit = run(noise)
@@ -173,7 +175,8 @@ def _seen_otherwise(
         other = model.on_grid(finer, moved_px).crop(rows, cols)
         part = replace(problem, model=other, y=np.ascontiguousarray(problem.y[:, rows, cols]))
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
-        _, again = _solved_once(part, Asked(other, part.y, sigma, problem.blur_sigma_px), request)
+        asked = Asked(other, part.y, sigma, blur_width_px(other.blur))
+        _, again = _solved_once(part, asked, request)
         if not again.curable:
             return replace(misfit, doubt=np.minimum(misfit.doubt, 1.0))
     return misfit
