@@ -132,12 +132,20 @@ def likely_shifts(
     if curvature is None:
         curvature = _curvature(frames, valid, state, tapered, kinds, reference)
         _, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(free, free)] = spread * tapered.inflation
-    places = np.flatnonzero(np.arange(covariance.shape[0]) % kinds < 2)
+    return _fit_of(state, spread * tapered.inflation, reference, converged=converged)
+
+
+def _fit_of(state: _State, spread: Array, reference: int, *, converged: bool) -> ShiftFit:
+    """Return the shifts, with the covariance of the parameters of all frames but the reference."""
+    count = len(state.offset_px)
+    kinds = len(spread) // (count - 1)
+    covariance = np.zeros((2 * count, 2 * count))
+    places = np.delete(np.arange(2 * count), [2 * reference, 2 * reference + 1])
+    shifts = np.arange(len(spread)) % kinds < 2
+    covariance[np.ix_(places, places)] = spread[np.ix_(shifts, shifts)]
     return ShiftFit(
         offset_px=state.offset_px,
-        covariance_px2=covariance[np.ix_(places, places)],
+        covariance_px2=covariance,
         gain=np.exp(state.log_gain),
         noise_sigma=float(np.sqrt(state.spectrum.noise_power)),
         converged=converged,
