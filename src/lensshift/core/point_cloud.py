@@ -57,6 +57,8 @@ class PointCloud(Shown):
         cloud = open3d.t.geometry.PointCloud()
         for name, values in points.to_open3d().items():
             cloud.point[name] = open3d.core.Tensor(values)
+
+        Those that are not known are left out; `std` is in metres along the ray.
         """
         named = {
             "positions": self.point_m,
