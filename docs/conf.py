@@ -8,8 +8,6 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "_ext"))
 os.environ.setdefault("MPLBACKEND", "agg")
 
-from reference import PACKAGES  # noqa: E402
-
 import lensshift  # noqa: E402
 
 project = "lensshift"
@@ -33,7 +31,6 @@ exclude_patterns = ["_site", "_ext", "gallery/**/*.ipynb", "gallery/*.py", "gall
 exclude_patterns += ["gallery/*.codeobj.json", "gallery/*.zip", "sg_execution_times.rst"]
 exclude_patterns += ["gallery/sg_execution_times.rst"]
 
-templates_path = ["_templates"]
 html_theme = "furo"
 html_title = f"lensshift {release}"
 html_static_path = ["_static"]
@@ -46,7 +43,7 @@ myst_heading_anchors = 3
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
-autosummary_generate = [f"generated/api/{package}.rst" for package in PACKAGES]
+autosummary_generate = False  # by the extension `reference`
 autosummary_imported_members = False
 autodoc_typehints = "none"  # the signature has them
 autodoc_member_order = "bysource"

@@ -162,7 +162,13 @@ def place_of(document: Path, tmp_path: Path) -> dict[str, str]:
 BEFORE = {
     "README.md": [
         "lensshift run examples/four_boxes.toml --out out",
-        "cp out/burst.nc . && cp out/burst.nc recording.nc",
+        "cp out/burst.nc .",
+        """python -c "
+import lensshift
+from dataclasses import replace
+burst = replace(lensshift.load_burst('burst.nc'), phasors=None)
+lensshift.write_recording('recording.nc', 72, (burst for _ in range(18)))
+" """,
     ],
     "docs/point-clouds.md": [],
     "docs/lens.md": ["lensshift simulate four_boxes -o burst.nc"],
@@ -180,7 +186,10 @@ frames, offset_px = demo.amplitude, demo.offset_px
 frame = frames[0]
 """,
     "docs/lens.md": "import lensshift\nburst = lensshift.load_burst('burst.nc')\n",
-    "docs/registration.md": "import lensshift\nburst = lensshift.load_burst('burst.nc')\n",
+    "docs/registration.md": (
+        "import lensshift\nburst = lensshift.load_burst('burst.nc')\ncentre_mm = (3.0, 3.0)\n"
+    ),
+    "docs/point-clouds.md": "import lensshift\nburst = lensshift.load_burst('burst.nc')\n",
     "docs/howto/scenes.md": "",
 }
 

@@ -32,6 +32,8 @@ PACKAGES = {
     "lensshift.report": "Figures: one module each.",
 }
 _GENERATED = Path(__file__).resolve().parents[1] / "generated"
+# Members that every class has from Python.
+_NOT_SHOWN = ("object", "int", "str", "float", "tuple", "list", "dict", "Enum", "BaseException")
 _SECTION = re.compile(r"^-{3,}$")
 
 
@@ -85,14 +87,38 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
+def _name_page(whole: str) -> None:
+    """Write the page of one name. It is in no list of contents: hundreds would slow every page."""
+    module, name = whole.rsplit(".", 1)
+    value = getattr(import_module(module), name)
+    members = ""
+    if inspect.isclass(value):
+        kind = "exception" if issubclass(value, BaseException) else "class"
+        members = "   :members:\n   :inherited-members: " + ", ".join(_NOT_SHOWN) + "\n"
+    else:
+        kind = "function" if inspect.isroutine(value) else "data"
+    text = (
+        f":orphan:\n\n{name}\n{'=' * len(name)}\n\nIn :doc:`{module} <../{_package_of(module)}>`."
+        f"\n\n.. currentmodule:: {module}\n\n.. auto{kind}:: {name}\n{members}"
+    )
+    _write(_GENERATED / "api" / "names" / f"{whole}.rst", text)
+
+
+def _package_of(module: str) -> str:
+    """Return the package on whose page a module is listed."""
+    return max((one for one in PACKAGES if f"{module}.".startswith(f"{one}.")), key=len)
+
+
 def _api() -> None:
     pages, place = [], documented()
+    for whole in sorted(set(place.values())):
+        _name_page(whole)
     for package, purpose in PACKAGES.items():
         parts = [f"{package}\n{'=' * len(package)}\n\n{purpose}\n"]
         for module, names in public_names(package).items():
             if module != package:
                 parts.append(f"{module}\n{'-' * len(module)}\n")
-            parts.append(".. autosummary::\n   :toctree: names\n")
+            parts.append(".. autosummary::\n")
             parts.append("\n".join(f"   ~{place[f'{module}.{name}']}" for name in names) + "\n")
         _write(_GENERATED / "api" / f"{package}.rst", "\n".join(parts))
         pages.append(f"   {package}")

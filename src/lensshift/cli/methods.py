@@ -11,7 +11,7 @@ from lensshift.cli.session import DebugOption, JsonOption, session
 if TYPE_CHECKING:
     from lensshift.reconstruction.method import Method
 
-NameArgument = Annotated[str | None, typer.Argument(metavar="[METHOD]", help="Only this one.")]
+NameArgument = Annotated[str | None, typer.Argument(metavar="METHOD", help="Only this one.")]
 
 
 def methods(

@@ -289,8 +289,6 @@ def _reconstruct(
 
 def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], path: Path) -> None:
     import lensshift
-    from lensshift.report.result import result_figure
-    from lensshift.report.save import save_figure
 
     same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
     if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
@@ -298,6 +296,16 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
     bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
     reference = {name: one.image for name, one in bicubic.channels.items()}
     title = f"{result.method} x{result.scale}"
+    try:
+        from lensshift.report.result import result_figure
+    except ImportError:  # no matplotlib: the images alone
+        from lensshift.report.preview import save_shots
+
+        images = {name: one.image for name, one in result.channels.items()}
+        save_shots({"one frame, bicubic": reference, title: images}, "", path)
+        return
+    from lensshift.report.save import save_figure
+
     save_figure(result_figure(result, reference, title=title, cloud=_points(result)), path)
 
 

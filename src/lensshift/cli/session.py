@@ -29,6 +29,11 @@ T = TypeVar("T")
 
 # What can go wrong without a fault in this program.
 _FAILURES = (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError)
+# Package -> the extra that brings it.
+_EXTRAS = {
+    "matplotlib": "plot", "skimage": "deconvolution", "xarray": "notebook", "pandas": "notebook",
+    "astropy": "fits", "torch": "torch", "distributed": "cluster", "starlette": "live",
+}  # fmt: skip
 _QUIET_S = 1.0
 _PREPARING = "preparing (the first call after an installation compiles its inner loops)"
 _TERMINAL_EVERY_S = 0.1
@@ -117,6 +122,9 @@ def _report(error: Exception, current: Session, *, debug: bool) -> None:
     if debug:
         traceback.print_exception(error)
     text = " ".join(str(error).split()) or type(error).__name__
+    extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
+    if isinstance(error, ImportError) and extra and "lensshift[" not in text:
+        text += f"; pip install 'lensshift[{extra}]'"
     typer.echo(f"error: {text}", err=True)
     if current.as_json:
         typer.echo(to_json({"error": text, "warnings": current.warnings}))

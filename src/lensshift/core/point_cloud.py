@@ -54,9 +54,11 @@ class PointCloud(Shown):
     def to_open3d(self) -> dict[str, NDArray[np.float32]]:
         """Return name -> [n ...] float32 as `open3d.t.geometry.PointCloud` names and takes them.
 
-        cloud = open3d.t.geometry.PointCloud()
-        for name, values in points.to_open3d().items():
-            cloud.point[name] = open3d.core.Tensor(values)
+            cloud = open3d.t.geometry.PointCloud()
+            for name, values in points.to_open3d().items():
+                cloud.point[name] = open3d.core.Tensor(values)
+
+        Those that are not known are left out; `std` is in metres along the ray.
         """
         named = {
             "positions": self.point_m,

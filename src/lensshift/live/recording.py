@@ -82,15 +82,14 @@ def save_snapshot(picture: Picture, folder: Path) -> tuple[Path, ...]:
     DataError
         If a file cannot be written.
     """
-    from lensshift.report.save import save_figure
-    from lensshift.report.shots import shots_figure
+    from lensshift.report.preview import save_shots
 
     result = unused(folder, "snapshot", ".nc")
     frames, preview = result.with_name(f"{result.stem}-frames.nc"), result.with_suffix(".png")
     save_burst(picture.window, frames)
     save_reconstruction(picture.result, result)
     shown = {"one frame": one_frame(picture), picture.settings.method: _images(picture)}
-    save_figure(shots_figure(shown, f"{picture.window.frame_count} frames"), preview)
+    save_shots(shown, f"{picture.window.frame_count} frames", preview)
     return result, frames, preview
 
 

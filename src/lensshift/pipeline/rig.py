@@ -164,8 +164,7 @@ def run_bench(
     DataError, DeviceError, ValueError
         As `open_rig`, `acquire` and `reconstruct`.
     """
-    from lensshift.report.save import save_figure
-    from lensshift.report.shots import shots_figure
+    from lensshift.report.preview import save_shots
 
     find_method(method)
     folder = made_folder(writable_folder(out_dir))
@@ -181,7 +180,7 @@ def run_bench(
     save_reconstruction(result, result_file)
     bicubic = reconstruct(burst, scale, "bicubic", std=False)
     shown = {"bicubic": images_of(bicubic), method: images_of(result)}
-    save_figure(shots_figure(shown, f"{burst.frame_count} frames"), preview)
+    save_shots(shown, f"{burst.frame_count} frames", preview)
     return result, files
 
 
@@ -279,8 +278,7 @@ def _shift_errors(taken: _Taken, assumed_px: Array) -> dict[str, float]:
 def _write(
     folder: Path, taken: _Taken, results: dict[str, Reconstruction], truth: Array
 ) -> tuple[Path, ...]:
-    from lensshift.report.save import save_figure
-    from lensshift.report.shots import shots_figure
+    from lensshift.report.preview import save_shots
 
     names = ("calibration.json", "result.nc", "preview.png")
     calibration, result, preview = written = tuple(folder / name for name in names)
@@ -291,5 +289,5 @@ def _write(
     shown = {name: images_of(one) for name, one in results.items()}
     shown["truth"] = {"amplitude": truth}
     title = f"emulated rig: {taken.burst.frame_count} frames"
-    save_figure(shots_figure(shown, title), preview)
+    save_shots(shown, title, preview)
     return (*(folder / name for name in before), *written)

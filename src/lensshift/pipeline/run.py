@@ -131,8 +131,7 @@ def save_truth(truth: TofTruth, path: str | Path) -> None:
 
 
 def _write(folder: Path, experiment: Experiment, outcome: Outcome) -> tuple[Path, ...]:
-    from lensshift.report.save import save_figure
-    from lensshift.report.shots import shots_figure
+    from lensshift.report.preview import save_shots
 
     made_folder(folder)
     names = ("burst.nc", "truth.npz", "result.nc", "preview.png")
@@ -148,5 +147,5 @@ def _write(folder: Path, experiment: Experiment, outcome: Outcome) -> tuple[Path
     }
     shown["truth"] = {"amplitude": truth.amplitude, "distance": truth.distance_m}
     title = f"{experiment.name or 'experiment'}: {len(experiment.pattern_px)} frames"
-    save_figure(shots_figure(shown, title), preview)
+    save_shots(shown, title, preview)
     return files

@@ -1,0 +1,116 @@
+"""Previews of results: as a figure where matplotlib is installed, else as plain images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.io.atomic import written_whole
+
+Shots = Mapping[str, Mapping[str, NDArray[Any]]]
+
+_WIDE_PX, _LINE_PX, _GAP_PX = 520, 16, 6
+_OUTSIDE = (0.5, 99.5)  # percentiles of the last image that are shown
+_UNITS = {"amplitude": "", "distance": " m"}
+_INK, _PAPER = (34, 34, 34), (255, 255, 255)
+# Matplotlib's viridis (CC0) at places equally far apart.
+_VIRIDIS = np.array(
+    [
+        [68, 1, 84],
+        [72, 31, 112],
+        [68, 57, 131],
+        [59, 82, 139],
+        [49, 104, 142],
+        [40, 124, 142],
+        [33, 145, 140],
+        [32, 164, 134],
+        [53, 183, 121],
+        [94, 201, 98],
+        [144, 215, 67],
+        [200, 224, 32],
+        [253, 231, 37],
+    ],
+    np.float64,
+)
+
+
+def save_shots(shown: Shots, title: str, path: str | Path) -> None:
+    """Write images of one scene on one scale per channel, the last of which sets the scales.
+
+    Parameters
+    ----------
+    shown : label -> channel ("amplitude", "distance") -> [row col]
+    title : above all
+    path : a PNG
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+    """
+    try:
+        from lensshift.report.shots import shots_figure
+    except ImportError:
+        _save_plain(shown, title, path)
+        return
+    from lensshift.report.save import save_figure
+
+    save_figure(shots_figure(shown, title), path)
+
+
+def _save_plain(shown: Shots, title: str, path: str | Path) -> None:
+    """Write the images below each other, channels side by side, with a line of text over each."""
+    from PIL import Image, ImageDraw
+
+    channels = [name for name in _UNITS if any(name in images for images in shown.values())]
+    limits = {name: _limits(shown, name) for name in channels}
+    rows, cols = next(iter(shown.values()))[channels[0]].shape
+    high_px = max(1, round(_WIDE_PX * rows / cols))
+    step_px = high_px + _LINE_PX + _GAP_PX
+    size = (
+        len(channels) * (_WIDE_PX + _GAP_PX) + _GAP_PX,
+        _LINE_PX + 2 * _GAP_PX + len(shown) * step_px,
+    )
+    page = Image.new("RGB", size, _PAPER)
+    pen = ImageDraw.Draw(page)
+    pen.text((_GAP_PX, _GAP_PX), title, fill=_INK)
+    for number, (label, images) in enumerate(shown.items()):
+        top = _LINE_PX + 2 * _GAP_PX + number * step_px
+        for place, name in enumerate(channels):
+            if name not in images:
+                continue
+            left = _GAP_PX + place * (_WIDE_PX + _GAP_PX)
+            low, high = limits[name]
+            text = f"{label}: {name}, {low:.3g} to {high:.3g}{_UNITS[name]}"
+            pen.text((left, top), text, fill=_INK)
+            picture = Image.fromarray(_coloured(np.abs(images[name]), low, high, name))
+            page.paste(
+                picture.resize((_WIDE_PX, high_px), Image.Resampling.NEAREST),
+                (left, top + _LINE_PX),
+            )
+    with written_whole(path) as part:
+        page.save(part, format="PNG")
+
+
+def _limits(shown: Shots, channel: str) -> tuple[float, float]:
+    values = np.abs([images[channel] for images in shown.values() if channel in images][-1])
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, _OUTSIDE).tolist()
+    return low, high if high > low else low + 1.0
+
+
+def _coloured(image: NDArray[Any], low: float, high: float, channel: str) -> NDArray[np.uint8]:
+    level = (np.nan_to_num(image, nan=low) - low) / (high - low)
+    share: NDArray[np.float64] = np.clip(level, 0.0, 1.0)
+    if channel == "amplitude":
+        parts = [255 * share] * 3
+    else:
+        places = np.linspace(0.0, 1.0, len(_VIRIDIS))
+        parts = [np.interp(share, places, _VIRIDIS[:, k]) for k in range(3)]
+    return np.asarray(np.rint(np.stack(parts, axis=-1)), np.uint8)
