@@ -18,7 +18,7 @@ from typing import Annotated, Any, TextIO, TypeVar
 import typer
 
 from lensshift.core.ending import ended_by_signals
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import QualityWarning, printable
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to stdout.")
@@ -52,7 +52,7 @@ class Session:
     def say(self, text: str) -> None:
         """Print a line for people; nothing with --json."""
         if not self.as_json:
-            typer.echo(text)
+            typer.echo(printable(text))
 
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
@@ -69,7 +69,7 @@ class Session:
         line: str | None = None,
     ) -> None:
         """Print a warning once, on one line (has the signature of `warnings.showwarning`)."""
-        text = " ".join(str(message).split())
+        text = printable(" ".join(str(message).split()))
         if text not in self.warnings:
             self.warnings.append(text)
             typer.echo(f"warning: {text}", err=True)
@@ -99,7 +99,7 @@ def session(*, as_json: bool, debug: bool) -> Iterator[Session]:
 def _report(error: Exception, current: Session, *, debug: bool) -> None:
     if debug:
         traceback.print_exception(error)
-    text = " ".join(str(error).split()) or type(error).__name__
+    text = printable(" ".join(str(error).split())) or type(error).__name__
     typer.echo(f"error: {text}", err=True)
     if current.as_json:
         typer.echo(to_json({"error": text, "warnings": current.warnings}))
@@ -146,7 +146,7 @@ class Progress:
         if now_s - self._start_s < _QUIET_S or (not first and now_s - self._last_s < every_s):
             return
         self._last_s = now_s
-        text = f"{self._label}: {state}"
+        text = printable(f"{self._label}: {state}")
         typer.echo(f"\r{text:<90}" if terminal else text, err=True, nl=not terminal)
         self._open_line = terminal
 

@@ -5,6 +5,7 @@ from lensshift.io.export import export_burst, export_image, export_reconstructio
 from lensshift.io.image_stack import load_image_stack
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.point_cloud_file import save_point_cloud
+from lensshift.io.reading import memory_limit
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
 from lensshift.io.sequence_file import load_window
 from lensshift.io.shift_map_file import load_shift_field, load_stage_map, save_shift_map
@@ -21,6 +22,7 @@ __all__ = [
     "load_shift_field",
     "load_stage_map",
     "load_window",
+    "memory_limit",
     "open_recording",
     "save_burst",
     "save_point_cloud",
