@@ -4,21 +4,25 @@ They run in an interpreter of their own, which LENSSHIFT_FOREIGN_PYTHON names (s
 GPL or large, so they are in no extra):
 
     python -m venv foreign
-    foreign/bin/pip install thorlabs-apt-device pylablib-lightweight numba ifm3dpy
+    foreign/bin/pip install thorlabs-apt-device pylablib-lightweight numba ifm3dpy scapy
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lensshift.capture.drivers.replay import ReplayCamera
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.ifm_device import IfmDevice
+from lensshift.capture.emulators.o3m import packetise, pixel_message
 from lensshift.capture.emulators.pcic import PcicServer
 from lensshift.capture.emulators.pcic_result import directions
 from lensshift.core.types import Frame
@@ -226,3 +230,49 @@ def test_ifm3d(model: str) -> None:
     else:
         assert told["port"] == ["port0", port, "3D"]
         assert told["state"] == "RUN"
+
+
+SCAPY = """
+    import json, pathlib, sys
+    from scapy.all import Dot1Q, Ether, IP, UDP, Raw, CookedLinux, fragment, wrpcap
+    from scapy.utils import PcapNgWriter
+
+    folder = pathlib.Path(sys.argv[1])
+    parts = [bytes.fromhex(one) for one in json.loads(pathlib.Path(sys.argv[2]).read_text())]
+    ip = IP(src="192.168.1.69", dst="192.168.1.255")
+    packets = [ip / UDP(sport=50000, dport=42000) / Raw(one) for one in parts]
+    wrpcap(str(folder / "raw.pcap"), packets, linktype=101)
+    ether = [Ether(src="00:02:01:00:00:01", dst="ff:ff:ff:ff:ff:ff") / one for one in packets]
+    wrpcap(str(folder / "ethernet.pcap"), ether)
+    wrpcap(str(folder / "nanoseconds.pcap"), ether, nano=True)
+    wrpcap(str(folder / "big_endian.pcap"), ether, endianness=">")
+    vlan = [Ether(src=e.src, dst=e.dst) / Dot1Q(vlan=5) / p for e, p in zip(ether, packets)]
+    wrpcap(str(folder / "vlan.pcap"), vlan)
+    torn = [Ether(src=ether[0].src, dst=ether[0].dst) / f for p in packets
+            for f in fragment(p, fragsize=552)]
+    wrpcap(str(folder / "fragments.pcap"), torn)
+    wrpcap(str(folder / "cooked.pcap"), [CookedLinux(proto=0x800) / p for p in packets])
+    with PcapNgWriter(str(folder / "ethernet.pcapng")) as file:
+        for one in ether:
+            file.write(one)
+    print(json.dumps({"files": sorted(one.name for one in folder.glob("*.pcap*"))}))
+"""
+
+
+def test_recordings_that_scapy_wrote(tmp_path: Path) -> None:
+    rng, sent, packets = np.random.default_rng(4), [], []
+    for number in range(5):
+        distance_m = rng.uniform(0.5, 9.0, (16, 64))
+        frame = Frame(rng.random((16, 64)), distance_m, np.ones((16, 64), dtype=bool), 0.0)
+        sent.append(distance_m)
+        packets += packetise({8: pixel_message(frame)}, 100 + number, 1000 + 20 * number)
+    (tmp_path / "packets.json").write_text(json.dumps([one.hex() for one in packets]))
+    told = foreign("scapy", SCAPY, tmp_path, tmp_path / "packets.json")
+    assert len(told["files"]) == 8
+    for name in told["files"]:
+        camera = ReplayCamera(tmp_path / name, pitch_mm=0.155, speed=math.inf)
+        camera.open()
+        for distance_m in sent:
+            seen_m = camera.next_frame(20.0).frame.distance_m
+            np.testing.assert_allclose(seen_m, distance_m, atol=1e-5, err_msg=name)
+        camera.close()

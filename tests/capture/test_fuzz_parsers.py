@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lensshift.capture.drivers import apt_codec as apt
+from lensshift.capture.drivers.apt_framer import Framer
 from lensshift.capture.drivers.o3m_layout import read_diagnosis, read_image
 from lensshift.capture.drivers.o3m_packets import MAX_MESSAGE_BYTES
 from lensshift.capture.drivers.o3m_stream import O3MStream
@@ -16,6 +18,8 @@ from lensshift.capture.drivers.pcic_protocol import (
     MAX_MESSAGE_BYTES as MAX_PCIC_BYTES,
 )
 from lensshift.capture.drivers.pcic_protocol import PcicParser, read_result, write_message
+from lensshift.capture.emulators.apt_controller import AptController
+from lensshift.capture.emulators.apt_messages import SIZES
 from lensshift.capture.emulators.o3m import (
     LAYOUTS,
     diagnosis_message,
@@ -167,6 +171,38 @@ def fuzz_pcic(count: int, seed: int) -> None:
     assert parser.skipped_bytes > 0
 
 
+def fuzz_apt(count: int, seed: int) -> None:
+    """The driver's end of the line and the emulator's take what comes, and hold little of it."""
+    rng = np.random.default_rng(seed)
+    sent = [apt.Message(number, (1, 1)).to_bytes() for number in SIZES]
+    sent += [apt.Message(n, data=bytes([1, *bytes(max(s) - 1)])).to_bytes()
+             for n, s in SIZES.items() if max(s)]  # fmt: skip
+    status = apt.Status(1000, 5, 0, int(apt.Bits.HOMED | apt.Bits.ENABLED))
+    heard = apt.Message(apt.Id.STATUS, data=status.pack()).to_bytes(apt.HOST, apt.CONTROLLER)
+    controller, framer = AptController(speed=100.0), Framer(apt.TO_HOST)
+    whole = damaged = 0
+    for number in range(count):
+        data = sent[rng.integers(len(sent))]
+        controller.receive(data if rng.random() < 0.5 else mutated(data, rng))
+        for message in framer.feed(
+            heard if rng.random() < 0.5 else mutated(heard, rng), 1e-3 * number
+        ):
+            try:
+                apt.Status.unpack(message.data)
+                whole += 1
+            except apt.DamagedMessage:
+                damaged += 1
+        assert len(framer._held) < 200
+        assert len(controller._framer._held) < 200
+    assert whole > count / 10
+    assert damaged > 0
+    assert abs(controller.lens_mm()) < 10.0
+
+
+def test_malformed_messages_of_a_stage() -> None:
+    fuzz_apt(3_000, seed=8)
+
+
 def test_malformed_packets_of_an_o3m() -> None:
     fuzz_o3m(10_000, seed=1)
 
@@ -194,6 +230,7 @@ def test_a_million_malformed_packets() -> None:
     fuzz_o3m(1_000_000, seed=5)
     fuzz_messages(300_000, seed=6)
     fuzz_pcic(300_000, seed=7)
+    fuzz_apt(100_000, seed=9)
 
 
 @pytest.mark.slow

@@ -1,19 +1,23 @@
 """The PCIC driver against the emulator, over the loopback of this computer."""
 
 import itertools
+import json
 import socket
 import threading
 import time
+import tracemalloc
+import xmlrpc.client
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
 
 from lensshift.capture.drivers.pcic import PcicCamera
 from lensshift.capture.drivers.pcic_protocol import write_message
+from lensshift.capture.emulators.ifm_device import IfmDevice
 from lensshift.capture.emulators.pcic import PcicServer
-from lensshift.capture.emulators.pcic_result import result_content
+from lensshift.capture.emulators.pcic_result import directions, result_content
 from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.types import Frame
 
@@ -251,3 +255,68 @@ def test_wrong_arguments() -> None:
         PcicServer(lambda a, b: seen(0), rate_hz=1000.0)
     with pytest.raises(ValueError, match="pitch"):
         PcicCamera("127.0.0.1", pitch_mm=0.0)
+
+
+def schema_of(*names: str) -> str:
+    blobs = [{"type": "blob", "id": name} for name in names]
+    return json.dumps({"layouter": "flexible", "elements": [
+        {"type": "string", "value": "star", "id": "start_string"}, *blobs,
+        {"type": "string", "value": "stop", "id": "end_string"},
+    ]})  # fmt: skip
+
+
+def test_a_result_holds_what_the_schema_asks_for() -> None:
+    wanted = ("amplitude_image", "confidence_image", "all_unit_vector_matrices")
+    with server() as emulator:
+        camera = client(emulator, schema=schema_of(*wanted))
+        camera.open()
+        shot = camera.next_frame(WAIT_S)
+        assert set(shot.raw) == {"amplitude", "confidence"}
+        assert shot.frame.distance_m is None
+        looking = camera.intrinsics
+        assert looking is not None
+        np.testing.assert_allclose(looking.direction, directions((13, 17)), atol=1e-6)
+        camera.close()
+
+
+@pytest.mark.parametrize("wrong", ["{", "[]", schema_of("colour_image"), '{"elements": 3}'])
+def test_a_schema_that_cannot_be_served_is_refused(wrong: str) -> None:
+    with server() as emulator, pytest.raises(DeviceError, match="refused"):
+        client(emulator, schema=wrong).open()
+
+
+def test_rubbish_and_deaf_clients_neither_fill_memory_nor_stop_the_server() -> None:
+    with server() as emulator:
+        address = ("127.0.0.1", emulator.port)
+        tracemalloc.start()
+        with socket.create_connection(address) as rubbish, suppress(OSError):
+            for _ in range(200):
+                rubbish.sendall(bytes(100_000))
+            rubbish.sendall(b"1234L999999999\r\n" + bytes(100_000))
+        with socket.create_connection(address) as deaf:
+            deaf.sendall(write_message(b"1000", b"p1"))
+            time.sleep(0.2)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert most < 2_000_000  # of the 20 MB that came
+        camera = client(emulator)
+        camera.open()
+        camera.next_frame(WAIT_S)
+        camera.close()
+
+
+@pytest.mark.parametrize(("model", "family"), [("O3D", range(1, 256)), ("O3R", range(768, 1024))])
+def test_what_a_client_asks_before_it_opens_a_camera(model: str, family: range) -> None:
+    with IfmDevice(model, 50010) as device:
+        url = f"http://127.0.0.1:{device.port}/api/rpc/v1/com.ifm.efector/"
+        proxy = xmlrpc.client.ServerProxy(url)
+        assert int(str(proxy.getParameter("DeviceType")).split(":")[1]) in family
+        with pytest.raises(xmlrpc.client.Fault):
+            proxy.reboot()
+        with pytest.raises(xmlrpc.client.ProtocolError, match="413"):
+            proxy.getParameter("x" * 100_000)
+        if model == "O3R":
+            assert json.loads(str(proxy.get(["/ports/port0/data/pcicTCPPort"]))) == {
+                "ports": {"port0": {"data": {"pcicTCPPort": 50010}}}
+            }
+        proxy("close")()

@@ -79,6 +79,35 @@ def test_a_second_signal_waits_until_the_lens_is_back(first: str) -> None:
     assert "Traceback" not in said
 
 
+SWALLOWED = """
+import signal, sys
+from lensshift.core.ending import ended_by_signals
+
+class Cleaned:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+
+with ended_by_signals() as ending:
+    one = Cleaned()
+    del one
+    print("goes on", flush=True)
+    if len(sys.argv) > 1:
+        ending.check()
+    print("ends", flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"), [(["look"], ["goes on"]), ([], ["goes on", "ends"])]
+)
+def test_a_signal_that_python_swallows_is_not_lost(arguments: list[str], said: list[str]) -> None:
+    """What a handler raises while an object is cleaned up goes nowhere; so it is looked for."""
+    command = [sys.executable, "-c", SWALLOWED, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout.split("\n")[:-1] == said
+    assert done.returncode == 128 + signal.SIGTERM
+
+
 def test_ctrl_c_during_the_return_of_a_capture_that_is_done() -> None:
     code, lines, said = run([("returning", "SIGINT")])
     assert lines == ["capturing", "returning", "at rest"]

@@ -16,7 +16,7 @@ from lensshift.capture.journal import capture_header, finished, opened
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, CameraFrame, Stage
 from lensshift.core.calibration import Calibration
-from lensshift.core.ending import ended_by_signals
+from lensshift.core.ending import Ending, ended_by_signals
 from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
@@ -160,7 +160,10 @@ def acquire_at(
         order = shortest_order(positions, run_up_mm(stage, settings), stage.position_mm())
         positions = positions[order]
     header = capture_header(stage, camera, positions, calibration, asdict(settings), plan_name)
-    with opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
+    with (
+        opened(path, header, resume=resume) as file,
+        returning(stage, calibration.rest_mm) as ending,
+    ):
         positions = np.asarray(file.header["position_mm"])
         each = 1 if settings.average else settings.frames
         taken = [one.step for one in file.frames]
@@ -176,6 +179,7 @@ def acquire_at(
                 stage, camera, target, calibration, settings, missing, direct=direct
             ):
                 file.append(replace(record, step=step))
+                ending.check()
             if on_step is not None:
                 on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
     burst = looking(burst_of_capture(file.header, file.frames, file.path), camera)
@@ -197,16 +201,16 @@ def looking(burst: Burst, camera: Camera) -> Burst:
 
 
 @contextmanager
-def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
+def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[Ending]:
     """Bring the lens back to rest when the block ends, or stop it where the stage has failed.
 
     SIGTERM and a closed terminal end the block as Ctrl-C does, and wait until the lens is back; a
     second Ctrl-C waits too, and only a third one leaves the lens where it is.
     """
     finished = failed = False
-    with ended_by_signals(ctrl_c=True):
+    with ended_by_signals(ctrl_c=True) as ending:
         try:
-            yield
+            yield ending
             finished = True
         except DeviceError as error:
             failed = bool(error.device) and error.device in stage.name  # or one of its axes

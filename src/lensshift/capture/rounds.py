@@ -47,10 +47,11 @@ def bursts(
     order, positions = _in_order(stage, plan, calibration, settings)
     header = capture_header(stage, camera, positions, calibration, asdict(settings), plan.name)
     each = len(order) * (1 if settings.average else settings.frames)
-    with returning(stage, calibration.rest_mm):
+    with returning(stage, calibration.rest_mm) as ending:
         rounds = _rounds(stage, camera, positions, calibration, settings)
         while True:
             records = list(islice(rounds, each))
+            ending.check()
             yield looking(burst_of_capture(header, records, Path(plan.name or "burst")), camera)
 
 
@@ -72,8 +73,9 @@ def frames(
     """
     settings = settings or Acquisition()
     order, positions = _in_order(stage, plan, calibration, settings)
-    with returning(stage, calibration.rest_mm):
+    with returning(stage, calibration.rest_mm) as ending:
         for record in _rounds(stage, camera, positions, calibration, settings):
+            ending.check()
             yield replace(record, step=order[record.step])
 
 

@@ -35,7 +35,9 @@ PacketLossOption = Annotated[
 ]
 ReorderOption = Annotated[float, typer.Option(min=0.0, max=0.9, help="Share of swapped packets.")]
 RateOption = Annotated[float, typer.Option("--rate-hz", min=0.1, help="Frames per second.")]
-PortOption = Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the camera.")]
+PortOption = Annotated[
+    int, typer.Option(min=0, max=65535, help="UDP port of the camera; 0: a free one.")
+]
 SceneOption = Annotated[str, typer.Option(help="Name of a scene, or a scene file (TOML).")]
 SecondsOption = Annotated[float | None, typer.Option(min=0.0, help="End by itself.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of noise and faults.")]
@@ -68,6 +70,7 @@ def rig(
       lensshift capture rig.toml -o burst.nc
     """
     with session(as_json=as_json, debug=debug) as current:
+        from lensshift.capture.emulators.listener import free_udp_port
         from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 
         settings = RigSettings(
@@ -81,6 +84,7 @@ def rig(
             speed=speed,
             seed=seed,
         )
+        port = port or free_udp_port()
         with EmulatedRig(settings, camera_port=port) as running:
             text = running.rig_file()
             if file is not None:
@@ -148,8 +152,10 @@ def o3m(
       lensshift emulate o3m --rate-hz 50 --packet-loss 0.01
     """
     with session(as_json=as_json, debug=debug) as current:
+        from lensshift.capture.emulators.listener import free_udp_port
         from lensshift.capture.emulators.o3m import O3MSender
 
+        port = port or free_udp_port()
         with O3MSender(
             _still_world(scene, seed).look,
             port=port,
@@ -170,6 +176,15 @@ def pcic(
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0: a free one.")] = 50010,
     rate_hz: RateOption = 10.0,
     model: Annotated[str, typer.Option(help="O3D or O3R.")] = "O3D",
+    xmlrpc_port: Annotated[
+        int,
+        typer.Option(
+            "--xmlrpc-port",
+            min=0,
+            max=65535,
+            help="TCP port of its settings, 80 of a real one; 0: a free one.",
+        ),
+    ] = 0,
     seconds: SecondsOption = None,
     seed: SeedOption = 0,
     as_json: JsonOption = False,
@@ -177,17 +192,24 @@ def pcic(
 ) -> None:
     """Emulate a camera that streams frames of a scene by PCIC over TCP.
 
+    Clients such as ifm3d first ask what it is, by XML-RPC at another port.
+
     \b
     Example:
-      lensshift emulate pcic --model O3D --port 50010
+      lensshift emulate pcic --model O3R --port 50010 --xmlrpc-port 8080
     """
     with session(as_json=as_json, debug=debug) as current:
+        from lensshift.capture.emulators.ifm_device import IfmDevice
         from lensshift.capture.emulators.pcic import PcicServer
 
         look = _still_world(scene, seed).look
-        with PcicServer(look, port=port, rate_hz=rate_hz, model=model) as server:
+        with (
+            PcicServer(look, port=port, rate_hz=rate_hz, model=model) as server,
+            IfmDevice(model, server.port, port=xmlrpc_port) as device,
+        ):
             current.say(f"{model} answers at 127.0.0.1:{server.port}, {rate_hz:g} Hz")
-            current.result |= {"camera_port": server.port}
+            current.say(f"its settings at port {device.port} (XML-RPC)")
+            current.result |= {"camera_port": server.port, "xmlrpc_port": device.port}
             _until_stopped(seconds, lambda: {"sent": server.sent}, current)
 
 

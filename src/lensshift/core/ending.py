@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -14,9 +15,10 @@ from types import FrameType
 _SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
+_SWALLOWED_S = 5.0  # a block that is not over so long after a signal has not felt it
 
 
-class _Ending:
+class Ending:
     """Takes signals: the first one ends the block, those after it do not disturb its end.
 
     What must not be cut short waits instead, and says so; only a second Ctrl-C cuts it short.
@@ -25,18 +27,28 @@ class _Ending:
     def __init__(self, *, at_once: bool, meanwhile: str) -> None:
         self.at_once = at_once
         self.number = 0
+        self._since_s = 0.0
         self._meanwhile = meanwhile
         self._told = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Take a signal, as Python calls its handlers."""
         again = self._told and number == signal.SIGINT
         if self._meanwhile and not self._told:
             self._told = True  # first: a handler may be interrupted by itself
             os.write(2, f"{self._meanwhile}\n".encode())  # print is not safe within a signal
-        if again or (self.at_once and not self.number):
-            self.number = number
+        now_s = time.monotonic()
+        # Python swallows what is raised while it happens to clean up an object: not twice.
+        lost = not self.number or now_s - self._since_s > _SWALLOWED_S
+        if again or (self.at_once and lost):
+            self.number, self._since_s = number, now_s
             raise self.error()
         self.number = number
+
+    def check(self) -> None:
+        """Raise what a signal has raised before, if the block goes on all the same."""
+        if self.number and self.at_once:
+            raise self.error()
 
     def error(self) -> BaseException:
         """Return what ends a program as this signal does."""
@@ -48,11 +60,12 @@ class _Ending:
 @contextmanager
 def ended_by_signals(
     *, at_once: bool = True, ctrl_c: bool = False, meanwhile: str = ""
-) -> Iterator[None]:
+) -> Iterator[Ending]:
     """Let SIGTERM and a closed terminal raise `SystemExit` in the block, as Ctrl-C would.
 
     Signals that somebody else handles or ignores (`nohup`) stay theirs. In another thread than
-    the main one, where Python delivers no signals, it does nothing.
+    the main one, where Python delivers no signals, it does nothing. What is raised may be swallowed
+    (it is where an object is being cleaned up): a long block calls `check` now and then.
 
     Parameters
     ----------
@@ -60,23 +73,23 @@ def ended_by_signals(
     ctrl_c : take Ctrl-C as well, so that a second one does not cut short the end of the first
     meanwhile : what to say on stderr when a signal has to wait
     """
+    ending = Ending(at_once=at_once, meanwhile=meanwhile)
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield ending
         return
-    ending = _Ending(at_once=at_once, meanwhile=meanwhile)
     before = {one: signal.getsignal(one) for one in _SIGNALS}
-    ours = [n for n, one in before.items() if one is signal.SIG_DFL or isinstance(one, _Ending)]
+    ours = [n for n, one in before.items() if one is signal.SIG_DFL or isinstance(one, Ending)]
     if ctrl_c:
         before[signal.SIGINT] = keyboard = signal.getsignal(signal.SIGINT)
-        if keyboard is signal.default_int_handler or isinstance(keyboard, _Ending):
+        if keyboard is signal.default_int_handler or isinstance(keyboard, Ending):
             ours.append(signal.SIGINT)
     for number in ours:
         signal.signal(number, ending)
     try:
-        yield
+        yield ending
     finally:
         if threading.current_thread() is threading.main_thread():  # a generator may end elsewhere
             for number in ours:
                 signal.signal(number, before[number])
-    if ending.number and not at_once:
+    if ending.number:  # it waited, or was swallowed
         raise ending.error()

@@ -57,6 +57,7 @@ class O3MCamera:
         self._stream = O3MStream(source)
         self._receiver = Receiver(self.name)
         self._socket: socket.socket | None = None
+        self._held_bytes = 0
 
     @property
     def name(self) -> str:
@@ -106,6 +107,8 @@ class O3MCamera:
                 "receive from the camera",
                 device=self.name,
             ) from error
+        # The system may have granted less; Linux tells twice what it holds.
+        self._held_bytes = udp.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         udp.settimeout(_LOOK_S)
         self._port = udp.getsockname()[1]
         self._socket = udp
@@ -144,7 +147,7 @@ class O3MCamera:
         DeviceTimeout
             If none came in time; the message says why.
         DeviceError
-            If the camera has started anew, or two cameras send to the port.
+            If the camera has started anew, or another one has taken its place after a silence.
         """
         before = self._stream.snapshot()
         return self._receiver.take(timeout_s, lambda: self._stream.explain(before))
@@ -163,4 +166,5 @@ class O3MCamera:
 
     def describe(self) -> Mapping[str, Any]:
         """Return what to keep beside the frames: layout, temperatures, parameters, factors."""
-        return {**self._stream.describe(), "port": self.port}
+        held = {"receive_buffer_bytes": self._held_bytes}
+        return {**self._stream.describe(), "port": self.port, **held}

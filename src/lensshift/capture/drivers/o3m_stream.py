@@ -39,6 +39,7 @@ class StreamCounts:
     foreign : no O3M packets
     packets : O3M packets of the camera, of whoever sends while it is not known yet
     other : O3M packets of a sender that was not asked for, or is not the camera
+    other_images : whole images of other cameras
     wrong : whole messages of an unknown layout, version or size
     """
 
@@ -46,6 +47,7 @@ class StreamCounts:
     foreign: int = 0
     packets: int = 0
     other: int = 0
+    other_images: int = 0
     wrong: int = 0
 
 
@@ -62,8 +64,8 @@ class O3MStream:
     """Takes datagrams, returns frames of one camera.
 
     The camera is who sends pixels that can be read, whatever else comes to the port. Its other
-    channels may come from other ports of its address. Another sender takes its place only after it
-    has fallen silent.
+    channels may come from other ports of its address. Others are counted and left aside; one takes
+    its place only after it has fallen silent.
 
     Parameters
     ----------
@@ -82,6 +84,7 @@ class O3MStream:
         self._seen_s = 0.0  # when its last image was whole
         self._informant = ""  # host that told diagnosis and parameters
         self._channels: dict[int, int] = {}  # packets of each channel
+        self.other = ""  # address of another camera that sends images
         self._stranger = ""
         self._wrong = ""
         self._time_us = 0
@@ -104,8 +107,8 @@ class O3MStream:
         Raises
         ------
         DeviceError
-            If the camera has started anew, or a second one sends images to the same port. Later
-            datagrams may be pushed all the same.
+            If the camera has started anew, or another one has taken its place after a silence.
+            Later datagrams may be pushed all the same.
         """
         self.counts.datagrams += 1
         header = read_header(datagram)
@@ -161,7 +164,8 @@ class O3MStream:
         try:
             if message.channel == PIXEL_CHANNEL:
                 image = read_image(message.content)
-                self._choose(address, arrived_s)
+                if not self._choose(address, arrived_s):
+                    return None
                 return self._frame(image, message.cycle, arrived_s)
             if self._is_camera(address, message.channel):
                 if message.channel == DIAGNOSIS_CHANNEL:
@@ -175,17 +179,16 @@ class O3MStream:
                 self._wrong = str(error)
         return None
 
-    def _choose(self, address: Address, arrived_s: float) -> None:
-        """Let the sender of an image be the camera, unless there is one."""
+    def _choose(self, address: Address, arrived_s: float) -> bool:
+        """Let the sender of an image be the camera, unless there is one; tell whether it is."""
         before = self._chosen
         if address != before and before is not None and arrived_s - self._seen_s <= QUIET_S:
-            raise DeviceError(
-                f"two cameras send to this port, {_named(before)} and {_named(address)}: "
-                "name one of them as source, with its port if the address is the same"
-            )
+            self.counts.other_images += 1
+            self.other = _named(address)
+            return False
         self._seen_s = arrived_s
         if address == before:
-            return
+            return True
         self._chosen, self.image = address, None
         if self._informant != address[0]:
             self.diagnosis, self.parameters = None, b""
@@ -194,6 +197,7 @@ class O3MStream:
                 f"the camera at {_named(before)} has fallen silent, images come from "
                 f"{_named(address)} now"
             )
+        return True
 
     def _frame(self, image: O3MImage, cycle: int, arrived_s: float) -> CameraFrame:
         if self.image is None:
@@ -213,6 +217,7 @@ class O3MStream:
             "packets": self.counts.packets,
             "foreign_packets": self.counts.foreign,
             "other_cameras_packets": self.counts.other,
+            "other_cameras_images": self.counts.other_images,
             "lost_packets": sum(one.lost for one in each),
             "duplicate_packets": sum(one.duplicate for one in each),
             "reordered_packets": sum(one.reordered for one in each),
@@ -264,6 +269,8 @@ class O3MStream:
     def describe(self) -> dict[str, Any]:
         """Return layout, temperatures, parameters and factors, as far as they have come."""
         known: dict[str, Any] = {"model": "ifm O3M", "address": self.address}
+        if self.other:
+            known["another_camera"] = f"{self.other} sends images too; choose by source"
         image, diagnosis = self.image, self.diagnosis
         if image is not None:
             known["layout"] = image.layout

@@ -321,9 +321,8 @@ class AptController:
         return self._damaged(message.to_bytes(apt.HOST, self._framer.called), self._loss)
 
     def _say_end(self, message_id: int) -> bytes:
-        """Return the end of a move: the older model says only that, the newer one where it is."""
-        long = self.info.model == "KDC101"
-        return self._say(message_id, self._status().pack() if long else b"")
+        """Return the end of a move, with the status that thorlabs-apt-device looks for in it."""
+        return self._say(message_id, self._status().pack())
 
     def _status(self) -> apt.Status:
         now_s = self._time()

@@ -20,3 +20,10 @@ def listen(host: str, port: int) -> socket.socket:
             f"cannot listen at {host}:{port} ({error.strerror}); "
             "is another emulator running there? Choose another port, or 0 for any that is free"
         ) from error
+
+
+def free_udp_port() -> int:
+    """Return a UDP port of this computer at which nobody listens now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        return int(udp.getsockname()[1])

@@ -30,8 +30,10 @@ LAYOUTS: Mapping[str, int] = {
 MODES = {"run": 0x22, "init": 0x12, "boot": 0x15, "limited": 0x21, "emergency": 0x31}
 
 PACKET_BYTES = 1460  # header and payload
-_DIAGNOSIS_BYTES = 468
-_PARAMETER_BYTES = 256
+# Sizes, names and versions as in ifm's own example parser; what the parameters hold at which place
+# is not public knowledge, so theirs are zero.
+_DIAGNOSIS = (b"O3M!DIK1\x01\x05\0\0", 360)
+_PARAMETERS = (b"O3M!DID1\x01\x04\0\0", 6648)
 _LONG_EXPOSURE, _HIGH_GAIN = 10.0, 4.0  # how much more a pixel reads
 _FULL_COUNT = 60000  # above it a pixel takes the next weaker setting
 _HALF_FIELD_RAD = (math.radians(1.6), math.radians(6.5))  # (row, col)
@@ -151,11 +153,18 @@ def _directions() -> NDArray[np.float64]:
 
 def diagnosis_message(mode: int, main_celsius: float = 41.5, light_celsius: float = 48.25) -> bytes:
     """Write the diagnosis; unlike all else it is big-endian."""
-    message = bytearray(_DIAGNOSIS_BYTES)
+    magic, size = _DIAGNOSIS
+    message = bytearray(magic.ljust(size, b"\0"))
     struct.pack_into(">f", message, 12, main_celsius)
     struct.pack_into(">f", message, 148, light_celsius)
     message[152] = mode
     return bytes(message)
+
+
+def parameter_message() -> bytes:
+    """Write the parameters: a whole message that says nothing."""
+    magic, size = _PARAMETERS
+    return magic.ljust(size, b"\0")
 
 
 class O3MSender:
@@ -286,7 +295,7 @@ class O3MSender:
             if end_s - told_s >= 1.0:
                 told_s = end_s
                 channels[256] = diagnosis_message(self._mode)
-                channels[14] = bytes(range(_PARAMETER_BYTES))
+                channels[14] = parameter_message()
             self._wait(end_s + self._delay_s)
             self._send(channels)
             begin_s = self._next_begin_s(begin_s)

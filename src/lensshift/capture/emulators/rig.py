@@ -22,6 +22,7 @@ Array = NDArray[Any]
 REACH_PX = 1.25
 _INSTANTS = 4  # of the lens during an exposure
 _STILL_MM = 1e-6
+_HOMING_S = 12.0  # the longest move of a real stage: 7.3 mm at 1 mm/s, and its ramps
 
 
 def _turned() -> Array:
@@ -144,7 +145,8 @@ class EmulatedRig:
             f'[stage]\nrow = "{row}"\ncol = "{col}"\n'
             'home = "if_needed"  # nothing real moves\n'
             f"enable_wait_s = {AptSettings().enable_wait_s / one.speed:g}\n"
-            "timeout_margin_s = 10.0  # this computer emulates as well\n"
+            f"timeout_margin_s = {10.0 + _HOMING_S / min(one.speed, 1.0):g}"
+            "  # this computer emulates as well\n"
             f"tolerance_mm = {max(0.001, 5.0 * one.encoder_noise_mm):g}\n\n"
             f'[camera]\nkind = "o3m"\nport = {self._port}\nhost = "127.0.0.1"\n'
             f"modulation_hz = {one.camera.illumination.modulation_hz[0]:g}\n\n"
