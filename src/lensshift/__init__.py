@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from lensshift.core.grid import Grid as Grid
     from lensshift.core.intrinsics import Pinhole as Pinhole
     from lensshift.core.intrinsics import PixelDirections as PixelDirections
+    from lensshift.core.lens_field import LensField as LensField
     from lensshift.core.point_cloud import PointCloud as PointCloud
     from lensshift.core.types import Burst as Burst
     from lensshift.core.types import Estimate as Estimate
@@ -73,14 +74,16 @@ if TYPE_CHECKING:
     from lensshift.evaluation.slanted_edge import slanted_edge_mtf as slanted_edge_mtf
     from lensshift.io import load_burst as load_burst
     from lensshift.io import load_image_stack as load_image_stack
+    from lensshift.io import load_lens_field as load_lens_field
     from lensshift.io import load_reconstruction as load_reconstruction
     from lensshift.io import load_window as load_window
     from lensshift.io import open_recording as open_recording
     from lensshift.io import save_burst as save_burst
+    from lensshift.io import save_lens_field as save_lens_field
     from lensshift.io import save_reconstruction as save_reconstruction
     from lensshift.io import write_recording as write_recording
+    from lensshift.optics.field import lens_field as lens_field
     from lensshift.optics.lens_file import load_lens as load_lens
-    from lensshift.optics.shift import shift_map as shift_map
     from lensshift.pipeline import run as run
     from lensshift.pipeline.recording import reconstruct_recording as reconstruct_recording
     from lensshift.reconstruction.batch import reconstruct_batch as reconstruct_batch
@@ -104,6 +107,7 @@ _HOME = {
     "Grid": "core.grid",
     "Pinhole": "core.intrinsics",
     "PixelDirections": "core.intrinsics",
+    "LensField": "core.lens_field",
     "PointCloud": "core.point_cloud",
     "Burst": "core.types",
     "Estimate": "core.types",
@@ -122,14 +126,16 @@ _HOME = {
     "slanted_edge_mtf": "evaluation.slanted_edge",
     "load_burst": "io",
     "load_image_stack": "io",
+    "load_lens_field": "io",
     "load_reconstruction": "io",
     "load_window": "io",
     "open_recording": "io",
     "save_burst": "io",
+    "save_lens_field": "io",
     "save_reconstruction": "io",
     "write_recording": "io",
+    "lens_field": "optics.field",
     "load_lens": "optics.lens_file",
-    "shift_map": "optics.shift",
     "run": "pipeline",
     "reconstruct_recording": "pipeline.recording",
     "simulate_burst": "camera",

@@ -337,12 +337,12 @@ def test_frames_one_by_one_know_their_place_on_the_plan() -> None:
     stream = frames(stage, camera, plan, CALIBRATION, Acquisition(frames=2))
     records = list(islice(stream, 16))
     stream.close()  # type: ignore[attr-defined]
-    places = [one["step"] for one in records]
+    places = [one.step for one in records]
     assert sorted(places) == [0] * 4 + [1] * 4 + [2] * 4 + [3] * 4
     assert places[:8] == places[8:]
     for one in records:
-        expected_mm = CALIBRATION.stage_mm(plan.target_px[one["step"]][None])[0]
-        np.testing.assert_allclose(one["stage_commanded_mm"], expected_mm)
+        expected_mm = CALIBRATION.stage_mm(plan.target_px[one.step][None])[0]
+        np.testing.assert_allclose(one.stage_commanded_mm, expected_mm)
     np.testing.assert_array_equal(stage.place_mm, REST)
 
 
@@ -384,6 +384,15 @@ def test_no_order_is_shorter(cells: list[tuple[int, int]], overrun: float) -> No
     assert sorted(order) == list(range(len(cells)))
     best = min(way(list(one), places, overrun) for one in permutations(range(len(cells))))
     assert way(order, places, overrun) == pytest.approx(best)
+
+
+def test_the_order_knows_which_way_each_axis_overruns() -> None:
+    """One axis runs up forward, the other backward: the cheap way round is a diagonal."""
+    square = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    forward = shortest_order(square, 2.0, [0.0, 0.0])
+    mirrored = shortest_order(square * [1, -1], [2.0, -2.0], [0.0, 0.0])
+    assert forward == mirrored
+    assert shortest_order(-square, -2.0, [0.0, 0.0]) == forward
 
 
 def test_many_places_are_visited_once_and_not_in_the_given_order() -> None:

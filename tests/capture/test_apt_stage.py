@@ -137,7 +137,7 @@ def test_stage_fulfils_the_protocol(rig: tuple[EmulatedStagePair, AptStage]) -> 
 def test_positions_out_of_travel_are_refused(
     rig: tuple[EmulatedStagePair, AptStage], goal_mm: object
 ) -> None:
-    with pytest.raises(ValueError, match=r"expected a position \[2\] within 0.02 .. 6 mm"):
+    with pytest.raises(ValueError, match=r"expected a position \[2\] within 0.02 .. 6 and"):
         rig[1].move_to(goal_mm)
 
 
@@ -183,6 +183,20 @@ def test_without_approach_the_lens_is_off_though_the_encoder_is_right() -> None:
             read_mm = stage.move_to([0.4, 0.6])
             assert read_mm == pytest.approx([0.4, 0.6], abs=2 * COUNT_MM)
             assert pair.lens_mm() == pytest.approx([0.4 + PLAY_MM, 0.6], abs=2 * COUNT_MM)
+
+
+def test_each_axis_ends_its_moves_in_the_direction_that_it_is_told() -> None:
+    """An axis that lifts the lens is held by its weight; the other may need the other way."""
+    settings = replace(PATIENT, approach_direction=("backward", "forward"))
+    with EmulatedStagePair(play_mm=0.006, speed=20.0) as pair:
+        stage = open_apt_stage(*pair.urls, settings)
+        np.testing.assert_allclose(stage.travel_mm, [[0.0, 5.98], [0.02, 6.0]])
+        np.testing.assert_array_equal(stage.approach_mm, [-0.02, 0.02])
+        for goal in (3.0, 3.05, 2.95):
+            stage.move_to([goal, goal])
+            lags_mm = pair.lens_mm() - [one.motor_mm() for one in pair.controllers]
+            np.testing.assert_allclose(lags_mm, [0.006, 0.0], atol=3e-5)  # one count
+        stage.close()
 
 
 @pytest.mark.parametrize("loss", [0.02, 0.1])
@@ -503,6 +517,7 @@ def test_port_with_no_controller() -> None:
     [
         ("velocity_mmps", 0.0), ("acceleration_mmps2", -1.0), ("tolerance_mm", np.inf),
         ("counts_per_mm", (1.0, 0.0)), ("counts_per_mm", (1.0, 2.0, 3.0)), ("approach_mm", -0.1),
+        ("approach_direction", "up"), ("approach_direction", ("forward", "up")),
         ("settle_polls", 1), ("max_retries", 0), ("home", "maybe"), ("travel_mm", (3.0, 3.01)),
     ],
 )  # fmt: skip

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from stand_in import Call
 
-from lensshift.io import load_shift_field, load_stage_map
+from lensshift.io import load_burst, load_lens_field
 
 
 def numbers(call: Call, *arguments: object) -> dict[str, object]:
@@ -64,34 +64,42 @@ def test_mtf_through_focus_is_drawn(call: Call, tmp_path: Path) -> None:
     assert "modulation at 6.45 LP/mm" in drawn
 
 
-def test_shift_map_moves_the_centre_by_what_was_asked(call: Call, tmp_path: Path) -> None:
-    out = tmp_path / "map.npz"
-    wanted = "--element", "2", "--shift-px", "0.2", "--sensor", "9x5", "--pitch-mm", "0.3"
-    found = numbers(call, "shiftmap", "petzval_b", *wanted, "-o", out)
-    field = load_shift_field(out).offset_px
-    assert field.shape == (4, 5, 9, 2)
-    assert field[:, 2, 4] == pytest.approx(np.array(found["wanted_px"]), abs=1e-4)
-    predicted = np.array(found["travel_mm"]) @ load_stage_map(out).px_per_mm.T
-    assert predicted == pytest.approx(field[:, 2, 4], abs=1e-3)
+def test_field_moves_the_centre_by_what_was_asked(call: Call, tmp_path: Path) -> None:
+    out, table, plot = (tmp_path / name for name in ("field.nc", "field.csv", "field.svg"))
+    wanted = "--element", "2", "--sensor", "9x5", "--pitch-mm", "0.3", "--pattern", "3x3"
+    found = numbers(call, "field", "petzval_b", *wanted, "-o", out, "--csv", table, "--plot", plot)
+    shown = load_lens_field(out).at(found["travel"])
+    assert shown.offset_px.shape == (9, 5, 9, 2)
+    assert shown.offset_px[:, 2, 4] == pytest.approx(np.array(found["wanted_px"]), abs=1e-8)
+    assert np.genfromtxt(table, delimiter=",", names=True)["offset_row_px"].shape == (9 * 45,)
+    assert found["shift_error_px"] < 1e-6  # type: ignore[operator]
+    assert "fit: shift" in call("lens", "field", "petzval_b", *wanted[:6]).stdout
 
 
 @pytest.mark.parametrize("pattern", ["square", "3x3"])
-def test_shift_map_belongs_to_a_simulated_burst(call: Call, tmp_path: Path, pattern: str) -> None:
-    small, burst, out = tmp_path / "small.toml", tmp_path / "b.nc", tmp_path / "map.npz"
+def test_field_is_for_bursts_of_its_lens(call: Call, tmp_path: Path, pattern: str) -> None:
+    small, burst, out = tmp_path / "small.toml", tmp_path / "b.nc", tmp_path / "field.nc"
     small.write_text("[camera.grid]\nshape = [5, 9]\npitch_mm = [0.3, 0.3]\n")
     taken = "--camera", small, "--lens", "petzval_b", "--pattern", pattern, "--shift-error-px", "0"
     assert call("simulate", "slanted_edge", *taken, "-o", burst).exit_code == 0
-    sensor = "--sensor", "9x5", "--pitch-mm", "0.3", "--pattern", pattern
-    assert call("lens", "shiftmap", "petzval_b", *sensor, "-o", out).exit_code == 0
+    assert call("lens", "field", "petzval_b", "--burst", burst, "-o", out).exit_code == 0
     with np.load(tmp_path / "b.truth.npz") as truth:
         true_px = truth["offset_field_px"]
-    np.testing.assert_allclose(load_shift_field(out).offset_px, true_px, atol=2e-3)
-    usual = "reconstruct", burst, "--method", "bicubic", "--shift-map", out
+    field_px = load_lens_field(out).of(load_burst(burst)).offset_px
+    np.testing.assert_allclose(field_px, true_px, atol=2e-3)
+    usual = "reconstruct", burst, "--method", "bicubic", "--lens-field", out
     assert call(*usual).exit_code == 0
-    assert call("lens", "shiftmap", "petzval_b", *sensor[:2], "-o", out).exit_code == 0
-    refused = call(*usual)
-    assert refused.exit_code == 1
-    assert "map.npz: " in refused.output
+    for other, cure in (
+        (("petzval_a", "--burst", burst), "make it from that lens"),
+        (("petzval_b", "--burst", burst, "--element", 2), "make it with --element 1"),
+        (("petzval_b", "--sensor", "9x5"), "make it with --pitch-mm 0.3,0.3"),
+        (("petzval_b", "--pitch-mm", "0.3", "--sensor", "7x5"), "make it with --sensor 9x5"),
+    ):
+        assert call("lens", "field", *other, "-o", out).exit_code == 0
+        refused = call(*usual)
+        assert refused.exit_code == 1
+        assert "field.nc: " in refused.output
+        assert cure in " ".join(refused.output.split())
 
 
 def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:
@@ -118,8 +126,14 @@ def test_there_and_back_again(call: Call, tmp_path: Path) -> None:
         (["show", "petzval_a", "--wavelength-nm", "10"], 1, "expected a wavelength from"),
         (["mtf", "petzval_a", "--field-deg", "6.5"], 2, "a field like 1.6,6.5"),
         (["mtf", "petzval_a", "--field-deg", "0,60"], 1, "ray"),
-        (["shiftmap", "petzval_a", "--sensor", "64"], 2, "a sensor like 64x16"),
-        (["shiftmap", "petzval_a", "--shift-px", "400"], 1, ""),
+        (["field", "petzval_a", "--sensor", "64"], 2, "a sensor like 64x16"),
+        (["field", "petzval_a", "--element", "4"], 2, "an element from 1 to 3, got 4"),
+        (["field", "petzval_a", "--element", "0", "--tilt"], 2, "--tilt is of an element"),
+        (["field", "petzval_a", "--reach-px", "400"], 1, ""),
+        (["field", "petzval_a", "--reach-px", "0.1"], 2, "the 0.25 px of the pattern square"),
+        (["field", "petzval_a", "--burst", "none.nc"], 1, "none.nc"),
+        (["field", "petzval_a", "--burst", "b.nc", "--sensor", "9x5"], 2, "give one of both"),
+        (["field", "petzval_a", "-o", "field.npz"], 2, "ends in .nc"),
         (["convert", "petzval_a", "lens.txt"], 2, "to end in .toml or .zmx"),
     ],
 )

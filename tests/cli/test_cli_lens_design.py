@@ -69,8 +69,8 @@ def test_the_only_gap_of_two_lenses_is_found_and_written(call: Call, tmp_path: P
     written = load_lens(out)
     assert written.gaps_mm == pytest.approx(design["gaps_mm"])
     assert paraxial(written).focal_length_mm == pytest.approx(42.7, abs=1e-3)
-    shift = numbers(call, "shiftmap", out, "--element", 2, *SENSOR)
-    stroke_mm = np.abs(np.array(shift["travel_mm"])[:, 1])
+    shift = numbers(call, "field", out, "--element", 2, *SENSOR)
+    stroke_mm = np.abs(np.array(shift["travel"])[:, 1])
     assert stroke_mm == pytest.approx([abs(design["stroke_mm"])] * 4, rel=0.01)
 
 

@@ -277,3 +277,63 @@ def test_a_part_of_the_frames_is_made_of_the_part_of_the_picture(field, rng):
     part = model.crop(rows, cols).operator.forward(x[6:24, 10:36])
     inner = (slice(None), slice(2, -2), slice(2, -2))
     np.testing.assert_allclose(part[inner], whole[inner], atol=1e-12)
+
+
+def a_spot(shape, frames=2, seed=0):
+    rows, cols = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    a, b = np.random.default_rng(seed).uniform(0, 0.1, (2, frames, 1, 1, 2))
+    return a * (rows**2 + cols)[..., None] ** 2 + b - 0.02
+
+
+@pytest.mark.parametrize("blur", BLURS, ids=str)
+@pytest.mark.parametrize("scale", [1, 2, 3, 5])
+def test_laws_for_spots_that_differ(scale, blur, rng):
+    field, spot = a_field((5, 7)), a_spot((5, 7))
+    model = forward_model((5, 7), scale, shift_field_px=field, spot_px2=spot, blur=blur)
+    check_linear_operator(model.operator, rng)
+    check_linear_operator(model.crop(slice(1, 4), slice(2, 7)).operator, rng)
+
+
+@pytest.mark.parametrize("scale", [2, 3])
+def test_spots_that_differ_have_the_width_and_the_place_of_their_own(scale):
+    shape, blur = (11, 13), GaussianBlur(0.3)
+    field, spot = a_field(shape, size_px=0.4), a_spot(shape)
+    model = forward_model(shape, scale, shift_field_px=field, spot_px2=spot, blur=blur)
+    for axis, taps in enumerate((model.rows, model.cols)):
+        n = taps.start[..., None] + np.arange(taps.weight.shape[-1])
+        mean = np.sum(taps.weight * n, axis=-1)
+        variance = np.sum(taps.weight * (n - mean[..., None]) ** 2, axis=-1)
+        phase = taps.position_hr_px % 1
+        expected = np.maximum(scale**2 * (0.09 + spot[..., axis]), phase * (1 - phase))
+        inner = (slice(None), slice(4, -4), slice(4, -4))
+        np.testing.assert_allclose(mean[inner], taps.position_hr_px[inner], atol=1e-6)
+        np.testing.assert_allclose(variance[inner], expected[inner], rtol=2e-3)
+
+
+def test_the_same_spot_everywhere_is_a_wider_response(rng):
+    shape, field = (9, 12), a_field((9, 12), size_px=0.3)
+    x = rng.standard_normal((18, 24))
+    for blur in (GaussianBlur(0.25), ApertureBlur(0.8, 0.1)):
+        even = forward_model(shape, 2, shift_field_px=field, spot_px2=0.04 + 0 * field, blur=blur)
+        wider = forward_model(shape, 2, shift_field_px=field, blur=blur.widened(0.04))
+        np.testing.assert_allclose(even.operator(x), wider.operator(x), atol=2e-3)
+
+
+def test_another_grid_sees_the_same(rng):
+    shape = (9, 12)
+    field, spot = a_field(shape, size_px=0.3), a_spot(shape)
+    fine = forward_model(shape, 4, shift_field_px=field - [0.1, -0.2], spot_px2=spot)
+    model = forward_model(shape, 2, shift_field_px=field, spot_px2=spot).on_grid(4, (0.1, -0.2))
+    x = rng.standard_normal(fine.hr_shape)
+    np.testing.assert_allclose(model.operator(x), fine.operator(x), atol=1e-9)
+    offset_px = rng.uniform(-0.5, 0.5, (3, 2))
+    moved = forward_model(shape, 2, offset_px).on_grid(3, (0.25, 0.0))
+    there = forward_model(shape, 3, offset_px - [0.25, 0.0])
+    x = rng.standard_normal(there.hr_shape)
+    np.testing.assert_allclose(moved.operator(x), there.operator(x), atol=1e-9)
+
+
+def test_spots_belong_to_a_shift_field():
+    for field in ({"offset_px": SQUARE}, {"shift_field_px": a_field((5, 7))}):
+        with pytest.raises(ValueError, match="finite spot_px2 of a shift field"):
+            forward_model((5, 7), 2, spot_px2=np.zeros((2, 5, 6, 2)), **field)

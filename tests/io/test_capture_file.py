@@ -14,25 +14,28 @@ from hypothesis import strategies as st
 
 from lensshift import load_burst, save_burst
 from lensshift.core.errors import DataError
-from lensshift.io.capture_file import CaptureWriter, is_capture, read_capture
+from lensshift.io.capture_file import CaptureWriter, FrameRecord, is_capture, read_capture
 
 HEADER = {"pitch_mm": [0.15, 0.155], "modulation_hz": 15e6, "meta": {"camera": "none"}}
 SHAPE = (3, 5)
 
 
-def frame(number: int) -> dict[str, Any]:
-    return {
+def frame(number: int, **others: Any) -> FrameRecord:
+    fields: dict[str, Any] = {
         "step": number,
         "amplitude": np.full(SHAPE, 1.0 + number),
         "distance_m": np.full(SHAPE, 2.0),
         "valid": np.ones(SHAPE, dtype=bool),
-        "offset_px": [0.0, 0.25 * number],
-        "stage_mm": [3.0, 3.0],
-        "stage_commanded_mm": [3.0, 3.0],
+        "offset_px": np.array([0.0, 0.25 * number]),
+        "stage_mm": np.array([3.0, 3.0]),
+        "stage_commanded_mm": np.array([3.0, 3.0]),
         "time_s": 0.04 * number,
-        "raw_confidence": np.full(SHAPE, number, dtype=np.uint16),
-        "raw_factor": np.arange(4.0),
+        "raw": {
+            "confidence": np.full(SHAPE, number, dtype=np.uint16),
+            "factor": np.arange(4.0),
+        },
     }
+    return FrameRecord(**{**fields, **others})
 
 
 def written(path: Path, count: int) -> Path:
@@ -98,21 +101,20 @@ def test_damage_never_becomes_numbers(
     except DataError:
         return
     for number, one in enumerate(frames):
-        np.testing.assert_array_equal(one["amplitude"], 1.0 + number)
+        np.testing.assert_array_equal(one.amplitude, 1.0 + number)
 
 
 def test_a_killed_writer_loses_nothing_that_append_had_taken(tmp_path: Path) -> None:
     path = tmp_path / "a.nc"
     program = """
         import os, sys, numpy as np
-        from lensshift.io.capture_file import CaptureWriter
+        from lensshift.io.capture_file import CaptureWriter, FrameRecord
         with CaptureWriter.create(sys.argv[1], {"pitch_mm": [0.1, 0.1]}) as file:
             for number in range(5):
-                file.append({
-                    "step": number, "amplitude": np.ones((3, 5)), "valid": np.ones((3, 5), bool),
-                    "offset_px": [0.0, 0.0], "stage_mm": [0.0, 0.0],
-                    "stage_commanded_mm": [0.0, 0.0], "time_s": 0.0,
-                })
+                file.append(FrameRecord(
+                    step=number, amplitude=np.ones((3, 5)), valid=np.ones((3, 5), bool),
+                    offset_px=np.zeros(2), time_s=0.0,
+                ))
             os.kill(os.getpid(), 9)
     """
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(program), str(path)], check=False)
@@ -177,7 +179,7 @@ def test_neither_a_pipe_nor_a_frame_that_unpacks_stops_a_reader(
         read_capture(tmp_path / "pipe")
     monkeypatch.setattr(np, "savez", np.savez_compressed)
     with CaptureWriter.create(tmp_path / "a.nc", HEADER) as file:
-        file.append(frame(0) | {"amplitude": np.zeros((500, 500))})
+        file.append(frame(0, amplitude=np.zeros((500, 500))))
     with pytest.raises(DataError, match="more than is stored"):
         read_capture(tmp_path / "a.nc")
 
@@ -185,10 +187,11 @@ def test_neither_a_pipe_nor_a_frame_that_unpacks_stops_a_reader(
 def test_frames_that_do_not_fit_together(tmp_path: Path) -> None:
     with CaptureWriter.create(tmp_path / "a.nc", HEADER) as file:
         file.append(frame(0))
-        file.append({**frame(1), "amplitude": np.ones((2, 2))})
+        file.append(frame(1, amplitude=np.ones((2, 2))))
     with pytest.raises(DataError, match="contradicts itself"):
         load_burst(tmp_path / "a.nc")
-    with CaptureWriter.create(tmp_path / "b.nc", HEADER) as file:
-        file.append({"amplitude": np.ones(SHAPE)})
-    with pytest.raises(DataError, match="lacks this field"):
-        load_burst(tmp_path / "b.nc")
+    arrays = frame(0).arrays()
+    with pytest.raises(DataError, match="valid: a frame lacks this field"):
+        FrameRecord.of_arrays({name: one for name, one in arrays.items() if name != "valid"})
+    with pytest.raises(DataError, match="time_s: expected a number"):
+        FrameRecord.of_arrays(arrays | {"time_s": np.ones(2)})

@@ -74,7 +74,7 @@ def test_bad_csv_names_the_line(tmp_path: Path, content: str, said: str) -> None
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ('{"offset_px": [[1, 2]\n', "line 2: not JSON"),
+        ('{"offset_px": [[1, 2]\n', "not JSON: Expecting ',' delimiter (line 2"),
         ("[[1, 2]]", "offset_px: expected {"),
         ("{}", "offset_px: expected {"),
         ('{"offset_px": []}', "offset_px: expected [[row, col], ...]"),

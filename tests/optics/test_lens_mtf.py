@@ -214,6 +214,26 @@ def test_wavefront_of_other_programs() -> None:
     assert wavefront(load_lens("petzval_a"), [0.0, 0.0]).rms_waves == pytest.approx(0.542, abs=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("name", "away_mm", "field", "frequency_lpmm"),
+    [
+        ("petzval_a", 2.0, (0.0, 0.0), (6.45, 12.9, 25.0)),
+        ("petzval_b", 2.0, (0.02, 0.1), (12.9, 50.0)),
+        ("al2550", 0.5, (0.05, 0.1), (3.0, 12.0, 20.0)),
+    ],
+)
+def test_fast_mtf_invents_no_contrast(
+    name: str, away_mm: float, field: tuple[float, float], frequency_lpmm: tuple[float, ...]
+) -> None:
+    lens = load_lens(name)
+    lens = lens.with_sensor(lens.gaps_mm[-1] + away_mm)
+    exact = np.abs(exact_otf(lens, field, frequency_lpmm))
+    assert fast_mtf(lens, field, frequency_lpmm) == pytest.approx(exact, abs=2e-3)
+    with pytest.warns(QualityWarning, match="periods apart, more than the 0.5"):
+        few = fast_mtf(lens, field, frequency_lpmm, rings=6)
+    assert np.abs(few - exact).max() > 0.05  # what it warns of
+
+
 def test_sensor_mtf_is_symmetric_and_contains_single_fields() -> None:
     lens, grid = load_lens("petzval_a"), Grid((5, 9), (0.5, 1.1))
     got = sensor_mtf(lens, grid, [3.0, 7.0])

@@ -8,13 +8,11 @@ from lensshift.core.motion import ShiftField
 from lensshift.optics.lens import Lens, Stop, cover_glass
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import pixel_centres_mm
-from lensshift.optics.paraxial import decenter_gains
 from lensshift.optics.shift import (
     decenter_for_shift,
     moving,
     shift_map,
     shift_uniformity,
-    stage_map,
 )
 from lensshift.optics.spots import fields_for_image, image_per_field_mm, spots
 from lensshift.optics.which import edge_fields, format_movers, which_element
@@ -81,18 +79,6 @@ def test_opposite_moves_and_mirrored_pixels() -> None:
     plus, minus = shift_map(lens, 0, moves, SMALL).offset_px
     # Turning the camera by half a turn turns moves and pixels.
     assert plus == pytest.approx(-minus[::-1, ::-1], abs=1e-7)
-
-
-def test_stage_map_predicts_small_moves() -> None:
-    lens = load_lens("petzval_a")
-    stage = stage_map(lens, 1, SMALL)
-    gain = decenter_gains(lens)[1]
-    assert np.diag(stage.px_per_mm) == pytest.approx(gain / np.asarray(SMALL.pitch_mm), rel=0.02)
-    assert stage.px_per_mm[0, 1] == pytest.approx(0.0, abs=1e-6)
-    move_mm = np.array([0.02, -0.03])
-    assert stage.field_px_per_mm is not None
-    predicted = stage.field_px_per_mm @ move_mm
-    assert shift_map(lens, 1, move_mm, SMALL).offset_px[0] == pytest.approx(predicted, abs=5e-6)
 
 
 def test_uniformity_of_a_made_up_field() -> None:

@@ -78,10 +78,15 @@ def test_shifts_may_differ_from_pixel_to_pixel(device):
     burst = burst_of(3, (14, 17))
     place = np.linspace(-0.1, 0.1, burst.amplitude[0].size).reshape(14, 17)
     place -= np.mean(place)
-    field = ShiftField(burst.offset_px[:, None, None] + np.stack([place, -place], axis=-1))
-    assert_same(
-        reconstruct(burst, shift_field=field, device=device), reconstruct(burst, shift_field=field)
-    )
+    offset_px = burst.offset_px[:, None, None] + np.stack([place, -place], axis=-1)
+    for field in (
+        ShiftField(offset_px),
+        ShiftField(offset_px, spot_px2=2 * np.abs(offset_px) ** 3),
+    ):
+        assert_same(
+            reconstruct(burst, shift_field=field, device=device),
+            reconstruct(burst, shift_field=field),
+        )
 
 
 @pytest.mark.parametrize("of_field", [False, True])
@@ -107,7 +112,8 @@ def test_the_operators_are_exact_and_adjoint(device, scale, blur, of_field, kind
     shifts = rng.uniform(-1.5, 1.5, (4, 2)) * [1, 4]  # some pixels see nothing of the image
     if of_field:
         field = shifts[:, None, None] + 0.2 * rng.standard_normal((4, 6, 9, 2))
-        model = forward_model((6, 9), scale, shift_field_px=field, blur=blur)
+        spot = 0.1 * rng.random((4, 6, 9, 2)) if scale < 4 else None
+        model = forward_model((6, 9), scale, shift_field_px=field, spot_px2=spot, blur=blur)
     else:
         model = forward_model((6, 9), scale, shifts, blur=blur)
     kernels = device_kernels(device)

@@ -69,6 +69,60 @@ def test_standard_errors_are_as_large_as_errors() -> None:
     assert 0.5 < ratio < 1.5  # 36 errors, six of each burst
 
 
+def edge(angle_deg: float, seed: int, shape: tuple[int, int] = (17, 40)) -> Burst:
+    """Return frames of one edge, blurred by square pixels, under noise; offsets known."""
+    rng = np.random.default_rng(seed)
+    offset_px = rng.uniform(-0.6, 0.6, (4, 2))
+    offset_px -= offset_px[0]
+    fine = (np.arange(8) + 0.5) / 8 - 0.5
+    row = (np.arange(shape[0])[:, None] + fine).ravel() - (shape[0] - 1) / 2
+    col = (np.arange(shape[1])[:, None] + fine).ravel() - (shape[1] - 1) / 2
+    normal = np.deg2rad(angle_deg)
+    frames = []
+    for down, right in offset_px:
+        across = (row[:, None] - down) * np.sin(normal) + (col - right) * np.cos(normal)
+        whole = 0.2 + 0.6 * (across > 0)
+        frames.append(whole.reshape(shape[0], 8, shape[1], 8).mean(axis=(1, 3)))
+    noise = rng.normal(scale=0.01, size=(4, *shape))
+    return Burst.from_arrays(np.array(frames) + noise, offset_px=offset_px, pitch_mm=PITCH_MM)
+
+
+@pytest.mark.parametrize("angle_deg", [4.0, -9.0, 82.0])
+def test_along_an_edge_nothing_is_known(angle_deg: float) -> None:
+    """The aperture problem: across the edge the shift is found, along it standard errors say so."""
+    normal = np.deg2rad(angle_deg)
+    across, along = np.array([[np.sin(normal), np.cos(normal)], [np.cos(normal), -np.sin(normal)]])
+    for seed in range(3):
+        burst = edge(angle_deg, seed)
+        with pytest.warns(QualityWarning, match="too little texture"):
+            found = register(replace(burst, offset_px=np.zeros((4, 2))))
+        wrong = found.offset_px - burst.offset_px
+        assert np.abs(wrong @ across).max() < 0.05
+        assert np.all(found.offset_sigma_px[1:] @ np.abs(along) > 1.0)
+        assert np.all(np.abs(wrong) < 2 * found.offset_sigma_px + 1e-9)
+
+
+def test_planned_offsets_stay_where_the_frames_tell_nothing() -> None:
+    burst = edge(3.0, 5)
+    planned = burst.offset_px + np.array([[0.0, 0.0], [0.04, 0.05], [-0.05, 0.06], [0.06, -0.04]])
+    with pytest.warns(QualityWarning, match="along row"):
+        found = register(replace(burst, offset_px=planned))
+    # The edge is 3 degrees off the rows.
+    np.testing.assert_allclose(found.offset_px[:, 0], planned[:, 0], atol=0.07 * np.sin(0.053))
+    np.testing.assert_allclose(found.offset_px[:, 1], burst.offset_px[:, 1], atol=0.05)
+
+
+def test_a_pattern_that_repeats_is_named_unless_it_is_known_by_how_much() -> None:
+    burst, true_px = taken(checker)
+    with pytest.warns(QualityWarning, match="repeats or shows little"):
+        found = register(replace(burst, offset_px=np.zeros_like(true_px)))
+    wrong = found.offset_px - (true_px - true_px[0])
+    assert np.all(np.hypot(*wrong.T) <= 2 * np.hypot(*found.offset_sigma_px.T) + 1e-9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        register(burst)
+
+
 @pytest.mark.slow
 def test_fisher_information_agrees_with_monte_carlo() -> None:
     """Random fields as the model assumes them: errors of many draws against one promise."""

@@ -21,7 +21,7 @@ from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
-from lensshift.io.capture_file import burst_of_capture
+from lensshift.io.capture_file import FrameRecord, burst_of_capture
 
 Array = NDArray[Any]
 
@@ -39,7 +39,7 @@ class Acquisition:
     frame_timeout_s : how long to wait for a frame
     hold_mm : how far the stage may stray from its place while frames are taken
     reorder : visit the positions so that the stage moves least
-    approach_mm : how far the stage overruns when it goes back, for the order
+    approach_mm : how far the stage overruns when it goes back, for the order, if it does not tell
     """
 
     frames: int = 1
@@ -79,6 +79,7 @@ class Progress:
     counts: Mapping[str, int]
 
 
+_MEANWHILE = "the lens is on its way back to rest; Ctrl-C once more leaves it where it is"
 OnStep = Callable[[Progress], None]
 
 
@@ -156,13 +157,13 @@ def acquire_at(
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)
     if settings.reorder and not direct:
-        order = shortest_order(positions, settings.approach_mm, stage.position_mm())
+        order = shortest_order(positions, run_up_mm(stage, settings), stage.position_mm())
         positions = positions[order]
     header = capture_header(stage, camera, positions, calibration, asdict(settings), plan_name)
     with opened(path, header, resume=resume) as file, returning(stage, calibration.rest_mm):
         positions = np.asarray(file.header["position_mm"])
         each = 1 if settings.average else settings.frames
-        taken = [int(one["step"]) for one in file.frames]
+        taken = [one.step for one in file.frames]
         here = -1
         for step, target in enumerate(positions):
             missing = each - taken.count(step)
@@ -171,13 +172,20 @@ def acquire_at(
             if direct and here != step - 1 and step > 0:  # come from where the scan comes from
                 stage.move_to(positions[step - 1], direct=True)
             here = step
-            for record in at_position(stage, camera, target, settings, missing, direct=direct):
-                file.append({"step": step, **record, **offsets(record, calibration)})
+            for record in at_position(
+                stage, camera, target, calibration, settings, missing, direct=direct
+            ):
+                file.append(replace(record, step=step))
             if on_step is not None:
                 on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
     burst = looking(burst_of_capture(file.header, file.frames, file.path), camera)
     save_burst(burst, file.path)
     return burst
+
+
+def run_up_mm(stage: Stage, settings: Acquisition) -> Any:
+    """Return how far, and which way, the stage overruns; a stage of its own kind may tell."""
+    return getattr(stage, "approach_mm", settings.approach_mm)
 
 
 def looking(burst: Burst, camera: Camera) -> Burst:
@@ -192,10 +200,11 @@ def looking(burst: Burst, camera: Camera) -> Burst:
 def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
     """Bring the lens back to rest when the block ends, or stop it where the stage has failed.
 
-    SIGTERM and a closed terminal end the block as Ctrl-C does, and wait until the lens is back.
+    SIGTERM and a closed terminal end the block as Ctrl-C does, and wait until the lens is back; a
+    second Ctrl-C waits too, and only a third one leaves the lens where it is.
     """
     finished = failed = False
-    with ended_by_signals():
+    with ended_by_signals(ctrl_c=True):
         try:
             yield
             finished = True
@@ -203,11 +212,11 @@ def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[None]:
             failed = bool(error.device) and error.device in stage.name  # or one of its axes
             raise
         finally:
-            with ended_by_signals(at_once=False):
-                _return(stage, rest_mm, finished=finished, failed=failed)
+            with ended_by_signals(at_once=False, ctrl_c=True, meanwhile=_MEANWHILE):
+                _return(stage, np.asarray(rest_mm), finished=finished, failed=failed)
 
 
-def _return(stage: Stage, rest_mm: ArrayLike, *, finished: bool, failed: bool) -> None:
+def _return(stage: Stage, rest_mm: Array, *, finished: bool, failed: bool) -> None:
     if not finished:
         stage.stop()
     if not failed:
@@ -217,6 +226,12 @@ def _return(stage: Stage, rest_mm: ArrayLike, *, finished: bool, failed: bool) -
             stage.stop()
             if finished:
                 raise
+        except KeyboardInterrupt as error:
+            stage.stop()
+            here, rest = (
+                ", ".join(f"{x:.4f}" for x in one) for one in (stage.position_mm(), rest_mm)
+            )
+            raise KeyboardInterrupt(f"the lens stands at {here} mm, rest is {rest} mm") from error
 
 
 def check_travel(stage: Stage, position_mm: ArrayLike) -> None:
@@ -239,11 +254,12 @@ def at_position(
     stage: Stage,
     camera: Camera,
     target_mm: Array,
+    calibration: Calibration,
     settings: Acquisition,
     count: int,
     *,
     direct: bool = False,
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[FrameRecord]:
     """Go there and yield the records of the frames that are kept."""
     stage.move_to(target_mm, direct=direct)
     settled_cycle = camera.newest_cycle()
@@ -266,9 +282,9 @@ def at_position(
         shots.append(shot)
         places_mm.append(here_mm)
         if not settings.average:
-            yield _record(shot, here_mm, target_mm)
+            yield _record(shot, here_mm, target_mm, calibration)
     if settings.average:
-        yield _record(_mean(shots), np.mean(places_mm, axis=0), target_mm)
+        yield _record(_mean(shots), np.mean(places_mm, axis=0), target_mm, calibration)
 
 
 def _begun_after(camera: Camera, cycle: int, timeout_s: float) -> CameraFrame:
@@ -286,29 +302,23 @@ def _begun_after(camera: Camera, cycle: int, timeout_s: float) -> CameraFrame:
             )
 
 
-def _record(shot: CameraFrame, here_mm: Array, target_mm: Array) -> dict[str, Any]:
-    frame = shot.frame
-    record = {
-        "amplitude": frame.amplitude,
-        "valid": frame.valid,
-        "time_s": frame.time_s,
-        "arrived_s": shot.arrived_s,
-        "raw_cycle": shot.cycle,
-        "stage_mm": here_mm,
-        "stage_commanded_mm": target_mm,
-        **{f"raw_{name}": values for name, values in shot.raw.items()},
-    }
-    if frame.distance_m is not None:
-        record["distance_m"] = frame.distance_m
-    return record
-
-
-def offsets(record: Mapping[str, Any], calibration: Calibration) -> dict[str, Array]:
-    """Return where the image lies, from the position read back."""
-    offsets = {"offset_px": calibration.offset_px(record["stage_mm"])}
-    if calibration.stage_map.sigma_px > 0:  # 0: nobody knows it
-        offsets["offset_sigma_px"] = np.full(2, calibration.stage_map.sigma_px)
-    return offsets
+def _record(
+    shot: CameraFrame, here_mm: Array, target_mm: Array, calibration: Calibration
+) -> FrameRecord:
+    """Return what is kept of a frame; where its image lies follows from the position read back."""
+    frame, sigma_px = shot.frame, calibration.stage_map.sigma_px
+    return FrameRecord(
+        amplitude=frame.amplitude,
+        valid=frame.valid,
+        distance_m=frame.distance_m,
+        time_s=frame.time_s,
+        arrived_s=shot.arrived_s,
+        stage_mm=here_mm,
+        stage_commanded_mm=target_mm,
+        offset_px=calibration.offset_px(here_mm),
+        offset_sigma_px=np.full(2, sigma_px) if sigma_px > 0 else None,  # 0: nobody knows it
+        raw={**shot.raw, "cycle": np.asarray(shot.cycle)},
+    )
 
 
 def _mean(shots: list[CameraFrame]) -> CameraFrame:
@@ -333,10 +343,10 @@ def _mean(shots: list[CameraFrame]) -> CameraFrame:
 
 
 def _progress(
-    step: int, steps: int, stage: Stage, camera: Camera, frames: list[dict[str, Array]]
+    step: int, steps: int, stage: Stage, camera: Camera, frames: list[FrameRecord]
 ) -> Progress:
-    cycles = [float(one["raw_cycle"]) for one in frames[-2:]]
-    times = [float(one["arrived_s"]) for one in frames[-2:]]
+    cycles = [float(one.raw["cycle"]) for one in frames[-2:]]
+    times = [one.arrived_s for one in frames[-2:]]
     rate_hz = 0.0
     if len(times) == 2 and times[1] > times[0]:
         rate_hz = (cycles[1] - cycles[0]) / (times[1] - times[0])

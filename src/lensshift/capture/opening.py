@@ -22,10 +22,11 @@ from lensshift.core.motion import ShiftPlan, StageMap
 from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of
 from lensshift.core.types import Burst
 from lensshift.core.units import doubt_about_units
+from lensshift.io.capture_file import FrameRecord
 
 # Lens travel of a quarter pixel of 0.155 mm, with the first lens of the reference design.
 QUARTER_PIXEL_MM = 0.0444
-CAMERAS = ("o3m", "pcic", "replay", "genicam")
+CAMERAS = ("o3m", "pcic", "replay", "genicam", "python")
 EXAMPLE = """\
 # A rig: two Thorlabs actuators that move the lens, and a camera.
 
@@ -36,7 +37,7 @@ home = "ask"                    # for the zero: "ask", "if_needed" (unasked), "a
 # counts_per_mm = 34554.96
 
 [camera]
-kind = "o3m"                    # o3m, pcic, replay or genicam
+kind = "o3m"                    # o3m, pcic, replay, genicam, python
 port = 42000
 pitch_mm = 0.155
 
@@ -134,7 +135,7 @@ class Rig:
         wanted = named_plan(plan) if isinstance(plan, str) else plan
         return bursts(self.stage, self.camera, wanted, self.calibration, self.acquisition)
 
-    def frames(self, plan: ShiftPlan | str) -> Iterator[dict[str, Any]]:
+    def frames(self, plan: ShiftPlan | str) -> Iterator[FrameRecord]:
         """Yield one frame after another until the caller stops, see `capture.rounds.frames`."""
         wanted = named_plan(plan) if isinstance(plan, str) else plan
         return frames(self.stage, self.camera, wanted, self.calibration, self.acquisition)
@@ -194,8 +195,7 @@ def open_rig(
         camera = _camera(table.get("camera", {}), source, folder)
         opening.callback(camera.close)
         camera.open()
-        chosen = {} if home is None else {"home": home}
-        stage = _stage({**table.get("stage", {}), **chosen}, source, on_homing)
+        stage = _stage(table.get("stage", {}), source, folder, home, on_homing)
         opening.callback(stage.close)
         return Rig(stage, camera, calibration, acquisition, opening.pop_all())
 
@@ -218,17 +218,27 @@ def nominal_calibration(
     return Calibration(StageMap(square, sigma_px=sigma_px), np.asarray(rest_mm))
 
 
-def _stage(table: _Table, source: str, on_homing: OnHoming | None) -> Stage:
+def _stage(
+    table: _Table, source: str, folder: Path, home: str | None, on_homing: OnHoming | None
+) -> Stage:
+    kind = table.get("kind", "apt")
+    if kind == "python":
+        from lensshift.capture.drivers.from_python import python_stage
+
+        with settings_of(source):
+            return python_stage(table, folder, home=home, on_homing=on_homing)
+    if kind != "apt":
+        raise DataError(f"expected apt or python, got {kind!r}", field="stage.kind", source=source)
     from lensshift.capture.drivers.apt import AptSettings, open_apt_stage
 
+    if home is not None:
+        table = {**table, "home": home}
     missing = [axis for axis in ("row", "col") if axis not in table]
     if missing:
         raise DataError(
             "expected a port or serial number", field=f"stage.{missing[0]}", source=source
         )
     rest = {name: value for name, value in table.items() if name not in ("row", "col", "kind")}
-    if table.get("kind", "apt") != "apt":
-        raise DataError(f"expected apt, got {table['kind']!r}", field="stage.kind", source=source)
     settings = _build(AptSettings, rest, "stage", source)
     row, col = (_fit(table[axis], str | int, f"stage.{axis}", source) for axis in ("row", "col"))
     return open_apt_stage(str(row), str(col), settings, on_homing)
@@ -259,6 +269,11 @@ def _camera(table: _Table, source: str, folder: Path) -> Camera:
         from lensshift.capture.drivers.genicam import GenicamCamera
 
         return _build(GenicamCamera, rest, "camera", source)
+    if kind == "python":
+        from lensshift.capture.drivers.from_python import python_camera
+
+        with settings_of(source):
+            return python_camera(table, folder)
     expected = ", ".join(CAMERAS)
     raise DataError(f"expected {expected}, got {kind!r}", field="camera.kind", source=source)
 

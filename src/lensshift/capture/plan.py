@@ -54,7 +54,9 @@ def load_plan(path: str | Path) -> ShiftPlan:
     return ShiftPlan(table.offset_px, name=Path(path).stem)
 
 
-def shortest_order(position_mm: ArrayLike, approach_mm: float, start_mm: ArrayLike) -> list[int]:
+def shortest_order(
+    position_mm: ArrayLike, approach_mm: ArrayLike, start_mm: ArrayLike
+) -> list[int]:
     """Return the order [frame] in which the stage visits its positions with the least way.
 
         way a -> b = max over axes of |b - a|, + 2 approach where an axis goes back
@@ -66,12 +68,14 @@ def shortest_order(position_mm: ArrayLike, approach_mm: float, start_mm: ArrayLi
     Parameters
     ----------
     position_mm : [frame 2]
-    approach_mm : how far the stage overruns
+    approach_mm : how far the stage overruns, one number or (row, col); negative where every move
+        ends backward
     start_mm : [2] where it stands before
     """
     places = np.concatenate([np.atleast_2d(start_mm), np.atleast_2d(position_mm)]).astype(float)
     step = places[None] - places[:, None]
-    way = np.max(np.abs(step) + 2.0 * approach_mm * (step < 0), axis=-1)
+    run_up = np.asarray(approach_mm, dtype=np.float64)
+    way = np.max(np.abs(step) + 2.0 * np.abs(run_up) * (step * run_up < 0), axis=-1)
     count = len(places) - 1
     if count <= 8:
         return _best_of_all(way, count)

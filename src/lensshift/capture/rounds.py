@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.capture.acquire import (
@@ -16,8 +15,8 @@ from lensshift.capture.acquire import (
     at_position,
     check_travel,
     looking,
-    offsets,
     returning,
+    run_up_mm,
 )
 from lensshift.capture.journal import capture_header
 from lensshift.capture.plan import shortest_order
@@ -25,7 +24,7 @@ from lensshift.capture.rig import Camera, Stage
 from lensshift.core.calibration import Calibration
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
-from lensshift.io.capture_file import burst_of_capture
+from lensshift.io.capture_file import FrameRecord, burst_of_capture
 
 Array = NDArray[Any]
 
@@ -51,10 +50,7 @@ def bursts(
     with returning(stage, calibration.rest_mm):
         rounds = _rounds(stage, camera, positions, calibration, settings)
         while True:
-            records = [
-                {name: np.asarray(value) for name, value in one.items()}
-                for one in islice(rounds, each)
-            ]
+            records = list(islice(rounds, each))
             yield looking(burst_of_capture(header, records, Path(plan.name or "burst")), camera)
 
 
@@ -64,10 +60,10 @@ def frames(
     plan: ShiftPlan,
     calibration: Calibration,
     settings: Acquisition | None = None,
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[FrameRecord]:
     """Yield one frame after another, round after round of the plan, until the caller stops.
 
-    Each is the record of a journal; its `step` is the place on the plan. Then the lens returns.
+    Each is a record of a journal; its `step` is the place on the plan. Then the lens returns.
 
     Raises
     ------
@@ -78,7 +74,7 @@ def frames(
     order, positions = _in_order(stage, plan, calibration, settings)
     with returning(stage, calibration.rest_mm):
         for record in _rounds(stage, camera, positions, calibration, settings):
-            yield record | {"step": order[record["step"]]}
+            yield replace(record, step=order[record.step])
 
 
 def _in_order(
@@ -95,14 +91,14 @@ def _in_order(
     check_travel(stage, positions)
     order = list(range(len(positions)))
     if settings.reorder:
-        order = shortest_order(positions, settings.approach_mm, positions[-1])
+        order = shortest_order(positions, run_up_mm(stage, settings), positions[-1])
     return order, positions[order]
 
 
 def _rounds(
     stage: Stage, camera: Camera, positions: Array, calibration: Calibration, settings: Acquisition
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[FrameRecord]:
     while True:
         for step, target in enumerate(positions):
-            for record in at_position(stage, camera, target, settings, settings.frames):
-                yield {"step": step, **record, **offsets(record, calibration)}
+            for one in at_position(stage, camera, target, calibration, settings, settings.frames):
+                yield replace(one, step=step)

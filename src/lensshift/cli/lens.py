@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.inputs import Pattern, PatternOption
 from lensshift.cli.lens_design import budget, optimise, tolerance
+from lensshift.cli.lens_field import field
 from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
 from lensshift.cli.optics import (
     PITCH_MM,
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 lens_verbs = verb_group()
 
+lens_verbs.command()(field)
 lens_verbs.command()(optimise)
 lens_verbs.command()(tolerance)
 lens_verbs.command()(budget)
@@ -61,7 +62,6 @@ FastOption = Annotated[
 ]
 ShowOption = Annotated[ShowFigure, typer.Option("--figure", help="What --plot draws.")]
 MtfFigureOption = Annotated[MtfFigure, typer.Option("--figure", help="What --plot draws.")]
-OutOption = Annotated[Path | None, typer.Option("-o", "--out", help="Write the shift map (.npz).")]
 
 _CURVE_STEPS = 80
 
@@ -76,7 +76,7 @@ def group() -> None:
     \b
     Example:
       lensshift lens show petzval_a --plot lens.png
-      lensshift lens shiftmap petzval_a --element 1 -o shiftmap.npz
+      lensshift lens field petzval_a --element 1 -o field.nc
     """
 
 
@@ -242,80 +242,6 @@ def _curves(
     if len(AZIMUTHS_RAD) != 2:  # the names above are those of two directions
         raise ValueError(f"expected two directions, got {len(AZIMUTHS_RAD)}")
     return curves
-
-
-@lens_verbs.command()
-def shiftmap(
-    lens: LensArgument,
-    element: ElementOption = 1,
-    pattern: PatternOption = Pattern.SQUARE,
-    shift_px: ShiftOption = SHIFT_PX,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    out: OutOption = None,
-    wavelength_nm: WavelengthOption = None,
-    temperature_c: TemperatureOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
-    """Trace how far the image moves at every pixel for the frames of a pattern.
-
-    The frames are those of `simulate --pattern` and `capture --plan`, in their order; another
-    --shift-px than 0.25 makes the pattern wider or narrower. Writes the offsets of every pixel,
-    the travel of the element for each frame and the stage map; `reconstruct --shift-map` takes the
-    file and refuses one that does not belong to its burst.
-
-    \b
-    Example:
-      lensshift lens shiftmap petzval_a --element 1 --shift-px 0.25 -o shiftmap.npz
-      lensshift reconstruct burst.nc --shift-map shiftmap.npz
-    """
-    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
-        import numpy as np
-
-        from lensshift.core.pattern import named_pattern_px
-        from lensshift.io import save_shift_map
-        from lensshift.optics.shift import (
-            decenter_for_shift,
-            shift_map,
-            shift_uniformity,
-            stage_map,
-        )
-
-        check_outputs([], csv, plot)
-        model = read_lens(lens, wavelength_nm, temperature_c)
-        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
-        wanted_px = shift_px / SHIFT_PX * named_pattern_px(pattern.value)
-        travel_mm = decenter_for_shift(model, moved, wanted_px, grid)
-        field = shift_map(model, moved, travel_mm, grid)
-        stage = stage_map(model, moved, grid)
-        even = shift_uniformity(field, wanted_px)
-        current.say(f"element {element} of {model.name or lens}, {sensor} pixels of {pitch_mm} mm")
-        current.say(f"image over element: {np.round(stage.px_per_mm, 5).tolist()} px per mm")
-        for wish, travel, one in zip(wanted_px, travel_mm, even, strict=True):
-            current.say(
-                f"shift ({wish[0]:+.3f}, {wish[1]:+.3f}) px: travel ({1e3 * travel[0]:+.2f}, "
-                f"{1e3 * travel[1]:+.2f}) um, error over the sensor at most "
-                f"{one.max_error_px:.4f} px, {one.rms_error_px:.4f} px rms"
-            )
-        current.result |= {"lens": model.name or lens, "element": element, "wanted_px": wanted_px}
-        current.result |= {"travel_mm": travel_mm, "px_per_mm": stage.px_per_mm}
-        current.result["uniformity"] = [asdict(one) for one in even]
-        if out is not None:
-            save_shift_map(out, field, stage_map=stage, stage_mm=travel_mm)
-            current.say(f"wrote {out}")
-        frame, row, col = np.indices(field.offset_px.shape[:3]).reshape(3, -1)
-        columns: dict[str, Any] = {"frame": frame, "row": row, "col": col}
-        columns |= {"offset_row_px": field.offset_px[..., 0].ravel()}
-        columns |= {"offset_col_px": field.offset_px[..., 1].ravel()}
-        write_table(current, csv, columns)
-        write_plot(
-            current,
-            plot,
-            lambda: figure_of("lens_maps", "shift_map_figure", field, grid, wanted_px),
-        )
 
 
 @lens_verbs.command()

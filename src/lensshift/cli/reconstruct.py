@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -41,6 +40,24 @@ from lensshift.cli.points import (
     PointOptions,
     refuse_points,
 )
+from lensshift.cli.reconstruct_options import (
+    BurstArgument,
+    CalibrationOption,
+    Channel,
+    ChannelOption,
+    DeviceOption,
+    ExportOption,
+    FillOption,
+    FramesOption,
+    LensFieldOption,
+    NoiseOption,
+    NonNegativeOption,
+    OutOption,
+    PhotometricOption,
+    PsfOption,
+    ScaleOption,
+    SeedOption,
+)
 from lensshift.cli.recording import (
     EveryOption,
     PaceName,
@@ -53,6 +70,7 @@ from lensshift.cli.recording import (
 )
 from lensshift.cli.register import with_shifts
 from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
+from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
     from lensshift.core.point_cloud import PointCloud
@@ -64,84 +82,6 @@ _WIDTH_SOURCES = {
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
 }
 EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".png", ".npz", *CLOUD_SUFFIXES)
-
-
-class Channel(StrEnum):
-    """What is reconstructed."""
-
-    AUTO = "auto"
-    AMPLITUDE = "amplitude"
-    DISTANCE = "distance"
-    PHASOR = "phasor"
-
-
-BurstArgument = Annotated[
-    Path, typer.Argument(help="A burst file, or an image stack (TIFF, NPY, NPZ, folder of images).")
-]
-OutOption = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", help="Result file; default: BURST_xSCALE.nc beside it."),
-]
-ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Upscaling factor.")]
-ChannelOption = Annotated[Channel, typer.Option(help="What to reconstruct.")]
-
-
-def _width_px(text: str) -> float | None:
-    if text == "auto":
-        return None
-    try:
-        width_px = float(text)
-    except ValueError:
-        width_px = -1.0
-    if not width_px >= 0.0:
-        raise typer.BadParameter(f"expected auto or a number of LR px from 0, got {text!r}")
-    return width_px
-
-
-PsfOption = Annotated[
-    float | None,
-    typer.Option(
-        "--psf-sigma-px", parser=_width_px, metavar="PX|auto",
-        help="Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
-        "px; auto, the default: from --calibration or the burst, or a square pixel (with "
-        "--fill-factor: 0).",
-    ),
-]  # fmt: skip
-FramesOption = Annotated[
-    str | None, typer.Option(help="Frames to use, as in 0,2,8,10; default: all.")
-]
-NoiseOption = Annotated[
-    float | None, typer.Option(min=0.0, help="Noise of one LR pixel; default: estimated.")
-]
-FillOption = Annotated[
-    float | None, typer.Option(min=0.0, max=1.0, help="Light-sensitive linear share of a pixel.")
-]
-NonNegativeOption = Annotated[bool, typer.Option("--non-negative", help="Forbid negative values.")]
-PhotometricOption = Annotated[
-    bool, typer.Option("--photometric", help="Estimate gain and offset of each frame.")
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of whatever is random.")]
-ShiftMapOption = Annotated[
-    Path | None,
-    typer.Option("--shift-map", help="Shift of every pixel, from `lensshift lens shiftmap`."),
-]
-CalibrationOption = Annotated[
-    Path | None,
-    typer.Option("--calibration", help="From `lensshift calibrate`: shifts from stage positions."),
-]
-DeviceOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="cpu|cuda|cuda:N|numpy",
-        help="Where the method auto is computed, by PyTorch; default: compiled for this processor.",
-    ),
-]
-ExportOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--export", help="Also write .tif, .ome.tif, .fits, .png, .npz, .ply or .pcd; repeatable."
-    ),
-]
 
 
 def reconstruct(
@@ -159,7 +99,7 @@ def reconstruct(
     non_negative: NonNegativeOption = False,
     photometric: PhotometricOption = False,
     seed: SeedOption = 0,
-    shift_map: ShiftMapOption = None,
+    lens_field: LensFieldOption = None,
     calibration: CalibrationOption = None,
     device: DeviceOption = None,
     export: ExportOption = None,
@@ -193,6 +133,7 @@ def reconstruct(
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
       lensshift reconstruct stack.tif                       # finds the shifts itself
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
+      lensshift reconstruct burst.nc --lens-field field.nc  # of `lensshift lens field`
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
       lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
     """
@@ -208,12 +149,12 @@ def reconstruct(
         check_method(method)
         settings |= parse_options(method, option or [])
         split = Split(window, every, pace, workers, scheduler)
-        if split.asked(stack, points, frames, shift_map, calibration, export):
+        if split.asked(stack, points, frames, lens_field, calibration, export):
             reconstruct_windows(current, burst, out, split, settings, psf_sigma_px)
             return
         files = _plan(burst, offsets, out, export or [], scale)
         frames_in = load_input_burst(burst, stack, to_register=True)
-        frames_in, known = _located(current, frames_in, shift_map, calibration)
+        frames_in, known = _located(current, frames_in, lens_field, calibration)
         frames_in = _looking(frames_in, points, channel, files)
         known |= _told_width(psf_sigma_px, fill_factor)
         _reconstruct(current, burst, frames_in, settings | known, files, points)
@@ -237,25 +178,30 @@ def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files
 
 
 def _located(
-    current: Session, burst: Burst, shift_map: Path | None, calibration: Path | None
+    current: Session, burst: Burst, lens_field: Path | None, calibration: Path | None
 ) -> tuple[Burst, dict[str, Any]]:
-    """Return the burst and settings with what is known of its shifts and of the rig."""
-    if burst.offset_source == "unknown" and shift_map is None:
+    """Return the burst and settings with what is known of its shifts, its lens and the rig."""
+    known: dict[str, Any] = {}
+    if burst.offset_source == "unknown" and calibration is None:
         burst = with_shifts(current, burst)
-    if shift_map is not None and calibration is not None:
-        raise typer.BadParameter("--shift-map and --calibration both say where the image lies")
-    if shift_map is not None:
-        from lensshift.io import load_shift_field
-
-        return burst, {"shift_field": load_shift_field(shift_map, burst)}
     if calibration is not None:
         from lensshift.io.calibration_file import load_calibration
 
         measured = load_calibration(calibration)
         burst, field = measured.applied_to(burst)
         width = measured.psf_sigma_px
-        return burst, {"shift_field": field} | ({} if width is None else {"psf_sigma_px": width})
-    return burst, {}
+        known = {} if width is None else {"psf_sigma_px": width}
+        known |= {} if lens_field is not None else {"shift_field": field}
+    if lens_field is not None:
+        from lensshift.io import load_lens_field
+
+        found = load_lens_field(lens_field)
+        try:
+            found.of(burst)
+        except DataError as error:
+            raise error.in_file(lens_field) from error
+        known["lens_field"] = found
+    return burst, known
 
 
 @dataclass(frozen=True, slots=True)

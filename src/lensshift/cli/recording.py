@@ -62,7 +62,7 @@ class Split:
 
         Parameters
         ----------
-        others : --frames, --shift-map, --calibration and --export
+        others : --frames, --lens-field, --calibration and --export
         """
         if self.window is None:
             said = (self.every, self.workers, self.scheduler)
@@ -72,7 +72,7 @@ class Split:
                     "the frames of a picture, as well"
                 )
             return False
-        names = ("--frames", "--shift-map", "--calibration", "--export")
+        names = ("--frames", "--lens-field", "--calibration", "--export")
         told = [name for name, value in zip(names, others, strict=True) if value]
         told += ["options of image stacks (convert it first)"] * (stack != StackOptions())
         told += ["options of points (convert the sequence)"] * (points != PointOptions())

@@ -102,7 +102,7 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         try:
             yield current
         except KeyboardInterrupt as error:
-            typer.echo("interrupted", err=True)
+            typer.echo(f"interrupted: {error}" if str(error) else "interrupted", err=True)
             raise typer.Exit(130) from error
         except typer.Exit:  # a RuntimeError in the eyes of Python
             raise

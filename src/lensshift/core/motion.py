@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,10 +25,13 @@ class ShiftField:
     ----------
     offset_px : [frame row col 2] (row, col), with the sign of `Burst.offset_px`
     pitch_mm : (row, col) of the pixels it was made for, or None
+    spot_px2 : [frame row col 2] variance (row, col) of the spot that the lens makes of a point,
+        without the pixel, or None if that is not known to vary
     """
 
     offset_px: NDArray[np.float64]
     pitch_mm: tuple[float, float] | None = None
+    spot_px2: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         offset = np.asarray(self.offset_px, dtype=np.float64)
@@ -36,6 +40,17 @@ class ShiftField:
         if not np.all(np.isfinite(offset)):
             raise ValueError("expected finite offsets in the shift field")
         object.__setattr__(self, "offset_px", frozen(offset))
+        if self.spot_px2 is not None:
+            spot = np.asarray(self.spot_px2, dtype=np.float64)
+            if spot.shape != offset.shape or not np.all(np.isfinite(spot)):
+                raise ValueError(f"expected finite spot_px2 {offset.shape}, got {spot.shape}")
+            object.__setattr__(self, "spot_px2", frozen(spot))
+
+    def select(self, frames: Sequence[int]) -> ShiftField:
+        """Return the field of some of the frames."""
+        index = list(frames)
+        spot_px2 = None if self.spot_px2 is None else self.spot_px2[index]
+        return ShiftField(self.offset_px[index], self.pitch_mm, spot_px2)
 
     def check_belongs(self, offset_px: NDArray[np.float64], grid: Grid) -> None:
         """Refuse the offsets [frame 2] and the grid of another burst.

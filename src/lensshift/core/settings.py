@@ -7,6 +7,7 @@ a file adds its name (`DataError.in_file`).
 from __future__ import annotations
 
 import inspect
+import json
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -51,6 +52,20 @@ def parse_toml(text: str, source: str | Path = "") -> dict[str, Any]:
         raise DataError(f"is not TOML: {error}", source=source) from error
 
 
+def parse_json(text: str | bytes, source: str | Path = "", field: str = "") -> dict[str, Any]:
+    """Return the object of a JSON text; what is wrong with it names file, field and line."""
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        problem = f"not JSON: {error.msg} (line {error.lineno}, column {error.colno})"
+        raise DataError(problem, field=field, source=source) from error
+    except (ValueError, RecursionError) as error:  # text, integers and nesting beyond all bounds
+        raise DataError(f"not JSON: {error!s:.100}", field=field, source=source) from error
+    if not isinstance(content, dict):
+        raise DataError("expected {...}, a JSON object", field=field, source=source)
+    return content
+
+
 @contextmanager
 def settings_of(source: str | Path) -> Iterator[None]:
     """Name the file in every error that does not name one, and make them all a `DataError`."""
@@ -80,16 +95,26 @@ def only(table: Mapping[str, Any], known: Iterable[str], where: str = "") -> Non
             raise DataError(problem, field=_joined(where, key))
 
 
-def built(make: Callable[..., T], table: Mapping[str, Any], where: str) -> T:
+def built(
+    make: Callable[..., T],
+    table: Mapping[str, Any],
+    where: str,
+    beside: Mapping[str, Any] | None = None,
+) -> T:
     """Call with the entries of a table, each of the type that is annotated.
+
+    Parameters
+    ----------
+    where : name of the table in messages
+    beside : arguments that do not come from a file
 
     Raises
     ------
     DataError
         If an entry is unknown, missing, of another type, or refused.
     """
-    entries = fitted(make, table, where)
-    for name, parameter in inspect.signature(make).parameters.items():
+    entries = fitted(make, table, where) | dict(beside or {})
+    for name, parameter in _parameters(make).items():
         if name not in entries and parameter.default is parameter.empty:
             raise DataError("expected this entry, which is missing", field=_joined(where, name))
     try:
@@ -101,17 +126,30 @@ def built(make: Callable[..., T], table: Mapping[str, Any], where: str) -> T:
 def fitted(make: Callable[..., Any], table: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return the entries of a table as arguments for `make`, whose annotations they fit.
 
-    What is annotated `Any`, or begins with an underscore, is not for files.
+    What is annotated `Any`, or begins with an underscore, is not for files; what is not annotated,
+    as in somebody else's code, is taken as it is.
     """
     plain = inspect.isclass(make) and not is_dataclass(make)
-    hints = get_type_hints(make.__init__ if plain else make)
-    names = [
-        name
-        for name in inspect.signature(make).parameters
-        if name[0] != "_" and hints[name] is not Any
-    ]
+    try:
+        hints = get_type_hints(make.__init__ if plain else make)
+    except NameError as error:  # a name that only a type checker imports
+        raise DataError(f"its annotations cannot be read: {error}", field=where) from error
+    names = [one for one in _parameters(make) if one[0] != "_" and hints.get(one) is not Any]
     only(table, names, where)
-    return {key: fit(value, hints[key], _joined(where, key)) for key, value in table.items()}
+    return {
+        key: fit(value, hints[key], _joined(where, key)) if key in hints else value
+        for key, value in table.items()
+    }
+
+
+def _parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return what can be given by name."""
+    try:
+        found = inspect.signature(make).parameters
+    except ValueError as error:  # some compiled code does not tell
+        raise DataError("it does not tell its arguments; wrap it in a function") from error
+    named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return {name: one for name, one in found.items() if one.kind in named}
 
 
 def fit(value: Any, kind: Any, where: str) -> Any:

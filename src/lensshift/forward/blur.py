@@ -22,6 +22,10 @@ _NO_EXCESS = 1e-12
 # More positions than this are looked up in a table of so many phases, linear in between: that
 # keeps the centroid exact and the variance to 2e-8 HR px^2, and a dense field affordable.
 _PHASES = 4096
+# Spots that differ: linear between tables of so many phases, and of variances so far apart (px^2),
+# which keeps the variance, and the contrast at the Nyquist frequency of the frames to 0.002.
+_VARYING_PHASES = 512
+_SPOT_STEP_PX2 = 0.025
 
 
 class Blur(Hashable, Protocol):
@@ -37,6 +41,14 @@ class Blur(Hashable, Protocol):
             are dropped and the rest scaled to sum 1; a pixel that sees nothing of the image
             takes the nearest edge pixel.
         """
+        ...
+
+    def table(self, phase: Positions, scale: int) -> tuple[int, Weights]:
+        """Return the first tap and the weights [phase T] of pixels centred at phases in 0 .. 1."""
+        ...
+
+    def widened(self, spot_px2: float) -> Blur:
+        """Return the response with another variance of the optical spot, by so many px^2."""
         ...
 
 
@@ -69,8 +81,15 @@ class GaussianBlur:
 
     def taps(self, position_hr_px: ArrayLike, scale: int, size: int) -> tuple[Starts, Weights]:
         """Return first tap and weights [..., T] at HR coordinates (see `Blur.taps`)."""
-        sigma_hr_px = self.sigma_px * scale
-        return _taps(position_hr_px, size, lambda phase: _gaussian_table(phase, sigma_hr_px))
+        return _taps(position_hr_px, size, lambda phase: self.table(phase, scale))
+
+    def table(self, phase: Positions, scale: int) -> tuple[int, Weights]:
+        """Return the first tap and the weights [phase T] (see `Blur.table`)."""
+        return _gaussian_table(phase, self.sigma_px * scale)
+
+    def widened(self, spot_px2: float) -> GaussianBlur:
+        """Return the response behind another spot; never narrower than 0."""
+        return GaussianBlur(float(np.sqrt(max(self.sigma_px**2 + spot_px2, 0.0))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +124,59 @@ class ApertureBlur:
 
     def taps(self, position_hr_px: ArrayLike, scale: int, size: int) -> tuple[Starts, Weights]:
         """Return first tap and weights [..., T] at HR coordinates (see `Blur.taps`)."""
+        return _taps(position_hr_px, size, lambda phase: self.table(phase, scale))
+
+    def table(self, phase: Positions, scale: int) -> tuple[int, Weights]:
+        """Return the first tap and the weights [phase T] (see `Blur.table`)."""
         half_hr_px = 0.5 * self.fill_factor * scale
-        sigma_hr_px = self.optics_sigma_px * scale
-        return _taps(
-            position_hr_px, size, lambda phase: _aperture_table(phase, half_hr_px, sigma_hr_px)
-        )
+        return _aperture_table(phase, half_hr_px, self.optics_sigma_px * scale)
+
+    def widened(self, spot_px2: float) -> ApertureBlur:
+        """Return the aperture behind another spot; never a smaller one than a point."""
+        spot_px = float(np.sqrt(max(self.optics_sigma_px**2 + spot_px2, 0.0)))
+        return ApertureBlur(self.fill_factor, spot_px)
+
+
+def varying_taps(
+    blur: Blur, position_hr_px: Positions, spot_px2: Weights, scale: int, size: int
+) -> tuple[Starts, Weights]:
+    """Return the taps of LR pixels whose spots differ, as `Blur.taps`.
+
+    A few responses times weight maps: each pixel takes the two that are next to it in variance, in
+    the shares that keep the variance of its own.
+
+    Parameters
+    ----------
+    blur : the response without the differences
+    position_hr_px : [...]
+    spot_px2 : [...] variance of the spot beyond that of `blur`, in LR pixels, also negative
+    """
+    position = _as_positions(position_hr_px)
+    low, high = float(spot_px2.min()), float(spot_px2.max())
+    count = 1 + max(1, int(np.ceil((high - low) / _SPOT_STEP_PX2)))
+    phases = np.linspace(0.0, 1.0, _VARYING_PHASES + 1)
+    found = [blur.widened(spot).table(phases, scale) for spot in np.linspace(low, high, count)]
+    first_tap = min(first for first, _ in found)
+    taps = max(first + table.shape[1] for first, table in found) - first_tap
+    tables = np.zeros((count, len(phases), taps))
+    for number, (first, table) in enumerate(found):
+        tables[number, :, first - first_tap : first - first_tap + table.shape[1]] = table
+    base = np.floor(position)
+    spot, spot_part = _between((spot_px2 - low) / max(high - low, 1e-12), count - 1)
+    phase, phase_part = _between(position - base, _VARYING_PHASES)
+    weight = np.zeros((*position.shape, taps))
+    for up in (0, 1):
+        for beside in (0, 1):
+            share = np.abs(1 - up - spot_part) * np.abs(1 - beside - phase_part)
+            weight += share[..., None] * tables[spot + up, phase + beside]
+    lead, weight = _pack(weight)
+    return _crop(base.astype(np.int64) + first_tap + lead, weight, size)
+
+
+def _between(at: Weights, steps: int) -> tuple[Starts, Weights]:
+    """Return the node below each place in 0 .. 1, and how far on the way to the next it is."""
+    node = np.clip((at * steps).astype(np.int64), 0, steps - 1)
+    return node, np.clip(at * steps - node, 0.0, 1.0)
 
 
 def sees_image(position_hr_px: ArrayLike, size: int) -> NDArray[np.bool_]:

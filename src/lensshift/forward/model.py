@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image
+from lensshift.core.grid import hr_to_lr
+from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
 from lensshift.forward.operator import Array, LinearOperator, by_parts
 from lensshift.forward.sampling import (
     adjoint_field,
@@ -54,6 +55,8 @@ class ForwardModel:
     offset_px : [frame 2] if every frame has one shift, or None for a shift field
     gain, bias : [frame]
     inside : [frame row col] False where the centre of an LR pixel lies outside the HR image
+    spot_px2 : [frame row col 2] variance (row, col) of the optical spot beyond that of `blur`, or
+        None if all pixels have the same response
     """
 
     lr_shape: tuple[int, int]
@@ -66,6 +69,7 @@ class ForwardModel:
     gain: NDArray[np.float64]
     bias: NDArray[np.float64]
     inside: NDArray[np.bool_]
+    spot_px2: NDArray[np.float64] | None = None
 
     @property
     def frames(self) -> int:
@@ -126,6 +130,19 @@ class ForwardModel:
             lambda y: stack.adjoint(y[None]),
         )
 
+    def on_grid(self, scale: int, moved_px: ArrayLike = (0.0, 0.0)) -> ForwardModel:
+        """Return the model of the same frames on another HR grid, which is moved by (row, col)."""
+        moved = np.asarray(moved_px, dtype=np.float64)
+        if self.offset_px is not None:
+            return forward_model(self.lr_shape, scale, self.offset_px - moved, blur=self.blur)
+        seen = (hr_to_lr(taps.position_hr_px, self.scale) for taps in (self.rows, self.cols))
+        rows, cols = np.ogrid[: self.lr_shape[0], : self.lr_shape[1]]
+        offset_px = np.stack([u - at for u, at in zip((rows, cols), seen, strict=True)], axis=-1)
+        return forward_model(
+            self.lr_shape, scale, shift_field_px=offset_px - moved, spot_px2=self.spot_px2,
+            blur=self.blur,
+        )  # fmt: skip
+
     def crop(self, rows: slice, cols: slice) -> ForwardModel:
         """Return the model of a part of the frames (LR rows and columns) and of the HR image."""
         lr_shape = (rows.stop - rows.start, cols.stop - cols.start)
@@ -133,13 +150,15 @@ class ForwardModel:
         at = [taps.position_hr_px for taps in (self.rows, self.cols)]
         at = [p[:, rows, cols] for p in at] if at[0].ndim == 3 else [at[0][:, rows], at[1][:, cols]]
         row_at, col_at = at[0] - rows.start * self.scale, at[1] - cols.start * self.scale
+        spot_px2 = None if self.spot_px2 is None else self.spot_px2[:, rows, cols]
         return replace(
             self,
             lr_shape=lr_shape,
             hr_shape=hr_shape,
-            rows=_taps(self.blur, row_at, self.scale, hr_shape[0]),
-            cols=_taps(self.blur, col_at, self.scale, hr_shape[1]),
+            rows=_taps(self.blur, row_at, self.scale, hr_shape[0], spot_px2, 0),
+            cols=_taps(self.blur, col_at, self.scale, hr_shape[1], spot_px2, 1),
             inside=_inside(row_at, col_at, hr_shape),
+            spot_px2=spot_px2,
         )
 
 
@@ -149,6 +168,7 @@ def forward_model(
     offset_px: ArrayLike | None = None,
     *,
     shift_field_px: ArrayLike | None = None,
+    spot_px2: ArrayLike | None = None,
     blur: Blur | None = None,
     gain: ArrayLike | None = None,
     bias: ArrayLike | None = None,
@@ -162,6 +182,8 @@ def forward_model(
     offset_px : [frame 2] (row, col), one shift per frame; positive: the content moved down /
         right. Without any shift: one frame at (0, 0)
     shift_field_px : [frame row col 2] instead of `offset_px`, a shift for every pixel
+    spot_px2 : [frame row col 2], with a shift field: variance (row, col) of the optical spot of
+        every pixel beyond that of `blur`
     blur : the pixel response; by default a Gaussian of 0.3 px
     gain, bias : [frame], by default 1 and 0
 
@@ -174,22 +196,37 @@ def forward_model(
     blur = GaussianBlur(0.3) if blur is None else blur
     hr_shape = (lr_shape[0] * scale, lr_shape[1] * scale)
     offset, row_at, col_at = _look_where(lr_shape, scale, offset_px, shift_field_px)
-    count = row_at.shape[0]
+    count, spot = row_at.shape[0], None
+    if spot_px2 is not None:
+        spot = np.asarray(spot_px2, dtype=np.float64)
+        if row_at.ndim != 3 or spot.shape != (*row_at.shape, 2) or not np.all(np.isfinite(spot)):
+            raise ValueError(f"expected finite spot_px2 of a shift field, got shape {spot.shape}")
     return ForwardModel(
         lr_shape=lr_shape,
         hr_shape=hr_shape,
         scale=scale,
         blur=blur,
-        rows=_taps(blur, row_at, scale, hr_shape[0]),
-        cols=_taps(blur, col_at, scale, hr_shape[1]),
+        rows=_taps(blur, row_at, scale, hr_shape[0], spot, 0),
+        cols=_taps(blur, col_at, scale, hr_shape[1], spot, 1),
         offset_px=offset,
         gain=_per_frame(gain, 1.0, count, "gain"),
         bias=_per_frame(bias, 0.0, count, "bias"),
         inside=_inside(row_at, col_at, hr_shape),
+        spot_px2=spot,
     )
 
 
-def _taps(blur: Blur, at: Positions, scale: int, size: int) -> Taps:
+def _taps(
+    blur: Blur,
+    at: Positions,
+    scale: int,
+    size: int,
+    spot_px2: NDArray[np.float64] | None,
+    axis: int,
+) -> Taps:
+    if spot_px2 is not None:
+        taps = varying_taps(blur, at, spot_px2[..., axis], scale, size)
+        return _read_only(Taps(at, *taps, np.empty((0, 3), np.int64)))
     if at.ndim > 2:
         return _read_only(Taps(at, *blur.taps(at, scale, size), np.empty((0, 3), np.int64)))
     return _taps_of_shifts(blur, at.tobytes(), at.shape, scale, size)

@@ -27,6 +27,7 @@ class FramePredictor:
     offset_px : [frame 2] of every frame of the burst, used or held out
     gain, bias : [frame]
     shift_field_px : [frame row col 2] instead of `offset_px`, or None
+    spot_px2 : [frame row col 2] variance of the spot beyond that of `blur`, or None
     """
 
     image: Array
@@ -36,6 +37,7 @@ class FramePredictor:
     gain: NDArray[np.float64]
     bias: NDArray[np.float64]
     shift_field_px: NDArray[np.float64] | None = None
+    spot_px2: NDArray[np.float64] | None = None
 
     @property
     def lr_shape(self) -> tuple[int, int]:
@@ -46,19 +48,32 @@ class FramePredictor:
     def __call__(self, frame: int | ArrayLike) -> Array:
         """Return the frame [row col] of that number, or with gain 1 at that offset."""
         if np.ndim(frame) == 1:
-            model = forward_model(self.lr_shape, self.scale, blur=self.blur)
-            return model.frame(frame)(self.image)
+            return self._at(np.asarray(frame, dtype=np.float64))
         number = int(np.asarray(frame))
         if not 0 <= number < len(self.offset_px):
             raise ValueError(
                 f"expected a frame from 0 to {len(self.offset_px) - 1} or an offset (row, col), "
                 f"got {frame!r}"
             )
-        one, field = slice(number, number + 1), self.shift_field_px
+        one, field, spot = slice(number, number + 1), self.shift_field_px, self.spot_px2
         model = forward_model(
             self.lr_shape, self.scale, self.offset_px[one] if field is None else None,
             shift_field_px=None if field is None else field[one],
+            spot_px2=None if spot is None else spot[one],
             blur=self.blur, gain=self.gain[one], bias=self.bias[one],
+        )  # fmt: skip
+        return np.asarray(model.predict(self.image)[0])
+
+    def _at(self, offset_px: NDArray[np.float64]) -> Array:
+        """Return the frame at an offset (row, col); the spot is the mean of those of all frames."""
+        if self.spot_px2 is None or offset_px.shape != (2,):
+            return forward_model(self.lr_shape, self.scale, blur=self.blur).frame(offset_px)(
+                self.image
+            )
+        model = forward_model(
+            self.lr_shape, self.scale,
+            shift_field_px=np.broadcast_to(offset_px, (1, *self.lr_shape, 2)),
+            spot_px2=self.spot_px2.mean(axis=0)[None], blur=self.blur,
         )  # fmt: skip
         return np.asarray(model.predict(self.image)[0])
 

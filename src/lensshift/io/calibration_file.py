@@ -11,7 +11,7 @@ import numpy as np
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import StageMap
-from lensshift.core.settings import fit, read_text, settings_of
+from lensshift.core.settings import fit, parse_json, read_text, settings_of
 from lensshift.io.atomic import written_whole
 
 SCHEMA = "lensshift-calibration/1"
@@ -81,16 +81,11 @@ def load_calibration(path: str | Path) -> Calibration:
 
 
 def _content(path: str | Path) -> dict[str, Any]:
-    try:
-        content = json.loads(read_text(path))
-    except DataError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise DataError("this is no calibration file (JSON)", source=path) from error
-    found = content.get("schema") if isinstance(content, dict) else None
-    if found != SCHEMA:
+    content = parse_json(read_text(path), path)
+    if content.get("schema") != SCHEMA:
+        found = content.get("schema")
         raise DataError(f"expected {SCHEMA}, got {found!r:.60}", field="schema", source=path)
-    return dict(content)
+    return content
 
 
 def _array(content: dict[str, Any], name: str, axes: int, path: str | Path) -> Any:

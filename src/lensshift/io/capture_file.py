@@ -11,13 +11,12 @@ writing and nothing else. When a capture is complete, a burst file takes the jou
 
 from __future__ import annotations
 
-import json
 import os
 import struct
-import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import MISSING, dataclass, field, fields
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
@@ -27,20 +26,79 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst
 from lensshift.io.atomic import writable_target
 from lensshift.io.container_writer import to_json
-from lensshift.io.reading import require_file, unpacked_bytes
+from lensshift.io.reading import reading, require_file, unpacked_bytes
 
-Record = dict[str, NDArray[Any]]
+Array = NDArray[Any]
 
 _MARK = b"LSCAPTR1"
 _HEAD = struct.Struct("<8sQI")
 _LARGEST = 1 << 31  # bytes of a record: more is damage
 _SCHEMA = "lensshift-capture/1"
-# Fields of a record that every frame has; those that it has if a stage moved the lens.
-FRAME_FIELDS = ("amplitude", "valid", "offset_px", "time_s")
-_STAGE_FIELDS = ("offset_sigma_px", "stage_mm", "stage_commanded_mm")
+_RAW = "raw_"
+_STACKED = (
+    "distance_m", "valid", "offset_px", "time_s", "offset_sigma_px", "stage_mm",
+    "stage_commanded_mm",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FrameRecord:
+    """One frame of a journal.
+
+    Parameters
+    ----------
+    step : place on the plan
+    amplitude, valid, distance_m : [row col], distance or None
+    time_s : by the clock of the camera, or the host's
+    offset_px, offset_sigma_px : [2] where the image lies
+    stage_mm, stage_commanded_mm : [2] where the stage stood, and should have stood
+    arrived_s : by the clock of the host
+    raw : name -> what the camera sent, with `cycle`, its counter
+    """
+
+    step: int = 0
+    amplitude: Array
+    valid: Array
+    offset_px: Array
+    time_s: float
+    distance_m: Array | None = None
+    offset_sigma_px: Array | None = None
+    stage_mm: Array | None = None
+    stage_commanded_mm: Array | None = None
+    arrived_s: float = 0.0
+    raw: Mapping[str, Array] = field(default_factory=dict)
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the fields that are known, by their names in the file."""
+        own = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "raw"}
+        named = {name: np.asarray(value) for name, value in own.items() if value is not None}
+        return named | {f"{_RAW}{name}": np.asarray(value) for name, value in self.raw.items()}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Array]) -> Self:
+        """Return the record in arrays that `arrays` made; names that are not known are left out.
+
+        Raises
+        ------
+        DataError
+            If a field is missing or no number.
+        """
+        values: dict[str, Any] = {}
+        for one in fields(cls):
+            if one.name in arrays:
+                found = arrays[one.name]
+                number = one.type in ("int", "float")
+                if number and (found.ndim or found.dtype.kind not in "iuf"):
+                    raise DataError("expected a number", field=one.name)
+                values[one.name] = found.item() if number else found
+            elif one.default is MISSING and one.default_factory is MISSING:
+                raise DataError("a frame lacks this field", field=one.name)
+        raw = {name.removeprefix(_RAW): v for name, v in arrays.items() if name.startswith(_RAW)}
+        return cls(**values, raw=raw)
 
 
 class CaptureWriter:
@@ -55,7 +113,7 @@ class CaptureWriter:
     """
 
     def __init__(
-        self, path: Path, file: BinaryIO, header: Mapping[str, Any], frames: list[Record]
+        self, path: Path, file: BinaryIO, header: Mapping[str, Any], frames: list[FrameRecord]
     ) -> None:
         self.path, self.header, self.frames = path, dict(header), frames
         self._file = file
@@ -105,7 +163,7 @@ class CaptureWriter:
             undo.pop_all()
         return cls(target, file, header, frames)
 
-    def append(self, record: Mapping[str, Any]) -> None:
+    def append(self, record: FrameRecord) -> None:
         """Add a frame; it is with the operating system when this returns.
 
         Raises
@@ -113,11 +171,10 @@ class CaptureWriter:
         DataError
             If the disk is full or gone; the frames before are kept.
         """
-        arrays = {name: np.asarray(value) for name, value in record.items()}
         packed = BytesIO()
-        np.savez(packed, **arrays)  # type: ignore[arg-type]  # names are ours
+        np.savez(packed, **record.arrays())  # type: ignore[arg-type]  # names are ours
         self._write(packed.getbuffer())
-        self.frames.append(arrays)
+        self.frames.append(record)
 
     def close(self) -> None:
         """Let go of the file; a second call does nothing."""
@@ -189,7 +246,7 @@ def is_capture(path: str | Path) -> bool:
         return False
 
 
-def read_capture(path: str | Path) -> tuple[dict[str, Any], list[Record]]:
+def read_capture(path: str | Path) -> tuple[dict[str, Any], list[FrameRecord]]:
     """Return header and frames of a journal, also while it is being written.
 
     Raises
@@ -201,7 +258,9 @@ def read_capture(path: str | Path) -> tuple[dict[str, Any], list[Record]]:
     return header, frames
 
 
-def burst_of_capture(header: Mapping[str, Any], frames: Sequence[Record], source: Path) -> Burst:
+def burst_of_capture(
+    header: Mapping[str, Any], frames: Sequence[FrameRecord], source: Path
+) -> Burst:
     """Return the frames of a journal as a burst.
 
     Raises
@@ -211,28 +270,23 @@ def burst_of_capture(header: Mapping[str, Any], frames: Sequence[Record], source
     """
     if not frames:
         raise DataError("the capture holds no whole frame", source=source)
-    names = set.intersection(*(set(one) for one in frames))
-    missing = [name for name in FRAME_FIELDS if name not in names]
-    if missing:
-        raise DataError("a frame lacks this field", field=missing[0], source=source)
+    each = [one.arrays() for one in frames]
+    names = set.intersection(*(set(one) for one in each))
     try:
-        stacked = {name: np.stack([one[name] for one in frames]) for name in names}
-        per_frame: dict[str, Any] = {
-            name: stacked.get(name) for name in (*FRAME_FIELDS[1:], *_STAGE_FIELDS)
-        }
+        stacked = {name: np.stack([one[name] for one in each]) for name in names}
+        known = {name: stacked.get(name) for name in _STACKED}
         return Burst.from_arrays(
             stacked["amplitude"],
-            stacked.get("distance_m"),
             pitch_mm=header["pitch_mm"],
             modulation_hz=header.get("modulation_hz"),
             offset_source=header.get("offset_source", "planned"),
             raw={
-                name.removeprefix("raw_"): values
+                name.removeprefix(_RAW): values
                 for name, values in stacked.items()
-                if name.startswith("raw_")
+                if name.startswith(_RAW)
             },
             meta={**header.get("meta", {}), "step": stacked["step"].tolist()},
-            **per_frame,
+            **known,
         )
     except DataError as error:
         raise error.in_file(source) from error
@@ -240,7 +294,7 @@ def burst_of_capture(header: Mapping[str, Any], frames: Sequence[Record], source
         raise DataError(f"the capture contradicts itself: {error}", source=source) from error
 
 
-def _records(path: Path) -> tuple[dict[str, Any], list[Record], int]:
+def _records(path: Path) -> tuple[dict[str, Any], list[FrameRecord], int]:
     """Return the header, the whole frames, and where the last one ends."""
     require_file(path)
     try:
@@ -260,21 +314,19 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Record], int]:
         end = start + length
     if not payloads:
         raise DataError("expected the journal of a capture with a whole header", source=path)
-    try:
-        header = json.loads(payloads[0])
-        frames = [_unpacked(payload) for payload in payloads[1:]]
-    except (ValueError, zipfile.BadZipFile, OSError) as error:
-        raise DataError(f"the capture is damaged: {error}", source=path) from error
-    if not isinstance(header, dict) or header.get("schema") != _SCHEMA:
+    header = parse_json(payloads[0], path, "header")
+    if header.get("schema") != _SCHEMA:
         raise DataError(f"expected schema {_SCHEMA}", field="schema", source=path)
+    with reading(path, "frames"):
+        frames = [_unpacked(payload) for payload in payloads[1:]]
     return header, frames, end
 
 
-def _unpacked(payload: bytes) -> Record:
+def _unpacked(payload: bytes) -> FrameRecord:
     with np.load(BytesIO(payload), allow_pickle=False) as arrays:
         if unpacked_bytes(arrays) > len(payload):  # the writer does not compress
             raise DataError("a frame claims to hold more than is stored")
-        return {name: arrays[name] for name in arrays.files}
+        return FrameRecord.of_arrays({name: arrays[name] for name in arrays.files})
 
 
 def lock(file: BinaryIO, path: Path) -> None:

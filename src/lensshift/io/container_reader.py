@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterable, Iterator
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.core.settings import parse_json
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
 GROUP = "entry/data"
@@ -142,13 +142,7 @@ class Container:
         """Return the mapping that an attribute holds as JSON text; empty if it is absent."""
         if self.attribute(name, of=of) is None:
             return {}
-        try:
-            value = json.loads(self.text(name, of=of))
-        except (ValueError, RecursionError) as error:
-            raise DataError(f"not JSON: {error}", field=name, source=self.path) from error
-        if not isinstance(value, dict):
-            raise DataError("expected a JSON object", field=name, source=self.path)
-        return value
+        return parse_json(self.text(name, of=of), self.path, name)
 
     def _numbers(self, value: Any, count: int, name: str) -> list[float]:
         array = np.asarray(value)

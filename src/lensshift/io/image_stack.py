@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
 from lensshift.io.image_file import IMAGE_SUFFIXES, load_frames, load_named_arrays
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
@@ -26,7 +26,7 @@ _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
     "pitch_mm": lambda values: np.broadcast_to(values.astype(np.float64), (2,)),
     "modulation_hz": np.ndarray.tolist,
     "offset_source": str,
-    "meta": lambda values: json.loads(str(values)),
+    "meta": lambda values: parse_json(str(values), field="meta"),
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.core.settings import fit
+from lensshift.core.settings import fit, parse_json
 from lensshift.core.types import OFFSET_SOURCES, OffsetSource
 from lensshift.io.reading import reading, require_file
 
@@ -117,11 +116,8 @@ def _number_or_nan(cell: str) -> float:
 
 
 def _from_json(text: str) -> OffsetTable:
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise DataError(f"not JSON: {error.msg}", field=f"line {error.lineno}") from error
-    if not isinstance(content, dict) or "offset_px" not in content:
+    content = parse_json(text, field="offset_px")
+    if "offset_px" not in content:
         raise DataError('expected {"offset_px": [[row, col], ...]}', field="offset_px")
     unknown = sorted(set(content) - set(_JSON_FIELDS))
     if unknown:

@@ -2,6 +2,7 @@
 
     seen_offset_row, seen_offset_col   [burst_frame]                 pixel, of every frame
     seen_shift_row, seen_shift_col     [burst_frame lr_row lr_col]   pixel, of a shift field
+    seen_spot_row, seen_spot_col       [burst_frame lr_row lr_col]   pixel2, variance of the spot
     c_gain, c_bias                     [burst_frame]                 of channel c
     attributes of the distance of phasors: modulation_hz, reference_m, circular
 
@@ -45,6 +46,11 @@ def prediction_variables(channels: Mapping[str, Estimate]) -> dict[str, Variable
             if plain.shift_field_px is not None:
                 values = plain.shift_field_px[..., index]
                 variables[f"seen_shift_{axis}"] = Variable(_PIXEL, values, described)
+            if plain.spot_px2 is not None:
+                described = {"units": "pixel2", "long_name": f"variance of the spot along {axis}s"}
+                variables[f"seen_spot_{axis}"] = Variable(
+                    _PIXEL, plain.spot_px2[..., index], described
+                )
         variables[f"{name}_gain"] = Variable(_FRAME, plain.gain, {"units": "1"})
         variables[f"{name}_bias"] = Variable(_FRAME, plain.bias)
     return variables
@@ -94,15 +100,23 @@ def _predictor(
     offset_px = container.pairs("seen_offset")
     gain, bias = (container.array(f"{name}_{what}", kinds="f") for what in ("gain", "bias"))
     lr_shape = (image.shape[0] // scale, image.shape[1] // scale)
-    field = None
-    if container.has("seen_shift_row"):
-        parts = [container.array(f"seen_shift_{axis}", kinds="f") for axis in ("row", "col")]
-        if any(part.shape != (len(offset_px), *lr_shape) for part in parts):
-            raise DataError("expected an offset for every LR pixel", field="seen_shift_row")
-        field = np.stack(parts, axis=-1)
+    shape = (len(offset_px), *lr_shape)
+    field, spot = (_of_pixels(container, what, shape) for what in ("shift", "spot"))
     if gain.shape != (len(offset_px),) or bias.shape != gain.shape:
         raise DataError("expected one number a frame", field=f"{name}_gain")
-    return FramePredictor(image, scale, blur, offset_px, gain, bias, field)
+    return FramePredictor(image, scale, blur, offset_px, gain, bias, field, spot)
+
+
+def _of_pixels(
+    container: Container, what: str, shape: tuple[int, ...]
+) -> NDArray[np.float64] | None:
+    """Return [frame row col 2] of every LR pixel, or None if the file has none."""
+    if not container.has(f"seen_{what}_row"):
+        return None
+    parts = [container.array(f"seen_{what}_{axis}", kinds="f") for axis in ("row", "col")]
+    if any(part.shape != shape for part in parts):
+        raise DataError("expected one for every LR pixel", field=f"seen_{what}_row")
+    return np.stack(parts, axis=-1)
 
 
 def _phase_scale(container: Container) -> PhaseScale | None:

@@ -11,7 +11,7 @@ import numpy as np
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
 from lensshift.io import save_burst, save_reconstruction
-from lensshift.io.capture_file import CaptureWriter, burst_of_capture, read_capture
+from lensshift.io.capture_file import CaptureWriter, FrameRecord, burst_of_capture, read_capture
 from lensshift.live.picture import Picture, one_frame
 from lensshift.live.sources import Shot
 
@@ -41,17 +41,18 @@ class Recording:
         """Write a frame; return whether it belongs here, which one of another plan does not."""
         if shot.plan is not self._plan:
             return False
-        record: dict[str, Any] = {
-            "step": shot.place,
-            "amplitude": shot.frame.amplitude,
-            "valid": shot.frame.valid,
-            "offset_px": shot.offset_px,
-            "time_s": shot.frame.time_s,
-            "distance_m": shot.frame.distance_m,
-            "stage_mm": shot.stage_mm,
-            "stage_commanded_mm": shot.commanded_mm,
-        }
-        self._file.append({name: value for name, value in record.items() if value is not None})
+        self._file.append(
+            FrameRecord(
+                step=shot.place,
+                amplitude=shot.frame.amplitude,
+                valid=shot.frame.valid,
+                offset_px=np.asarray(shot.offset_px),
+                time_s=shot.frame.time_s,
+                distance_m=shot.frame.distance_m,
+                stage_mm=shot.stage_mm,
+                stage_commanded_mm=shot.commanded_mm,
+            )
+        )
         self._file.frames.clear()  # they are on disk; a long recording shall not fill memory
         self.count += 1
         return True

@@ -24,6 +24,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst, Frame
+from lensshift.io.capture_file import FrameRecord
 from lensshift.scene import Scene
 
 Array = NDArray[Any]
@@ -323,19 +324,13 @@ def template_of(
         raise ValueError(f"the camera contradicts itself: {error}") from error
 
 
-def _of_record(record: dict[str, Any], template: Burst) -> Shot:
-    frame = Frame(
-        np.asarray(record["amplitude"]),
-        record.get("distance_m"),
-        np.asarray(record["valid"]),
-        float(record["time_s"]),
-    )
+def _of_record(record: FrameRecord, template: Burst) -> Shot:
     return Shot(
-        frame,
-        int(record["step"]),
-        float(record["arrived_s"]),
+        Frame(record.amplitude, record.distance_m, record.valid, record.time_s),
+        record.step,
+        record.arrived_s,
         template,
-        np.asarray(record["offset_px"]),
-        np.asarray(record["stage_mm"]),
-        np.asarray(record["stage_commanded_mm"]),
+        record.offset_px,
+        record.stage_mm,
+        record.stage_commanded_mm,
     )

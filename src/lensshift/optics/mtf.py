@@ -5,11 +5,13 @@ Two ways: exact (`lensshift.optics.otf`) and fast, from landing points of rays, 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.optical import MtfCurve
 from lensshift.optics.lens import Lens
@@ -22,6 +24,10 @@ Array = NDArray[np.float64]
 
 AZIMUTHS_RAD = (0.0, 0.5 * np.pi)  # across columns (a vertical edge), across rows
 _FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
+_RINGS = 6  # of rays where nothing asks for more
+_MOST_PERIODS = 0.5  # between neighbouring rays: two of them for each period
+_SPARE = 1.1  # rings more than the ratio says: the outermost are not evenly apart
+_MOST_RAYS = 1e6  # at once, some 250 MB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +106,31 @@ def fast_mtf(
     build: Build | None = None,
     band: Band | None = None,
     defocus_mm: ArrayLike = 0.0,
-    rings: int = 6,
+    rings: int | None = None,
 ) -> Array:
-    """Return the MTF from the landing points of rays, [... azimuth frequency].
+    """Return the MTF from the landing points of rays: the modulus of `fast_otf`."""
+    return np.abs(
+        fast_otf(
+            lens, field_tan, frequency_lpmm, azimuth_rad, build=build, band=band,
+            defocus_mm=defocus_mm, rings=rings,
+        )
+    )  # fmt: skip
 
-        MTF = D(f / cutoff) | sum_rays w m exp(-2 pi i f e) | / sum_rays w m
+
+def fast_otf(
+    lens: Lens,
+    field_tan: ArrayLike,
+    frequency_lpmm: ArrayLike,
+    azimuth_rad: ArrayLike = AZIMUTHS_RAD,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+    defocus_mm: ArrayLike = 0.0,
+    rings: int | None = None,
+) -> NDArray[np.complex128]:
+    """Return the OTF about the centroid from the landing points of rays, [... azimuth frequency].
+
+        OTF = D(f / cutoff) sum_rays w m exp(-2 pi i f e) / sum_rays w m
         cutoff = 4 std(cosine) / wavelength
 
     with e the landing point and the cosine of the ray along the azimuth: four standard deviations
@@ -123,21 +149,25 @@ def fast_mtf(
         rows
     band : the light; the design wavelength alone by default
     defocus_mm : [...] sensor moved away from the lens; broadcasts with the leading axes
-    rings : of the pupil quadrature
+    rings : of the pupil quadrature; by default 6, or as many as neighbouring rays need to land
+        within half a period
 
     Raises
     ------
     ValueError
         As in `spots`.
+
+    Warns
+    -----
+    QualityWarning
+        If neighbouring rays land farther apart, so that rays that are not there may change it.
     """
     frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
     azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
     axes = np.stack([np.sin(azimuth), np.cos(azimuth)])
     light = band or Band(np.array([lens.wavelength_nm]), np.ones(1))
-    parts = [
-        spots(lens, field_tan, build=build, wavelength_nm=float(nm), rings=rings)
-        for nm in light.wavelength_nm
-    ]
+
+    parts, count = _enough_spots(lens, field_tan, build, light, axes, frequency, defocus_mm, rings)
     share = [w * part.transmission for w, part in zip(light.weight, parts, strict=True)]
     total = sum(share)
     centre = sum(
@@ -145,10 +175,73 @@ def fast_mtf(
     )
     otf = sum(
         (s / total)[..., None, None]
-        * _spot_otf(part, part.centroid_mm - centre, axes, frequency, float(nm), defocus_mm, rings)
+        * _spot_otf(part, part.centroid_mm - centre, axes, frequency, float(nm), defocus_mm, count)
         for s, part, nm in zip(share, parts, light.wavelength_nm, strict=True)
     )
-    return np.asarray(np.abs(otf))
+    return np.asarray(otf)
+
+
+def _enough_spots(
+    lens: Lens,
+    field_tan: ArrayLike,
+    build: Build | None,
+    light: Band,
+    axes: Array,
+    frequency_lpmm: Array,
+    defocus_mm: ArrayLike,
+    rings: int | None,
+) -> tuple[list[Spots], int]:
+    """Return the spots of each wavelength and their rings: those told, or as many as it takes."""
+    highest_lpmm = float(np.abs(frequency_lpmm).max())
+
+    def traced(count: int) -> tuple[list[Spots], float]:
+        parts = [
+            spots(lens, field_tan, build=build, wavelength_nm=float(nm), rings=count)
+            for nm in light.wavelength_nm
+        ]
+        return parts, highest_lpmm * max(
+            _farthest_mm(part, axes, defocus_mm, count) for part in parts
+        )
+
+    count = rings or _RINGS
+    parts, periods = traced(count)
+    if periods > _MOST_PERIODS and rings is None:
+        affordable = int(np.sqrt(_MOST_RAYS / (4 * parts[0].transmission.size)))
+        needed = int(np.ceil(_SPARE * count * periods / _MOST_PERIODS))
+        count = max(count, min(needed, affordable))
+        parts, periods = traced(count)
+    if periods > _MOST_PERIODS:
+        warnings.warn(
+            f"the rays of {count} rings land up to {periods:.2g} periods apart, more than the "
+            f"{_MOST_PERIODS:g} that tell the contrast at {highest_lpmm:g} LP/mm; `exact_otf` "
+            "does, or more rings",
+            QualityWarning,
+            stacklevel=4,
+        )
+    return parts, count
+
+
+def _landing_mm(
+    spot: Spots, from_centre_mm: ArrayLike, axes: Array, defocus_mm: ArrayLike
+) -> Array:
+    """Return where rays land along each azimuth from a point, [... azimuth ray]."""
+    moved = spot.ray_mm + np.asarray(from_centre_mm)[..., None, :]
+    away = np.asarray(defocus_mm, dtype=np.float64)
+    if np.any(away):
+        axial = np.where(spot.weight > 0, spot.direction[..., 2], 1.0)
+        moved = moved + away[..., None, None] * spot.direction[..., :2] / axial[..., None]
+    # Contiguous and writable, so that Numba compiles the kernel once.
+    return np.ascontiguousarray(np.moveaxis(moved @ axes, -1, -2))
+
+
+def _farthest_mm(spot: Spots, axes: Array, defocus_mm: ArrayLike, rings: int) -> float:
+    """Return how far apart rays land that are neighbours in the pupil, along any azimuth."""
+    landing = _landing_mm(spot, np.zeros(2), axes, defocus_mm)
+    by_ring = landing.reshape(*landing.shape[:-1], rings, -1)
+    there = np.broadcast_to((spot.weight > 0)[..., None, :], landing.shape).reshape(by_ring.shape)
+    outward = np.abs(np.diff(by_ring, axis=-2)) * (there[..., 1:, :] & there[..., :-1, :])
+    round_by = np.abs(by_ring - np.roll(by_ring, 1, axis=-1)) * (there & np.roll(there, 1, axis=-1))
+    return float(max(outward.max(initial=0.0), round_by.max(initial=0.0)))
 
 
 def _spot_otf(
@@ -163,13 +256,7 @@ def _spot_otf(
     """Return the OTF of one wavelength about a point, [... azimuth frequency]."""
     from lensshift.optics.otf_kernel import spot_otf
 
-    moved = spot.ray_mm + from_centre_mm[..., None, :]
-    away = np.asarray(defocus_mm, dtype=np.float64)
-    if np.any(away):
-        axial = np.where(spot.weight > 0, spot.direction[..., 2], 1.0)
-        moved = moved + away[..., None, None] * spot.direction[..., :2] / axial[..., None]
-    # Contiguous and writable, so that Numba compiles the kernel once.
-    landing = np.ascontiguousarray(np.moveaxis(moved @ axes, -1, -2))  # [... azimuth ray]
+    landing = _landing_mm(spot, from_centre_mm, axes, defocus_mm)
     cosine = np.moveaxis(spot.direction[..., :2] @ axes, -1, -2)
     weight = spot.weight[..., None, :]
     mean = (weight * cosine).sum(axis=-1, keepdims=True)
@@ -197,7 +284,7 @@ def sensor_mtf(
     *,
     build: Build | None = None,
     band: Band | None = None,
-    rings: int = 4,
+    rings: int | None = None,
 ) -> Array:
     """Return the fast MTF at every pixel of a sensor, [row col azimuth frequency].
 

@@ -1,4 +1,4 @@
-"""How the image moves when an element moves: shift maps, their inverse, their evenness."""
+"""How the image moves when an element moves: traced shifts, their inverse, their evenness."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.grid import Grid
-from lensshift.core.motion import ShiftField, StageMap
+from lensshift.core.motion import ShiftField
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import pixel_centres_mm
 from lensshift.optics.paraxial import decenter_gains
@@ -18,7 +18,7 @@ from lensshift.optics.trace import Build
 Array = NDArray[np.float64]
 
 _RINGS = 2  # of the pupil: the centroid is smooth
-_NEAR = 1e-3  # of a pixel; the offset changes by less than 1e-5 px over it
+_NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
 _INVERSE_STEPS = 12
 _INVERSE_PX = 1e-9
 _PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
@@ -59,23 +59,6 @@ def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> S
     resting_mm = spots(lens, fields, rings=_RINGS).centroid_mm
     offset_px = (moved_mm - resting_mm) / np.asarray(grid.pitch_mm)
     return ShiftField(offset_px.reshape(len(moves), *grid.shape, 2), grid.pitch_mm)
-
-
-def stage_map(lens: Lens, element: int, grid: Grid) -> StageMap:
-    """Return how far the image moves per mm of one element, over the sensor and at its centre.
-
-    The stage axes are (row, col).
-
-    Raises
-    ------
-    ValueError
-        As in `shift_map`.
-    """
-    centre = Grid((1, 1), grid.pitch_mm)
-    return StageMap(
-        px_per_mm=px_per_mm_over(lens, element, centre)[0, 0],
-        field_px_per_mm=px_per_mm_over(lens, element, grid),
-    )
 
 
 def decenter_for_shift(

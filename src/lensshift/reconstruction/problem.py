@@ -160,8 +160,9 @@ def make_problem(
                 f"got {shift_field.offset_px.shape}"
             )
         model = forward_model(
-            burst.grid.shape, scale, shift_field_px=shift_field.offset_px, blur=blur
-        )
+            burst.grid.shape, scale, shift_field_px=shift_field.offset_px,
+            spot_px2=shift_field.spot_px2, blur=blur,
+        )  # fmt: skip
     else:
         model = forward_model(burst.grid.shape, scale, burst.offset_px, blur=blur)
     weight = (usable & model.inside).astype(np.float64)
@@ -184,7 +185,7 @@ def make_problem(
         model=model,
         intensity=unit,
         level=level,
-        blur_sigma_px=blur_width_px(blur),
+        blur_sigma_px=_mean_width_px(model),
         noise_sigma=None if noise_sigma is None else noise_sigma / unit,
         shift_error_px=_own_error_px(burst.offset_sigma_px, burst.frame_count),
         even_noise=even_noise,
@@ -233,11 +234,22 @@ def blur_width_px(blur: Blur) -> float:
     raise TypeError(f"expected GaussianBlur or ApertureBlur, got {type(blur).__name__}")
 
 
-def without_lens(blur: Blur) -> Blur:
-    """Return a response without what a lens has added: no pixel is wider than a square one."""
+def _mean_width_px(model: ForwardModel) -> float:
+    """Return the width of the response, of one that varies the root mean square."""
+    spot_px2 = 0.0 if model.spot_px2 is None else float(model.spot_px2.mean())
+    return math.sqrt(max(blur_width_px(model.blur) ** 2 + spot_px2, 0.0))
+
+
+def square_pixel(blur: Blur) -> Blur:
+    """Return a response of this kind that is that of the pixel alone."""
     if isinstance(blur, ApertureBlur):
         return ApertureBlur(blur.fill_factor)
-    return GaussianBlur(min(blur_width_px(blur), SQUARE_PIXEL_PX))
+    return GaussianBlur(SQUARE_PIXEL_PX)
+
+
+def without_lens(blur: Blur) -> Blur:
+    """Return a response without what a lens has added: no pixel is wider than a square one."""
+    return min(blur, square_pixel(blur), key=blur_width_px)
 
 
 def predictor(
@@ -253,14 +265,20 @@ def predictor(
 
     Gain, bias and the shift field are those of the frames used; the others have none.
     """
-    gains, biases, field_px = np.ones(burst.frame_count), np.zeros(burst.frame_count), None
+    gains, biases = np.ones(burst.frame_count), np.zeros(burst.frame_count)
     gains[list(used)], biases[list(used)] = gain, bias
+    field_px = spot_px2 = None
     if shift_field is not None:
         shape = (burst.frame_count, *burst.grid.shape, 2)
         field_px = np.array(np.broadcast_to(burst.offset_px[:, None, None], shape))
         field_px[list(used)] = shift_field.offset_px
+        if shift_field.spot_px2 is not None:  # that of others is the mean of those
+            spot_px2 = np.tile(shift_field.spot_px2.mean(axis=0), (burst.frame_count, 1, 1, 1))
+            spot_px2[list(used)] = shift_field.spot_px2
     model = problem.model
-    return FramePredictor(image, model.scale, model.blur, burst.offset_px, gains, biases, field_px)
+    return FramePredictor(
+        image, model.scale, model.blur, burst.offset_px, gains, biases, field_px, spot_px2
+    )
 
 
 def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.devices import Device, on_device
@@ -29,6 +30,7 @@ from lensshift.reconstruction.problem import (
     make_blur,
     make_problem,
     predictor,
+    square_pixel,
     without_lens,
 )
 from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of_doubt
@@ -51,6 +53,7 @@ def reconstruct(
     noise_sigma: float | None = None,
     pixel_variance: ArrayLike | None = None,
     shift_field: ShiftField | None = None,
+    lens_field: LensField | None = None,
     photometric: bool = False,
     non_negative: bool = False,
     seed: int = 0,
@@ -87,6 +90,9 @@ def reconstruct(
     pixel_variance : [frame row col] known noise variance of each LR pixel
     shift_field : offset of every pixel of every frame instead of `burst.offset_px`, which it must
         agree with in the middle of the sensor
+    lens_field : how shift and spot of the lens vary over the sensor, for the frames of any burst
+        of that lens; instead of `shift_field`. `psf_sigma_px` then holds for the middle of the
+        sensor, where nobody told it the pixel is square; all methods undo the spot
     photometric : whether to estimate gain and bias of each frame
     non_negative : whether negative values are forbidden
     seed : of everything random
@@ -106,8 +112,8 @@ def reconstruct(
     Raises
     ------
     ValueError
-        If an argument is out of range or unknown to the method, a shift field is not of this
-        burst, or there is no such device.
+        If an argument is out of range or unknown to the method, a shift field or lens field is not
+        of this burst, or there is no such device.
     ImportError
         If a device needs PyTorch, which is not installed.
 
@@ -125,12 +131,12 @@ def reconstruct(
     request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
     _check(scale, noise_sigma, photometric)
     response = _response(burst, psf_sigma_px, fill_factor)
-    blur = make_blur(response["psf_sigma_px"], fill_factor)
-    blur = blur if chosen.undoes_lens else without_lens(blur)
-    used = _frame_numbers(burst, frames, shift_field)
+    blur = _undone(make_blur(response["psf_sigma_px"], fill_factor), response, chosen, lens_field)
+    field = _field_of(burst, shift_field, lens_field)
+    used = _frame_numbers(burst, frames, field)
     request = replace(request, frames=used, memory=memory, **_told(response, device, name))
     part = burst if frames is None else burst.select(used)
-    field = None if shift_field is None else _select_field(shift_field, used, burst)
+    field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
     given = photometric or noise_sigma is not None or variance is not None
@@ -142,8 +148,7 @@ def reconstruct(
         doubt, request = _doubted(part, shifts, scale, request)
     seen: dict[str, Any] = {"blur": blur, "shift_field": field, "noise_sigma": noise_sigma,
                             "pixel_variance": variance}  # fmt: skip
-    found: dict[str, Estimate] = {}
-    flying = None
+    flying, found = None, dict[str, Estimate]()
     if choice.channel == "phasor":
         phasor = reconstruct_phasor(
             burst, used, scale, name, request, photometric=photometric, **seen
@@ -270,6 +275,16 @@ def _response(
     return {"psf_sigma_px": float(told), "psf_source": "burst"}
 
 
+def _undone(
+    blur: Blur, response: Mapping[str, Any], method: Method, lens_field: LensField | None
+) -> Blur:
+    """Return the response that the method undoes; with a lens field that of the pixel alone."""
+    if lens_field is not None:
+        told = response["psf_source"] != "assumed"
+        blur = blur.widened(-lens_field.middle_px2) if told else square_pixel(blur)
+    return blur if method.undoes_lens else without_lens(blur)
+
+
 def _told(response: Mapping[str, Any], device: str | Device | None, method: str) -> dict[str, Any]:
     """Return what a request holds of response and device; of too wide a one the user was told."""
     width_px = response["psf_sigma_px"]
@@ -279,10 +294,10 @@ def _told(response: Mapping[str, Any], device: str | Device | None, method: str)
 
 
 def _frame_numbers(
-    burst: Burst, frames: Sequence[int] | None, shift_field: ShiftField | None
+    burst: Burst, frames: Sequence[int] | None, field: ShiftField | None
 ) -> tuple[int, ...]:
     numbers = tuple(int(k) for k in (range(burst.frame_count) if frames is None else frames))
-    if burst.offset_source == "unknown" and shift_field is None and len(numbers) > 1:
+    if burst.offset_source == "unknown" and field is None and len(numbers) > 1:
         problem = "nobody has said where the frames lie; lensshift.register finds it from them"
         raise DataError(problem, field="offset_px")
     if not numbers or min(numbers) < 0 or max(numbers) >= burst.frame_count:
@@ -292,9 +307,17 @@ def _frame_numbers(
     return numbers
 
 
-def _select_field(field: ShiftField, used: tuple[int, ...], burst: Burst) -> ShiftField:
-    field.check_belongs(burst.offset_px, burst.grid)
-    return ShiftField(field.offset_px[list(used)])
+def _field_of(
+    burst: Burst, shift_field: ShiftField | None, lens_field: LensField | None
+) -> ShiftField | None:
+    """Return what is known of each pixel of the whole burst."""
+    if lens_field is None:
+        if shift_field is not None:
+            shift_field.check_belongs(burst.offset_px, burst.grid)
+        return shift_field
+    if shift_field is not None:
+        raise ValueError("expected shift_field or lens_field, got both")
+    return lens_field.of(burst)
 
 
 def _check(scale: int, noise_sigma: float | None, photometric: bool) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.registration.curvature import Curvature, inverse
 from lensshift.registration.spectrum import Frequencies, Spectrum, first_spectrum
 from lensshift.registration.taper import Tapered, taper_frames
 
@@ -20,6 +21,8 @@ _SPECTRUM_PASSES = 6
 # The image power is freed from the power law in this many rounds, once the shifts are near.
 _FREE_ROUNDS = 3
 _FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0
+# For differences of the score.
+_STEP_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,6 @@ def likely_shifts(
     *,
     reference: int = 0,
     photometric: bool = False,
-    given_sigma_px: Shifts | None = None,
     max_iterations: int = 40,
 ) -> ShiftFit:
     """Estimate the offsets of all frames by maximum likelihood.
@@ -76,7 +78,7 @@ def likely_shifts(
     X is a random image of power P: a power law behind the blur of a pixel at first, then
     whatever power the frames show. The aliases m != 0 and the noise are part of the model, so
     neither biases the shifts; that the same scene is behind all frames is what tells them
-    apart. Fisher scoring; standard errors from the Fisher information, widened for the taper.
+    apart. Fisher scoring; standard errors from the curvature with the taper in tow (`Curvature`).
     Invalid pixels are filled with what the model expects of them, again in each iteration.
 
     Parameters
@@ -85,7 +87,6 @@ def likely_shifts(
     start_px : [frame 2], right to about half a pixel
     reference : frame whose offset stays as it is
     photometric : whether the frames may differ by a factor and an additive constant
-    given_sigma_px : [frame 2] standard deviations of `start_px` if it counts as a measurement
 
     Source: Whittle (1953); Gaussian Fisher scoring as in Kay, Estimation Theory (1993) ch. 3.
     """
@@ -96,8 +97,8 @@ def likely_shifts(
     )
     kinds = 3 if photometric else 2
     free = np.setdiff1d(np.arange(kinds * len(frames)), kinds * reference + np.arange(kinds))
-    prior = _prior_weight(given_sigma_px, kinds, len(frames))
-    freed, converged = 0, False
+    freed, converged, step = 0, False, np.zeros((len(frames), kinds))
+    curvature: Curvature | None = None
     for iteration in range(max_iterations):
         tapered = taper_frames(
             frames, valid, state.offset_px, own_mean=photometric, expected=tapered.expected
@@ -105,15 +106,16 @@ def likely_shifts(
         passes = _SPECTRUM_PASSES if iteration == 0 else 1
         _fit_spectrum(state, tapered, passes, whole=freed == 0)
         score, information = _score(state, tapered, kinds)
-        score -= prior * _against(start_px, state.offset_px, kinds)
-        information = information + np.diag(prior)
-        spread = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-9, hermitian=True)
-        change = np.zeros(score.size)
-        change[free] = spread @ score[free]
-        step = change.reshape(-1, kinds)
+        if freed == _FREE_ROUNDS and curvature is None:
+            curvature = _curvature(frames, valid, state, tapered, kinds, reference)
+        before, step = step, np.zeros((len(frames), kinds))
+        change, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
+        step.ravel()[free] = change
         largest_px = float(np.abs(step[:, :2]).max())
         # Where the frames say little, a step means little.
-        told = float(np.max(np.abs(change[free]) / np.sqrt(np.diag(spread) + 1e-30)))
+        told = float(np.max(np.abs(change) / np.sqrt(np.diag(spread) + 1e-30)))
+        if np.sum(step * before) < 0.0:  # to and fro: the frames are surer than the model
+            step *= 0.5
         step *= min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))
         state.offset_px = state.offset_px + step[:, :2]
         if photometric:
@@ -127,29 +129,61 @@ def likely_shifts(
             converged = True
             break
         tapered = tapered.with_expected(state.spectrum, state.offset_px, np.exp(state.log_gain))
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)])
-    places = np.flatnonzero(np.arange(covariance.shape[0]) % kinds < 2)
+    if curvature is None:
+        curvature = _curvature(frames, valid, state, tapered, kinds, reference)
+        _, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
+    return _fit_of(state, spread * tapered.inflation, reference, converged=converged)
+
+
+def _fit_of(state: _State, spread: Array, reference: int, *, converged: bool) -> ShiftFit:
+    """Return the shifts, with the covariance of the parameters of all frames but the reference."""
+    count = len(state.offset_px)
+    kinds = len(spread) // (count - 1)
+    covariance = np.zeros((2 * count, 2 * count))
+    places = np.delete(np.arange(2 * count), [2 * reference, 2 * reference + 1])
+    shifts = np.arange(len(spread)) % kinds < 2
+    covariance[np.ix_(places, places)] = spread[np.ix_(shifts, shifts)]
     return ShiftFit(
         offset_px=state.offset_px,
-        covariance_px2=covariance[np.ix_(places, places)] * tapered.inflation,
+        covariance_px2=covariance,
         gain=np.exp(state.log_gain),
         noise_sigma=float(np.sqrt(state.spectrum.noise_power)),
         converged=converged,
     )
 
 
-def _prior_weight(sigma_px: Shifts | None, kinds: int, count: int) -> NDArray[np.float64]:
-    weight = np.zeros((count, kinds))
-    if sigma_px is not None:
-        weight[:, :2] = 1.0 / np.maximum(sigma_px, 1e-6) ** 2
-    return weight.ravel()
+def _newton(
+    score: Array, information: Array, curvature: Curvature | None, kinds: int
+) -> tuple[Array, Array]:
+    """Return the step of the parameters that a score asks for, and their covariance."""
+    if curvature is None:
+        spread = inverse(information)
+        return spread @ score, spread
+    return curvature.step(information, kinds) @ score, curvature.covariance(information, kinds)
 
 
-def _against(start_px: Shifts, offset_px: Shifts, kinds: int) -> NDArray[np.float64]:
-    away = np.zeros((len(offset_px), kinds))
-    away[:, :2] = offset_px - start_px
-    return away.ravel()
+def _curvature(
+    frames: Array, valid: NDArray[np.bool_], state: _State, tapered: Tapered, kinds: int, at: int
+) -> Curvature:
+    """Return the curvature by a common shift of all frames but the reference, number `at`."""
+    count = len(frames)
+    others = np.tile(np.eye(kinds, 2), (count, 1, 1))
+    others[at] = 0.0
+    together = others.reshape(-1, 2)
+    information = _score(state, tapered, kinds)[1]
+    offset_px = state.offset_px
+    bent = np.empty((2, 2, 2))
+    for axis in (0, 1):
+        scores = []
+        for sign in (-1.0, 1.0):
+            state.offset_px = offset_px + sign * _STEP_PX * others[:, :2, axis]
+            moved = taper_frames(
+                frames, valid, state.offset_px, own_mean=kinds == 3, expected=tapered.expected
+            )
+            scores.append([_score(state, one, kinds)[0] @ together for one in (tapered, moved)])
+        bent[..., axis] = (np.array(scores[0]) - np.array(scores[1])) / (2.0 * _STEP_PX)
+    state.offset_px = offset_px
+    return Curvature(together.T @ information @ together, *bent)
 
 
 def _fit_spectrum(state: _State, tapered: Tapered, passes: int, *, whole: bool) -> None:

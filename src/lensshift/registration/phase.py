@@ -21,6 +21,9 @@ _PLANE_PASSES = 6
 # Above this the frames have structure along one direction only.
 _WORST_CONDITION = 1e8
 _REACH_OF_PEAK_PX = 0.5
+# Another peak of so much of the height may be the true one (scenes that repeat have 0.5 and more
+# beside it, cards and textures up to 0.3), and one that is lower by less than so much noise.
+_RIVAL_SHARE, _RIVAL_SIGMAS = 0.5, 4.0
 
 
 def phase_correlation(reference: Array, frame: Array) -> Shifts:
@@ -62,6 +65,29 @@ def phase_shifts(frames: Array, reference: int) -> Shifts:
     return np.stack([phase_correlation(frames[reference], frame) for frame in frames])
 
 
+def rival_shifts(frames: Array, reference: int) -> Shifts:
+    """Return how far [frame 2] from its peak another one lies that may be the true one, or 0.
+
+    Scenes that repeat have several peaks, scenes of which the noise hides most have any.
+    """
+    from scipy.ndimage import maximum_filter
+
+    rivals_px = np.zeros((len(frames), 2))
+    for k, frame in enumerate(frames):
+        score = _score(frames[reference], frame)
+        peak = np.unravel_index(int(np.argmax(score)), score.shape)
+        spread = 1.4826 * float(np.median(np.abs(score - np.median(score))))
+        best = float(score[peak])
+        least = min(_RIVAL_SHARE * best, best - _RIVAL_SIGMAS * spread)
+        maxima = np.argwhere((score == maximum_filter(score, 3, mode="wrap")) & (score >= least))
+        size = np.array(score.shape)
+        away_px = (maxima - np.array(peak) + size // 2) % size - size // 2
+        if len(away_px) > 1 and k != reference:
+            # The one that is nearly as good, the farthest of them.
+            rivals_px[k] = away_px[np.argmax(np.hypot(*away_px.T))]
+    return rivals_px
+
+
 def _windowed(image: Array) -> Array:
     """Return the image without its mean under a Hann window, which hides the borders."""
     rows, cols = (np.hanning(size + 2)[1:-1] for size in image.shape)
@@ -73,14 +99,7 @@ def _windowed(image: Array) -> Array:
 
 def _peak(reference: Array, frame: Array) -> Shifts:
     """Return the peak of the phase correlation, to a fraction of a pixel by a parabola."""
-    padded = tuple(2 * size for size in reference.shape)
-    cross = np.fft.fft2(_windowed(frame), padded)
-    cross = cross * np.conj(np.fft.fft2(_windowed(reference), padded))
-    size = np.abs(cross)
-    weight = _low_pass(*np.meshgrid(*map(np.fft.fftfreq, padded), indexing="ij"))
-    # Half whitened: wholly whitened, the noise of empty bins counts as much as the scene.
-    whitened = weight * cross / np.sqrt(np.maximum(size, _LEAST_POWER * size.max() + 1e-300))
-    score = np.real(np.fft.ifft2(whitened))
+    score = _score(reference, frame)
     peak = np.unravel_index(int(np.argmax(score)), score.shape)
     found = np.empty(2)
     for axis, (at, count) in enumerate(zip(peak, score.shape, strict=True)):
@@ -91,6 +110,18 @@ def _peak(reference: Array, frame: Array) -> Shifts:
         part = 0.5 * (before - after) / bend if bend < 0 else 0.0
         found[axis] = (at + part + count / 2) % count - count / 2
     return found
+
+
+def _score(reference: Array, frame: Array) -> Array:
+    """Return the phase correlation for every shift of whole pixels, on twice the area."""
+    padded = tuple(2 * size for size in reference.shape)
+    cross = np.fft.fft2(_windowed(frame), padded)
+    cross = cross * np.conj(np.fft.fft2(_windowed(reference), padded))
+    size = np.abs(cross)
+    weight = _low_pass(*np.meshgrid(*map(np.fft.fftfreq, padded), indexing="ij"))
+    # Half whitened: wholly whitened, the noise of empty bins counts as much as the scene.
+    whitened = weight * cross / np.sqrt(np.maximum(size, _LEAST_POWER * size.max() + 1e-300))
+    return np.asarray(np.real(np.fft.ifft2(whitened)))
 
 
 def _overlap(reference: Array, frame: Array, whole: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from lensshift.core.types import Burst
 from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
-from lensshift.registration.phase import phase_shifts
+from lensshift.registration.phase import phase_shifts, rival_shifts
 
 Array = NDArray[Any]
 Shifts = NDArray[np.float64]
@@ -28,8 +28,8 @@ Run = Callable[..., ShiftFit]
 POOR_SIGMA_PX = 0.05
 # The least error that phase correlation is believed to have.
 PHASE_SIGMA_PX = 0.005
-# Aliases tell of a shift as well; with them an estimate may be so much better than without.
-BETTER_THAN_GRADIENTS = 3.0
+# A burst moves by some pixels; where the frames tell nothing, this is what is known of a shift.
+USUAL_SHIFT_PX = 2.0
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 _AGREES_PX = 0.5
 _CLEARLY_BETTER = 0.7
@@ -73,34 +73,36 @@ def register(
     Warns
     -----
     QualityWarning
-        If a shift has a standard error above 0.05 px, or the search did not settle.
+        If a shift has a standard error above 0.05 px or may be another one (scenes that repeat,
+        without planned offsets), or the search did not settle.
     """
     frames = frames_of(burst, channel)
     _check(burst, method, reference, use_given)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
+    said = bool(np.any(given_px))
     phase_px = phase_shifts(whole, reference)
     if method == "phase":
         fit = _phase_fit(whole, valid, phase_px, reference)
     else:
         run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
         if method == "auto":
-            measured_px = burst.offset_sigma_px if use_given else None
-            run = partial(
-                likely_shifts,
-                reference=reference,
-                photometric=photometric,
-                given_sigma_px=_against_reference(measured_px, reference),
-            )
+            run = partial(likely_shifts, reference=reference, photometric=photometric)
         elif np.iscomplexobj(frames):
             frames = np.abs(frames)
         fit = _from_best_start(run, frames, valid, given_px, phase_px, keep_given=use_given)
-        fit = _widened(run, frames, valid, fit)
-    sigma_px = fit.sigma_px
-    if use_given:
-        sigma_px = np.minimum(sigma_px, _against_reference(burst.offset_sigma_px, reference))
-    _warn_if_poor(sigma_px, fit.converged)
+        if method == "gradient":
+            fit = _widened(run, frames, valid, fit)
+        else:
+            measured_px = burst.offset_sigma_px if use_given else None
+            told_px = _against_reference(measured_px, reference)
+            fit = _with_given(fit, given_px, told_px, said=said)
+    rivals_px = np.zeros_like(given_px)
+    if method == "phase" or not said:
+        rivals_px = rival_shifts(whole, reference)
+    sigma_px = np.hypot(fit.sigma_px, rivals_px)
+    _warn_if_poor(sigma_px, rivals_px, fit.converged)
     offset_px = fit.offset_px + burst.offset_px[reference]
     if burst.offset_source == "unknown":
         offset_px -= offset_px.mean(axis=0)
@@ -148,7 +150,7 @@ def filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
     return np.where(valid, frames, mean)
 
 
-def _against_reference(sigma_px: Shifts | None, reference: int) -> Any:
+def _against_reference(sigma_px: Shifts | None, reference: int) -> Shifts | None:
     """Return standard deviations of differences from the reference, None if not known."""
     if sigma_px is None:
         return None
@@ -178,6 +180,25 @@ def _from_best_start(
     return second if second.noise_sigma < _CLEARLY_BETTER * first.noise_sigma else first
 
 
+def _with_given(
+    fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool
+) -> ShiftFit:
+    """Return the fit with what is known beside the frames.
+
+    Measured offsets count by their errors; planned ones, or that there are none, say at least that
+    no shift is larger than some pixels.
+    """
+    told = np.full(given_px.shape, USUAL_SHIFT_PX) if sigma_px is None else sigma_px
+    covariance = fit.covariance_px2
+    gain = np.linalg.solve(covariance + np.diag(told.ravel() ** 2), covariance).T
+    away_px = (gain @ (fit.offset_px - given_px).ravel()).reshape(-1, 2)
+    return replace(
+        fit,
+        offset_px=fit.offset_px - away_px if said else fit.offset_px,
+        covariance_px2=covariance - gain @ covariance,
+    )
+
+
 def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -> ShiftFit:
     """Return the fit with errors that the scatter over the sensor and the texture bear out."""
 
@@ -189,9 +210,7 @@ def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -
     count = len(frames)
     texture = texture_covariance(frames, valid, fit.offset_px, fit.noise_sigma)
     apart = (fit.sigma_px > 0).astype(np.float64)
-    floor = np.kron(np.eye(count), texture / BETTER_THAN_GRADIENTS**2) * np.outer(
-        apart.ravel(), apart.ravel()
-    )
+    floor = np.kron(np.eye(count), texture) * np.outer(apart.ravel(), apart.ravel())
     return replace(fit, covariance_px2=fit.covariance_px2 * factor**2 + floor)
 
 
@@ -212,13 +231,23 @@ def _phase_fit(
     return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
 
 
-def _warn_if_poor(sigma_px: Shifts, converged: bool) -> None:
+def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool) -> None:
     if not converged:
         warnings.warn(
             "the search for the shifts did not settle; are these frames of one still scene?",
             QualityWarning,
             stacklevel=3,
         )
+    unsure = int(np.argmax(np.hypot(*rivals_px.T)))
+    if np.any(rivals_px):
+        down, right = rivals_px[unsure]
+        warnings.warn(
+            f"the scene repeats or shows little: frame {unsure} may as well lie "
+            f"({down:+.0f}, {right:+.0f}) px elsewhere; planned offset_px would tell",
+            QualityWarning,
+            stacklevel=3,
+        )
+        return
     worst = np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)
     worst_px = float(sigma_px[worst])
     if not worst_px <= POOR_SIGMA_PX:

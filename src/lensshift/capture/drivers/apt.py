@@ -68,8 +68,8 @@ def open_apt_stage(
 class AptStage:
     """Two axes that move at once; see `open_apt_stage` and the protocol `Stage`.
 
-    Every position is reached by a forward move of both axes. Whatever ends a move before it is
-    done, an error or Ctrl-C, stops both.
+    Every position is reached by a move of each axis in its one direction. Whatever ends a move
+    before it is done, an error or Ctrl-C, stops both.
     """
 
     def __init__(self, row: AptAxis, col: AptAxis, settings: AptSettings) -> None:
@@ -80,7 +80,12 @@ class AptStage:
     @property
     def travel_mm(self) -> NDArray[np.float64]:
         """[2 2] (axis; lowest, highest) position that leaves room for the approach."""
-        return np.array([self.settings.reachable_mm] * 2)
+        return np.array([self.settings.reachable_mm(axis) for axis in (0, 1)])
+
+    @property
+    def approach_mm(self) -> NDArray[np.float64]:
+        """[2] length of the run-up, negative where every move ends backward."""
+        return np.array([self.settings.run_up_mm(axis) for axis in (0, 1)])
 
     def prepare(self, on_homing: OnHoming | None = None) -> None:
         """Write all parameters and read them back, enable, and home if the settings say so."""
@@ -128,12 +133,10 @@ class AptStage:
             takes longer than its speed and acceleration allow.
         """
         goal_mm = np.asarray(position_mm, dtype=np.float64)
-        low_mm, high_mm = self.settings.reachable_mm
+        low_mm, high_mm = self.travel_mm.T
         if goal_mm.shape != (2,) or not np.all((goal_mm >= low_mm) & (goal_mm <= high_mm)):
-            raise ValueError(
-                f"expected a position [2] within {low_mm:g} .. {high_mm:g} mm, "
-                f"got {goal_mm.tolist()}"
-            )
+            reach = " and ".join(f"{a:g} .. {b:g}" for a, b in self.travel_mm)
+            raise ValueError(f"expected a position [2] within {reach} mm, got {goal_mm.tolist()}")
         return self._together(
             [
                 axis.moves(float(goal), direct=direct)

@@ -77,6 +77,7 @@ class AptAxis:
         self.port = port
         self.repeated_moves = 0
         self._counts_per_mm = settings.scale(axis)
+        self._run_up_mm = settings.run_up_mm(axis)
         self._halted = threading.Event()
         self._command = ""
         self._cube = AptCube(
@@ -202,7 +203,7 @@ class AptAxis:
         return self.homed and (came or went >= 2)
 
     def moves(self, goal_mm: float, *, direct: bool = False) -> Generator[float, None, float]:
-        """Go to a position step by step, at last forward; the result is the position (mm).
+        """Go to a position step by step, at last in the one direction; return the position (mm).
 
         With `direct` straight there: for a calibration that measures the play.
         """
@@ -216,11 +217,13 @@ class AptAxis:
 
     def _approach(self, goal: int, *, direct: bool) -> Generator[float, None, float | None]:
         """Go to `goal`, with a run-up if need be; return where it stands, None if not there."""
-        run_up = self._counts(self.settings.approach_mm)
+        run_up = self._counts(self._run_up_mm)
         start = self._cube.status()
         if not start.bits & Bits.HOMED:
             raise self._error("it does not know its zero; home it first")
-        legs = [goal] if direct or goal - start.counts >= run_up else [goal - run_up, goal]
+        far_enough = abs(goal - start.counts) >= abs(run_up)
+        ends_well = far_enough and (goal - start.counts) * run_up >= 0
+        legs = [goal] if direct or ends_well else [goal - run_up, goal]
         at: float | None = start.counts
         for end in legs:
             if at is not None:

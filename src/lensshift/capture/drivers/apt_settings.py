@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+Direction = Literal["forward", "backward"]
 
 # Z8 actuators: 512 counts per turn of the motor, a gear of 67.49:1, 1 mm per turn of the screw; so
 # the APT protocol since 2022. Older papers round the gear to 67:1, which gives 34304 (0.73 % less).
@@ -23,8 +25,10 @@ class AptSettings:
     home_offset_mm : from the switch to the zero
     home : look for the zero on opening, which takes the lens to the end of its way: after asking
         if a controller does not know it ("ask"), so without asking ("if_needed"), "always", "never"
-    approach_mm : every position is reached by a forward move of at least this length, so that the
-        play behind the encoder always lies on one side; longer than the play
+    approach_mm : every position is reached by a move of at least this length in one direction, so
+        that the play behind the encoder always lies on one side; longer than the play
+    approach_direction : "forward" or "backward", for both axes or (row, col): against the weight of
+        the lens where an axis lifts it, against the spring of a mount
     travel_mm : (lowest, highest) position the motor may go to
     tolerance_mm : a position is reached within this
     settle_polls : replies in a row that must say so; also before anything else is done about them
@@ -41,6 +45,7 @@ class AptSettings:
     home_offset_mm: float = 0.3
     home: Literal["ask", "if_needed", "always", "never"] = "ask"
     approach_mm: float = 0.02
+    approach_direction: Direction | tuple[Direction, Direction] = "forward"
     travel_mm: tuple[float, float] = (0.0, 6.0)
     tolerance_mm: float = 0.001
     settle_polls: int = 3
@@ -76,6 +81,11 @@ class AptSettings:
             raise ValueError(
                 f"expected home 'ask', 'if_needed', 'always' or 'never', got {self.home!r}"
             )
+        if any(self.direction(axis) not in get_args(Direction) for axis in (0, 1)):
+            raise ValueError(
+                "expected approach_direction 'forward', 'backward' or two of them, got "
+                f"{self.approach_direction!r}"
+            )
         low, high = self.travel_mm
         if not (math.isfinite(low) and math.isfinite(high) and high - low > self.approach_mm):
             raise ValueError(f"expected travel_mm longer than the approach, got {self.travel_mm}")
@@ -85,10 +95,20 @@ class AptSettings:
         both = self.counts_per_mm
         return float(both) if isinstance(both, int | float) else both[axis]
 
-    @property
-    def reachable_mm(self) -> tuple[float, float]:
-        """Lowest and highest position that leaves room for the approach."""
-        return self.travel_mm[0] + self.approach_mm, self.travel_mm[1]
+    def direction(self, axis: int) -> str:
+        """Return in which direction every move of axis 0 (row) or 1 (col) ends."""
+        both = self.approach_direction
+        return both if isinstance(both, str) else both[axis]
+
+    def run_up_mm(self, axis: int) -> float:
+        """Return how far before its goal a move of an axis turns round; negative: beyond it."""
+        return self.approach_mm if self.direction(axis) == "forward" else -self.approach_mm
+
+    def reachable_mm(self, axis: int) -> tuple[float, float]:
+        """Return the lowest and highest position that leave room for the approach."""
+        low, high = self.travel_mm
+        run_up_mm = self.run_up_mm(axis)
+        return low + max(run_up_mm, 0.0), high + min(run_up_mm, 0.0)
 
 
 def travel_time_s(distance_mm: float, velocity_mmps: float, acceleration_mmps2: float) -> float:

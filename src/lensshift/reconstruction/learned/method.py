@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
-from lensshift.forward.model import forward_model
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.memory import Memory
@@ -18,7 +17,7 @@ from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
-from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.problem import Problem, blur_width_px
 
 Array = NDArray[Any]
 
@@ -99,7 +98,9 @@ def solved(
     held = kept and tuple(one.moved(1 / unit, -level / unit) for one in kept)
 
     def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
-        asked = Asked(problem.model, problem.y, noise, problem.blur_sigma_px, on_stage, held)
+        # Of the pixel: the networks have seen few responses that are much wider.
+        width_px = blur_width_px(problem.model.blur)
+        asked = Asked(problem.model, problem.y, noise, width_px, on_stage, held)
         return _solved_once(problem, asked, request)
 
     found, misfit = run(noise)
@@ -117,7 +118,7 @@ def solved(
             f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
         )
     elif misfit.curable and not request.shifts_doubted:
-        believed = misfit.weight()
+        believed = misfit.weight(of_phasors=problem.y.dtype.kind == "c")
         weighed = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
         )
@@ -158,8 +159,6 @@ def _seen_otherwise(
     may be finer than the grid. Both seem to contradict in those frames that are not believed there.
     """
     model, scale = problem.model, problem.scale
-    if model.offset_px is None:
-        return misfit
     doubted = np.any(misfit.doubt > 1.0, axis=0)
     rows, cols = (
         slice(max(0, int(at.min()) - AROUND_PX), int(at.max()) + 1 + AROUND_PX)
@@ -168,16 +167,16 @@ def _seen_otherwise(
     rows, cols = (
         slice(p.start, min(p.stop, n)) for p, n in zip((rows, cols), doubted.shape, strict=True)
     )
-    turns = np.exp(2j * np.pi * (scale * model.offset_px + (scale - 1) / 2))
+    turns = np.exp(2j * np.pi * (scale * model.mean_offset_px + (scale - 1) / 2))
     off_px = np.angle(turns.mean(axis=0)) / (2 * np.pi * scale)
     grids = [(scale, off_px)] if np.max(np.abs(off_px)) > NODE_PX else []
     grids += [(2 * scale, np.zeros(2))] if 2 * scale <= MOST_SCALE else []
     for finer, moved_px in grids:
-        whole = forward_model(model.lr_shape, finer, model.offset_px - moved_px, blur=model.blur)
-        other = whole.crop(rows, cols)
+        other = model.on_grid(finer, moved_px).crop(rows, cols)
         part = replace(problem, model=other, y=np.ascontiguousarray(problem.y[:, rows, cols]))
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
-        _, again = _solved_once(part, Asked(other, part.y, sigma, problem.blur_sigma_px), request)
+        asked = Asked(other, part.y, sigma, blur_width_px(other.blur))
+        _, again = _solved_once(part, asked, request)
         if not again.curable:
             return replace(misfit, doubt=np.minimum(misfit.doubt, 1.0))
     return misfit

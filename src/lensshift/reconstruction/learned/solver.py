@@ -89,7 +89,8 @@ class Asked:
     def geometry(self) -> tuple[Any, ...]:
         """What bursts have to share to be solved together; what begins with `held` is alone."""
         model, held = self.model, self.held and id(self.held)
-        places = (taps.position_hr_px.tobytes() for taps in (model.rows, model.cols))
+        places = [taps.position_hr_px.tobytes() for taps in (model.rows, model.cols)]
+        places += [] if model.spot_px2 is None else [model.spot_px2.tobytes()]
         return (self.y.shape, self.of_phasors, held, self.blur_px, model.scale, model.blur, *places)
 
     def unit(self) -> tuple[float, complex | float, float]:

@@ -1,0 +1,254 @@
+"""Devices of the user's own, named in a rig file as `module:attribute`, under the same checks.
+
+What they return is looked at, and what they raise becomes an error that names them, because nobody
+here knows that code.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage
+from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.grid import Grid
+from lensshift.core.settings import built
+
+T = TypeVar("T")
+_STAGE = ("name", "travel_mm", "position_mm", "move_to", "stop", "close", "describe")
+_CAMERA = (
+    "name", "grid", "modulation_hz", "open", "newest_cycle", "next_frame", "counts", "close",
+    "describe",
+)  # fmt: skip
+
+
+def python_stage(
+    table: Mapping[str, Any],
+    folder: Path,
+    *,
+    home: str | None = None,
+    on_homing: OnHoming | None = None,
+) -> Stage:
+    """Make the stage that the entry `use` names, with the other entries as arguments.
+
+    Parameters
+    ----------
+    table : `use = "module:attribute"`, and what the attribute is called with
+    folder : where modules are looked for first
+    home, on_homing : handed on if the attribute takes them, see `open_rig`
+
+    Raises
+    ------
+    DataError
+        If there is no such attribute, it does not take the entries, or makes no stage.
+    DeviceError
+        If it fails.
+    """
+    make = _attribute(table, folder, "stage")
+    offered = {"home": home, "on_homing": on_homing}
+    beside = {name: one for name, one in offered.items() if one is not None and _takes(make, name)}
+    made = _made(make, table, "stage", _STAGE, beside)
+    return CheckedStage(made)
+
+
+def python_camera(table: Mapping[str, Any], folder: Path) -> Camera:
+    """Make the camera that the entry `use` names; else as `python_stage`."""
+    return CheckedCamera(_made(_attribute(table, folder, "camera"), table, "camera", _CAMERA, {}))
+
+
+def _attribute(table: Mapping[str, Any], folder: Path, what: str) -> Callable[..., Any]:
+    name = table.get("use")
+    module, _, attribute = name.partition(":") if isinstance(name, str) else ("", "", "")
+    if not (module and attribute):
+        raise DataError(f'expected "module:attribute", got {name!r:.60}', field=f"{what}.use")
+    sys.path.insert(0, str(folder.resolve()))
+    try:
+        with _Named(f"{what}.use", DataError):
+            found: Any = importlib.import_module(module)
+            for part in attribute.split("."):
+                found = getattr(found, part)
+    finally:
+        sys.path.remove(str(folder.resolve()))
+    if not callable(found):
+        raise DataError(f"expected a class or function, {name} is none", field=f"{what}.use")
+    return found  # type: ignore[no-any-return]  # callable: just looked
+
+
+def _takes(make: Callable[..., Any], name: str) -> bool:
+    try:
+        return name in inspect.signature(make).parameters
+    except (TypeError, ValueError):  # some compiled code does not tell
+        return False
+
+
+def _made(
+    make: Callable[..., Any],
+    table: Mapping[str, Any],
+    what: str,
+    members: tuple[str, ...],
+    beside: Mapping[str, Any],
+) -> Any:
+    """Call with the entries of a table; return the device if it has all members."""
+    entries = {name: one for name, one in table.items() if name not in ("kind", "use")}
+    with _Named(str(table["use"]), DeviceError):
+        device = built(make, entries, what, beside)
+        missing = [one for one in members if one not in dir(device)]
+    if missing:
+        problem = f"{table['use']} makes no {what}: it lacks {', '.join(missing)}"
+        raise DataError(problem, field=f"{what}.use")
+    return device
+
+
+class _Named:
+    """Makes one line of whatever foreign code raises; our own errors pass as they are."""
+
+    def __init__(self, name: str, kind: type[DataError] | type[DeviceError]) -> None:
+        self._name, self._kind = name, kind
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(error, Exception) and not isinstance(error, DataError | DeviceError):
+            problem = f"{type(error).__name__}: {error}"
+            if self._kind is DataError:
+                raise DataError(problem, field=self._name) from error
+            raise DeviceError(problem, device=self._name) from error
+
+
+class CheckedStage:
+    """A stage of somebody else's; what it returns is what `Stage` promises, or an error."""
+
+    def __init__(self, stage: Any) -> None:
+        self._stage = stage
+        self.name = str(stage.name)
+        low, high = self.travel_mm.T
+        if not np.all(low < high):
+            raise DeviceError("its travel_mm is empty", device=self.name)
+
+    def _asked(self, what: str, of: Callable[[], Any], shape: tuple[int, ...]) -> NDArray[Any]:
+        with _Named(self.name, DeviceError):
+            values = np.asarray(of(), dtype=np.float64)
+        if values.shape != shape or not np.all(np.isfinite(values)):
+            problem = f"expected {list(shape)} finite numbers (mm), got {values.tolist()!s:.60}"
+            raise DeviceError(problem, device=self.name, command=what)
+        return values
+
+    @property
+    def travel_mm(self) -> NDArray[np.float64]:
+        """[2 2] (axis; lowest, highest) position that it goes to."""
+        return self._asked("travel_mm", lambda: self._stage.travel_mm, (2, 2))
+
+    def position_mm(self) -> NDArray[np.float64]:
+        """Return the position [2] read back."""
+        return self._asked("position_mm", self._stage.position_mm, (2,))
+
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
+        """Move within the travel, wait, return the position read back."""
+        goal_mm = np.asarray(position_mm, dtype=np.float64)
+        low, high = self.travel_mm.T
+        if goal_mm.shape != (2,) or not np.all((goal_mm >= low) & (goal_mm <= high)):
+            raise ValueError(
+                f"expected a position [2] within {self.travel_mm.tolist()} mm, got "
+                f"{goal_mm.tolist()}"
+            )
+        return self._asked("move_to", lambda: self._stage.move_to(goal_mm, direct=direct), (2,))
+
+    def stop(self) -> None:
+        """Stand still at once."""
+        with _Named(self.name, DeviceError):
+            self._stage.stop()
+
+    def close(self) -> None:
+        """Stop and let go of the device."""
+        with _Named(self.name, DeviceError):
+            self._stage.close()
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return what to keep beside the frames."""
+        with _Named(self.name, DeviceError):
+            return dict(self._stage.describe())
+
+
+class CheckedCamera:
+    """A camera of somebody else's; what it returns is what `Camera` promises, or an error."""
+
+    def __init__(self, camera: Any) -> None:
+        self._camera = camera
+        self._cycle = -1
+        self.name = str(camera.name)
+
+    @property
+    def grid(self) -> Grid:
+        """Shape and pitch of the frames."""
+        return self._checked("grid", self._camera.grid, Grid)
+
+    @property
+    def modulation_hz(self) -> float | None:
+        """Modulation frequency of the distance, if it is known."""
+        known = self._camera.modulation_hz
+        return None if known is None else float(known)
+
+    @property
+    def intrinsics(self) -> Any:
+        """Where the pixels look, if the camera tells."""
+        return getattr(self._camera, "intrinsics", None)
+
+    def open(self) -> None:
+        """Begin to receive."""
+        with _Named(self.name, DeviceError):
+            self._camera.open()
+        self._cycle = -1
+
+    def newest_cycle(self) -> int:
+        """Return the counter of the newest frame that has begun, -1 before the first."""
+        with _Named(self.name, DeviceError):
+            return int(self._camera.newest_cycle())
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        """Return the oldest frame not yet fetched, of the shape of the grid and a later cycle."""
+        with _Named(self.name, DeviceError):
+            shot = self._checked("next_frame", self._camera.next_frame(timeout_s), CameraFrame)
+            shape = np.shape(shot.frame.amplitude)
+        if shape != self.grid.shape:
+            problem = f"expected a frame of {self.grid.shape}, got {shape}"
+            raise DeviceError(problem, device=self.name, command="next_frame")
+        if shot.cycle <= self._cycle:
+            problem = f"expected a cycle after {self._cycle}, got {shot.cycle}"
+            raise DeviceError(problem, device=self.name, command="next_frame")
+        self._cycle = shot.cycle
+        return shot
+
+    def _checked(self, what: str, value: Any, kind: type[T]) -> T:
+        if isinstance(value, kind):
+            return value
+        problem = f"expected a {kind.__name__}, got {type(value).__name__}"
+        raise DeviceError(problem, device=self.name, command=what)
+
+    def counts(self) -> Mapping[str, int]:
+        """Return what came and what was lost since `open`."""
+        with _Named(self.name, DeviceError):
+            return dict(self._camera.counts())
+
+    def close(self) -> None:
+        """Stop receiving and let go of the device."""
+        with _Named(self.name, DeviceError):
+            self._camera.close()
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return what to keep beside the frames."""
+        with _Named(self.name, DeviceError):
+            return dict(self._camera.describe())

@@ -1,0 +1,261 @@
+"""How a lens images over the sensor while something moves: shift and spot as polynomials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.arrays import frozen
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.core.motion import ShiftField
+from lensshift.core.types import Burst
+
+Array = NDArray[np.float64]
+Motion = Literal["decentre", "tilt", "sensor"]
+MOTIONS: tuple[Motion, ...] = ("decentre", "tilt", "sensor")
+
+_INVERSE_STEPS = 20
+_INVERSE_PX = 1e-9
+# Beyond the fitted range by rounding, and by the error of a shift that was planned at its end.
+_BEYOND = 1.02
+# Stage and image go together: 0.1 px is far beyond play, and less than two places are apart.
+_MOST_ASTRAY_PX = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LensField:
+    """Shift and spot of a lens over the sensor and over the states of what moves.
+
+        q(u, s) = sum_ijab c_ijab T_i(u_row) T_j(u_col) T_a(s_row) T_b(s_col)
+
+    with Chebyshev polynomials T, u the place on the sensor over half its size, and s the state
+    over `reach`. Everything is 0 mm or rad, and no shift, at rest.
+
+    Parameters
+    ----------
+    grid : of the sensor, centred on the axis
+    shift_px : [i j a b 2] coefficients of the image offset (row, col), as `Burst.offset_px`
+    spot_px2 : [i j a b 2] of the variance (row, col) of the Gaussian that stands for the spot
+    reach : (row, col) largest state, in mm or (tilt) rad
+    motion : what the state is: decentre or tilt of an element, or the place of the sensor
+    element : its number from 0, or None
+    lens : its name
+    shift_error_px : largest difference to the traced shift where it was not fitted
+    spot_error_px : largest difference of a width (standard deviation) in the same way
+    contrast_error : largest difference of the contrast behind lens and pixel that the Gaussian
+        makes up to the pixel frequency
+    notes : text and numbers: wavelength, temperature
+    """
+
+    grid: Grid
+    shift_px: Array
+    spot_px2: Array
+    reach: tuple[float, float]
+    motion: Motion = "decentre"
+    element: int | None = 0
+    lens: str = ""
+    shift_error_px: float = 0.0
+    spot_error_px: float = 0.0
+    contrast_error: float = 0.0
+    notes: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("shift_px", "spot_px2"):
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            if values.ndim != 5 or values.shape[-1] != 2 or not values.size:
+                raise DataError(f"expected [i j a b 2], got shape {values.shape}", field=name)
+            if not np.all(np.isfinite(values)):
+                raise DataError("expected finite coefficients", field=name)
+            object.__setattr__(self, name, frozen(values))
+        reach = tuple(float(one) for one in self.reach)
+        if len(reach) != 2 or not all(np.isfinite(one) and one > 0 for one in reach):
+            raise DataError(f"expected two positive numbers, got {self.reach}", field="reach")
+        if self.motion not in MOTIONS:
+            raise DataError(f"expected {', '.join(MOTIONS)}, got {self.motion!r}", field="motion")
+        object.__setattr__(self, "reach", reach)
+        object.__setattr__(self, "notes", dict(self.notes or {}))
+
+    @property
+    def unit(self) -> str:
+        """Of a state."""
+        return "rad" if self.motion == "tilt" else "mm"
+
+    @property
+    def middle_px2(self) -> float:
+        """Variance of the spot in the middle of the sensor at rest, the mean of both axes."""
+        middle = np.zeros(1)
+        return float(_evaluated(self.spot_px2, [middle, middle], np.zeros((1, 2))).mean())
+
+    def at(self, state: ArrayLike) -> ShiftField:
+        """Return shift and spot of every pixel for states [frame 2] in mm or rad.
+
+        Raises
+        ------
+        DataError
+            If a state lies outside the range that the field was fitted for.
+        """
+        return self._at(self._scaled(np.atleast_2d(np.asarray(state, dtype=np.float64))))
+
+    def states(self, offset_px: ArrayLike) -> Array:
+        """Return the states [frame 2] in mm or rad that move the middle of the image as told.
+
+        Raises
+        ------
+        DataError
+            If a shift lies outside the range that the field was fitted for.
+        """
+        return np.asarray(self._states_of(offset_px) * np.asarray(self.reach))
+
+    def of(self, burst: Burst) -> ShiftField:
+        """Return shift and spot of every pixel of the frames of a burst.
+
+        The state of a frame is the one that makes its offset in the middle of the sensor, whatever
+        the pattern.
+
+        Raises
+        ------
+        DataError
+            If the field does not belong to the burst: another sensor, lens or moving part, shifts
+            that nobody knows, that it was not fitted for, or that contradict the stage.
+        """
+        self._check(burst)
+        return self._at(self._states_of(burst.offset_px))
+
+    def _at(self, s: Array) -> ShiftField:
+        u = [(np.arange(count) - 0.5 * (count - 1)) / (0.5 * count) for count in self.grid.shape]
+        offset_px, spot_px2 = (_evaluated(c, u, s) for c in (self.shift_px, self.spot_px2))
+        return ShiftField(offset_px, self.grid.pitch_mm, np.maximum(spot_px2, 0.0))
+
+    def _states_of(self, offset_px: ArrayLike) -> Array:
+        """Return scaled states by Newton's method on the polynomial in the middle."""
+        wanted = np.atleast_2d(np.asarray(offset_px, dtype=np.float64))
+        if wanted.ndim != 2 or wanted.shape[1] != 2 or not np.all(np.isfinite(wanted)):
+            raise DataError(f"expected finite offsets [frame 2], got shape {wanted.shape}")
+        middle = [np.zeros(1), np.zeros(1)]
+
+        def centre_px(s: Array) -> Array:
+            return _evaluated(self.shift_px, middle, s)[:, 0, 0]
+
+        step = 1e-4
+        probes = step * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        there = centre_px(probes)
+        slope = np.stack([there[0] - there[1], there[2] - there[3]], axis=-1) / (2.0 * step)
+        inverse = np.linalg.inv(slope)
+        s = wanted @ inverse.T
+        if np.abs(s).max(initial=0.0) > _BEYOND:
+            frame = int(np.argmax(np.abs(s).max(axis=1)))
+            most_px = np.ceil(10.0 * np.abs(wanted).max()) / 10.0
+            raise DataError(
+                f"frame {frame} (from 0) is moved by {_pair(wanted[frame])} px, farther than the "
+                f"lens field was fitted for; make it with --reach-px {most_px:g}",
+                field="offset_px",
+            )
+        for _ in range(_INVERSE_STEPS):
+            error_px = wanted - centre_px(s)
+            s = s + error_px @ inverse.T
+            if np.abs(error_px).max() < _INVERSE_PX:
+                break
+        return s
+
+    def _scaled(self, state: Array) -> Array:
+        """Return states over the reach, after a check that they are within it."""
+        if state.ndim != 2 or state.shape[1] != 2 or not np.all(np.isfinite(state)):
+            raise DataError(f"expected finite states [frame 2], got shape {state.shape}")
+        scaled = state / np.asarray(self.reach)
+        if np.abs(scaled).max(initial=0.0) > _BEYOND:
+            raise DataError(
+                f"expected states up to {_pair(self.reach)} {self.unit}, got up to "
+                f"{np.abs(state).max():g}; make the lens field with a larger reach_px",
+                field="state",
+            )
+        return np.asarray(scaled)
+
+    def _check(self, burst: Burst) -> None:
+        if burst.grid.shape != self.grid.shape:
+            (rows, cols), (r, c) = burst.grid.shape, self.grid.shape
+            raise DataError(
+                f"the lens field is of a sensor of {c}x{r} pixels, the burst has {cols}x{rows}; "
+                f"make it with --sensor {cols}x{rows}",
+                field="shape",
+            )
+        if not np.allclose(burst.grid.pitch_mm, self.grid.pitch_mm, rtol=1e-3):
+            row_mm, col_mm = burst.grid.pitch_mm
+            raise DataError(
+                f"the lens field is of pixels of {_pair(self.grid.pitch_mm)} mm, those of the "
+                f"burst have {_pair(burst.grid.pitch_mm)} mm; make it with --pitch-mm "
+                f"{row_mm:g},{col_mm:g}",
+                field="pitch_mm",
+            )
+        self._check_lens(burst.meta.get("optics"))
+        if burst.offset_source == "unknown" and burst.frame_count > 1:
+            raise DataError(
+                "nobody has said where the frames of the burst lie; `lensshift register` "
+                "(lensshift.register) finds it from them",
+                field="offset_px",
+            )
+        _check_stage(burst)
+
+    def _check_lens(self, told: Any) -> None:
+        """Refuse what the burst says of its lens, if it says anything else."""
+        if not isinstance(told, Mapping):
+            return
+        name, element = told.get("lens"), told.get("element", self.element)
+        if "focal_length_mm" in told:
+            raise DataError(
+                "the burst was taken with a plain lens that was not traced; a lens field is for "
+                "`simulate --lens` and for real lenses",
+                field="meta.optics",
+            )
+        if isinstance(name, str) and name and self.lens and name != self.lens:
+            raise DataError(
+                f"the lens field is of {self.lens!r}, the burst was taken with {name!r}; make it "
+                "from that lens",
+                field="meta.optics.lens",
+            )
+        if element != self.element:
+            mine, theirs = (0 if one is None else int(one) + 1 for one in (self.element, element))
+            raise DataError(
+                f"in the lens field {_part(mine)} moves, in the burst {_part(theirs)}; make it "
+                f"with --element {theirs}",
+                field="meta.optics.element",
+            )
+
+
+def _evaluated(coefficients: Array, u: Sequence[NDArray[Any]], s: Array) -> Array:
+    """Return [frame row col 2] at places u (row, col) and states s [frame 2]."""
+    rows, cols, first, second = coefficients.shape[:4]
+    t_a, t_b = chebvander(s[:, 0], first - 1), chebvander(s[:, 1], second - 1)
+    over_field = np.einsum("ijabq,fa,fb->fqij", coefficients, t_a, t_b, optimize=True)
+    t_i, t_j = chebvander(u[0], rows - 1), chebvander(u[1], cols - 1)
+    return np.asarray(np.moveaxis(t_i @ over_field @ t_j.T, 1, -1))
+
+
+def _check_stage(burst: Burst) -> None:
+    """Refuse offsets that no stage makes at the positions of the burst, as of other frames."""
+    stage_mm = burst.stage_mm
+    if stage_mm is None or burst.frame_count < 4 or not np.all(np.ptp(stage_mm, axis=0) > 0):
+        return
+    design = np.column_stack([stage_mm, np.ones(len(stage_mm))])
+    found = np.linalg.lstsq(design, burst.offset_px, rcond=None)[0]
+    apart_px = np.abs(burst.offset_px - design @ found).max(axis=1)
+    if apart_px.max() > _MOST_ASTRAY_PX:
+        raise DataError(
+            f"the offsets do not follow the stage positions, by {apart_px.max():.2f} px in frame "
+            f"{int(np.argmax(apart_px))} (from 0): one of them is of other frames, or in another "
+            "order; `lensshift register` (lensshift.register) finds the offsets from the frames",
+            field="offset_px",
+        )
+
+
+def _pair(pair: Any) -> str:
+    return f"{pair[0]:g} x {pair[1]:g}"
+
+
+def _part(number: int) -> str:
+    return f"element {number}" if number else "the sensor"

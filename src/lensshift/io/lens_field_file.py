@@ -1,0 +1,86 @@
+"""Lens fields as files: coefficients and what they belong to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
+from lensshift.core.lens_field import LensField
+from lensshift.io.container_reader import open_container
+from lensshift.io.container_writer import Variable, sealed_text, to_json, write_container
+
+SCHEMA = "lensshift-lens-field/1"
+_NUMBERS = ("shift_error_px", "spot_error_px", "contrast_error")
+_COEFFICIENTS = {
+    "shift": ("shift_px", "pixel", "Chebyshev coefficients of the image offset"),
+    "spot": ("spot_px2", "pixel2", "Chebyshev coefficients of the variance of the spot"),
+}
+
+
+def save_lens_field(field: LensField, path: str | Path) -> None:
+    """Write a lens field to a netCDF file, whole or not at all.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+    """
+    variables = {
+        name: Variable(
+            (*(f"{name}_{axis}" for axis in ("row", "col", "state_row", "state_col")), "axis"),
+            getattr(field, own),
+            {"units": units, "long_name": meaning},
+        )
+        for name, (own, units, meaning) in _COEFFICIENTS.items()
+    }
+    write_container(
+        path,
+        schema=SCHEMA,
+        axes=variables["shift"].dims,
+        variables=variables,
+        attributes={
+            "shape": np.asarray(field.grid.shape, dtype=np.int64),
+            "pitch_mm": np.asarray(field.grid.pitch_mm, dtype=np.float64),
+            "reach": np.asarray(field.reach, dtype=np.float64),
+            "motion": sealed_text(field.motion),
+            "element": None if field.element is None else np.int64(field.element + 1),
+            "lens": sealed_text(to_json({"name": field.lens}, "lens")),
+            "notes": sealed_text(to_json(field.notes or {}, "notes")),
+            **{name: np.float64(getattr(field, name)) for name in _NUMBERS},
+        },
+    )
+
+
+def load_lens_field(path: str | Path) -> LensField:
+    """Read a lens field.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, no lens field, or contradicts itself; the message names
+        the file and the field.
+    """
+    with open_container(path, SCHEMA) as container:
+        rows, cols = container.number_pair("shape")
+        element = container.number("element")
+        values: dict[str, Any] = {
+            own: container.array(name, kinds="f") for name, (own, *_) in _COEFFICIENTS.items()
+        }
+        values |= {name: container.number(name) or 0.0 for name in _NUMBERS}
+        try:
+            grid = Grid((int(rows), int(cols)), container.number_pair("pitch_mm"))
+        except ValueError as error:
+            raise DataError(str(error), field="shape") from error
+        return LensField(
+            grid=grid,
+            reach=container.number_pair("reach"),
+            motion=container.text("motion"),  # type: ignore[arg-type]  # checked there
+            element=None if element is None else int(element) - 1,
+            lens=str(container.mapping("lens").get("name", "")),
+            notes=container.mapping("notes"),
+            **values,
+        )

@@ -1,0 +1,265 @@
+"""The lens field: what a trace knows of shift and spot, as polynomials of low degree."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.grid import Grid
+from lensshift.core.lens_field import MOTIONS, LensField, Motion
+from lensshift.optics.lens import Lens
+from lensshift.optics.mtf import fast_otf
+from lensshift.optics.spots import fields_for_image, spots
+from lensshift.optics.trace import Build
+
+Array = NDArray[np.float64]
+Sample = Callable[[Array, Array], Array]
+
+_RINGS = 2  # of the pupil: the centroid is smooth
+_NEAR = 1e-5  # of a pixel, to which a traced point has to come; the shift changes by far less
+_PROBE = {"decentre": 0.05, "tilt": 2e-3, "sensor": 0.05}  # mm or rad: the shift is linear there
+_MARGIN = 1.02  # of the states, for what is not linear
+# Degrees over the sensor and over the states, tried in this order until the fit is good enough.
+_DEGREES = ((6, 4), (8, 5), (11, 6))
+_SPOT_DEGREES = ((5, 2), (8, 3))
+_SHIFT_PX = 1e-7  # what a shift may be off by: a tenth of what is promised
+_REACH_PX = 1.0  # all patterns reach less than half of it
+_DOUBTFUL_PX = 1e-3  # far below what costs anything (docs/lens.md)
+_SPOT_PX2 = 1e-4  # and a variance: a width of 0.3 px by 2e-4 px
+_CHECKED = (5, 4)  # places and states along an axis where a fit is checked
+# Cycles per pixel at which the spot is compared with a Gaussian.
+_CPP = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
+_NO_CONTRAST = 1e-3
+_LEAST_GAIN_PX = 1e-6
+
+
+def lens_field(
+    lens: Lens,
+    grid: Grid,
+    element: int | None = 0,
+    *,
+    motion: Motion | None = None,
+    reach_px: float | None = None,
+) -> LensField:
+    """Return shift and spot of a lens over a sensor for all positions of what moves.
+
+    The offset of a pixel is that of the object point whose image is there after the move, against
+    where its image is at rest. The spot of light and diffraction is described by the Gaussian that
+    lets as much contrast through, each frequency up to that of the pixels weighted with the square
+    of the contrast behind lens and pixel.
+
+    Parameters
+    ----------
+    grid : of the sensor, centred on the axis
+    element : number of the element that moves, counted from 0; None: the sensor moves
+    motion : "decentre" (the default) or "tilt" of the element
+    reach_px : largest shift along each axis that the field is to hold for; by default one pixel,
+        or half of one where the lens cuts off light beyond it
+
+    Raises
+    ------
+    ValueError
+        If there is no such element, moving it does not move the image, or no light arrives.
+
+    Warns
+    -----
+    QualityWarning
+        If the fit of the shifts is no better than 0.001 px, as where the lens cuts off light.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*of its light", QualityWarning)  # once, in our words
+        if reach_px is not None:
+            mover = _mover(lens, grid, element, motion, reach_px)
+            shift_px, shift_error_px = _fit(mover.shifts, _DEGREES, _SHIFT_PX)
+        else:
+            mover, shift_px, shift_error_px = _reaching(lens, grid, element, motion)
+        spot_px2, _ = _fit(mover.spots, _SPOT_DEGREES, _SPOT_PX2)
+        spot_error_px, contrast_error = _spot_errors(mover, spot_px2)
+    if shift_error_px > _DOUBTFUL_PX:
+        warnings.warn(
+            f"the shifts are fitted to {shift_error_px:.2g} px only: does the lens cut off light "
+            "at the edge of the sensor? A smaller reach_px or sensor may help",
+            QualityWarning,
+            stacklevel=2,
+        )
+    return LensField(
+        grid=grid,
+        shift_px=shift_px,
+        spot_px2=spot_px2,
+        reach=mover.reach,
+        motion=mover.motion,
+        element=element,
+        lens=lens.name,
+        shift_error_px=shift_error_px,
+        spot_error_px=spot_error_px,
+        contrast_error=contrast_error,
+        notes={"wavelength_nm": lens.wavelength_nm, "temperature_c": lens.temperature_c},
+    )
+
+
+def _reaching(
+    lens: Lens, grid: Grid, element: int | None, motion: Motion | None
+) -> tuple[_Mover, Array, float]:
+    """Return what moves, coefficients of the shift and their error for the reach that it allows."""
+    mover = _mover(lens, grid, element, motion, _REACH_PX)
+    try:
+        found = _fit(mover.shifts, _DEGREES, _SHIFT_PX)
+        if found[1] < _DOUBTFUL_PX:
+            return mover, *found
+    except ValueError:  # no light at all so far away
+        pass
+    mover = _mover(lens, grid, element, motion, 0.5 * _REACH_PX)
+    return mover, *_fit(mover.shifts, _DEGREES, _SHIFT_PX)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mover:
+    """What moves, and the quantities at places and states in -1 .. 1."""
+
+    lens: Lens
+    grid: Grid
+    element: int | None
+    motion: Motion
+    reach: tuple[float, float]
+
+    def shifts(self, u: Array, s: Array) -> Array:
+        """Return the offset in px [place state 2] at places [place 2] and states [state 2]."""
+        pitch_mm, state = np.asarray(self.grid.pitch_mm), s * np.asarray(self.reach)
+        if self.element is None:
+            return np.broadcast_to(-state / pitch_mm, (len(u), len(s), 2))
+        fields, build = self._aimed(u, state)
+        moved_mm = spots(self.lens, fields, build=build, rings=_RINGS).centroid_mm
+        resting_mm = spots(self.lens, fields, rings=_RINGS).centroid_mm
+        return np.asarray((moved_mm - resting_mm) / pitch_mm)
+
+    def contrast(self, u: Array, s: Array) -> Array:
+        """Return the real part of the OTF [place state 2 frequency] along (row, col)."""
+        fields, build = self._aimed(u, s * np.asarray(self.reach))
+        found = np.empty((len(u), len(s), 2, len(_CPP)))
+        for place, field_tan in enumerate(fields):  # each with as many rays as it needs
+            for axis, (pitch_mm, azimuth_rad) in enumerate(
+                zip(self.grid.pitch_mm, (0.5 * np.pi, 0.0), strict=True)
+            ):
+                otf = fast_otf(self.lens, field_tan, _CPP / pitch_mm, azimuth_rad, build=build)
+                found[place, :, axis] = otf[:, 0].real
+        return found
+
+    def spots(self, u: Array, s: Array) -> Array:
+        """Return the variance in px^2 [place state 2] of the Gaussian that stands for the spot."""
+        return equivalent_px2(self.contrast(u, s))
+
+    def _aimed(self, u: Array, state: Array) -> tuple[Array, Build | None]:
+        """Return the fields [place state 2] imaged at places, and the build [state]."""
+        half_mm = 0.5 * np.asarray(self.grid.shape) * np.asarray(self.grid.pitch_mm)
+        places_mm = np.broadcast_to((u * half_mm)[:, None], (len(u), len(state), 2))
+        near_mm = _NEAR * min(self.grid.pitch_mm)
+        if self.element is None:
+            places_mm = places_mm + state
+            return fields_for_image(self.lens, places_mm, tolerance_mm=near_mm), None
+        build = _build(self.lens, self.element, self.motion, state)
+        return fields_for_image(self.lens, places_mm, build=build, tolerance_mm=near_mm), build
+
+
+def equivalent_px2(contrast: Array) -> Array:
+    """Return the variance in px^2 of the Gaussian that passes about the contrast [... frequency].
+
+        sigma^2 = - sum w f^2 ln m / (2 pi^2 sum w f^4),   w = (m sinc f)^2
+
+    Least squares of ln m with the errors of m behind a square pixel, at frequencies `_CPP`.
+    """
+    seen = np.maximum(contrast, _NO_CONTRAST)
+    weight = (seen * np.sinc(_CPP)) ** 2
+    above = -np.sum(weight * _CPP**2 * np.log(seen), axis=-1)
+    below = 2.0 * np.pi**2 * np.sum(weight * _CPP**4, axis=-1)
+    return np.asarray(above / below)
+
+
+def _build(lens: Lens, element: int, motion: Motion, state: Array) -> Build:
+    """Return builds [state] in which one element is moved by [state 2]."""
+    moves = np.zeros((*state.shape[:-1], len(lens.elements), 2))
+    moves[..., element, :] = state
+    return Build(tilt_rad=moves) if motion == "tilt" else Build(decenter_mm=moves)
+
+
+def _mover(
+    lens: Lens, grid: Grid, element: int | None, motion: Motion | None, reach_px: float
+) -> _Mover:
+    if not (np.isfinite(reach_px) and reach_px > 0):
+        raise ValueError(f"expected a positive reach_px, got {reach_px}")
+    kind: Motion = motion or ("sensor" if element is None else "decentre")
+    if kind not in MOTIONS or (kind == "sensor") != (element is None):
+        raise ValueError(f"expected decentre or tilt of an element, got {kind!r} of {element}")
+    if element is not None:
+        lens.check_element(element)
+    probe = _PROBE[kind]
+    trial = _Mover(lens, grid, element, kind, (probe, probe))
+    ends = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    there = trial.shifts(np.zeros((1, 2)), ends)[0]
+    px_per_unit = np.stack([there[0] - there[1], there[2] - there[3]], axis=-1) / (2.0 * probe)
+    if np.linalg.cond(px_per_unit) > 1e6 or np.abs(px_per_unit).max() * probe < _LEAST_GAIN_PX:
+        name = "" if element is None else lens.elements[element].name
+        raise ValueError(
+            f"expected an element whose {kind} moves the image, but element "
+            f"{(element or 0) + 1} ({name}) does not"
+        )
+    row, col = _MARGIN * reach_px * np.abs(np.linalg.inv(px_per_unit)).sum(axis=1)
+    return _Mover(lens, grid, element, kind, (float(row), float(col)))
+
+
+def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> tuple[Array, float]:
+    """Return Chebyshev coefficients [i j a b 2] and the largest error where it is checked.
+
+    Interpolation at the Chebyshev nodes, of the least of the degrees that reaches the goal.
+    """
+    places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
+    traced = sample(places, states)
+    best, least = np.zeros((1, 1, 1, 1, 2)), np.inf
+    for of_field, of_state in degrees:
+        n, m = of_field + 1, of_state + 1
+        at_nodes = sample(_crossed(_nodes(n)), _crossed(_nodes(m))).reshape(n, n, m, m, 2)
+        to_n, to_m = (np.linalg.inv(chebvander(_nodes(k), k - 1)) for k in (n, m))
+        found = np.einsum("ip,jq,ar,bs,pqrsc->ijabc", to_n, to_n, to_m, to_m, at_nodes,
+                          optimize=True)  # fmt: skip
+        error = float(np.abs(_values(found, places, states) - traced).max())
+        if error < least:
+            best, least = found, error
+        if least < goal:
+            break
+    return best, least
+
+
+def _spot_errors(mover: _Mover, spot_px2: Array) -> tuple[float, float]:
+    """Return the largest errors of a width in px, and of the contrast behind lens and pixel."""
+    places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
+    contrast = mover.contrast(places, states)
+    fitted_px2 = np.maximum(_values(spot_px2, places, states), 0.0)
+    width_px = np.sqrt(np.maximum(equivalent_px2(contrast), 0.0))
+    gaussian = np.exp(-2.0 * np.pi**2 * fitted_px2[..., None] * _CPP**2)
+    off = np.abs(gaussian - contrast) * np.sinc(_CPP)
+    return float(np.abs(np.sqrt(fitted_px2) - width_px).max()), float(off.max())
+
+
+def _values(coefficients: Array, places: Array, states: Array) -> Array:
+    """Return the polynomials [place state 2] at places [place 2] and states [state 2]."""
+    bases: list[Any] = [
+        chebvander(points[:, axis], coefficients.shape[2 * part + axis] - 1)
+        for part, points in enumerate((places, states))
+        for axis in (0, 1)
+    ]
+    return np.asarray(np.einsum("ijabq,pi,pj,sa,sb->psq", coefficients, *bases, optimize=True))
+
+
+def _nodes(count: int) -> Array:
+    return np.cos(np.pi * (np.arange(count) + 0.5) / count)
+
+
+def _crossed(along: Array) -> Array:
+    """Return the points [n n, 2] of a square grid."""
+    return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -1,0 +1,139 @@
+"""Devices of the user's own, named in a rig file; those of the documentation first."""
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensshift import load_burst
+from lensshift.capture.opening import open_rig
+from lensshift.core.errors import DataError, DeviceError
+
+DOCS = Path(__file__).parents[2] / "docs" / "own-devices.md"
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Path]:
+    """The rig file and the module of the documentation, in a folder of their own."""
+    toml, python = re.findall(r"```(?:toml|python)\n(.*?)```", DOCS.read_text(), re.DOTALL)
+    (tmp_path / "my_devices.py").write_text(python)
+    (tmp_path / "rig.toml").write_text(toml)
+    path = list(sys.path)
+    yield tmp_path / "rig.toml"
+    assert sys.path == path
+    sys.modules.pop("my_devices", None)
+
+
+def change(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+def module(rig: Path) -> Path:
+    return rig.with_name("my_devices.py")
+
+
+def test_the_devices_of_the_documentation_take_a_burst(rig: Path, tmp_path: Path) -> None:
+    with open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")
+        np.testing.assert_array_equal(opened.stage.position_mm(), [0.15, 0.15])
+    burst = load_burst(tmp_path / "burst.nc")
+    assert burst.meta["stage"]["name"] == "piezo at COM5"
+    assert burst.meta["camera"]["exposure_ms"] == 5.0
+    got = sorted(map(tuple, burst.offset_px.round(9).tolist()))
+    assert got == [(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('port = "COM5"', "port = 5", r"rig\.toml: stage\.port: expected str, got 5"),
+        ('port = "COM5"', "", r"rig\.toml: stage\.port: expected this entry, which is missing"),
+        ("exposure_ms = 5.0", "exposure_ms = true", r"camera\.exposure_ms: expected float"),
+        ("exposure_ms = 5.0", "gain = 2", r"camera\.gain: is not known, expected exposure_ms"),
+        ('use = "my_devices:Piezo"', "", r"stage\.use: expected \"module:attribute\", got None"),
+        ("my_devices:Piezo", "my_devices", r"stage\.use: expected \"module:attribute\""),
+        ("my_devices:Piezo", "none_such:Piezo", r"stage\.use: ModuleNotFoundError: .*none_such"),
+        ("my_devices:Piezo", "my_devices:Pizza", r"stage\.use: AttributeError: .*Pizza"),
+        ("my_devices:Piezo", "my_devices:np", r"stage\.use: expected a class or function"),
+        ("my_devices:camera", "my_devices:Piezo", r"camera\.exposure_ms: is not known"),
+        ('"python"\nuse = "my_devices:P', '"pyton"\nuse = "my_devices:P', "expected apt or python"),
+        ("rest_mm = [0.15, 0.15]", "rest_mm = [0.15]", r"calibration\.rest_mm: expected \[float"),
+    ],
+)
+def test_a_wrong_rig_file_is_refused_in_a_line(rig: Path, old: str, new: str, said: str) -> None:
+    change(rig, old, new)
+    with pytest.raises(DataError, match=said) as caught:
+        open_rig(rig)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("return self._place_mm  #", "return [0.15, float('nan')]  #", "position_mm: expected"),
+        ("return self._place_mm  #", "return 'there'  #", "ValueError: could not convert"),
+        ("self._place_mm = position_mm", "raise OSError('USB gone')", "piezo.*OSError: USB gone"),
+        ("return self.position_mm()", "return None", "move_to: expected"),
+        ("[[0.0, 0.3], [0.0, 0.3]]", "[[0.3, 0.0], [0.0, 0.3]]", "its travel_mm is empty"),
+        ("[[0.0, 0.3], [0.0, 0.3]]", "[0.0, 0.3]", "travel_mm: expected"),
+        ("np.array([0.15, 0.15])", "1 / 0", "my_devices:Piezo: ZeroDivisionError"),
+        ("import numpy as np", "import none_such", "ModuleNotFoundError"),
+        ('"""A stage', "(", "SyntaxError"),
+        ("np.ones((48, 64))", "1 / 0", "ZeroDivisionError"),
+    ],
+)
+def test_what_a_device_does_wrong_names_it(
+    rig: Path, old: str, new: str, said: str, tmp_path: Path
+) -> None:
+    change(module(rig), old, new)
+    with pytest.raises((DataError, DeviceError), match=said), open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")
+
+
+def test_what_is_no_device_says_what_it_lacks(rig: Path) -> None:
+    change(module(rig), "def stop", "def halt")
+    with pytest.raises(DataError, match=r"stage\.use: .*makes no stage: it lacks stop"):
+        open_rig(rig)
+
+
+def test_a_target_out_of_travel_is_refused_before_it_moves(rig: Path, tmp_path: Path) -> None:
+    change(rig, "rest_mm = [0.15, 0.15]", "rest_mm = [0.02, 0.15]")
+    with open_rig(rig) as opened, pytest.raises(ValueError, match="is out of travel"):
+        opened.capture("square", tmp_path / "burst.nc")
+    with open_rig(rig) as opened, pytest.raises(ValueError, match="expected a position"):
+        opened.stage.move_to([0.1, 0.4])
+
+
+def test_leave_to_home_is_asked_of_who_opens_the_rig(rig: Path) -> None:
+    change(module(rig), "settle_ms: float = 20.0)", 'home: str = "ask", on_homing=None)')
+    change(module(rig), "self._settle_ms = settle_ms", 'self._settle_ms = on_homing("3 mm", True)')
+    asked = []
+
+    def answer(way: str, ask: bool) -> bool:
+        asked.append((way, ask))
+        return True
+
+    open_rig(rig, on_homing=answer).close()
+    assert asked == [("3 mm", True)]
+
+
+def test_frames_of_another_shape_or_cycle_are_refused(rig: Path) -> None:
+    text = module(rig).read_text()
+    repeating = """
+class Repeating(CallableCamera):
+    def next_frame(self, timeout_s):
+        from dataclasses import replace
+        return replace(super().next_frame(timeout_s), cycle=7)
+
+"""
+    text = text.replace("\ndef camera", repeating + "\ndef camera")
+    module(rig).write_text(text.replace("return CallableCamera", "return Repeating"))
+    with open_rig(rig) as opened:
+        opened.camera.next_frame(5.0)
+        with pytest.raises(DeviceError, match="expected a cycle after 7, got 7"):
+            opened.camera.next_frame(5.0)

@@ -1,0 +1,173 @@
+"""The lens field against the trace of every pixel, closed forms, bursts of its own and others."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.grid import Grid
+from lensshift.core.lens_field import LensField
+from lensshift.core.types import Burst
+from lensshift.optics.field import equivalent_px2, lens_field
+from lensshift.optics.glass import refractive_index
+from lensshift.optics.lens import Lens, Stop, cover_glass
+from lensshift.optics.lens_file import load_lens
+from lensshift.optics.mtf import fast_mtf
+from lensshift.optics.shift import decenter_for_shift, moving, shift_map
+from lensshift.optics.spots import fields_for_image
+
+SENSOR = Grid((7, 23), (0.31, 0.42))
+PLAN = np.array([[0.0, 0.0], [0.5, 0.1], [-0.2, 0.4], [0.3, -0.45], [-0.4, -0.3]])
+
+
+@cache
+def field_of(name: str, element: int) -> LensField:
+    return lens_field(load_lens(name), SENSOR, element)
+
+
+def burst_of(field: LensField, offset_px: np.ndarray = PLAN, **fields: object) -> Burst:
+    frames = np.ones((len(offset_px), *field.grid.shape))
+    given = {"pitch_mm": field.grid.pitch_mm, "offset_px": offset_px} | fields
+    return Burst.from_arrays(frames, **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("name", "element"), [("petzval_b", 0), ("petzval_a", 1), ("al2550", 0)])
+def test_shifts_are_those_of_the_trace_of_every_pixel(name: str, element: int) -> None:
+    field, lens = field_of(name, element), load_lens(name)
+    decenter_mm = decenter_for_shift(lens, element, PLAN, SENSOR)
+    np.testing.assert_allclose(field.states(PLAN), decenter_mm, atol=1e-7)
+    traced_px = shift_map(lens, element, decenter_mm, SENSOR).offset_px
+    found = field.of(burst_of(field)).offset_px
+    assert np.abs(found - traced_px).max() < 1e-6
+    assert field.shift_error_px < 1e-6
+    # As the claim has to hold where nobody looked, so has what is said of the fit.
+    assert np.abs(found - traced_px).max() < 10 * field.shift_error_px + 2e-7
+
+
+@pytest.mark.parametrize("place", [(0, 0), (3, 11), (6, 2)])
+def test_the_spot_passes_what_the_trace_says(place: tuple[int, int]) -> None:
+    field, lens = field_of("petzval_b", 0), load_lens("petzval_b")
+    state = field.states(PLAN)
+    spot_px2 = field.at(state).spot_px2
+    assert spot_px2 is not None
+    at_mm = (np.array(place) - (np.array(SENSOR.shape) - 1) / 2) * SENSOR.pitch_mm
+    build = moving(lens, 0, state)
+    tangent = fields_for_image(lens, np.tile(at_mm, (len(PLAN), 1)), build=build)
+    for axis, azimuth_rad in enumerate((0.5 * np.pi, 0.0)):
+        nyquist_lpmm = 0.5 / SENSOR.pitch_mm[axis]
+        contrast = fast_mtf(lens, tangent, [nyquist_lpmm], azimuth_rad, build=build)[:, 0, 0]
+        gaussian = np.exp(-2 * np.pi**2 * spot_px2[:, *place, axis] * 0.5**2)
+        np.testing.assert_allclose(gaussian, contrast, atol=2 * field.contrast_error + 1e-3)
+    assert field.contrast_error < 0.02
+
+
+def test_a_gaussian_stands_for_itself() -> None:
+    sigma_px = np.array([0.02, 0.2, 0.6])
+    cycles = np.arange(1, 8) / 8
+    contrast = np.exp(-2 * (np.pi * sigma_px[:, None] * cycles) ** 2)
+    np.testing.assert_allclose(np.sqrt(equivalent_px2(contrast)), sigma_px, rtol=2e-2)
+
+
+def test_a_tilted_plate_moves_the_image_as_the_closed_form_says() -> None:
+    singlet = load_lens("al2550")
+    thick_mm = 3.0
+    behind_mm = thick_mm * (1 - 1 / refractive_index("N-BK7", 780.0))  # the plate moves the focus
+    lens = Lens(
+        (*singlet.elements, cover_glass("N-BK7", thick_mm)), (35.0, 11.0 - thick_mm + behind_mm),
+        Stop(0.5), wavelength_nm=780.0,
+    )  # fmt: skip
+    field = lens_field(lens, Grid((3, 5), (0.05, 0.05)), 1, motion="tilt", reach_px=1.0)
+    assert field.unit == "rad"
+    angle = 0.9 * field.reach[0]
+    found_mm = 0.05 * np.abs(field.at([[angle, 0.0]]).offset_px[0, 1, 2]).max()
+    n = refractive_index("N-BK7", 780.0)
+    sine = math.sin(angle)
+    expected_mm = thick_mm * sine * (1 - math.cos(angle) / math.sqrt(n * n - sine * sine))
+    assert found_mm == pytest.approx(expected_mm, rel=2e-3)
+
+
+def test_a_moving_sensor_moves_the_whole_image_the_other_way() -> None:
+    field = lens_field(load_lens("petzval_a"), SENSOR, None)
+    offset_px = field.at([[0.1, -0.2]]).offset_px
+    moved = np.broadcast_to([-0.1 / 0.31, 0.2 / 0.42], offset_px.shape)
+    np.testing.assert_allclose(offset_px, moved, atol=1e-12)
+    np.testing.assert_allclose(
+        field.of(burst_of(field)).offset_px, np.broadcast_to(PLAN[:, None, None], (5, 7, 23, 2)),
+        atol=1e-9,
+    )  # fmt: skip
+
+
+def test_frames_may_come_in_any_order() -> None:
+    field = field_of("petzval_b", 0)
+    order = [3, 0, 4, 1, 2]
+    one, other = field.of(burst_of(field)), field.of(burst_of(field, PLAN[order]))
+    np.testing.assert_allclose(other.offset_px, one.offset_px[order], atol=1e-12)
+    np.testing.assert_array_equal(one.select(order).offset_px, one.offset_px[order])
+
+
+def test_a_burst_of_something_else_is_refused_with_the_cure() -> None:
+    field = field_of("petzval_b", 0)
+    stage_mm = PLAN @ np.array([[0.18, 0.01], [-0.01, 0.17]])
+    optics = {"lens": "Petzval A", "element": 0}
+    other = Burst.from_arrays(np.ones((5, 23, 7)), offset_px=PLAN, pitch_mm=SENSOR.pitch_mm)
+    cases = [
+        (other, "shape", "make it with --sensor 7x23"),
+        (burst_of(field, pitch_mm=0.155), "pitch_mm", "make it with --pitch-mm 0.155,0.155"),
+        (burst_of(field, 3.0 * PLAN), "offset_px", "make it with --reach-px 1.5"),
+        (burst_of(field, offset_source="unknown"), "offset_px", "`lensshift register`"),
+        (burst_of(field, meta={"optics": optics}), "meta.optics.lens", "taken with 'Petzval A'"),
+        (
+            burst_of(field, meta={"optics": {"lens": field.lens, "element": 1}}),
+            "meta.optics.element",
+            "make it with --element 2",
+        ),
+        (burst_of(field, meta={"optics": {"focal_length_mm": 42.7}}), "meta.optics", "plain lens"),
+        (
+            burst_of(field, stage_mm=stage_mm[[0, 1, 2, 4, 3]]),
+            "offset_px",
+            "do not follow the stage positions",
+        ),
+    ]
+    for burst, name, cure in cases:
+        with pytest.raises(DataError, match=cure) as caught:
+            field.of(burst)
+        assert caught.value.field == name
+    assert (
+        field.of(burst_of(field, stage_mm=stage_mm, meta={"optics": "unknown"})).spot_px2
+        is not None
+    )
+
+
+def test_half_the_reach_where_the_lens_cuts_off_light() -> None:
+    lens = load_lens("petzval_b")
+    sensor = Grid((16, 64), (0.155, 0.155))
+    whole = lens_field(lens, Grid((5, 9), sensor.pitch_mm), 2)
+    with pytest.warns(QualityWarning, match="cut off light"):
+        half = lens_field(lens, sensor, 2)
+    assert np.divide(half.reach, whole.reach) == pytest.approx(0.5, rel=0.01)
+
+
+def test_wrong_requests() -> None:
+    lens = load_lens("petzval_a")
+    with pytest.raises(ValueError, match="element from 0 to 2, got 5"):
+        lens_field(lens, SENSOR, 5)
+    with pytest.raises(ValueError, match="positive reach_px"):
+        lens_field(lens, SENSOR, 0, reach_px=0.0)
+    with pytest.raises(ValueError, match="decentre or tilt of an element, got 'tilt' of None"):
+        lens_field(lens, SENSOR, None, motion="tilt")
+    glazed = Lens(
+        (*load_lens("al2550").elements, cover_glass("N-BK7", 1.0)), (40.0, 5.3), Stop(10.0),
+        wavelength_nm=780.0,
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=r"decentre moves the image, but element 2 .cover glass."):
+        lens_field(glazed, SENSOR, 1)
+    field = field_of("petzval_b", 0)
+    with pytest.raises(DataError, match="expected states up to"):
+        field.at([[9.0, 0.0]])
+    with pytest.raises(DataError, match="expected finite states"):
+        field.at([[np.nan, 0.0]])
+    with pytest.raises(DataError, match=r"shift_px: expected \[i j a b 2\]"):
+        replace(field, shift_px=np.zeros((2, 2)))

@@ -1,0 +1,117 @@
+"""Pictures through a lens whose spot varies over the sensor, of scenes known in closed form."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensshift.core.grid import Grid
+from lensshift.core.lens_field import LensField
+from lensshift.core.types import Burst
+from lensshift.reconstruction.reconstruct import reconstruct
+
+SHAPE, SCALE, NOISE = (18, 41), 2, 0.003
+SQUARE = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.25, -0.25]])
+
+
+def curved_field() -> LensField:
+    """Return a sharp middle of the sensor and spots of up to 0.4 px at its ends, moved evenly."""
+    shift = np.zeros((3, 3, 2, 2, 2))
+    shift[0, 0, 1, 0, 0] = shift[0, 0, 0, 1, 1] = 1.0  # a pixel at the end of the reach
+    shift[0, 2, 1, 0, 0] = 0.02
+    spot = np.zeros((3, 3, 1, 1, 2))
+    spot[0, 0, 0, 0], spot[0, 2, 0, 0] = 0.085, 0.08  # 0.005 + 0.16 u^2
+    return LensField(Grid(SHAPE, (0.1, 0.1)), shift, spot, (0.2, 0.2), lens="curved")
+
+
+def waves(seed: int, highest_cpp: float) -> np.ndarray:
+    """Return waves [wave 4]: cycles per pixel along row and col, phase, size."""
+    rng = np.random.default_rng(seed)
+    along = rng.uniform(-highest_cpp, highest_cpp, (24, 2))
+    return np.column_stack([along, rng.uniform(0, 2 * np.pi, 24), rng.uniform(0.3, 1.0, 24)])
+
+
+def seen(scene: np.ndarray, row: Any, col: Any, side_px: float, spot_px2: Any) -> np.ndarray:
+    """Return square pixels behind Gaussian spots [... 2] at places in LR pixels, exactly."""
+    total = np.full(np.broadcast(row, col).shape, 2.0)
+    for f_row, f_col, phase, size in scene:
+        passed = np.sinc(side_px * f_row) * np.sinc(side_px * f_col)
+        passed = passed * np.exp(
+            -2 * np.pi**2 * (spot_px2[..., 0] * f_row**2 + spot_px2[..., 1] * f_col**2)
+        )
+        total += 0.05 * size * passed * np.cos(2 * np.pi * (f_row * row + f_col * col) + phase)
+    return total
+
+
+def world(seed: int, highest_cpp: float, offset_px: np.ndarray) -> tuple[Burst, np.ndarray]:
+    field = curved_field()
+    shown = field.at(field.states(offset_px))
+    row, col = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    scene = waves(seed, highest_cpp)
+    frames = np.stack([
+        seen(scene, row - shift[..., 0], col - shift[..., 1], 1.0, spot)
+        for shift, spot in zip(shown.offset_px, shown.spot_px2, strict=True)  # type: ignore[arg-type]
+    ])  # fmt: skip
+    frames += NOISE * np.random.default_rng(seed + 100).standard_normal(frames.shape)
+    hr = [(np.arange(n * SCALE) + 0.5) / SCALE - 0.5 for n in SHAPE]
+    truth = seen(scene, hr[0][:, None], hr[1][None], 1 / SCALE, np.zeros((1, 2)))
+    burst = Burst.from_arrays(frames, offset_px=offset_px, pitch_mm=0.1)
+    return burst, truth
+
+
+def rms_at_the_ends(image: np.ndarray, truth: np.ndarray) -> float:
+    away = np.abs(np.linspace(-1, 1, truth.shape[1]))
+    ends = np.flatnonzero((away > 0.5) & (away < 0.9))
+    return float(np.sqrt(np.mean((image - truth)[6:-6][:, ends] ** 2)))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv", "l1-btv"])
+def test_the_ends_of_a_curved_field_gain_2_db(method: str, seed: int) -> None:
+    burst, truth = world(seed, 0.45, SQUARE)
+    field = curved_field()
+    width_px = (1 / 12 + field.middle_px2) ** 0.5
+    one, varying = (
+        reconstruct(burst, SCALE, method, psf_sigma_px=width_px, std=False, **known)
+        for known in ({"shift_field": _shifts(field, burst)}, {"lens_field": field})
+    )
+    loss = rms_at_the_ends(one.amplitude.image, truth)  # type: ignore[union-attr]
+    left = rms_at_the_ends(varying.amplitude.image, truth)  # type: ignore[union-attr]
+    assert 20 * np.log10(loss / left) > 2.0
+
+
+def _shifts(field: LensField, burst: Burst) -> Any:
+    return replace(field.of(burst), spot_px2=None)
+
+
+def test_frames_are_predicted_with_their_spots() -> None:
+    order = [2, 0, 3, 1]
+    burst, _ = world(3, 0.3, SQUARE[order])
+    result = reconstruct(burst, SCALE, "tikhonov", lens_field=curved_field(), frames=[0, 1, 2])
+    estimate = result.amplitude
+    assert estimate is not None
+    inner = (slice(3, -3), slice(3, -3))
+    for frame in (0, 3, SQUARE[order][3]):
+        number = frame if isinstance(frame, int) else 3
+        rest = (estimate.predict(frame) - burst.amplitude[number])[inner]
+        assert np.sqrt(np.mean(rest**2)) < 4 * NOISE
+
+
+def test_a_plan_of_any_shape_and_16_places() -> None:
+    rng = np.random.default_rng(5)
+    for offset_px in (rng.uniform(-0.5, 0.5, (5, 2)), rng.uniform(-0.9, 0.9, (16, 2))):
+        burst, truth = world(4, 0.4, offset_px)
+        found = reconstruct(burst, SCALE, "auto", lens_field=curved_field(), std=False).amplitude
+        assert found is not None
+        assert rms_at_the_ends(found.image, truth) < 0.05 * np.std(truth)
+
+
+def test_shifts_of_two_kinds_are_too_much() -> None:
+    burst, _ = world(1, 0.3, SQUARE)
+    field = curved_field()
+    with pytest.raises(ValueError, match="shift_field or lens_field, got both"):
+        reconstruct(burst, lens_field=field, shift_field=field.of(burst))
+    other = Burst.from_arrays(burst.amplitude[:, :-1], offset_px=SQUARE, pitch_mm=0.1)
+    with pytest.raises(ValueError, match="make it with --sensor 41x17"):
+        reconstruct(other, lens_field=field)
