@@ -178,7 +178,7 @@ lensshift.write_recording('recording.nc', 72, (burst for _ in range(18)))
 " """,
     ],
     "docs/point-clouds.md": [],
-    "docs/lens.md": ["lensshift simulate four_boxes -o burst.nc"],
+    "docs/lens.md": ["lensshift simulate four_boxes --lens petzval_b --element 1 -o burst.nc"],
     "docs/registration.md": [
         "lensshift simulate four_boxes -o burst.nc && lensshift convert burst.nc frames.tif"
     ],
