@@ -7,11 +7,15 @@ Beside it, where Optiland is installed: its geometric MTF of a single field.
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lensshift.core.grid import Grid
+from lensshift.core.pattern import named_pattern_px
+from lensshift.forward.model import forward_model
+from lensshift.optics.field import lens_field
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import fast_mtf, sensor_mtf
 from lensshift.optics.otf import exact_mtf, exact_otf
@@ -24,6 +28,7 @@ from lensshift.optics.zmx_writer import save_zmx
 
 SENSOR = Grid((16, 64), (0.155, 0.155))
 FREQUENCY_LPMM = np.linspace(0.9, 13.0, 15)
+SQUARE_PX = named_pattern_px("square")
 LENS = load_lens("petzval_a")
 
 
@@ -36,6 +41,36 @@ def fastest_s(work: Callable[[], object], rounds: int = 9) -> float:
         work()
         taken_s.append(time.perf_counter() - start_s)
     return min(taken_s)
+
+
+def test_lens_field(report: list[str]) -> None:
+    vga = Grid((480, 640), (0.0155, 0.0155))
+    taken_s = fastest_s(lambda: lens_field(LENS, vga, 0), rounds=3)
+    field = lens_field(LENS, vga, 0)
+    shown_s = fastest_s(lambda: field.at(field.states(SQUARE_PX)))
+    report.append(
+        f"lens field of VGA fitted / evaluated {taken_s:8.3f} / {shown_s:.3f} s   wanted 0.5"
+    )
+
+
+@pytest.mark.parametrize("shape", [(16, 64), (120, 160), (480, 640)])
+def test_blur_that_varies(report: list[str], shape: tuple[int, int]) -> None:
+    # The same fields in pixels: smaller pixels would see wider spots.
+    field = replace(lens_field(LENS, SENSOR, 0), grid=Grid(shape, SENSOR.pitch_mm))
+    shown = field.at(field.states(SQUARE_PX))
+    shifts = {"shift_field_px": shown.offset_px}
+    models = (
+        forward_model(shape, 2, SQUARE_PX),
+        forward_model(shape, 2, **shifts),
+        forward_model(shape, 2, **shifts, spot_px2=shown.spot_px2),
+    )
+    x = np.random.default_rng(0).random(models[0].hr_shape).astype(np.float32)
+    operators = [model.operator for model in models]
+    one_s, shifts_s, spots_s = (fastest_s(lambda A=A: A.T(A(x))) for A in operators)
+    report.append(
+        f"blur over {shape[1]} x {shape[0]} pixels: {spots_s / one_s:.2f} times one blur and "
+        f"shift, {spots_s / shifts_s:.2f} times one blur with the same shifts"
+    )
 
 
 def test_shift_map(report: list[str]) -> None:

@@ -22,7 +22,7 @@ from lensshift.capture.emulators.o3m import (
     packetise,
     pixel_message,
 )
-from lensshift.capture.emulators.pcic import result_content
+from lensshift.capture.emulators.pcic_result import result_content
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.types import Frame
 

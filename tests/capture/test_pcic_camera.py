@@ -12,7 +12,8 @@ import pytest
 
 from lensshift.capture.drivers.pcic import PcicCamera
 from lensshift.capture.drivers.pcic_protocol import write_message
-from lensshift.capture.emulators.pcic import PcicServer, result_content
+from lensshift.capture.emulators.pcic import PcicServer
+from lensshift.capture.emulators.pcic_result import result_content
 from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.types import Frame
 

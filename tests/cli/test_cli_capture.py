@@ -5,21 +5,35 @@ import socket
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lensshift import Burst, Calibration, load_burst, load_reconstruction, open_rig, save_burst
+from lensshift import (
+    Burst,
+    Calibration,
+    lens_field,
+    load_burst,
+    load_lens,
+    load_reconstruction,
+    open_rig,
+    save_burst,
+    save_lens_field,
+)
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
-from lensshift.capture.opening import EXAMPLE
+from lensshift.capture.journal import capture_header
+from lensshift.capture.opening import EXAMPLE, nominal_calibration
 from lensshift.cli.app import app
 from lensshift.core.errors import DataError
+from lensshift.core.grid import Grid
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Frame
 from lensshift.io.calibration_file import save_calibration
+from lensshift.optics.shift import decenter_for_shift
 
 Call = Callable[..., Any]
 SHAPE = (16, 64)
@@ -222,6 +236,11 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
         ("[acquisition]\nhold_mm = '1'\n", r"acquisition\.hold_mm: expected float, got '1'"),
         ("[calibration]\npx_per_mm = true\n", r"calibration\.px_per_mm: expected float or"),
         ("[calibration]\nfile = 3\n", r"calibration\.file: expected str, got 3"),
+        ("[calibration]\nlens_field = 3\n", r"calibration\.lens_field: expected str, got 3"),
+        (
+            "[calibration]\nlens_field = 'a.nc'\npx_per_mm = 5.6\n",
+            r"calibration\.lens_field: px_per_mm and lens_field both say",
+        ),
         ("[camera]\nport = 0\n[stage]\nrow = 1.5\ncol = 'b'\n", r"stage\.row: expected str or int"),
         ("[acquisition]\nframes = 0\n", "acquisition: expected at least one frame"),
         (
@@ -239,6 +258,30 @@ def test_rig_files_that_describe_none(tmp_path: Path, text: str, message: str) -
     with pytest.raises(DataError, match=message) as raised:
         open_rig(file)
     assert "rig.toml" in str(raised.value) or "none.json" in str(raised.value)
+
+
+def test_a_rig_takes_its_travel_from_a_lens_field(tmp_path: Path) -> None:
+    lens = load_lens("petzval_b")
+    fields = {
+        "own": lens_field(lens, Grid((16, 64), (0.155, 0.155))),
+        "other": lens_field(lens, Grid((16, 64), (0.1, 0.155))),
+    }
+    for name, field in fields.items():
+        save_lens_field(field, tmp_path / f"{name}.nc")
+    file = tmp_path / "rig.toml"
+    camera = "[camera]\nport = 0\npitch_mm = 0.155\n"
+    for name, message in (("own", r"stage\.row"), ("other", "with --pitch-mm 0.155,0.155")):
+        file.write_text(f"{camera}[calibration]\nlens_field = '{name}.nc'\n")
+        with pytest.raises(DataError, match=message):  # the first is right but for the stage
+            open_rig(file)
+    own = fields["own"]
+    nominal = nominal_calibration(own.px_per_unit, optics=own.optics)
+    mm = decenter_for_shift(lens, 0, [0.1, -0.2], own.grid)
+    np.testing.assert_allclose(nominal.offset_px(nominal.rest_mm + mm), [0.1, -0.2], atol=1e-4)
+    device: Any = SimpleNamespace(name="", describe=dict, grid=own.grid, modulation_hz=None)
+    taken = {"frames": 1, "average": False}
+    header = capture_header(device, device, np.zeros((1, 2)), nominal, taken, "square")
+    assert header["meta"]["optics"] == {"lens": "Petzval B", "element": 0}
 
 
 def test_a_rig_file_that_is_not_there(tmp_path: Path) -> None:

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from stand_in import Call
 
+from lensshift import Burst, load_image_stack, save_burst
 from lensshift.cli import _one_line, main, session
 from lensshift.cli.reconstruct import _WIDTH_SOURCES
 from lensshift.cli.session import Progress, to_json
+from lensshift.io import memory_limit
 from lensshift.reconstruction.reconstruct import WidthSource
 
 VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"], ["live"]]
@@ -51,6 +53,40 @@ def test_processes_end_with_the_right_code(tmp_path: Path) -> None:
     failed = process("info", tmp_path / "none.nc")
     assert failed.returncode == 1
     assert failed.stderr == f"error: {tmp_path / 'none.nc'}: there is no such file\n"
+
+
+def test_no_escape_of_anybody_reaches_a_terminal(tmp_path: Path) -> None:
+    """A name or a note may hold what sets titles, clears the screen, or hides text."""
+    evil = "\x1b]0;title\x07\x9b2J\u202e"
+    burst = Burst.from_arrays(np.ones((1, 3, 5)), pitch_mm=0.1, meta={evil: {"note": evil}})
+    save_burst(burst, tmp_path / f"a{evil}.nc")
+    told = process("info", tmp_path / f"a{evil}.nc")
+    assert "\\x1b]0;title\\x07" in told.stdout
+    for words in (
+        ["info", tmp_path / f"none{evil}.nc"],
+        ["info", tmp_path / f"a{evil}.nc", f"--no{evil}"],
+        ["convert", tmp_path / f"a{evil}.nc", "-o", tmp_path / f"no{evil}" / "a.npz"],
+    ):
+        failed = process(*words)
+        assert failed.returncode
+        for text in (told.stdout, failed.stdout, failed.stderr):
+            assert not set(text) & set("\x1b\x07\x9b\u202e")
+
+
+def test_memory_of_a_file_is_bounded_and_the_bound_can_be_set(tmp_path: Path) -> None:
+    file = tmp_path / "a.npz"
+    np.savez_compressed(file, amplitude=np.zeros((1, 6000, 6000)), offset_px=np.zeros((1, 2)))
+    failed = process("info", file)
+    assert (failed.returncode, failed.stdout) == (1, "")
+    assert "--max-memory" in failed.stderr
+    np.save(tmp_path / "a.npy", np.zeros((4, 300, 300)))
+    assert process("info", tmp_path / "a.npy").returncode == 0
+    failed = process("--max-memory", "0.001", "info", tmp_path / "a.npy")
+    assert "expected at most 1073742 bytes of memory" in failed.stderr
+    with memory_limit(2**30):
+        assert load_image_stack(file).grid.shape == (6000, 6000)
+    with pytest.raises(ValueError, match="positive number of bytes"), memory_limit(0):
+        pass
 
 
 def test_main_in_this_process(

@@ -12,8 +12,16 @@ from typer.testing import CliRunner, Result
 from lensshift.cli.calibrate import calibrate
 from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.register import register
+from lensshift.core.grid import Grid
+from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst
-from lensshift.io import load_burst, load_reconstruction, save_burst
+from lensshift.io import (
+    load_burst,
+    load_lens_field,
+    load_reconstruction,
+    save_burst,
+    save_lens_field,
+)
 from lensshift.io.calibration_file import load_calibration
 
 OFFSETS = np.array([[0.0, 0.0], [0.3, -0.4], [-0.2, 0.6]])
@@ -133,6 +141,38 @@ def test_calibrate_writes_calibration_and_page(scan_file: Path) -> None:
     assert text.count("<img") >= 2
     assert "Good enough" in text
     assert "image row per stage row" in text
+
+
+def test_calibrate_and_reconstruct_speak_of_lens_fields(scan_file: Path, tmp_path: Path) -> None:
+    field, given = even_field((15, 26)), tmp_path / "field.nc"
+    save_lens_field(field, given)
+    done = call("calibrate", scan_file, "--no-psf", "--lens-field", given)
+    assert done.exit_code == 0, done.output
+    assert "over the sensor: as the lens field says" in done.stdout
+    refined = tmp_path / "scan_lens_field.nc"
+    np.testing.assert_allclose(load_lens_field(refined).shift_px, field.shift_px, atol=1e-9)
+    told = "reconstruct", scan_file, "--method", "bicubic", "--lens-field", refined
+    assert call(*told).exit_code == 0  # finds the shifts from the frames
+    known = *told, "--calibration", tmp_path / "scan_calibration.json", "--json"
+    done = call(*known)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["settings"]["shift_field"] is True
+    save_lens_field(even_field((15, 25)), refined)
+    done = call(*known)
+    assert done.exit_code == 1
+    assert "scan_lens_field.nc: shape: " in done.stderr
+    assert "make it with --sensor 26x15" in done.stderr
+    again = call("calibrate", scan_file, "--lens-field", refined)
+    assert again.exit_code == 2
+    assert "would overwrite" in again.output
+
+
+def even_field(shape: tuple[int, int]) -> LensField:
+    """Return a field of a lens that moves the image evenly, by up to 2 px."""
+    shift = np.zeros((1, 1, 2, 2, 2))
+    shift[0, 0, 1, 0, 0] = shift[0, 0, 0, 1, 1] = 2.0
+    spot = np.full((1, 1, 1, 1, 2), 0.01)
+    return LensField(Grid(shape, (0.1, 0.1)), shift, spot, (0.4, 0.4))
 
 
 def test_calibrate_says_when_no_edge_tells_the_blur(scan_file: Path) -> None:

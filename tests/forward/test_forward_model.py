@@ -337,3 +337,17 @@ def test_spots_belong_to_a_shift_field():
     for field in ({"offset_px": SQUARE}, {"shift_field_px": a_field((5, 7))}):
         with pytest.raises(ValueError, match="finite spot_px2 of a shift field"):
             forward_model((5, 7), 2, spot_px2=np.zeros((2, 5, 6, 2)), **field)
+
+
+@pytest.mark.parametrize("scale", [1, 2, 3])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 2), (6, 40), (17, 23)])
+def test_slow_fields_are_summed_as_any_other(scale, shape, rng, monkeypatch):
+    field = 0.2 * a_field(shape) + rng.uniform(-2, 2, (2, 1, 1, 2))
+    gain = [1.0, 0.7]
+    model = forward_model(shape, scale, shift_field_px=field, spot_px2=a_spot(shape), gain=gain)
+    fast = model.operator
+    monkeypatch.setattr("lensshift.forward.model.smooth_field", lambda *_: None)
+    slow = model.operator
+    x, y = rng.standard_normal(model.hr_shape), rng.standard_normal((2, *shape))
+    np.testing.assert_allclose(fast(x), slow(x), atol=1e-13)
+    np.testing.assert_allclose(fast.T(y), slow.T(y), atol=1e-13)

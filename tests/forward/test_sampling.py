@@ -5,7 +5,7 @@ from lensshift.forward import sampling
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.warp import field_positions, frame_positions
 
-PARTS = ("_split", "_merge", "_sample_frame", "_spread_frame")
+PARTS = ("split_line", "merge_line", "_sample_frame", "_spread_frame")
 KERNELS = ("forward_separable", "adjoint_separable", "forward_field", "adjoint_field")
 COMPILED = {name: getattr(sampling, name) for name in (*PARTS, *KERNELS)}
 

@@ -273,7 +273,7 @@ def test_npz_that_contradicts_itself(
 
 def test_pickles_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    assert "allow_pickle" in message_of(tmp_path / "a.npy")
+    assert "Python objects" in message_of(tmp_path / "a.npy")
     np.savez(tmp_path / "b.npz", amplitude=np.array([{"a": 1}], dtype=object))
     message = message_of(tmp_path / "b.npz")
     assert "amplitude: " in message
@@ -292,7 +292,7 @@ def test_a_small_npz_does_not_unpack_without_bound(tmp_path: Path) -> None:
         np.lib.format.write_array_header_1_0(file, header)
         for _ in range(512):
             file.write(bytes(1 << 20))
-    assert "from a file of" in message_of(tmp_path / "bomb.npz")
+    assert "bytes of memory for a file of" in message_of(tmp_path / "bomb.npz")
 
 
 def test_npz_with_something_else_inside(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from lensshift.capture.rig import Camera, OnHoming, Stage
 from lensshift.capture.rounds import bursts, frames
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
+from lensshift.core.lens_field import LensField
 from lensshift.core.motion import ShiftPlan, StageMap
 from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of
 from lensshift.core.types import Burst
@@ -44,7 +45,8 @@ pitch_mm = 0.155
 [calibration]
 px_per_mm = 5.63                # image shift over lens travel: a number, or [[.., ..], [.., ..]]
 rest_mm = [3.0, 3.0]            # where the lens is centred
-# file = "calibration.json"     # instead of the two lines above, from `lensshift calibrate`
+# lens_field = "field.nc"       # instead of px_per_mm, from `lensshift lens field`
+# file = "calibration.json"     # instead of all of these, from `lensshift calibrate`
 
 [acquisition]
 frames = 1                      # kept at each position
@@ -189,12 +191,15 @@ def open_rig(
     for name in parts:
         if not isinstance(table.get(name, {}), Mapping):
             raise DataError("expected a table", field=name, source=source)
-    calibration = _calibration(table.get("calibration", {}), source, folder)
+    calibration, lens_field = _calibration(table.get("calibration", {}), source, folder)
     acquisition = _build(Acquisition, table.get("acquisition", {}), "acquisition", source)
     with ExitStack() as opening:
         camera = _camera(table.get("camera", {}), source, folder)
         opening.callback(camera.close)
         camera.open()
+        if lens_field is not None:
+            with settings_of(source):
+                lens_field.check_sensor(camera.grid)
         stage = _stage(table.get("stage", {}), source, folder, home, on_homing)
         opening.callback(stage.close)
         return Rig(stage, camera, calibration, acquisition, opening.pop_all())
@@ -205,6 +210,7 @@ def nominal_calibration(
     rest_mm: ArrayLike = (3.0, 3.0),
     *,
     sigma_px: float = 0.0,
+    optics: Mapping[str, Any] | None = None,
 ) -> Calibration:
     """Return the calibration that follows from the optics, before anything is measured.
 
@@ -212,10 +218,12 @@ def nominal_calibration(
     ----------
     px_per_mm : image shift over lens travel, one number or [2 2]
     rest_mm : [2] where the lens is centred
+    optics : which lens that is, see `LensField.optics`
     """
     per_mm = np.asarray(px_per_mm, dtype=np.float64)
     square = per_mm * np.eye(2) if per_mm.ndim == 0 else per_mm
-    return Calibration(StageMap(square, sigma_px=sigma_px), np.asarray(rest_mm))
+    notes = {} if optics is None else {"optics": dict(optics)}
+    return Calibration(StageMap(square, sigma_px=sigma_px), np.asarray(rest_mm), notes=notes)
 
 
 def _stage(
@@ -278,14 +286,31 @@ def _camera(table: _Table, source: str, folder: Path) -> Camera:
     raise DataError(f"expected {expected}, got {kind!r}", field="camera.kind", source=source)
 
 
-def _calibration(table: _Table, source: str, folder: Path) -> Calibration:
+def _calibration(table: _Table, source: str, folder: Path) -> tuple[Calibration, LensField | None]:
+    """Return the calibration of a rig file, and the lens field that it is from."""
     if "file" in table:
         from lensshift.io.calibration_file import load_calibration
 
-        return load_calibration(folder / _fit(table["file"], str, "calibration.file", source))
-    nominal = _build(_Nominal, table, "calibration", source)
-    with settings_of(source):
-        return nominal_calibration(**asdict(nominal))
+        file = folder / _fit(table["file"], str, "calibration.file", source)
+        return load_calibration(file), None
+    if "lens_field" not in table:
+        nominal = _build(_Nominal, table, "calibration", source)
+        with settings_of(source):
+            return nominal_calibration(**asdict(nominal)), None
+    from lensshift.io import load_lens_field
+
+    rest = {name: value for name, value in table.items() if name != "lens_field"}
+    name = "calibration.lens_field"
+    if "px_per_mm" in rest:
+        problem = "px_per_mm and lens_field both say how far the image moves; give one of them"
+        raise DataError(problem, field=name, source=source)
+    nominal = _build(_Nominal, rest, "calibration", source)
+    field = load_lens_field(folder / _fit(table["lens_field"], str, name, source))
+    if field.unit != "mm":
+        problem = "the stages of a rig move in mm, in this lens field an element tilts"
+        raise DataError(problem, field=name, source=source)
+    told = asdict(nominal) | {"px_per_mm": field.px_per_unit, "optics": field.optics}
+    return nominal_calibration(**told), field
 
 
 def _build(make: Callable[..., T], table: _Table, name: str, source: str) -> T:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 from types import TracebackType
+from typing import Any, TextIO, cast
+
+from lensshift.core.errors import printable
 
 
 def main() -> None:
@@ -13,7 +16,21 @@ def main() -> None:
     from lensshift.cli.app import app
 
     sys.excepthook = _one_line
+    sys.stderr = cast(TextIO, _Printable(sys.stderr))
     get_command(app)(prog_name="lensshift")
+
+
+class _Printable:
+    """A stream to a terminal for words that are not ours, as in messages about arguments."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        return self._stream.write("\r".join(printable(part) for part in text.split("\r")))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _one_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -35,10 +35,17 @@ def _show_version(wanted: bool) -> None:
 
 @app.callback()
 def root(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
+    max_memory: Annotated[
+        float | None,
+        typer.Option(
+            "--max-memory", min=0.001, help="GiB that the arrays of an input file may take."
+        ),
+    ] = None,
 ) -> None:
     """Super-resolution from frames whose content moved by a fraction of a pixel.
 
@@ -46,6 +53,10 @@ def root(
     Example:
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
     """
+    if max_memory is not None:
+        from lensshift.io.reading import memory_limit
+
+        context.with_resource(memory_limit(round(max_memory * 2**30)))
 
 
 app.command()(run)

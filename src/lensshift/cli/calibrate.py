@@ -22,6 +22,13 @@ OutOption = Annotated[
     typer.Option("--out", "-o", help="Calibration; default: SCAN_calibration.json beside it."),
 ]
 ReportOption = Annotated[Path | None, typer.Option("--report", help="Also write an HTML page.")]
+LensFieldOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--lens-field",
+        help="From `lens field`: what the scan adds to it goes to SCAN_lens_field.nc beside OUT.",
+    ),
+]
 PhotometricOption = Annotated[
     bool, typer.Option("--photometric", help="Allow frames to differ by a factor and a constant.")
 ]
@@ -34,6 +41,7 @@ NoiseOption = Annotated[
 def calibrate(
     scan: ScanArgument,
     out: OutOption = None,
+    lens_field: LensFieldOption = None,
     report: ReportOption = None,
     photometric: PhotometricOption = False,
     no_psf: NoPsfOption = False,
@@ -47,12 +55,17 @@ def calibrate(
     Examples:
       lensshift calibrate scan.nc -o calibration.json
       lensshift calibrate scan.nc -o calibration.json --report calibration.html
+      lensshift calibrate scan.nc --lens-field field.nc
+      lensshift reconstruct burst.nc --calibration scan_calibration.json \\
+        --lens-field scan_lens_field.nc
     """
     with session(as_json=as_json, debug=debug, doing="calibrating") as current:
         target = out if out is not None else scan.with_name(f"{scan.stem}_calibration.json")
         files = [target] if report is None else [target, report]
-        refuse_overwriting((scan,), files)
-        from lensshift.io import load_burst
+        refined = target.with_name(f"{scan.stem}_lens_field.nc")
+        files += [] if lens_field is None else [refined]
+        refuse_overwriting((scan, lens_field), files)
+        from lensshift.io import load_burst, load_lens_field, save_lens_field
         from lensshift.io.atomic import writable_target
         from lensshift.io.calibration_file import save_calibration
         from lensshift.pipeline.calibrate import calibrate_rig
@@ -60,11 +73,18 @@ def calibrate(
         for path in files:
             writable_target(path)
         done = calibrate_rig(
-            load_burst(scan), photometric=photometric, psf=not no_psf, noise=noise, report=report
+            load_burst(scan),
+            photometric=photometric,
+            lens_field=None if lens_field is None else load_lens_field(lens_field),
+            psf=not no_psf,
+            noise=noise,
+            report=report,
         )
         save_calibration(done.calibration, target)
+        if done.fit.lens_field is not None:
+            save_lens_field(done.fit.lens_field, refined)
         current.result |= {"input": scan, "files": files, **_described(done)}
-        _say(current, done)
+        _say(current, done, told=lens_field is not None)
         if not no_psf and done.calibration.psf_sigma_px is None:
             current.say("blur       not measured: no straight edge between even areas")
         for path in files:
@@ -88,7 +108,7 @@ def _described(done: RigCalibration) -> dict[str, Any]:
     }
 
 
-def _say(current: Session, done: RigCalibration) -> None:
+def _say(current: Session, done: RigCalibration, *, told: bool) -> None:
     found = done.calibration
     matrix = found.stage_map.px_per_mm
     current.say(f"image row  {matrix[0, 0]:9.4f} {matrix[0, 1]:9.4f} px per mm of stage row, col")
@@ -99,7 +119,9 @@ def _say(current: Session, done: RigCalibration) -> None:
     if found.psf_sigma_px is not None:
         current.say(f"blur       {found.psf_sigma_px:9.3f} px, at straight edges of the scene")
     order = done.fit.field_order
-    current.say(f"over the sensor: {'the same' if order == 0 else f'polynomial of order {order}'}")
+    same = "as the lens field says" if told else "the same"
+    more = f"{'the lens field and a ' if told else ''}polynomial of order {order}"
+    current.say(f"over the sensor: {same if order == 0 else more}")
     current.say(
         f"residual   {found.stage_map.sigma_px:9.4f} px rms, costs {done.psnr_loss_db:.2f} dB PSNR"
     )

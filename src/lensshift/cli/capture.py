@@ -12,7 +12,7 @@ import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, printable
 
 if TYPE_CHECKING:
     from lensshift.capture.acquire import Progress
@@ -221,7 +221,7 @@ class Show:
             return
         row, col = now.position_mm
         rate = f"{now.rate_hz:.1f} Hz, " if now.rate_hz else ""
-        text = (
+        text = printable(
             f"{self._name}position {now.step} of {now.steps}: stage at {row:.4f}, {col:.4f} mm, "
             f"{rate}{_losses(now.counts)}"
         )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensshift.cli.session import Session
-from lensshift.core.errors import DeviceTimeout
+from lensshift.core.errors import DeviceTimeout, printable
 
 if TYPE_CHECKING:
     from lensshift.capture.rig import OnHoming
@@ -32,7 +32,7 @@ def homing_asked(*, yes: bool) -> OnHoming:
     """Return what says how far homing takes each axis, and asks on a terminal if it must."""
 
     def answer(way: str, ask: bool) -> bool:
-        typer.echo(f"homing: {way}", err=True)
+        typer.echo(printable(f"homing: {way}"), err=True)
         if yes or not ask:
             return True
         if not on_terminal():

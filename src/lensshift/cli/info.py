@@ -74,15 +74,20 @@ def info(
         kind = kind_of(file)
         schema = None if kind is Kind.STACK else read_schema(file)
         current.result |= {"file": file, "kind": kind.value, "schema": schema}
-        current.say(f"{file}: {kind.value}" + (f", schema {schema}" if schema else ""))
+        heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
         if kind is Kind.RECONSTRUCTION:
-            _say_result(current, load_reconstruction(file))
+            result = load_reconstruction(file)  # before a word is said: it may be damaged
+            current.say(heading)
+            _say_result(current, result)
         elif kind is Kind.SEQUENCE:
+            current.say(heading)
             _say_sequence(current, file)
         elif kind is Kind.STACK:
-            _say_stack(current, file, stack)
+            _say_stack(current, file, stack, heading)
         else:
-            _say_burst(current, load_input_burst(file, stack))
+            burst = load_input_burst(file, stack)
+            current.say(heading)
+            _say_burst(current, burst)
 
 
 def _say_burst(current: Session, burst: Burst) -> None:
@@ -127,7 +132,7 @@ def _say_burst(current: Session, burst: Burst) -> None:
         current.say(f"meta        {name}: {value!s:.100}")
 
 
-def _say_stack(current: Session, file: Path, stack: StackOptions) -> None:
+def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) -> None:
     """Describe the images even if shifts or pitch are not known yet."""
     import numpy as np
 
@@ -138,8 +143,11 @@ def _say_stack(current: Session, file: Path, stack: StackOptions) -> None:
     with_offsets = stack.offsets is not None or "offset_px" in fields or len(frames) == 1
     with_pitch = stack.pitch_mm is not None or "pitch_mm" in fields
     if with_offsets and with_pitch:
-        _say_burst(current, load_input_burst(file, stack))
+        burst = load_input_burst(file, stack)
+        current.say(heading)
+        _say_burst(current, burst)
         return
+    current.say(heading)
     known: dict[str, Any] = {
         "frame_count": frames.shape[0],
         "shape": frames.shape[1:],

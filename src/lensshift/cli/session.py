@@ -18,7 +18,7 @@ from typing import Annotated, Any, TextIO, TypeVar
 import typer
 
 from lensshift.core.ending import ended_by_signals
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import QualityWarning, printable
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to stdout.")
@@ -60,7 +60,7 @@ class Session:
         if self.waiting is not None:
             self.waiting.close()
         if not self.as_json:
-            typer.echo(text)
+            typer.echo(printable(text))
 
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
@@ -77,7 +77,7 @@ class Session:
         line: str | None = None,
     ) -> None:
         """Print a warning once, on one line (has the signature of `warnings.showwarning`)."""
-        text = " ".join(str(message).split())
+        text = printable(" ".join(str(message).split()))
         if text not in self.warnings:
             self.warnings.append(text)
             if self.waiting is not None:
@@ -121,7 +121,7 @@ def _report(error: Exception, current: Session, *, debug: bool) -> None:
         current.waiting.close()
     if debug:
         traceback.print_exception(error)
-    text = " ".join(str(error).split()) or type(error).__name__
+    text = printable(" ".join(str(error).split())) or type(error).__name__
     extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
     if isinstance(error, ImportError) and extra and "lensshift[" not in text:
         text += f"; pip install 'lensshift[{extra}]'"
@@ -172,7 +172,7 @@ class Progress:
         if now_s - self._start_s < _QUIET_S or (not first and now_s - self._last_s < every_s):
             return
         self._last_s = now_s
-        text = f"{self._label}: {state}"
+        text = printable(f"{self._label}: {state}")
         typer.echo(f"\r{text:<90}" if terminal else text, err=True, nl=not terminal)
         self._open_line = terminal
 

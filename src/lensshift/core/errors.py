@@ -5,6 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 
+def printable(text: str) -> str:
+    r"""Return a text in which what a terminal would obey is written out, as in \x1b.
+
+    Names, notes and messages come from files and devices of anybody.
+    """
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or one in "\n\t" else repr(one)[1:-1] for one in text)
+
+
 class DataError(ValueError):
     """A file or a burst is unreadable or contradicts itself.
 
@@ -19,7 +29,8 @@ class DataError(ValueError):
         self.problem = " ".join(problem.split())
         self.field = field
         self.source = str(source)
-        super().__init__(": ".join(part for part in (self.source, field, self.problem) if part))
+        parts = (self.source, field, self.problem)
+        super().__init__(printable(": ".join(part for part in parts if part)))
 
     def in_file(self, source: str | Path) -> DataError:
         """Return the same error with the name of the file in front, unless it names one."""
@@ -56,7 +67,7 @@ class DeviceError(RuntimeError):
         parts = [part for part in (device, command, self.problem) if part]
         if position_mm is not None:
             parts[-1] += f" (last position {', '.join(f'{x:.4f}' for x in position_mm)} mm)"
-        super().__init__(": ".join(parts))
+        super().__init__(printable(": ".join(parts)))
 
 
 class DeviceTimeout(DeviceError):  # noqa: N818 - as TimeoutError's relatives are named

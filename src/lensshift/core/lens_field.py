@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -87,6 +87,11 @@ class LensField:
         return "rad" if self.motion == "tilt" else "mm"
 
     @property
+    def optics(self) -> dict[str, Any]:
+        """What a burst says of the lens that took it, in `Burst.meta`."""
+        return {"lens": self.lens, "element": self.element}
+
+    @property
     def middle_px2(self) -> float:
         """Variance of the spot in the middle of the sensor at rest, the mean of both axes."""
         middle = np.zeros(1)
@@ -127,8 +132,47 @@ class LensField:
         self._check(burst)
         return self._at(self._states_of(burst.offset_px))
 
+    @property
+    def px_per_unit(self) -> Array:
+        """Shift of the middle of the image over the state about rest, [2 2], px per mm or rad."""
+        return np.asarray(self._middle_slope() / np.asarray(self.reach))
+
+    def corrected(self, px_per_px: Array) -> LensField:
+        """Return the field with what a scan found: how much more each pixel shifts.
+
+        Parameters
+        ----------
+        px_per_px : [row col 2 2] further shift per px of shift of the middle of the image, a
+            polynomial of degree 2 along each axis
+        """
+        u = self._places()
+        bases = [np.linalg.pinv(chebvander(at, min(2, len(at) - 1))) for at in u]
+        terms = np.einsum("ir,jc,rcpq->ijpq", *bases, px_per_px)
+        size = [max(*both) for both in zip(self.shift_px.shape[:2], terms.shape, strict=False)]
+        coefficients = np.zeros((*size, *self.shift_px.shape[2:]))
+        coefficients[tuple(slice(n) for n in self.shift_px.shape)] = self.shift_px
+        rows, cols = terms.shape[:2]
+        per_state = terms @ self._middle_slope()
+        coefficients[:rows, :cols, 1, 0] += per_state[..., 0]
+        coefficients[:rows, :cols, 0, 1] += per_state[..., 1]
+        return replace(self, shift_px=coefficients)
+
+    def _places(self) -> list[NDArray[Any]]:
+        """Return the places of the rows and of the columns, in -1 .. 1."""
+        return [(np.arange(count) - 0.5 * (count - 1)) / (0.5 * count) for count in self.grid.shape]
+
+    def _centre_px(self, s: Array) -> Array:
+        """Return the offset [state 2] of the middle for scaled states."""
+        return _evaluated(self.shift_px, [np.zeros(1), np.zeros(1)], s)[:, 0, 0]
+
+    def _middle_slope(self) -> Array:
+        """Return [2 2] how the middle moves with the scaled state about rest."""
+        step = 1e-4
+        there = self._centre_px(step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]], np.float64))
+        return np.stack([there[0] - there[1], there[2] - there[3]], axis=-1) / (2.0 * step)
+
     def _at(self, s: Array) -> ShiftField:
-        u = [(np.arange(count) - 0.5 * (count - 1)) / (0.5 * count) for count in self.grid.shape]
+        u = self._places()
         offset_px, spot_px2 = (_evaluated(c, u, s) for c in (self.shift_px, self.spot_px2))
         return ShiftField(offset_px, self.grid.pitch_mm, np.maximum(spot_px2, 0.0))
 
@@ -137,16 +181,7 @@ class LensField:
         wanted = np.atleast_2d(np.asarray(offset_px, dtype=np.float64))
         if wanted.ndim != 2 or wanted.shape[1] != 2 or not np.all(np.isfinite(wanted)):
             raise DataError(f"expected finite offsets [frame 2], got shape {wanted.shape}")
-        middle = [np.zeros(1), np.zeros(1)]
-
-        def centre_px(s: Array) -> Array:
-            return _evaluated(self.shift_px, middle, s)[:, 0, 0]
-
-        step = 1e-4
-        probes = step * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        there = centre_px(probes)
-        slope = np.stack([there[0] - there[1], there[2] - there[3]], axis=-1) / (2.0 * step)
-        inverse = np.linalg.inv(slope)
+        inverse = np.linalg.inv(self._middle_slope())
         s = wanted @ inverse.T
         if np.abs(s).max(initial=0.0) > _BEYOND:
             frame = int(np.argmax(np.abs(s).max(axis=1)))
@@ -157,7 +192,7 @@ class LensField:
                 field="offset_px",
             )
         for _ in range(_INVERSE_STEPS):
-            error_px = wanted - centre_px(s)
+            error_px = wanted - self._centre_px(s)
             s = s + error_px @ inverse.T
             if np.abs(error_px).max() < _INVERSE_PX:
                 break
@@ -176,23 +211,42 @@ class LensField:
             )
         return np.asarray(scaled)
 
-    def _check(self, burst: Burst) -> None:
-        if burst.grid.shape != self.grid.shape:
-            (rows, cols), (r, c) = burst.grid.shape, self.grid.shape
+    def check_sensor(self, grid: Grid) -> None:
+        """Refuse another sensor than the field's own.
+
+        Raises
+        ------
+        DataError
+            If number or pitch of the pixels differ: with the option that makes the right field.
+        """
+        if grid.shape != self.grid.shape:
+            (rows, cols), (r, c) = grid.shape, self.grid.shape
             raise DataError(
-                f"the lens field is of a sensor of {c}x{r} pixels, the burst has {cols}x{rows}; "
-                f"make it with --sensor {cols}x{rows}",
+                f"the lens field is of a sensor of {c}x{r} pixels, not {cols}x{rows}; make it with "
+                f"--sensor {cols}x{rows}",
                 field="shape",
             )
-        if not np.allclose(burst.grid.pitch_mm, self.grid.pitch_mm, rtol=1e-3):
-            row_mm, col_mm = burst.grid.pitch_mm
+        if not np.allclose(grid.pitch_mm, self.grid.pitch_mm, rtol=1e-3):
+            row_mm, col_mm = grid.pitch_mm
             raise DataError(
-                f"the lens field is of pixels of {_pair(self.grid.pitch_mm)} mm, those of the "
-                f"burst have {_pair(burst.grid.pitch_mm)} mm; make it with --pitch-mm "
-                f"{row_mm:g},{col_mm:g}",
+                f"the lens field is of pixels of {_pair(self.grid.pitch_mm)} mm, not "
+                f"{_pair(grid.pitch_mm)} mm; make it with --pitch-mm {row_mm:g},{col_mm:g}",
                 field="pitch_mm",
             )
+
+    def check_camera(self, burst: Burst) -> None:
+        """Refuse a burst of another sensor, or one that says that it was taken by another lens.
+
+        Raises
+        ------
+        DataError
+            With the option that makes the right field.
+        """
+        self.check_sensor(burst.grid)
         self._check_lens(burst.meta.get("optics"))
+
+    def _check(self, burst: Burst) -> None:
+        self.check_camera(burst)
         if burst.offset_source == "unknown" and burst.frame_count > 1:
             raise DataError(
                 "nobody has said where the frames of the burst lie; `lensshift register` "

@@ -21,6 +21,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from lensshift.core.errors import DataError
 
 T = TypeVar("T")
+_MAX_TEXT_BYTES = 1 << 26  # a table of a shift for every pixel has some 20 MB
 
 
 def read_text(path: str | Path) -> str:
@@ -37,6 +38,9 @@ def read_text(path: str | Path) -> str:
             "cannot be read: expected a file, not a folder, device or pipe", source=path
         )
     try:
+        if path.stat().st_size > _MAX_TEXT_BYTES:
+            raise DataError(f"is too large for a text of settings ({_MAX_TEXT_BYTES} bytes)",
+                            source=path)  # fmt: skip
         return path.read_text(encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot be read: {error.strerror or error}", source=path) from error
@@ -50,6 +54,8 @@ def parse_toml(text: str, source: str | Path = "") -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"is not TOML: {error}", source=source) from error
+    except (ValueError, RecursionError) as error:  # integers and nesting beyond all bounds
+        raise DataError(f"is not TOML: {error!s:.100}", source=source) from error
 
 
 def parse_json(text: str | bytes, source: str | Path = "", field: str = "") -> dict[str, Any]:

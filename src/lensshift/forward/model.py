@@ -19,6 +19,7 @@ from lensshift.forward.sampling import (
     forward_separable,
     regular_runs,
 )
+from lensshift.forward.smooth_field import adjoint_smooth, forward_smooth, smooth_field
 from lensshift.forward.warp import Positions, field_positions, frame_positions
 
 MAX_SCALE = 8
@@ -260,27 +261,24 @@ def sampling_operator(
 
     Single precision stays single, complex stays complex; everything else is computed in float64.
     """
-    dense = rows.start.ndim == 3
-    run = () if dense else (cols.run,)
-    take: Any = forward_field if dense else forward_separable
-    spread: Any = adjoint_field if dense else adjoint_separable
     # The gain rides on the row taps, which costs nothing per pixel.
     row_weight = rows.weight
     if np.any(gain != 1):
         row_weight = row_weight * gain.reshape(-1, *(1,) * (row_weight.ndim - 1))
     out_shape = (gain.size, *lr_shape)
+    take, spread, places, by_tap = _kernels(rows, cols, row_weight, hr_shape[1] // lr_shape[1])
 
     @lru_cache(maxsize=2)
-    def weights(precision: np.dtype[Any]) -> tuple[Array, Array]:
-        found = [w.astype(precision, copy=False) for w in (row_weight, cols.weight)]
+    def weights(precision: np.dtype[Any]) -> list[Array]:
+        found = [w.astype(precision, copy=False) for w in (row_weight, cols.weight, *by_tap)]
         for values in found:
             values.flags.writeable = False  # always: the kernels are compiled for one kind
-        return found[0], found[1]
+        return found
 
     def run_kernel(kernel: Any, values: Array, shape: tuple[int, ...]) -> Array:
-        row, col = weights(values.dtype)
+        row, col, *others = weights(values.dtype)
         out = np.empty(shape, values.dtype)
-        kernel(values, rows.start, row, cols.start, col, *run, out)
+        kernel(values, rows.start, row, cols.start, col, *places, *others, out)
         return out
 
     def forward(x: Array) -> Array:
@@ -290,6 +288,19 @@ def sampling_operator(
         return by_parts(lambda part: run_kernel(spread, part, hr_shape), y)
 
     return LinearOperator(hr_shape, out_shape, forward, adjoint)
+
+
+def _kernels(
+    rows: Taps, cols: Taps, row_weight: Array, stride: int
+) -> tuple[Any, Any, tuple[Starts, ...], tuple[Array, ...]]:
+    """Return kernel, adjoint, and what they take besides the taps: places, and further weights."""
+    if rows.start.ndim < 3:
+        return forward_separable, adjoint_separable, (cols.run,), ()
+    smooth = smooth_field(rows.start, row_weight, cols.start, cols.weight, stride)
+    if smooth is None:
+        return forward_field, adjoint_field, (), ()
+    by_tap = (smooth.row_weight, smooth.col_weight)
+    return forward_smooth, adjoint_smooth, (smooth.first, smooth.run), by_tap
 
 
 def _look_where(

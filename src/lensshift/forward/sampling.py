@@ -43,7 +43,7 @@ def regular_runs(start: Starts, weight: Array) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _split(line: Array, stride: int, count: int, planes: Array) -> None:
+def split_line(line: Array, stride: int, count: int, planes: Array) -> None:
     """Put every stride-th sample into a plane of its own, so that the column pass is contiguous.
 
     Two is spelt out because a loop vectorises only if its stride is a constant, and the copy is a
@@ -60,8 +60,8 @@ def _split(line: Array, stride: int, count: int, planes: Array) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _merge(planes: Array, stride: int, count: int, line: Array) -> None:
-    """Undo `_split`: add the planes to every stride-th sample of the line."""
+def merge_line(planes: Array, stride: int, count: int, line: Array) -> None:
+    """Undo `split_line`: add the planes to every stride-th sample of the line."""
     for phase in range(min(stride, count)):
         target, plane = line[phase:], planes[phase]
         if stride == 2:
@@ -95,7 +95,7 @@ def _sample_frame(
         for v in range(count):
             target[v] = 0
         if end > begin:
-            _split(line[start[begin] :], stride, (end - begin - 1) * stride + taps, planes)
+            split_line(line[start[begin] :], stride, (end - begin - 1) * stride + taps, planes)
             inner = target[begin:end]
             for t in range(taps):
                 part, factor = planes[t % stride, t // stride :], weight[begin, t]
@@ -128,7 +128,7 @@ def _spread_frame(
                 part, factor = planes[t % stride, t // stride :], weight[begin, t]
                 for j in range(end - begin):
                     part[j] += factor * inner[j]
-            _merge(planes, stride, (end - begin - 1) * stride + taps, line[start[begin] :])
+            merge_line(planes, stride, (end - begin - 1) * stride + taps, line[start[begin] :])
         for first, last in ((0, begin), (end, count)):
             for v in range(first, last):
                 for t in range(taps):

@@ -7,6 +7,7 @@ from lensshift.io.lens_field_file import load_lens_field, save_lens_field
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.picture_layers import napari_layers, picture_layers
 from lensshift.io.point_cloud_file import save_point_cloud
+from lensshift.io.reading import memory_limit
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
 from lensshift.io.sequence_file import load_window
 
@@ -21,6 +22,7 @@ __all__ = [
     "load_offsets",
     "load_reconstruction",
     "load_window",
+    "memory_limit",
     "napari_layers",
     "open_recording",
     "picture_layers",

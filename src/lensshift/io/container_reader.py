@@ -68,10 +68,11 @@ class Container:
             if item.shape is None or item.size == 0:
                 raise DataError(f"expected values, got shape {item.shape}", field=name)
             check_held(item.shape, item.nbytes, item.id.get_storage_size(), name)
+            chunk_bytes = math.prod(item.chunks or (0,)) * item.dtype.itemsize
+            taken = [chunk_bytes] if part else self.unpacked
             if not part:
-                chunk_bytes = math.prod(item.chunks or (0,)) * item.dtype.itemsize
                 self.unpacked.append(max(item.nbytes, chunk_bytes))
-                check_unpacked(sum(self.unpacked), self.path.stat().st_size, name)
+            check_unpacked(sum(taken), self.path.stat().st_size, name)
             values = np.asarray(item[part or ()])
             return values.astype(values.dtype.newbyteorder("="), copy=False)
 

@@ -19,6 +19,7 @@ TIFF_SUFFIXES = (".tif", ".tiff")
 IMAGE_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy")
 _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
 _CHANNEL_MODES = ("LA", "RGB", "RGBA")
+_PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
 _TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
 _MIN_IS_BLACK, _RGB = 1, 2
 _ADVICE = "save it as greyscale of 8 or 16 bits first"
@@ -72,7 +73,9 @@ def _without_pickles(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[
 
 def _load_npy(path: str | Path) -> NDArray[Any]:
     _check_signature(path, b"\x93NUMPY", "an NPY file")
-    return np.asarray(np.load(path, allow_pickle=False))
+    values = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses what is cut short
+    check_unpacked(values.nbytes, Path(path).stat().st_size, "")
+    return np.array(values)
 
 
 def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
@@ -150,6 +153,8 @@ def _load_pillow(path: str | Path) -> NDArray[Any]:
             with Image.open(path, formats=("PNG", "TIFF")) as image:
                 image.verify()  # checks the checksums, and leaves the image unusable
             with Image.open(path, formats=("PNG", "TIFF")) as image:
+                pixels = _frame_count(image) * image.width * image.height
+                check_unpacked(_PIXEL_BYTES * pixels, Path(path).stat().st_size, "pages")
                 return np.stack([_pillow_frame(image, n) for n in range(_frame_count(image))])
         except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
             raise DataError(f"too large: {error}") from error

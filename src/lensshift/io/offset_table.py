@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.core.settings import fit, parse_json
+from lensshift.core.settings import fit, parse_json, read_text
 from lensshift.core.types import OFFSET_SOURCES, OffsetSource
 from lensshift.io.reading import reading, require_file
 
@@ -55,7 +55,7 @@ def load_offsets(path: str | Path) -> OffsetTable:
     if suffix not in (".csv", ".json"):
         raise DataError(f"expected shifts in a .csv or .json file, got {suffix!r}", source=path)
     with reading(path):
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = read_text(path).removeprefix("\ufeff")
         return _from_csv(text) if suffix == ".csv" else _from_json(text)
 
 

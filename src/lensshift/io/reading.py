@@ -10,6 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,7 @@ _DEFLATE_LIMIT = 1100  # zlib cannot shrink data by more than a factor of 1032
 # Measured frames shrink by 10 at most, flags and other constants by 1000, but beside frames.
 _UNPACKED_LIMIT = 100
 _ALWAYS_UNPACKED_BYTES = 1 << 28
+_allowed_bytes: ContextVar[int | None] = ContextVar("allowed_bytes", default=None)
 
 
 @contextmanager
@@ -73,12 +75,31 @@ def unpacked_bytes(archive: NpzFile) -> int:
     return sum(member.file_size for member in archive.zip.infolist()) if archive.zip else 0
 
 
+@contextmanager
+def memory_limit(limit_bytes: int | None) -> Iterator[None]:
+    """Let the arrays of each file that is read in the block take so many bytes, and no more.
+
+    Without it, or with None, they may take 256 MiB or a hundred times the size of the file.
+    """
+    if limit_bytes is not None and limit_bytes < 1:
+        raise ValueError(f"expected a positive number of bytes, got {limit_bytes}")
+    before = _allowed_bytes.set(limit_bytes)
+    try:
+        yield
+    finally:
+        _allowed_bytes.reset(before)
+
+
 def check_unpacked(claimed_bytes: int, file_bytes: int, field: str) -> None:
-    """Raise a `DataError` if a file asks for more memory than frames in it can explain."""
-    limit = max(_ALWAYS_UNPACKED_BYTES, _UNPACKED_LIMIT * file_bytes)
+    """Raise a `DataError` if a file asks for more memory than it may have, see `memory_limit`."""
+    allowed = _allowed_bytes.get()
+    limit = (
+        max(_ALWAYS_UNPACKED_BYTES, _UNPACKED_LIMIT * file_bytes) if allowed is None else allowed
+    )
     if claimed_bytes > limit:
         raise DataError(
-            f"expected at most {limit} bytes from a file of {file_bytes}, got {claimed_bytes}",
+            f"expected at most {limit} bytes of memory for a file of {file_bytes}, got "
+            f"{claimed_bytes}; if you trust it, allow more (lensshift --max-memory, memory_limit)",
             field=field,
         )
 

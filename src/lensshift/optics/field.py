@@ -143,12 +143,13 @@ class _Mover:
         """Return the real part of the OTF [place state 2 frequency] along (row, col)."""
         fields, build = self._aimed(u, s * np.asarray(self.reach))
         found = np.empty((len(u), len(s), 2, len(_CPP)))
+        azimuths_rad, pitches_mm = np.array([0.5 * np.pi, 0.0]), np.asarray(self.grid.pitch_mm)
+        parts = [slice(0, 2)] if pitches_mm[0] == pitches_mm[1] else [slice(0, 1), slice(1, 2)]
         for place, field_tan in enumerate(fields):  # each with as many rays as it needs
-            for axis, (pitch_mm, azimuth_rad) in enumerate(
-                zip(self.grid.pitch_mm, (0.5 * np.pi, 0.0), strict=True)
-            ):
-                otf = fast_otf(self.lens, field_tan, _CPP / pitch_mm, azimuth_rad, build=build)
-                found[place, :, axis] = otf[:, 0].real
+            for axes in parts:
+                lpmm = _CPP / pitches_mm[axes][0]
+                otf = fast_otf(self.lens, field_tan, lpmm, azimuths_rad[axes], build=build)
+                found[place, :, axes] = otf.real
         return found
 
     def spots(self, u: Array, s: Array) -> Array:

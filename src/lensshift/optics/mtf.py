@@ -205,10 +205,10 @@ def _enough_spots(
 
     count = rings or _RINGS
     parts, periods = traced(count)
-    if periods > _MOST_PERIODS and rings is None:
-        affordable = int(np.sqrt(_MOST_RAYS / (4 * parts[0].transmission.size)))
+    affordable = int(np.sqrt(_MOST_RAYS / (4 * parts[0].transmission.size)))
+    while periods > _MOST_PERIODS and rings is None and count < affordable:
         needed = int(np.ceil(_SPARE * count * periods / _MOST_PERIODS))
-        count = max(count, min(needed, affordable))
+        count = min(max(needed, count + 1), affordable)
         parts, periods = traced(count)
     if periods > _MOST_PERIODS:
         warnings.warn(

@@ -11,6 +11,7 @@ import numpy as np
 
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
+from lensshift.core.lens_field import LensField
 from lensshift.core.optical import gaussian_width
 from lensshift.core.types import Burst
 from lensshift.registration.calibrate import ScanFit, fit_scan
@@ -58,6 +59,7 @@ def calibrate_rig(
     *,
     photometric: bool = False,
     over_sensor: bool = True,
+    lens_field: LensField | None = None,
     psf: bool = True,
     noise: float = 0.005,
     report: str | Path | None = None,
@@ -67,7 +69,7 @@ def calibrate_rig(
     Parameters
     ----------
     burst : the scan, see `fit_scan`
-    photometric, over_sensor : see `fit_scan`
+    photometric, over_sensor, lens_field : see `fit_scan`
     psf : whether the width of the blur is measured, at straight edges if there are any
     noise : of a pixel as a share of full scale, for what the rest costs
     report : HTML file for the page, or None
@@ -84,7 +86,7 @@ def calibrate_rig(
     """
     from lensshift.optics.actuator import reconstruction_loss
 
-    fit = fit_scan(burst, photometric=photometric, over_sensor=over_sensor)
+    fit = fit_scan(burst, photometric=photometric, over_sensor=over_sensor, lens_field=lens_field)
     if psf:
         width = psf_width_px(fit.burst)
         if width is not None:

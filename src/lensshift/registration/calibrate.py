@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
+from lensshift.core.lens_field import LensField
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
 from lensshift.registration.field import fit_field
@@ -36,7 +37,9 @@ class ScanFit:
     burst : the scan with its registered offsets, without frames before the axes first moved
     residual_px : [frame 2] registered offset less what the calibration says
     direction : [frame 2] of the last motion of each axis, +1, -1, or 0 if not known
-    field_order : degree of the polynomial over the sensor, 0: the same everywhere
+    field_order : degree of the polynomial over the sensor, 0: the same everywhere; with a lens
+        field that of what the scan adds to it
+    lens_field : the one that was told, with what the scan adds to it, or None
     """
 
     calibration: Calibration
@@ -44,6 +47,7 @@ class ScanFit:
     residual_px: Array
     direction: Array
     field_order: int
+    lens_field: LensField | None = None
 
 
 def calibrate(burst: Burst, **options: Any) -> Calibration:
@@ -58,6 +62,7 @@ def fit_scan(
     photometric: bool = False,
     registered: bool = False,
     over_sensor: bool = True,
+    lens_field: LensField | None = None,
 ) -> ScanFit:
     """Find how a rig moves the image from a scan over the range of its stage.
 
@@ -75,11 +80,14 @@ def fit_scan(
     photometric : whether frames may differ by a factor and a constant
     registered : whether the offsets of the burst are registered already
     over_sensor : whether the shift may vary over the sensor
+    lens_field : what the optics say of how it varies; the scan says what is different
 
     Raises
     ------
     ValueError
         If the burst has no stage positions, has fewer than 9 frames, or does not span both axes.
+    DataError
+        If the lens field is of another sensor or lens, or does not reach as far as the scan.
 
     Warns
     -----
@@ -87,6 +95,8 @@ def fit_scan(
         If what is left is more than 0.02 px rms.
     """
     stage_mm = _stage(burst)
+    if lens_field is not None:
+        lens_field.check_camera(burst)
     if not registered:
         burst = _registered(burst, photometric=photometric)
     rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
@@ -104,8 +114,9 @@ def fit_scan(
     if over_sensor:
         play_mm, _ = _play(found, covariance, turns)
         effective_mm = away_mm - 0.5 * play_mm * direction
-        bent, order, better_px = fit_field(burst, design @ found, effective_mm)
-        if bent is not None:
+        known_px = _slip_px(lens_field, effective_mm @ found[:2])
+        bent, order, better_px = fit_field(burst, design @ found, effective_mm, known_px)
+        if bent is not None or lens_field is not None:
             burst = replace(burst, offset_px=better_px)
             found, covariance, residual = _robust(design, better_px)
     matrix, sigma = found[:2].T, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
@@ -116,6 +127,9 @@ def fit_scan(
     scale = len(residual) / max(len(residual) - design.shape[1], 1)
     sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
     _warn_of_rest(sigma_px)
+    if lens_field is not None and bent is not None:
+        lens_field, matrix = _refined(lens_field, bent, matrix)
+        bent = None
     calibration = Calibration(
         stage_map=StageMap(matrix, None if bent is None else matrix + bent, sigma_px),
         rest_mm=rest,
@@ -125,14 +139,34 @@ def fit_scan(
         play_sigma_mm=play_sigma,
         drift_px_per_s=drift,
         drift_sigma_px_per_s=drift_sigma,
-        notes={
-            "frames": burst.frame_count,
-            "shape": list(burst.grid.shape),
-            "pitch_mm": list(burst.grid.pitch_mm),
-            "field_order": order,
-        },
+        notes=_notes(burst, order, lens_field),
     )
-    return ScanFit(calibration, burst, residual, direction, order)
+    return ScanFit(calibration, burst, residual, direction, order, lens_field)
+
+
+def _notes(burst: Burst, order: int, lens_field: LensField | None) -> dict[str, Any]:
+    return {
+        "frames": burst.frame_count,
+        "shape": list(burst.grid.shape),
+        "pitch_mm": list(burst.grid.pitch_mm),
+        "field_order": order,
+    } | ({} if lens_field is None else {"optics": lens_field.optics})
+
+
+def _slip_px(lens_field: LensField | None, offset_px: Array) -> Array | float:
+    """Return how much more each pixel shifts than the middle, [axis frame row col]."""
+    if lens_field is None:
+        return 0.0
+    shown_px = lens_field.at(lens_field.states(offset_px)).offset_px
+    return np.moveaxis(shown_px - offset_px[:, None, None], -1, 0)
+
+
+def _refined(field: LensField, bent: Array, matrix: Array) -> tuple[LensField, Array]:
+    """Return the field with what a scan adds to it per mm, and the map in the middle."""
+    rows, cols = (slice((n - 1) // 2, n // 2 + 1) for n in bent.shape[:2])
+    middle = bent[rows, cols].mean(axis=(0, 1))
+    whole = matrix + middle
+    return field.corrected((bent - middle) @ np.linalg.inv(whole)), whole
 
 
 def _registered(burst: Burst, *, photometric: bool) -> Burst:

@@ -18,7 +18,9 @@ _SIGNIFICANT = 4.0
 _OUTLIER_SIGMAS = 4.0
 
 
-def fit_field(burst: Burst, offset_px: Array, away_mm: Array) -> tuple[Array | None, int, Array]:
+def fit_field(
+    burst: Burst, offset_px: Array, away_mm: Array, known_px: Array | float = 0.0
+) -> tuple[Array | None, int, Array]:
     """Return how the map differs at every pixel [row col 2 2], its order, and better offsets.
 
     None and 0 where the map is the same everywhere; the offsets then are those given.
@@ -34,6 +36,7 @@ def fit_field(burst: Burst, offset_px: Array, away_mm: Array) -> tuple[Array | N
     ----------
     offset_px : [frame 2] of the whole frame, from the linear model
     away_mm : [frame 2] where the stage really was, against rest
+    known_px : [axis frame row col] what is known of how each pixel shifts further
     """
     frames = np.real(
         np.abs(burst.amplitude) if np.iscomplexobj(burst.amplitude) else burst.amplitude
@@ -45,7 +48,9 @@ def fit_field(burst: Burst, offset_px: Array, away_mm: Array) -> tuple[Array | N
     order, better_px = 0, offset_px
     for trial in range(1, MAX_ORDER + 1):
         basis = _basis(burst.grid.shape, trial)
-        found, gain, moved_px = _coefficients(frames, weight, offset_px, away_mm, basis)
+        found, gain, moved_px = _coefficients(frames, weight, offset_px, away_mm, basis, known_px)
+        if trial == 1 and np.any(known_px):
+            better_px = moved_px  # of the middle, not of where the texture is
         if gain > _SIGNIFICANT * found.size:
             best, order = np.einsum("bij,brc->rcij", found, basis), trial
             better_px = moved_px
@@ -62,7 +67,12 @@ def _basis(shape: tuple[int, int], order: int) -> Array:
 
 
 def _coefficients(
-    frames: Array, weight: Array, offset_px: Array, away_mm: Array, basis: Array
+    frames: Array,
+    weight: Array,
+    offset_px: Array,
+    away_mm: Array,
+    basis: Array,
+    known_px: Array | float,
 ) -> tuple[Array, float, Array]:
     """Return dM [term 2 2], by how many squared errors it differs from 0, offsets [frame 2]."""
     found = np.zeros((len(basis), 2, 2))
@@ -71,7 +81,7 @@ def _coefficients(
     used[:, :_BORDER_PX] = used[:, -_BORDER_PX:] = 0.0
     used[:, :, :_BORDER_PX] = used[:, :, -_BORDER_PX:] = 0.0
     for _ in range(_PASSES):
-        slip_px = np.einsum("bij,brc,fj->ifrc", found, basis, away_mm)
+        slip_px = known_px + np.einsum("bij,brc,fj->ifrc", found, basis, away_mm)
         reference = reference_image(frames, weight, moved_px, slip_px)
         rest = frames - reference.seen
         here = used > 0

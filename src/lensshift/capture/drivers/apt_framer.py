@@ -17,7 +17,8 @@ class Framer:
     Parameters
     ----------
     sizes : bytes of data by message id; 0 is the short form
-    destination, source : the only addresses that are accepted
+    destination, source : the only addresses that are accepted; several destinations, of a device
+        that is called by more than one
     patience_s : how long half a message waits for its next byte
     """
 
@@ -25,13 +26,15 @@ class Framer:
         self,
         sizes: Mapping[int, tuple[int, ...]],
         *,
-        destination: int = HOST,
+        destination: int | tuple[int, ...] = HOST,
         source: int = CONTROLLER,
         patience_s: float = 0.03,
     ) -> None:
         self.resyncs = 0  # stretches of bytes that were no message
         self._sizes = sizes
-        self._addresses = destination, source
+        self._destinations = (destination,) if isinstance(destination, int) else destination
+        self._source = source
+        self.called = self._destinations[0]  # destination of the last message
         self._patience_s = patience_s
         self._held = b""
         self._last_s = 0.0
@@ -76,14 +79,14 @@ class Framer:
         if len(held) < HEADER_BYTES:
             return None
         message_id, length, destination, source = struct.unpack_from("<HHBB", held)
-        if (destination & ~LONG, source) != self._addresses:
+        if destination & ~LONG not in self._destinations or source != self._source:
             return 0
         data = length if destination & LONG else 0
         return HEADER_BYTES + data if data in self._sizes.get(message_id, ()) else 0
 
-    @staticmethod
-    def _message(raw: bytes) -> Message:
-        message_id, *parameters = struct.unpack_from("<HBB", raw)
+    def _message(self, raw: bytes) -> Message:
+        message_id, *parameters, destination = struct.unpack_from("<HBBB", raw)
+        self.called = destination & ~LONG
         data = raw[HEADER_BYTES:]
         if data:
             return Message(message_id, data=data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 import time
@@ -14,6 +15,7 @@ from lensshift.capture.drivers import apt_codec as apt
 from lensshift.capture.drivers.apt_codec import Bits, Id, Message
 from lensshift.capture.drivers.apt_framer import Framer
 from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM
+from lensshift.capture.emulators.apt_messages import ADDRESSES, SIZES, Jog, More, records
 from lensshift.capture.emulators.apt_motion import Motion
 
 _ZERO_MM = 0.3  # from the backward switch to the zero of `lens_mm`
@@ -21,6 +23,7 @@ _TRAVEL_MM = 6.5  # from switch to switch
 _HISTORY_S = 20.0  # how long ago `lens_mm` still knows
 _LOCKS_UP_S = 0.8  # home sooner after enabling, and the controller hangs
 _KEPT_MESSAGES = 1000
+_UPDATE_S = 0.1  # between two statuses that were asked for once
 
 R = TypeVar("R", bound=apt.Record)
 
@@ -89,6 +92,15 @@ class AptController:
             Id.MOVE_ABSOLUTE: self._move,
             Id.MOVE_HOME: self._home,
             Id.MOVE_STOP: self._stop,
+            Id.STOP_UPDATES: lambda _: self._update(every_s=math.inf),
+            More.START_UPDATES: lambda _: self._update(every_s=_UPDATE_S),
+            More.REQUEST_POSITION: lambda _: self._say(More.POSITION, self._place()),
+            More.REQUEST_ENCODER: lambda _: self._say(More.ENCODER, self._place()),
+            More.SET_POSITION: self._call_it,
+            More.SET_ENCODER: self._call_it,
+            More.MOVE_RELATIVE: self._move,
+            More.MOVE_JOG: self._jog,
+            More.MOVE_VELOCITY: self._jog,
         }
         self.reboot()
 
@@ -130,7 +142,9 @@ class AptController:
             self._enabled_s = 0.0
             self._hung = False
             self._arrival = None
-            self._framer = Framer(apt.TO_CONTROLLER, destination=apt.CONTROLLER, source=apt.HOST)
+            self._jogs = False
+            self._update_due_s = self._update_every_s = math.inf
+            self._framer = Framer(SIZES, destination=ADDRESSES, source=apt.HOST)
             slow = apt.servo_velocity(self._counts(1.0))
             acceleration = apt.servo_acceleration(self._counts(1.0))
             self._records: dict[int, apt.Record] = {
@@ -138,6 +152,7 @@ class AptController:
                 Id.HOME: apt.Home(2, 1, slow, 0),
                 Id.BACKLASH: apt.Backlash(self._counts(0.1)),
                 Id.LIMITS: apt.Limits(3, 3, self._counts(6.0), 0, 3),
+                **records(self._counts_per_mm),
             }
 
     # ---- for the link -------------------------------------------------------------------------
@@ -156,6 +171,9 @@ class AptController:
         with self._lock:
             now_s = self._time()
             self._motion.forget(now_s - _HISTORY_S * self._speed)
+            if time.monotonic() >= self._update_due_s:
+                self._update_due_s = time.monotonic() + self._update_every_s
+                return self._say(Id.STATUS, self._status().pack())
             if self._arrival is None or now_s < self._motion.end_s:
                 return b""
             arrival, self._arrival = self._arrival, None
@@ -169,9 +187,10 @@ class AptController:
     def quiet_s(self) -> float:
         """How long it will say nothing unasked."""
         with self._lock:
+            left_s = min(1.0, max(self._update_due_s - time.monotonic(), 0.0))
             if self._arrival is None:
-                return 1.0
-            return max(self._motion.end_s - self._time(), 0.0) / self._speed
+                return left_s
+            return min(left_s, max(self._motion.end_s - self._time(), 0.0) / self._speed)
 
     # ---- messages -----------------------------------------------------------------------------
 
@@ -195,17 +214,56 @@ class AptController:
             self._flags &= ~Bits.ENABLED
         return b""
 
+    def _update(self, *, every_s: float) -> bytes:
+        self._update_every_s, self._update_due_s = every_s, time.monotonic() + every_s
+        return b""
+
+    def _place(self) -> bytes:
+        return apt.Target(self._status().counts).pack()
+
+    def _call_it(self, message: Message) -> bytes:
+        """Let the place where the motor stands bear another number."""
+        with suppress(apt.DamagedMessage):
+            counts = apt.Target.unpack(message.data).counts
+            self._zero = self._motion.motor(self._time()) - counts
+        return b""
+
     def _move(self, message: Message) -> bytes:
+        """Go to a place, or by a length; without one in the message by that set before."""
+        relative = message.id == More.MOVE_RELATIVE
+        kept = self._record(apt.Target, More.RELATIVE if relative else More.ABSOLUTE)
         try:
-            goal = self._zero + apt.Target.unpack(message.data).counts
+            way = apt.Target.unpack(message.data) if message.data else kept
         except apt.DamagedMessage:
             return b""
+        base = self._motion.motor(self._time()) if relative else self._zero
+        velocity = self._record(apt.Velocity, Id.VELOCITY)
+        return self._go(base + way.counts, velocity.highest, velocity.acceleration)
+
+    def _jog(self, message: Message) -> bytes:
+        """Go a step, or until stopped, to lower (1, "forward") or higher counts (2)."""
+        channel, way = message.parameters
+        if channel != apt.CHANNEL or way not in (1, 2):
+            return b""
+        jog, low_high = self._record(Jog, More.JOG), self._switches
+        here = self._motion.motor(self._time())
+        endless = message.id == More.MOVE_VELOCITY or jog.mode == 1
+        step = jog.step if way == 2 else -jog.step
+        velocity: Jog | apt.Velocity = jog
+        if message.id == More.MOVE_VELOCITY:
+            velocity = self._record(apt.Velocity, Id.VELOCITY)
+        end = low_high[way == 2] if endless else here + step
+        said = self._go(end, velocity.highest, velocity.acceleration)
+        self._jogs = message.id == More.MOVE_JOG
+        return said
+
+    def _go(self, goal: float, highest: int, rising: int) -> bytes:
+        """Set out for a place, by speed and acceleration in units of the servo."""
         ready = self._flags & Bits.ENABLED and not self._flags & (Bits.MOTION_ERROR | Bits.HOMING)
         if not ready:
             return b""
-        velocity = self._record(apt.Velocity, Id.VELOCITY)
-        acceleration = max(velocity.acceleration / (apt.SAMPLE_S**2 * 65536), 1.0)
-        speed = max(velocity.highest / (apt.SAMPLE_S * 65536), 1.0)
+        acceleration = max(rising / (apt.SAMPLE_S**2 * 65536), 1.0)
+        speed = max(highest / (apt.SAMPLE_S * 65536), 1.0)
         overrun = self._record(apt.Backlash, Id.BACKLASH).counts
         now_s = self._time()
         self._motion.brake(now_s, acceleration)
@@ -216,6 +274,7 @@ class AptController:
             self._motion.go(max(now_s, self._motion.end_s), stop, speed, acceleration)
             if stop != end:
                 break
+        self._jogs = False
         self._sets_out(Id.COMPLETED, now_s)
         return b""
 
@@ -259,7 +318,7 @@ class AptController:
 
     def _say(self, message_id: int, data: bytes = b"", second: int = 0) -> bytes:
         message = Message(message_id, (0, 0) if data else (apt.CHANNEL, second), data)
-        return self._damaged(message.to_bytes(apt.HOST, apt.CONTROLLER), self._loss)
+        return self._damaged(message.to_bytes(apt.HOST, self._framer.called), self._loss)
 
     def _say_end(self, message_id: int) -> bytes:
         """Return the end of a move: the older model says only that, the newer one where it is."""
@@ -278,7 +337,10 @@ class AptController:
         motor, velocity = self._motion.motor(now_s), self._motion.velocity(now_s)
         bits = self._flags
         if now_s < self._motion.end_s:
-            bits |= Bits.MOVING_FORWARD if velocity >= 0 else Bits.MOVING_BACKWARD
+            # As thorlabs-apt-device and pylablib found it: these call lower counts forward.
+            bits |= Bits.MOVING_BACKWARD if velocity >= 0 else Bits.MOVING_FORWARD
+            if self._jogs:
+                bits |= Bits.JOGGING_BACKWARD if velocity >= 0 else Bits.JOGGING_FORWARD
         else:
             bits |= Bits.SETTLED
         low, high = self._switches
@@ -290,7 +352,7 @@ class AptController:
     def _switches(self) -> tuple[float, float]:
         return -_ZERO_MM * self._counts_per_mm, (_TRAVEL_MM - _ZERO_MM) * self._counts_per_mm
 
-    def _record(self, kind: type[R], key: Id) -> R:
+    def _record(self, kind: type[R], key: int) -> R:
         record = self._records[key]
         if not isinstance(record, kind):
             raise TypeError(f"expected {kind.__name__}, got {record}")

@@ -65,6 +65,30 @@ def edge_response_transform(
     return transform
 
 
+def tail_response(normal_px: Vector, width_px: float, steepness: float) -> Vector:
+    """Return the edge response of a tail, between a heavy one and an exponential one.
+
+        E(d) = (1 - c) (1/2 + atan(d / w) / pi) + c (1 + sgn(d) (1 - exp(-|d| / w))) / 2
+
+    The LSF of the first falls as w / (pi d^2), as that of diffraction does; light that is scattered
+    mostly falls faster.
+
+    Parameters
+    ----------
+    normal_px : [n] signed distance from the edge
+    width_px, steepness : w and c, 0 to 1
+    """
+    heavy = 0.5 + np.arctan(normal_px / width_px) / np.pi
+    light = 0.5 - 0.5 * np.sign(normal_px) * np.expm1(-np.abs(normal_px) / width_px)
+    return np.asarray((1.0 - steepness) * heavy + steepness * light)
+
+
+def tail_transform(frequency_cpp: Vector, width_px: float, steepness: float) -> Vector:
+    """Return the Fourier transform of the derivative of `tail_response`."""
+    turns = 2.0 * np.pi * width_px * np.abs(frequency_cpp)
+    return np.asarray((1.0 - steepness) * np.exp(-turns) + steepness / (1.0 + turns**2))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SplineProducts:
     """Sums over pixels of products of the integrated splines z, level columns x and values y.

@@ -11,6 +11,7 @@ from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
     Posterior,
+    find_optimum,
     find_posterior,
     starting_point,
 )
@@ -21,6 +22,8 @@ DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
 _ESF_STEP = 0.1
 _RESIDUAL_GRID = 1201
+# Minus the log prior of the four slopes of uneven light at 0: normal, 0.1 of the contrast each.
+TILT_WORTH = 4.0 * float(np.log(0.1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +83,19 @@ def fit_edge(
     seed : of the draws
     noise_covariance : of the noise, None to let the plateaus tell
     """
-    noise, tilted = learn_noise(edge, aperture_px, tilt, noise_covariance)
-    samples = take_samples(edge, noise, aperture_px, tilted)
-    likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
+    noise, uneven = learn_noise(edge, aperture_px, tilt, noise_covariance)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / edge.unit_px), -2.0, 1.5))
     start, steps = starting_point(edge.geometry, log_sigma, noise.dark_sigma, edge.half_length_px)
-    posterior = find_posterior(likelihood, start, steps, seed)
+    # Tails of the response slope as uneven light does: where both may be, the likelier one is.
+    tries = []
+    for tilted in (True, False) if uneven and tilt is None else (uneven,):
+        samples = take_samples(edge, noise, aperture_px, tilted)
+        likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
+        optimum = find_optimum(likelihood, start, steps)
+        worth = TILT_WORTH if tilted else 0.0
+        tries.append((optimum.value + worth, tilted, likelihood, optimum))
+    _, tilted, likelihood, optimum = min(tries, key=lambda one: one[0])
+    posterior = find_posterior(likelihood, optimum, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
     curves = _Curves(likelihood, edge.basis, frequency_cpp, edge.unit_px)
     modulation, esf, lsf = curves.of(parameters, levels, coefficients)
@@ -197,7 +207,7 @@ def _residual(
     normal_px = distance_px(
         edge.across_px, edge.along_px, parameters[: likelihood.geometry_size], edge.half_length_px
     )
-    reach_px = edge.basis.reach_px + likelihood.base_reach_px(parameters)
+    reach_px = max(edge.basis.reach_px, float(np.max(np.abs(normal_px))))
     grid_px = np.linspace(-reach_px, reach_px, _RESIDUAL_GRID)
     response = np.interp(normal_px, grid_px, likelihood.base_response(grid_px, parameters))
     spline = np.interp(normal_px, grid_px, edge.basis.integrals(grid_px) @ coefficients)

@@ -15,6 +15,8 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     Vector,
     edge_response,
     edge_response_transform,
+    tail_response,
+    tail_transform,
 )
 from lensshift.evaluation.slanted_edge.lsf_prior import (
     BASE_HYPERS,
@@ -154,21 +156,27 @@ class EdgeLikelihood:
 
     def base_response(self, normal_px: Vector, parameters: Vector) -> Vector:
         """Return the base model of the ESF, without the splines."""
-        return edge_response(normal_px, float(parameters[0]), *self._widths_px(parameters))
+        widths_px, (share, *tail) = self._widths_px(parameters), self._tail(parameters)
+        core = edge_response(normal_px, float(parameters[0]), *widths_px)
+        return (1.0 - share) * core + share * tail_response(normal_px, *tail)
 
     def base_transform(self, frequency_cpp: Vector, parameters: Vector) -> Vector:
         """Return the Fourier transform of the LSF of the base model."""
-        widths_px = self._widths_px(parameters)
-        return edge_response_transform(frequency_cpp, float(parameters[0]), *widths_px)
-
-    def base_reach_px(self, parameters: Vector) -> float:
-        """Return a distance beyond which the base model is level."""
-        return 4.0 * self._widths_px(parameters)[0]
+        widths_px, (share, *tail) = self._widths_px(parameters), self._tail(parameters)
+        core = edge_response_transform(frequency_cpp, float(parameters[0]), *widths_px)
+        return (1.0 - share) * core + share * tail_transform(frequency_cpp, *tail)
 
     def _widths_px(self, parameters: Vector) -> tuple[float, float]:
         """Return the standard deviation of the Gaussian and the side of the pixel."""
-        log_sigma, root = parameters[self.geometry_size : self.geometry_size + BASE_HYPERS]
+        log_sigma, root = parameters[self.geometry_size : self.geometry_size + 2]
         return float(np.exp(log_sigma)) * self.unit_px, float(np.exp(-(root**2))) * self.aperture_px
+
+    def _tail(self, parameters: Vector) -> tuple[float, float, float]:
+        """Return share, width and steepness of the tail."""
+        g = self.geometry_size + 2
+        share, width = np.exp(parameters[g : g + 2])
+        steepness = 1.0 / (1.0 + np.exp(-parameters[g + 2]))
+        return float(share), float(width) * self.unit_px, float(steepness)
 
     def _moments(self, parameters: Vector) -> _Moments:
         key = parameters[: self.geometry_size + BASE_HYPERS].tobytes()
@@ -189,16 +197,15 @@ class EdgeLikelihood:
         else:
             splines = samples.whitened(self.basis.integrals(normal_px))
             near = SplineProducts(splines.T @ splines, splines.T @ columns, splines.T @ y)
-        far, step = samples.far, self.basis.step_px
         return _Moments(
             normal_px=normal_px,
             response=response,
             columns=columns,
-            xx=columns.T @ columns + far.level_products,
-            xy=columns.T @ y + far.level_values,
-            zz=near.zz + step**2 * far.right_square,
-            zx=near.zx + step * far.right_levels,
-            zy=near.zy + step * far.right_values,
+            xx=columns.T @ columns,
+            xy=columns.T @ y,
+            zz=near.zz,
+            zx=near.zx,
+            zy=near.zy,
         )
 
     def _solved(self, parameters: Vector) -> _Solution | None:

@@ -51,16 +51,22 @@ class Posterior:
         return float(1.0 / np.sum(self.weights**2))
 
 
-def find_posterior(
-    likelihood: EdgeLikelihood, start: Vector, steps: Vector, seed: int
-) -> Posterior:
-    """Maximise the posterior from `start`, then draw around the optimum.
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """The most likely parameters [p], minus their log posterior, and directions [p p] to draw."""
+
+    best: Vector
+    value: float
+    directions: Matrix
+
+
+def find_optimum(likelihood: EdgeLikelihood, start: Vector, steps: Vector) -> Optimum:
+    """Maximise the posterior.
 
     Parameters
     ----------
     likelihood : the model
     start, steps : [p] first guess and typical sizes of a step
-    seed : of the draws
     """
     best, value = _descended(likelihood, start, np.diag(steps))
     directions = _curvature_directions(likelihood, best, np.diag(steps))
@@ -70,7 +76,20 @@ def find_posterior(
         if last - value < _SETTLED:
             break
         directions = _curvature_directions(likelihood, best, directions)
-    proposals = [_Student(best, _SPREAD * directions, likelihood.twin)]
+    return Optimum(best, value, directions)
+
+
+def find_posterior(likelihood: EdgeLikelihood, optimum: Optimum, seed: int) -> Posterior:
+    """Draw around the optimum.
+
+    Parameters
+    ----------
+    likelihood : the model
+    optimum : its optimum
+    seed : of the draws
+    """
+    best, value = optimum.best, optimum.value
+    proposals = [_Student(best, _SPREAD * optimum.directions, likelihood.twin)]
     parameters, log_weights = np.empty((0, best.size)), np.empty(0)
     found: list[tuple[float, Conditional | None]] = []
     for k in range(_GENERATIONS):

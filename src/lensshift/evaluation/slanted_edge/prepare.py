@@ -25,13 +25,13 @@ from lensshift.evaluation.slanted_edge.noise_model import (
 )
 from lensshift.evaluation.slanted_edge.samples import (
     EdgeSamples,
-    FarSums,
     distance_px,
-    level_columns,
 )
 
 _HALF_WIDTH = 6.0  # of the spline, in units of the edge's own width
+_MOST_HALF_WIDTH, _REGION_SHARE = 16.0, 0.5
 _KNOT_STEP = 0.25
+_PROFILE_STEP_PX = 0.5
 _SLACK_PX = 1.0  # what the geometry may still move by
 
 
@@ -99,12 +99,14 @@ class UprightEdge:
 
     @property
     def basis(self) -> SplineBasis:
-        """Splines that suit the width of the edge."""
-        return SplineBasis.covering(_HALF_WIDTH * self.unit_px, _KNOT_STEP * self.unit_px)
+        """Splines that suit the width of the edge and reach as far as the region lets them."""
+        reach_px = float(np.max(np.abs(self.normal_px)))
+        widths = np.clip(_REGION_SHARE * reach_px / self.unit_px, _HALF_WIDTH, _MOST_HALF_WIDTH)
+        return SplineBasis.covering(float(widths) * self.unit_px, _KNOT_STEP * self.unit_px)
 
     def plateaus(self) -> list[Mask]:
         """Return the masks of the dark and the bright plateau."""
-        reach_px = self.basis.reach_px + _SLACK_PX
+        reach_px = (_HALF_WIDTH + 2.0 * _KNOT_STEP) * self.unit_px + _SLACK_PX
         normal_px = self.normal_px
         half = 0.5 * reach_px
         sides = [normal_px < -reach_px, normal_px > reach_px]
@@ -171,19 +173,38 @@ def learn_noise(
     """
     sides = edge.plateaus()
     tilts = edge.tilt_columns
-    response = edge_response(
-        edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
-    )
     tilted = tilt
     if tilted is None:
         tilted = plateau_tilt_matters(edge.scaled, edge.pixels.places, sides, tilts)
     if covariance is not None:
         return noise_of_covariance(covariance, edge.line.high - edge.line.low), tilted
-    columns = level_columns(response, tilts if tilted else None)
-    far = sides[0] | sides[1]
-    used = far if far.sum() > 2 * columns.shape[1] else np.ones(far.shape, dtype=bool)
-    levels = few_factors(columns[used], edge.scaled[used])
-    return estimate_noise(edge.scaled - columns @ levels, edge.pixels.places, sides), tilted
+    noise = estimate_noise(_without_profile(edge, tilts, sides), edge.pixels.places, sides)
+    return noise, tilted
+
+
+def _without_profile(edge: UprightEdge, tilts: Matrix, sides: list[Mask]) -> Vector:
+    """Return the pixels of the plateaus without what goes with the distance from the edge.
+
+    The tails of a response reach far into the plateaus; they are no noise. What is taken away, a
+    mean for each distance and slopes, is made up for in the deviation of the rest.
+    """
+    rest = edge.scaled.copy()
+    normal_px = edge.normal_px
+    for side in sides:
+        if not side.any():
+            continue
+        place = normal_px[side] / _PROFILE_STEP_PX
+        bins = np.floor(place).astype(np.intp)
+        bins -= bins.min()
+        count = np.maximum(np.bincount(bins), 1)
+        centres, means = (np.bincount(bins, v) / count for v in (place, rest[side]))
+        full = np.bincount(bins) > 0
+        values = rest[side] - np.interp(place, centres[full], means[full])
+        columns = np.column_stack([np.ones(values.size), tilts[side]])
+        values -= columns @ few_factors(columns, values)
+        free = max(values.size - int(full.sum()) - columns.shape[1], 1)
+        rest[side] = values * np.sqrt(values.size / free)
+    return rest
 
 
 def take_samples(
@@ -197,45 +218,21 @@ def take_samples(
     aperture_px : side of the pixel
     tilted : whether to model uneven illumination
     """
-    normal_px = edge.normal_px
-    reach_px = edge.basis.reach_px + _SLACK_PX
-    near = np.abs(normal_px) < reach_px
-    columns = level_columns(
-        (normal_px > 0).astype(np.float64), edge.tilt_columns if tilted else None
-    )
-    bright = normal_px > 0
-    values, ones = edge.scaled, bright.astype(np.float64)
-    whitener, inputs = None, near
+    values, whitener = edge.scaled, None
     if not noise.is_plain:
         response = edge_response(
-            normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
+            edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
         )
-        whole = noise.whitener(edge.pixels.places, noise.relative_sigma(response))
-        touches = (abs(whole) @ near.astype(np.float64)) > 0
-        mixes = (abs(whole) @ ones > 0) & (abs(whole) @ (1.0 - ones) > 0)
-        near_rows = touches | mixes
-        inputs = (abs(whole[near_rows]).sum(axis=0) > 0) if near_rows.any() else near
-        whitener = whole[near_rows][:, np.flatnonzero(inputs)].tocsr()
-        values, columns, ones = whole @ values, whole @ columns, whole @ ones
-        near, bright = near_rows, ones != 0.0
-    far, right = ~near, ~near & bright
-    sums = FarSums(
-        level_products=columns[far].T @ columns[far],
-        level_values=columns[far].T @ values[far],
-        right_levels=columns[right].T @ ones[right],
-        right_square=float(ones[right] @ ones[right]),
-        right_values=float(ones[right] @ values[right]),
-    )
-    tilts = edge.tilt_columns[inputs] if tilted else None
+        whitener = noise.whitener(edge.pixels.places, noise.relative_sigma(response))
+        values = whitener @ values
     return EdgeSamples(
-        across_px=edge.across_px[inputs],
-        along_px=edge.along_px[inputs],
+        across_px=edge.across_px,
+        along_px=edge.along_px,
         half_length_px=edge.half_length_px,
         bends=edge.geometry.size - 2,
-        tilt_columns=tilts,
-        values=values[near],
+        tilt_columns=edge.tilt_columns if tilted else None,
+        values=values,
         whitener=whitener,
-        far=sums,
         squares=float(values @ values),
         count=values.size,
     )
