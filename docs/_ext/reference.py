@@ -149,7 +149,7 @@ def _command_line() -> None:
 
     from lensshift.cli.app import app
 
-    parts = ["Command line\n============\n\nWhat `--help` says, verb by verb.\n"]
+    parts = ["Command line\n============\n\nWhat ``--help`` says, verb by verb.\n"]
     for words, text in _verbs(get_command(app), []):
         body = "\n".join(f"   {line}".rstrip() for line in text.strip().splitlines())
         parts.append(f"{words}\n{'-' * len(words)}\n\n.. code-block:: none\n\n{body}\n")
