@@ -32,6 +32,7 @@ PACKAGES = {
     "lensshift.report": "Figures: one module each.",
 }
 _GENERATED = Path(__file__).resolve().parents[1] / "generated"
+_WRITTEN: set[Path] = set()
 # Members that every class has from Python.
 _NOT_SHOWN = ("object", "int", "str", "float", "tuple", "list", "dict", "Enum", "BaseException")
 _SECTION = re.compile(r"^-{3,}$")
@@ -82,6 +83,7 @@ def _own(module: ModuleType) -> list[str]:
 
 def _write(path: Path, text: str) -> None:
     """Write a page, unless it is that already: an old one is not built again."""
+    _WRITTEN.add(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
@@ -147,7 +149,7 @@ def _command_line() -> None:
 
     from lensshift.cli.app import app
 
-    parts = ["Command line\n============\n\nWhat `--help` says, verb by verb.\n"]
+    parts = ["Command line\n============\n\nWhat ``--help`` says, verb by verb.\n"]
     for words, text in _verbs(get_command(app), []):
         body = "\n".join(f"   {line}".rstrip() for line in text.strip().splitlines())
         parts.append(f"{words}\n{'-' * len(words)}\n\n.. code-block:: none\n\n{body}\n")
@@ -193,6 +195,9 @@ def _written(app: Sphinx) -> None:
     _api()
     _command_line()
     _methods()
+    for path in _GENERATED.rglob("*.rst"):
+        if path not in _WRITTEN:  # of a name that is no more
+            path.unlink()
 
 
 def _plain_text(

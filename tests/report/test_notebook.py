@@ -84,6 +84,22 @@ def test_html_holds_a_picture_that_is_not_empty(values) -> None:
     assert "&lt;" in Estimate(np.ones((3, 4)), notes={"a": "<b>"})._repr_html_()
 
 
+def test_html_of_what_there_is_little_of() -> None:
+    little = [
+        Burst.from_arrays(np.ones((1, 1, 1))),
+        Burst.from_arrays(np.ones((2, 4, 5, 7), complex), modulation_hz=(15e6, 20e6)),
+        Estimate(np.full((40, 3), np.nan)),
+        MtfCurve(np.zeros(1), np.ones(1)),
+        Reconstruction(None, Estimate(np.ones((6, 8))), lensshift.Grid((6, 8), (1, 1)), 2, "x"),
+    ]
+    assert all("<img" in value._repr_html_() for value in little)
+    nothing = [
+        Reconstruction(None, None, lensshift.Grid((6, 8), (1, 1)), 2, "x"),
+        lensshift.PointCloud(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int)),
+    ]
+    assert all("<details open>" in value._repr_html_() for value in nothing)
+
+
 def test_html_does_not_start_what_takes_long() -> None:
     def never() -> np.ndarray:
         raise AssertionError

@@ -64,9 +64,10 @@ def page_of(value: Shown) -> str:
         for name, text in described(value).items()
     )
     name = type(value).__name__
-    return (
-        f"<details><summary><b>{name}</b></summary><table>{rows}</table></details>{_picture(value)}"
-    )
+    picture = _picture(value)
+    state = "" if picture else " open"
+    table = f"<details{state}><summary><b>{name}</b></summary><table>{rows}</table></details>"
+    return table + picture
 
 
 def dataset_of(value: Burst | Reconstruction) -> Dataset:
@@ -149,7 +150,7 @@ def _picture(value: Shown) -> str:
         )
     try:
         figure = value.plot()
-    except ImportError:  # no matplotlib: the table alone
+    except (ImportError, ValueError):  # no matplotlib, or nothing to draw: the table alone
         return ""
     image = BytesIO()
     figure.savefig(image, format="png", dpi=_SCREEN_DPI)
@@ -210,5 +211,5 @@ def _curve_figure(curve: MtfCurve) -> Figure:
         axes = figure.subplots()
         draw_curve(axes, curve, BLUE, curve.label or "modulation")
         title = "MTF" if curve.std is None else "MTF with 95 % band"
-        finish_mtf_axes(axes, float(curve.frequency_lpmm[-1]), "LP/mm", title)
+        finish_mtf_axes(axes, float(curve.frequency_lpmm[-1]) or 1.0, "LP/mm", title)
     return figure
