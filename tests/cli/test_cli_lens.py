@@ -73,6 +73,7 @@ def test_field_moves_the_centre_by_what_was_asked(call: Call, tmp_path: Path) ->
     assert shown.offset_px[:, 2, 4] == pytest.approx(np.array(found["wanted_px"]), abs=1e-8)
     assert np.genfromtxt(table, delimiter=",", names=True)["offset_row_px"].shape == (9 * 45,)
     assert found["shift_error_px"] < 1e-6  # type: ignore[operator]
+    assert "Petzval B, decentre of element 2, 9 x 5 pixels" in call("info", out).stdout
     assert "fit: shift" in call("lens", "field", "petzval_b", *wanted[:6]).stdout
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def info(
     file: Annotated[
         Path | None,
-        typer.Argument(help="Burst file, reconstruction, image stack, or rig file (.toml)."),
+        typer.Argument(help="Burst, reconstruction, lens field, image stack, or rig file (.toml)."),
     ] = None,
     offsets: OffsetsOption = None,
     pitch_mm: PitchOption = None,
@@ -71,6 +71,13 @@ def info(
 
             say_rig(current, file)
             return
+        if _is_lens_field(file):
+            from lensshift.cli.lens_field import say_field
+            from lensshift.io import load_lens_field
+
+            current.result |= {"file": file, "kind": "lens field"}
+            say_field(current, load_lens_field(file))
+            return
         kind = kind_of(file)
         schema = None if kind is Kind.STACK else read_schema(file)
         current.result |= {"file": file, "kind": kind.value, "schema": schema}
@@ -88,6 +95,12 @@ def info(
             burst = load_input_burst(file, stack)
             current.say(heading)
             _say_burst(current, burst)
+
+
+def _is_lens_field(file: Path) -> bool:
+    from lensshift.io.container_reader import is_hdf5, read_schema
+
+    return file.is_file() and is_hdf5(file) and read_schema(file).startswith("lensshift-lens-field")
 
 
 def _say_burst(current: Session, burst: Burst) -> None:

@@ -270,6 +270,7 @@ def _reconstruct(
         width_px, told_by = (result.settings[name] for name in ("psf_sigma_px", "psf_source"))
         undone_px = blur_width_px(result.settings["blur"])
         undone = "" if undone_px == width_px else f"; undone: {undone_px:.3g} px"
+        undone += " and the spots of the lens field" if settings.get("lens_field") else ""
         current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}{undone}")
     say_channels(current, result)
     current.say("wrote " + ", ".join(str(path) for path in files.all))

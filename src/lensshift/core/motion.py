@@ -26,7 +26,7 @@ class ShiftField:
     offset_px : [frame row col 2] (row, col), with the sign of `Burst.offset_px`
     pitch_mm : (row, col) of the pixels it was made for, or None
     spot_px2 : [frame row col 2] variance (row, col) of the spot that the lens makes of a point,
-        without the pixel, or None if that is not known to vary
+        beyond what the response holds that `reconstruct` is told; None if it does not vary
     """
 
     offset_px: NDArray[np.float64]
