@@ -22,12 +22,13 @@ from lensshift import Burst, load_burst, load_reconstruction, save_burst, save_r
 from lensshift.capture.opening import EXAMPLE, open_rig
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.grid import Grid
 from lensshift.core.motion import StageMap
-from lensshift.core.types import ShiftField
-from lensshift.io import load_image_stack, load_offsets, load_shift_field, save_shift_map
+from lensshift.io import load_image_stack, load_lens_field, load_offsets, save_lens_field
 from lensshift.io.calibration_file import load_calibration, save_calibration
 from lensshift.io.capture_file import CaptureWriter, FrameRecord
 from lensshift.io.recordings import read_udp
+from lensshift.optics.field import lens_field
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.zmx import load_zmx
 from lensshift.pipeline.experiment_file import default_text, load_experiment
@@ -69,7 +70,9 @@ def written(folder: Path) -> dict[str, tuple[Path, Reader]]:
                 )
             )  # fmt: skip
     save_calibration(Calibration(StageMap(np.eye(2) * 5.6), np.full(2, 3.0)), at["map.json"])
-    save_shift_map(at["shifts.npz"], ShiftField(rng.random((3, 5, 7, 2))))
+    save_lens_field(
+        lens_field(load_lens("petzval_b"), Grid((5, 7), (0.155, 0.155)), 1), at["field.nc"]
+    )
     np.savez(at["stack.npz"], amplitude=one.amplitude, offset_px=one.offset_px, meta='{"a": 1}')
     np.savez_compressed(at["packed.npz"], amplitude=one.amplitude, offset_px=one.offset_px)
     np.save(at["stack.npy"], one.amplitude)
@@ -181,7 +184,7 @@ KINDS: dict[str, Reader] = {
     "burst.nc": _burst,
     "result.nc": load_reconstruction,
     "journal.nc": load_burst,
-    "shifts.npz": load_shift_field,
+    "field.nc": load_lens_field,
     "map.json": load_calibration,
     "stack.npz": load_image_stack,
     "packed.npz": load_image_stack,
