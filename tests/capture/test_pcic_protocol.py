@@ -266,3 +266,9 @@ def test_damaged_results_are_refused(content: bytes, told: str) -> None:
 def test_kinds_have_the_numbers_of_the_manual() -> None:
     assert ChunkKind(420).name == "TOF_INFO"
     assert ChunkKind(300).name == "CONFIDENCE"
+
+
+@pytest.mark.parametrize("huge", [3e38, 1e30, 1e10])
+def test_intrinsic_numbers_of_no_lens_lead_nowhere(huge: float) -> None:
+    numbers = [100.0, 100.0, 8.0, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0, huge]
+    assert bouguet_directions(numbers, (13, 17)) is None

@@ -3,6 +3,7 @@
 A process of its own, because a library in C may end the whole process.
 """
 
+import gzip
 import json
 import resource
 import signal
@@ -88,6 +89,7 @@ def written(folder: Path) -> dict[str, tuple[Path, Reader]]:
     at["scene.toml"].write_text(_package("scene", "*.toml"))
     at["lens.zmx"].write_text(ZMX)
     at["packets.pcap"].write_bytes(_pcap())
+    at["packets.pcap.gz"].write_bytes(gzip.compress(_pcap()))
     at["packets.pcapng"].write_bytes(_pcapng())
     return {name: (at[name], read) for name, read in KINDS.items()}
 
@@ -201,6 +203,7 @@ KINDS: dict[str, Reader] = {
     "scene.toml": load_scene,
     "lens.zmx": load_zmx,
     "packets.pcap": lambda path: list(read_udp(path)),
+    "packets.pcap.gz": lambda path: list(read_udp(path)),
     "packets.pcapng": lambda path: list(read_udp(path)),
 }
 TOKENS = (

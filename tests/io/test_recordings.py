@@ -1,5 +1,6 @@
 """UDP out of packet recordings, images out of bags, written here from the public formats."""
 
+import gzip
 import struct
 import sys
 from collections.abc import Callable
@@ -96,6 +97,20 @@ def test_every_link(
     (datagram,) = read_udp(path)
     assert datagram[1:] == SENT
     assert datagram.time_s == 100.25
+
+
+@pytest.mark.parametrize("container", [pcap, pcapng])
+def test_an_archive_is_read_as_it_is(
+    container: Callable[..., bytes], written: Callable[[bytes], Path]
+) -> None:
+    packed = gzip.compress(container([(100.25, ip(udp()))]))
+    path = written(packed)
+    assert is_udp_recording(path)
+    (datagram,) = read_udp(path)
+    assert datagram[1:] == SENT
+    with pytest.raises(DataError, match="damaged or cut short"):
+        list(read_udp(written(packed[:-12])))
+    assert not is_udp_recording(written(gzip.compress(b"no packets")))
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

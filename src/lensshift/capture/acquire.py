@@ -80,6 +80,7 @@ class Progress:
 
 
 _MEANWHILE = "the lens is on its way back to rest; Ctrl-C once more leaves it where it is"
+_RATE_FRAMES = 16  # two that come in one gulp tell no rate
 OnStep = Callable[[Progress], None]
 
 
@@ -181,7 +182,8 @@ def acquire_at(
                 file.append(replace(record, step=step))
                 ending.check()
             if on_step is not None:
-                on_step(_progress(step + 1, len(positions), stage, camera, file.frames))
+                fresh = file.frames[len(taken) :]  # clocks of another process do not compare
+                on_step(_progress(step + 1, len(positions), stage, camera, fresh))
     burst = looking(burst_of_capture(file.header, file.frames, file.path), camera)
     save_burst(burst, file.path)
     return burst
@@ -349,9 +351,9 @@ def _mean(shots: list[CameraFrame]) -> CameraFrame:
 def _progress(
     step: int, steps: int, stage: Stage, camera: Camera, frames: list[FrameRecord]
 ) -> Progress:
-    cycles = [float(one.raw["cycle"]) for one in frames[-2:]]
-    times = [one.arrived_s for one in frames[-2:]]
+    recent = frames[-_RATE_FRAMES:]
     rate_hz = 0.0
-    if len(times) == 2 and times[1] > times[0]:
-        rate_hz = (cycles[1] - cycles[0]) / (times[1] - times[0])
+    if len(recent) > 1 and recent[-1].arrived_s > recent[0].arrived_s:
+        cycles = float(recent[-1].raw["cycle"]) - float(recent[0].raw["cycle"])
+        rate_hz = cycles / (recent[-1].arrived_s - recent[0].arrived_s)
     return Progress(step, steps, stage.position_mm(), rate_hz, camera.counts())

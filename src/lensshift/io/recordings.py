@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import warnings
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,8 @@ def read_udp(path: str | Path) -> Iterator[Datagram]:
 
     Yields (time in s, (source address, source port), destination port, payload). Both byte
     orders, micro- and nanoseconds, Ethernet with VLAN tags, Linux cooked, raw IP and loopback;
-    IPv4 with fragments put together. The file is read as it goes, so it may be long.
+    IPv4 with fragments put together. The file is read as it goes, so it may be long; it may be
+    compressed by gzip.
 
     Raises
     ------
@@ -36,7 +38,7 @@ def read_udp(path: str | Path) -> Iterator[Datagram]:
     """
     require_file(path)
     udp = UdpReader()
-    with reading(path), Path(path).open("rb") as file:
+    with reading(path), _opened(path) as file:
         for packet in read_packets(file, str(path)):
             datagram = udp.read(packet)
             if datagram is not None:
@@ -54,8 +56,15 @@ def is_udp_recording(path: str | Path) -> bool:
     """Tell whether this is a pcap or pcapng file, by its first bytes."""
     if not Path(path).is_file():
         return False
-    with reading(path), Path(path).open("rb") as file:
+    with reading(path), _opened(path) as file:
         return is_capture(file.read(4))
+
+
+def _opened(path: str | Path) -> BinaryIO:
+    """Open a recording, or what is in it if it is compressed by gzip, as archives are."""
+    with Path(path).open("rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+    return cast(BinaryIO, gzip.open(path) if packed else Path(path).open("rb"))
 
 
 class BagImage(NamedTuple):

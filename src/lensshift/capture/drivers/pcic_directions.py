@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+_STEEPEST = 1e3  # tangent of 89.94 degrees: no pixel of a lens looks farther aside
 BOUGUET = 0  # number of the model of `bouguet_directions` in an O3R's information
 
 
@@ -42,13 +43,14 @@ def bouguet_directions(
     if not np.isfinite(numbers[:10]).all() or not min(fx, fy) > 0:
         return None
     row, col = np.indices(shape)
-    y = (row + 0.5 - my) / fy
-    x = (col + 0.5 - mx) / fx - alpha * y
-    square, across = x * x + y * y, 2.0 * x * y
-    radial = 1.0 + square * (k1 + square * (k2 + square * k5))
-    right = x * radial + k3 * across + k4 * (square + 2.0 * x * x)
-    down = y * radial + k3 * (square + 2.0 * y * y) + k4 * across
-    vectors = np.stack([right, down, np.ones_like(right)], axis=-1)
-    if not np.isfinite(vectors).all():
-        return None
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of no lens
+        y = (row + 0.5 - my) / fy
+        x = (col + 0.5 - mx) / fx - alpha * y
+        square, across = x * x + y * y, 2.0 * x * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k5))
+        right = x * radial + k3 * across + k4 * (square + 2.0 * x * x)
+        down = y * radial + k3 * (square + 2.0 * y * y) + k4 * across
+        vectors = np.stack([right, down, np.ones_like(right)], axis=-1)
+        if not np.all(np.abs(vectors) < _STEEPEST):  # also if it is no number
+            return None
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
