@@ -112,6 +112,8 @@ def test_shifts_of_two_kinds_are_too_much() -> None:
     field = curved_field()
     with pytest.raises(ValueError, match="shift_field or lens_field, got both"):
         reconstruct(burst, lens_field=field, shift_field=field.of(burst))
+    with pytest.raises(TypeError, match="expected a LensField, got str; lensshift"):
+        reconstruct(burst, lens_field="field.nc")  # type: ignore[arg-type]
     other = Burst.from_arrays(burst.amplitude[:, :-1], offset_px=SQUARE, pitch_mm=0.1)
     with pytest.raises(ValueError, match="make it with --sensor 41x17"):
         reconstruct(other, lens_field=field)

@@ -29,7 +29,8 @@ class SmoothField:
 
     Parameters
     ----------
-    first : [frame row 2] HR row of the first tap, and HR column less the stride times the column
+    first : [frame row 4] HR row of the first tap, HR column less the stride times the column, and
+        how many taps there are along row and col
     run : [frame row 2] columns from and to which the row is regular
     row_weight, col_weight : [frame row tap col]
     """
@@ -59,12 +60,15 @@ def smooth_field(
     beside = np.where(inside, along - left[..., None], 0)
     if not inside.any(axis=-1).all() or max(down.max(), beside.max()) > _MOST_SPARE:
         return None
-    return SmoothField(
-        np.ascontiguousarray(np.stack([top, left], axis=-1)),
-        run,
-        _by_tap(row_weight, down),
-        _by_tap(col_weight, beside),
-    )
+    by_tap = _by_tap(row_weight, down), _by_tap(col_weight, beside)
+    counts = (_taps_in_use(weight, inside) for weight in by_tap)
+    return SmoothField(np.stack([top, left, *counts], axis=-1), run, *by_tap)
+
+
+def _taps_in_use(weight: Array, inside: NDArray[np.bool_]) -> Starts:
+    """Return how many taps [frame row] of a row any pixel takes that is inside."""
+    used = ((weight != 0) & inside[:, :, None]).any(axis=-1)
+    return np.asarray(weight.shape[2] - np.argmax(used[..., ::-1], axis=-1), np.int64)
 
 
 def _by_tap(weight: Array, later: Starts) -> Array:
@@ -125,14 +129,19 @@ def forward_smooth(
     for k in range(frames):
         for u in range(rows):
             begin, end = run[k, u, 0], run[k, u, 1]
-            top, left = first[k, u, 0], first[k, u, 1]
+            top, left, row_taps, col_taps = first[k, u]
             target, part = out[k, u, begin:end], line[begin:end]
             for v in range(cols):
                 out[k, u, v] = 0
-            for s in range(rows_by_tap.shape[2]):
-                if top + s >= x.shape[0]:
-                    break
-                _take_line(planes, top + s, left + stride * begin, cols_by_tap[k, u], begin, part)
+            for s in range(row_taps):
+                _take_line(
+                    planes,
+                    top + s,
+                    left + stride * begin,
+                    cols_by_tap[k, u, :col_taps],
+                    begin,
+                    part,
+                )
                 factor = rows_by_tap[k, u, s, begin:end]
                 for v in range(part.size):
                     target[v] += factor[v] * part[v]
@@ -170,15 +179,13 @@ def adjoint_smooth(
     for k in range(frames):
         for u in range(rows):
             begin, end = run[k, u, 0], run[k, u, 1]
-            top, left = first[k, u, 0], first[k, u, 1]
+            top, left, row_taps, col_taps = first[k, u]
             source, part = y[k, u, begin:end], line[begin:end]
-            for s in range(rows_by_tap.shape[2]):
-                if top + s >= height:
-                    break
+            for s in range(row_taps):
                 factor = rows_by_tap[k, u, s, begin:end]
                 for v in range(part.size):
                     part[v] = factor[v] * source[v]
-                for t in range(cols_by_tap.shape[2]):
+                for t in range(col_taps):
                     at = left + t + stride * begin
                     target = planes[at % stride, top + s, at // stride + _MOST_SPARE :]
                     weight = cols_by_tap[k, u, t, begin:end]

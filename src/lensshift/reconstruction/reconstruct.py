@@ -130,9 +130,9 @@ def reconstruct(
     name, told = chosen.name, chosen.settings
     request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
     _check(scale, noise_sigma, photometric)
+    field = _field_of(burst, shift_field, lens_field)
     response = _response(burst, psf_sigma_px, fill_factor)
     blur = _undone(make_blur(response["psf_sigma_px"], fill_factor), response, chosen, lens_field)
-    field = _field_of(burst, shift_field, lens_field)
     used = _frame_numbers(burst, frames, field)
     request = replace(request, frames=used, memory=memory, **_told(response, device, name))
     part = burst if frames is None else burst.select(used)
@@ -315,6 +315,11 @@ def _field_of(
         if shift_field is not None:
             shift_field.check_belongs(burst.offset_px, burst.grid)
         return shift_field
+    if not isinstance(lens_field, LensField):
+        raise TypeError(
+            f"expected a LensField, got {type(lens_field).__name__}; lensshift.load_lens_field "
+            "reads one, lensshift.lens_field makes one"
+        )
     if shift_field is not None:
         raise ValueError("expected shift_field or lens_field, got both")
     return lens_field.of(burst)
