@@ -44,7 +44,7 @@ def likelihood_of(
         values=image.ravel(),
     )
     upright = turn_upright(pixels, 1.0, most_bends)
-    noise, tilted = learn_noise(upright, 1.0, tilt)
+    noise, tilted = learn_noise(upright, tilt)
     samples = take_samples(upright, noise, 1.0, tilted)
     likelihood = EdgeLikelihood(samples, upright.basis, 1.0, upright.unit_px)
     log_sigma = float(np.log(upright.line.sigma_px))

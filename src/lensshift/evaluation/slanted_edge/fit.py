@@ -20,7 +20,7 @@ from lensshift.evaluation.slanted_edge.samples import distance_px, level_columns
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
 _ESF_STEP = 0.1
-_RESIDUAL_GRID = 1201
+_RESIDUAL_STEP_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def fit_edge(
     seed : of the draws
     noise_covariance : of the noise, None to let the plateaus tell
     """
-    noise, tilted = learn_noise(edge, aperture_px, tilt, noise_covariance)
+    noise, tilted = learn_noise(edge, tilt, noise_covariance)
     samples = take_samples(edge, noise, aperture_px, tilted)
     likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / edge.unit_px), -2.0, 1.5))
@@ -98,7 +98,7 @@ def fit_edge(
         parameter_draws=parameters[:, 1:],
         level=levels[:, 0],
         level_draws=levels[:, 1:],
-        contrast=float(levels[1, 0] + edge.basis.step_px * coefficients[:, 0].sum()),
+        contrast=float(levels[1, 0] + edge.basis.area_px @ coefficients[:, 0]),
         frequency_cpp=frequency_cpp,
         modulation=modulation[:, 0],
         modulation_draws=modulation[:, 1:],
@@ -192,14 +192,14 @@ def _residual(
     tilted: bool,
     best: tuple[Vector, Vector, Vector],
 ) -> Vector:
-    """Return all pixels minus the model; profiles are interpolated from a fine grid."""
+    """Return all pixels minus the model; the spline is interpolated from a fine grid."""
     parameters, levels, coefficients = best
     normal_px = distance_px(
         edge.across_px, edge.along_px, parameters[: likelihood.geometry_size], edge.half_length_px
     )
-    reach_px = edge.basis.reach_px + likelihood.base_reach_px(parameters)
-    grid_px = np.linspace(-reach_px, reach_px, _RESIDUAL_GRID)
-    response = np.interp(normal_px, grid_px, likelihood.base_response(grid_px, parameters))
+    reach_px = edge.basis.reach_px
+    grid_px = np.linspace(-reach_px, reach_px, round(2.0 * reach_px / _RESIDUAL_STEP_PX))
+    response = likelihood.base_response(normal_px, parameters)
     spline = np.interp(normal_px, grid_px, edge.basis.integrals(grid_px) @ coefficients)
     columns = level_columns(response, edge.tilt_columns if tilted else None)
     return np.asarray(edge.scaled - columns @ levels - spline)

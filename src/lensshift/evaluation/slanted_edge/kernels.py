@@ -55,6 +55,30 @@ def _second_integral(t: float, sigma_px: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def trapezium_tail(normal_px: Array, p: float, q: float, width_px: float, out: Array) -> None:
+    """Fill `out` with the response of an edge: a trapezium of half widths p, q and a Lorentzian.
+
+    Parameters
+    ----------
+    normal_px, out : [n]
+    p, q : half the sides of the pixel as the edge's normal sees them
+    width_px : half the width of the Lorentzian at half its height
+    """
+    for i in range(normal_px.size):
+        d = normal_px[i]
+        total = _second_of_arctan(d + p + q, width_px) - _second_of_arctan(d + p - q, width_px)
+        total += _second_of_arctan(d - p - q, width_px) - _second_of_arctan(d - p + q, width_px)
+        out[i] = 0.5 + total / (4.0 * math.pi * p * q)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _second_of_arctan(x: float, w: float) -> float:
+    """Return a second antiderivative of arctan(x / w)."""
+    square = x * x
+    return 0.5 * ((square - w * w) * math.atan(x / w) - w * x * math.log(square + w * w))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _integral(u: float) -> float:
     """Return the integral of the centred cubic B-spline (support -2 to 2) up to u."""
     if u <= -2.0:
@@ -191,20 +215,22 @@ def sensitivities(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def process_covariance(
-    envelope: Array, near: Array, symmetry: float, jitter: float, out: Array
+    number: Array, envelope: Array, near: Array, symmetry: float, jitter: float, out: Array
 ) -> None:
-    """Fill in e_i e_j [k(i - j) + m k(i + j)], with i, j counted from the middle, plus jitter.
+    """Fill in e_i e_j [k(n_i - n_j) + m k(n_i + n_j)], plus jitter.
 
     Parameters
     ----------
-    envelope, near : [j] e at every knot, k at every lag
+    number : [j] n, places of the knots in steps from the middle
+    envelope, near : [j], [l] e at every knot, k at every lag
     symmetry, jitter : m, and what the diagonal gets
     out : [j j]
     """
     count = envelope.size
     for i in range(count):
         for j in range(i + 1):
-            value = near[i - j] + symmetry * near[abs(i + j - count + 1)]
+            lag, fold = abs(number[i] - number[j]), abs(number[i] + number[j])
+            value = near[lag] + symmetry * near[fold]
             out[i, j] = out[j, i] = value * envelope[i] * envelope[j]
         out[i, i] += jitter
 
@@ -212,6 +238,7 @@ def process_covariance(
 @njit(cache=True, nogil=True, error_model="numpy")
 def process_slopes(
     sensitivity: Array,
+    number: Array,
     envelope: Array,
     near: Array,
     longer: Array,
@@ -224,17 +251,17 @@ def process_slopes(
     Parameters
     ----------
     sensitivity : [j j] its derivative by the covariance of `process_covariance`
-    envelope, near, symmetry : as there
-    longer, wider : [j] slopes of `near` and of the log envelope
+    number, envelope, near, symmetry : as there
+    longer, wider : [l], [j] slopes of `near` and of the log envelope
     out : [4], added to
     """
     count = envelope.size
     for i in range(count):
         for j in range(count):
-            fold = abs(i + j - count + 1)
+            lag, fold = abs(number[i] - number[j]), abs(number[i] + number[j])
             weight = sensitivity[i, j] * envelope[i] * envelope[j]
-            value = weight * (near[abs(i - j)] + symmetry * near[fold])
+            value = weight * (near[lag] + symmetry * near[fold])
             out[0] += 2.0 * value
-            out[1] += weight * (longer[abs(i - j)] + symmetry * longer[fold])
+            out[1] += weight * (longer[lag] + symmetry * longer[fold])
             out[2] += value * (wider[i] + wider[j])
             out[3] += symmetry * (1.0 - symmetry) * weight * near[fold]

@@ -108,6 +108,7 @@ class EdgeLikelihood:
         self.unit_px = unit_px
         self.geometry_size = samples.geometry_size
         self._prior = SplinePrior(basis, unit_px)
+        self._squares = float(samples.values @ samples.values)
         self._cache: dict[bytes, _Moments] = {}
         free = [np.inf] * (self.geometry_size - 1)
         top = [_LARGEST_ANGLE_RAD, *free, *HYPER_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]]
@@ -154,21 +155,20 @@ class EdgeLikelihood:
 
     def base_response(self, normal_px: Vector, parameters: Vector) -> Vector:
         """Return the base model of the ESF, without the splines."""
-        return edge_response(normal_px, float(parameters[0]), *self._widths_px(parameters))
+        return edge_response(normal_px, float(parameters[0]), *self._base(parameters))
 
     def base_transform(self, frequency_cpp: Vector, parameters: Vector) -> Vector:
         """Return the Fourier transform of the LSF of the base model."""
-        widths_px = self._widths_px(parameters)
-        return edge_response_transform(frequency_cpp, float(parameters[0]), *widths_px)
+        base = self._base(parameters)
+        return edge_response_transform(frequency_cpp, float(parameters[0]), *base)
 
-    def base_reach_px(self, parameters: Vector) -> float:
-        """Return a distance beyond which the base model is level."""
-        return 4.0 * self._widths_px(parameters)[0]
-
-    def _widths_px(self, parameters: Vector) -> tuple[float, float]:
-        """Return the standard deviation of the Gaussian and the side of the pixel."""
-        log_sigma, root = parameters[self.geometry_size : self.geometry_size + BASE_HYPERS]
-        return float(np.exp(log_sigma)) * self.unit_px, float(np.exp(-(root**2))) * self.aperture_px
+    def _base(self, parameters: Vector) -> tuple[float, float, float, float]:
+        """Return sigma, the side of the pixel, the share and the width of the tail."""
+        base = parameters[self.geometry_size : self.geometry_size + BASE_HYPERS]
+        log_sigma, root, root_share, log_tail = (float(one) for one in base)
+        side_px = np.exp(-(root**2)) * self.aperture_px
+        share = root_share * abs(root_share)
+        return np.exp(log_sigma) * self.unit_px, side_px, share, np.exp(log_tail) * self.unit_px
 
     def _moments(self, parameters: Vector) -> _Moments:
         key = parameters[: self.geometry_size + BASE_HYPERS].tobytes()
@@ -189,16 +189,15 @@ class EdgeLikelihood:
         else:
             splines = samples.whitened(self.basis.integrals(normal_px))
             near = SplineProducts(splines.T @ splines, splines.T @ columns, splines.T @ y)
-        far, step = samples.far, self.basis.step_px
         return _Moments(
             normal_px=normal_px,
             response=response,
             columns=columns,
-            xx=columns.T @ columns + far.level_products,
-            xy=columns.T @ y + far.level_values,
-            zz=near.zz + step**2 * far.right_square,
-            zx=near.zx + step * far.right_levels,
-            zy=near.zy + step * far.right_values,
+            xx=columns.T @ columns,
+            xy=columns.T @ y,
+            zz=near.zz,
+            zx=near.zx,
+            zy=near.zy,
         )
 
     def _solved(self, parameters: Vector) -> _Solution | None:
@@ -223,7 +222,7 @@ class EdgeLikelihood:
         v = _solve(levels_factor, m.xy / variance - coupling.T @ along)
         levels = _solve(levels_factor, v, transposed=True)
         weights = _solve(factor, along - coupling @ levels, transposed=True)
-        misfit = float(self.samples.squares / variance - along @ along - v @ v)
+        misfit = float(self._squares / variance - along @ along - v @ v)
         determinant = np.log(factor.diagonal()).sum() + np.log(levels_factor.diagonal()).sum()
         value = 0.5 * misfit + 0.5 * self.samples.count * np.log(variance) + float(determinant)
         z, beyond = allowed - self._mean, parameters - allowed

@@ -88,7 +88,7 @@ def plateau_tilt_matters(
     values : [n]
     places : [n 3] frame, row, column
     sides : masks of the plateaus
-    columns : [n 2] the slopes
+    columns : [n k] the slopes
     """
     plain = tilted = 0.0
     blocks = 0
@@ -102,11 +102,12 @@ def plateau_tilt_matters(
         y, slopes = means[:, 0], means[:, 1:]
         rest = y - slopes @ np.linalg.lstsq(slopes, y)[0]
         plain, tilted, blocks = plain + y @ y, tilted + rest @ rest, blocks + y.size
-    freedom = blocks - 6
+    terms = 2 * columns.shape[1]
+    freedom = blocks - terms - 2
     if tilted <= (_NOISELESS**2) * blocks:
         return bool(plain > _NOISELESS**2 * blocks)
-    ratio = (plain - tilted) / 4.0 / (tilted / freedom)
-    return bool(f_distribution.sf(ratio, 4, freedom) < _SIGNIFICANT)
+    ratio = (plain - tilted) / terms / (tilted / freedom)
+    return bool(f_distribution.sf(ratio, terms, freedom) < _SIGNIFICANT)
 
 
 def few_factors(columns: Matrix, values: Vector) -> Vector:

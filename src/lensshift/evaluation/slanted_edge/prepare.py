@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.evaluation.slanted_edge.bending import bend_edge
+from lensshift.evaluation.slanted_edge.bending import bend_edge, free_response
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
@@ -25,14 +25,13 @@ from lensshift.evaluation.slanted_edge.noise_model import (
 )
 from lensshift.evaluation.slanted_edge.samples import (
     EdgeSamples,
-    FarSums,
     distance_px,
-    level_columns,
 )
 
-_HALF_WIDTH = 6.0  # of the spline, in units of the edge's own width
+# In units of the edge's own width:
+_HALF_WIDTH = 6.0  # where plateaus begin, to a first look
 _KNOT_STEP = 0.25
-_SLACK_PX = 1.0  # what the geometry may still move by
+_LARGEST_REACH = 32.0  # of the splines: a ghost farther away is taken for part of the plateau
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,18 +98,24 @@ class UprightEdge:
 
     @property
     def basis(self) -> SplineBasis:
-        """Splines that suit the width of the edge."""
-        return SplineBasis.covering(_HALF_WIDTH * self.unit_px, _KNOT_STEP * self.unit_px)
+        """Splines that suit the width of the edge and reach as far as the region."""
+        reach_px = float(np.max(np.abs(self.normal_px)))
+        units = np.clip(reach_px / self.unit_px, _HALF_WIDTH, _LARGEST_REACH)
+        return _splines(float(units), self.unit_px)
 
     def plateaus(self) -> list[Mask]:
         """Return the masks of the dark and the bright plateau."""
-        reach_px = self.basis.reach_px + _SLACK_PX
+        reach_px = (_HALF_WIDTH + 1.0) * self.unit_px
         normal_px = self.normal_px
         half = 0.5 * reach_px
         sides = [normal_px < -reach_px, normal_px > reach_px]
         if min(int(side.sum()) for side in sides) >= 40:
             return sides
         return [normal_px < -half, normal_px > half]  # a narrow region: nearer to the edge
+
+
+def _splines(reach: float, unit_px: float) -> SplineBasis:
+    return SplineBasis.covering(reach * unit_px, _KNOT_STEP * unit_px, unit_px)
 
 
 def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> UprightEdge:
@@ -141,7 +146,7 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
     if most_bends:
         half_length_px = max(float(np.max(np.abs(y_px))), 1.0)
         unit_px = max(1.0, line.sigma_px)
-        basis = SplineBasis.covering(_HALF_WIDTH * unit_px, _KNOT_STEP * unit_px)
+        basis = _splines(_HALF_WIDTH, unit_px)
         geometry = bend_edge(across_px, y_px, scaled, geometry, basis, half_length_px, most_bends)
     return UprightEdge(
         pixels=pixels,
@@ -158,32 +163,29 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
 
 
 def learn_noise(
-    edge: UprightEdge, aperture_px: float, tilt: bool | None, covariance: Matrix | None = None
+    edge: UprightEdge, tilt: bool | None, covariance: Matrix | None = None
 ) -> tuple[NoiseModel, bool]:
     """Return the noise of the plateaus, and whether the illumination is uneven.
 
     Parameters
     ----------
     edge : the region
-    aperture_px : side of the pixel
     tilt : whether to model uneven illumination; None asks the plateaus
     covariance : of the noise, if it is known; see `noise_of_covariance`
     """
+    if covariance is not None and tilt is not None:
+        return noise_of_covariance(covariance, edge.line.high - edge.line.low), tilt
     sides = edge.plateaus()
-    tilts = edge.tilt_columns
-    response = edge_response(
-        edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
-    )
-    tilted = tilt
-    if tilted is None:
-        tilted = plateau_tilt_matters(edge.scaled, edge.pixels.places, sides, tilts)
+    # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light.
+    rest = edge.scaled - free_response(edge.normal_px, edge.scaled, edge.basis)
+    along = edge.tilt_columns[:, 1:]
+    tilted = plateau_tilt_matters(rest, edge.pixels.places, sides, along) if tilt is None else tilt
     if covariance is not None:
         return noise_of_covariance(covariance, edge.line.high - edge.line.low), tilted
-    columns = level_columns(response, tilts if tilted else None)
-    far = sides[0] | sides[1]
-    used = far if far.sum() > 2 * columns.shape[1] else np.ones(far.shape, dtype=bool)
-    levels = few_factors(columns[used], edge.scaled[used])
-    return estimate_noise(edge.scaled - columns @ levels, edge.pixels.places, sides), tilted
+    if tilted:
+        columns = np.hstack([along, along * (edge.normal_px > 0.0)[:, None]])
+        rest = rest - columns @ few_factors(columns, rest)
+    return estimate_noise(rest, edge.pixels.places, sides), tilted
 
 
 def take_samples(
@@ -197,45 +199,19 @@ def take_samples(
     aperture_px : side of the pixel
     tilted : whether to model uneven illumination
     """
-    normal_px = edge.normal_px
-    reach_px = edge.basis.reach_px + _SLACK_PX
-    near = np.abs(normal_px) < reach_px
-    columns = level_columns(
-        (normal_px > 0).astype(np.float64), edge.tilt_columns if tilted else None
-    )
-    bright = normal_px > 0
-    values, ones = edge.scaled, bright.astype(np.float64)
-    whitener, inputs = None, near
+    values, whitener = edge.scaled, None
     if not noise.is_plain:
         response = edge_response(
-            normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
+            edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
         )
-        whole = noise.whitener(edge.pixels.places, noise.relative_sigma(response))
-        touches = (abs(whole) @ near.astype(np.float64)) > 0
-        mixes = (abs(whole) @ ones > 0) & (abs(whole) @ (1.0 - ones) > 0)
-        near_rows = touches | mixes
-        inputs = (abs(whole[near_rows]).sum(axis=0) > 0) if near_rows.any() else near
-        whitener = whole[near_rows][:, np.flatnonzero(inputs)].tocsr()
-        values, columns, ones = whole @ values, whole @ columns, whole @ ones
-        near, bright = near_rows, ones != 0.0
-    far, right = ~near, ~near & bright
-    sums = FarSums(
-        level_products=columns[far].T @ columns[far],
-        level_values=columns[far].T @ values[far],
-        right_levels=columns[right].T @ ones[right],
-        right_square=float(ones[right] @ ones[right]),
-        right_values=float(ones[right] @ values[right]),
-    )
-    tilts = edge.tilt_columns[inputs] if tilted else None
+        whitener = noise.whitener(edge.pixels.places, noise.relative_sigma(response))
+        values = whitener @ values
     return EdgeSamples(
-        across_px=edge.across_px[inputs],
-        along_px=edge.along_px[inputs],
+        across_px=edge.across_px,
+        along_px=edge.along_px,
         half_length_px=edge.half_length_px,
         bends=edge.geometry.size - 2,
-        tilt_columns=tilts,
-        values=values[near],
+        tilt_columns=edge.tilt_columns if tilted else None,
+        values=values,
         whitener=whitener,
-        far=sums,
-        squares=float(values @ values),
-        count=values.size,
     )

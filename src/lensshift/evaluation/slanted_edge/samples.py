@@ -1,4 +1,4 @@
-"""The pixels of a region as samples of an edge: near ones one by one, far ones as sums."""
+"""The pixels of a region as samples of an edge."""
 
 from __future__ import annotations
 
@@ -14,39 +14,17 @@ _BENDING_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class FarSums:
-    """What the pixels of the plateaus contribute to the cross products.
-
-    Parameters
-    ----------
-    level_products : [p p] sum of x x^T over both plateaus, x the row of the level columns
-    level_values : [p] sum of x y
-    right_levels : [p] sum of x over the bright plateau
-    right_square, right_values : sums of 1 and of y there, weighted
-    """
-
-    level_products: Matrix
-    level_values: Vector
-    right_levels: Vector
-    right_square: float
-    right_values: float
-
-
-@dataclass(frozen=True, slots=True)
 class EdgeSamples:
     """Pixels of one or several frames, in units of the contrast, the bright side at positive x.
 
     Parameters
     ----------
-    across_px, along_px : [n] coordinates of the pixels near the edge, from the edge's middle
+    across_px, along_px : [n] coordinates of the pixels, from the edge's middle
     half_length_px : half the length of the edge along `along_px`
     bends : number of bending terms (0 for a straight edge)
     tilt_columns : [n 2] places by which the illumination may rise, None for an even one
     values : [m] the pixels, whitened
     whitener : [m n] what was done to them, None for nothing
-    far : sums over the other pixels
-    squares : sum of the squares of all whitened pixels
-    count : number of pixels
     """
 
     across_px: Vector
@@ -56,9 +34,11 @@ class EdgeSamples:
     tilt_columns: Matrix | None
     values: Vector
     whitener: sparse.csr_array | None
-    far: FarSums
-    squares: float
-    count: int
+
+    @property
+    def count(self) -> int:
+        """Number of whitened pixels."""
+        return self.values.size
 
     @property
     def geometry_size(self) -> int:
@@ -66,7 +46,7 @@ class EdgeSamples:
         return 2 + self.bends
 
     def normal_px(self, geometry: Vector) -> Vector:
-        """Return the signed distance of each near pixel from the edge."""
+        """Return the signed distance of each pixel from the edge."""
         return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
 
     def whitened(self, columns: Matrix) -> Matrix:
