@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
 from lensshift.evaluation.slanted_edge.samples import distance_px
@@ -93,18 +94,25 @@ def _moves(x: Vector, y: Vector, geometry: Vector, half_length_px: float) -> Mat
     return np.column_stack([turn, -bends[:, : geometry.size - 2]])
 
 
-def free_response(normal_px: Vector, values: Vector, basis: SplineBasis) -> Vector:
+def free_response(
+    normal_px: Vector,
+    values: Vector,
+    basis: SplineBasis,
+    used: NDArray[np.bool_] | None = None,
+) -> Vector:
     """Return the ESF at every pixel when nothing but the pixels says what it is.
 
     Parameters
     ----------
     normal_px, values : [n] distances from the edge and pixels
     basis : splines of the LSF
+    used : [n] the pixels that say what it is, None for all
     """
-    ones = np.ones((values.size, 1))
-    sums = basis.products(normal_px, ones, values)
-    products = np.block([[sums.zz, sums.zx], [sums.zx.T, np.array([[float(values.size)]])]])
-    factors = _ridge_solved(products, np.append(sums.zy, values.sum()), _SLIGHT_RIDGE)
+    there, known = (normal_px, values) if used is None else (normal_px[used], values[used])
+    ones = np.ones((known.size, 1))
+    sums = basis.products(there, ones, known)
+    products = np.block([[sums.zz, sums.zx], [sums.zx.T, np.array([[float(known.size)]])]])
+    factors = _ridge_solved(products, np.append(sums.zy, known.sum()), _SLIGHT_RIDGE)
     count = round(2.0 * basis.reach_px / (0.1 * basis.step_px))
     grid_px = np.linspace(-basis.reach_px, basis.reach_px, count)
     response = basis.integrals(grid_px) @ factors[:-1] + factors[-1]

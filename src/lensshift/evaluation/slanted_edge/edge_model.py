@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,32 @@ Matrix = NDArray[np.float64]
 
 _TABLE_STEPS = 2000  # per knot; linear interpolation in it errs by less than 1e-7
 _SMALLEST_SIDE = 0.01  # of the aperture: below it, a trapezium counts as a box
+_SMALLEST_HALF_PX = 0.02  # of a side, to a tail: below it, differences lose their digits
 _POINT_PX = 1e-3  # an aperture below counts as a point
 _FINE_UNITS, _MIDDLE_UNITS = 6.0, 16.0  # of the splines: beyond, their steps double
+
+
+class Tail(NamedTuple):
+    """Light far from the edge: part Lorentzian, part Laplacian.
+
+        R(x) = k w / (pi (x^2 + w^2)) + (1 - k) exp(-|x| / w) / 2 w
+
+    Diffraction and rough surfaces fall as slowly as the first, light scattered in glass and
+    between pixels as fast as the second.
+
+    Parameters
+    ----------
+    share : of all light; negative for sharpening
+    width_px : w
+    slow : k
+    """
+
+    share: float
+    width_px: float
+    slow: float
+
+
+NO_TAIL = Tail(0.0, 1.0, 1.0)
 
 
 def edge_response(
@@ -30,8 +55,7 @@ def edge_response(
     angle_rad: float,
     sigma_px: float,
     aperture_px: float,
-    tail_share: float = 0.0,
-    tail_px: float = 1.0,
+    tail: Tail = NO_TAIL,
 ) -> Vector:
     """Return the share of a pixel's light that comes from the bright side of a straight edge.
 
@@ -40,8 +64,7 @@ def edge_response(
 
         E(d) = (G(d+p+q) - G(d+p-q) - G(d-p+q) + G(d-p-q)) / (4 p q)
 
-    with p, q = a/2 |cos t|, a/2 |sin t|. A share of the light may be blurred by a Lorentzian
-    instead, w / (pi (x^2 + w^2)).
+    with p, q = a/2 |cos t|, a/2 |sin t|. A share of the light may be blurred by a tail instead.
 
     Parameters
     ----------
@@ -49,24 +72,22 @@ def edge_response(
     angle_rad : angle between the edge and the columns (or rows)
     sigma_px : standard deviation of the Gaussian
     aperture_px : side of the square pixel; 0 for a point
-    tail_share, tail_px : share and half width w of the Lorentzian
+    tail : light far from the edge
     """
     normal_px = np.ascontiguousarray(normal_px)
-    if aperture_px <= _POINT_PX:
-        core = np.asarray(ndtr(normal_px / sigma_px))
-        if tail_share == 0.0:
-            return core
-        tail = 0.5 + np.arctan(normal_px / tail_px) / np.pi
-        return np.asarray((1.0 - tail_share) * core + tail_share * tail)
     p = 0.5 * aperture_px * abs(np.cos(angle_rad))
     q = max(0.5 * aperture_px * abs(np.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
-    response = np.empty(normal_px.shape)
-    trapezium_edge(normal_px, p, q, sigma_px, response)
-    if tail_share == 0.0:
-        return response
+    if aperture_px <= _POINT_PX:
+        core = np.asarray(ndtr(normal_px / sigma_px))
+    else:
+        core = np.empty(normal_px.shape)
+        trapezium_edge(normal_px, p, q, sigma_px, core)
+    if tail.share == 0.0:
+        return core
     far = np.empty(normal_px.shape)
-    trapezium_tail(normal_px, p, q, tail_px, far)
-    return np.asarray((1.0 - tail_share) * response + tail_share * far)
+    p, q = max(p, _SMALLEST_HALF_PX), max(q, _SMALLEST_HALF_PX)
+    trapezium_tail(normal_px, p, q, tail.width_px, tail.slow, far)
+    return np.asarray((1.0 - tail.share) * core + tail.share * far)
 
 
 def edge_response_transform(
@@ -74,20 +95,21 @@ def edge_response_transform(
     angle_rad: float,
     sigma_px: float,
     aperture_px: float,
-    tail_share: float = 0.0,
-    tail_px: float = 1.0,
+    tail: Tail = NO_TAIL,
 ) -> Vector:
     """Return the Fourier transform of the derivative of `edge_response`, 1 at frequency 0.
 
-        T(f) = [(1 - v) exp(-2 pi^2 s^2 f^2) + v exp(-2 pi w |f|)] sinc(a f cos t) sinc(a f sin t)
+        T(f) = [(1 - v) exp(-2 pi^2 s^2 f^2) + v R(f)] sinc(a f cos t) sinc(a f sin t)
+        R(f) = k exp(-2 pi w |f|) + (1 - k) / (1 + (2 pi w f)^2)
 
     Parameters
     ----------
     frequency_cpp : [n] cycles per pixel along the edge normal
-    angle_rad, sigma_px, aperture_px, tail_share, tail_px : as in `edge_response`
+    angle_rad, sigma_px, aperture_px, tail : as in `edge_response`
     """
-    optics = (1.0 - tail_share) * np.exp(-2.0 * (np.pi * sigma_px * frequency_cpp) ** 2)
-    optics += tail_share * np.exp(-2.0 * np.pi * tail_px * np.abs(frequency_cpp))
+    optics = (1.0 - tail.share) * np.exp(-2.0 * (np.pi * sigma_px * frequency_cpp) ** 2)
+    turn = 2.0 * np.pi * tail.width_px * np.abs(frequency_cpp)
+    optics += tail.share * (tail.slow * np.exp(-turn) + (1.0 - tail.slow) / (1.0 + turn**2))
     side = aperture_px * frequency_cpp
     transform: Vector = (
         optics * np.sinc(side * np.cos(angle_rad)) * np.sinc(side * np.sin(angle_rad))

@@ -55,27 +55,37 @@ def _second_integral(t: float, sigma_px: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def trapezium_tail(normal_px: Array, p: float, q: float, width_px: float, out: Array) -> None:
-    """Fill `out` with the response of an edge: a trapezium of half widths p, q and a Lorentzian.
+def trapezium_tail(
+    normal_px: Array, p: float, q: float, width_px: float, slow: float, out: Array
+) -> None:
+    """Fill `out` with the response of an edge: a trapezium of half widths p, q and a tail.
 
     Parameters
     ----------
     normal_px, out : [n]
     p, q : half the sides of the pixel as the edge's normal sees them
-    width_px : half the width of the Lorentzian at half its height
+    width_px : w of the Lorentzian w / (pi (x^2 + w^2)) and of the Laplacian exp(-|x| / w) / 2 w
+    slow : share of the Lorentzian, the rest being Laplacian
     """
     for i in range(normal_px.size):
         d = normal_px[i]
-        total = _second_of_arctan(d + p + q, width_px) - _second_of_arctan(d + p - q, width_px)
-        total += _second_of_arctan(d - p - q, width_px) - _second_of_arctan(d - p + q, width_px)
-        out[i] = 0.5 + total / (4.0 * math.pi * p * q)
+        total = _second_of_tail(d + p + q, width_px, slow)
+        total -= _second_of_tail(d + p - q, width_px, slow)
+        total += _second_of_tail(d - p - q, width_px, slow)
+        total -= _second_of_tail(d - p + q, width_px, slow)
+        out[i] = 0.5 + total / (4.0 * p * q)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _second_of_arctan(x: float, w: float) -> float:
-    """Return a second antiderivative of arctan(x / w)."""
+def _second_of_tail(x: float, w: float, slow: float) -> float:
+    """Return a second antiderivative of the tail's response minus 1/2."""
     square = x * x
-    return 0.5 * ((square - w * w) * math.atan(x / w) - w * x * math.log(square + w * w))
+    lorentzian = (square - w * w) * math.atan(x / w) - w * x * math.log(square + w * w)
+    far = abs(x)
+    laplacian = 0.5 * square - w * w * math.expm1(-far / w) - w * far
+    if x < 0.0:
+        laplacian = -laplacian
+    return 0.5 * (slow * lorentzian / math.pi + (1.0 - slow) * laplacian)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,6 +12,7 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
     SplineProducts,
+    Tail,
     Vector,
     edge_response,
     edge_response_transform,
@@ -162,13 +163,14 @@ class EdgeLikelihood:
         base = self._base(parameters)
         return edge_response_transform(frequency_cpp, float(parameters[0]), *base)
 
-    def _base(self, parameters: Vector) -> tuple[float, float, float, float]:
-        """Return sigma, the side of the pixel, the share and the width of the tail."""
+    def _base(self, parameters: Vector) -> tuple[float, float, Tail]:
+        """Return sigma, the side of the pixel and the tail."""
         base = parameters[self.geometry_size : self.geometry_size + BASE_HYPERS]
-        log_sigma, root, root_share, log_tail = (float(one) for one in base)
+        log_sigma, root, root_share, log_tail, logit = (float(one) for one in base)
         side_px = np.exp(-(root**2)) * self.aperture_px
-        share = root_share * abs(root_share)
-        return np.exp(log_sigma) * self.unit_px, side_px, share, np.exp(log_tail) * self.unit_px
+        slow = float(1.0 / (1.0 + np.exp(-logit)))
+        tail = Tail(root_share * abs(root_share), float(np.exp(log_tail)) * self.unit_px, slow)
+        return float(np.exp(log_sigma)) * self.unit_px, float(side_px), tail
 
     def _moments(self, parameters: Vector) -> _Moments:
         key = parameters[: self.geometry_size + BASE_HYPERS].tobytes()

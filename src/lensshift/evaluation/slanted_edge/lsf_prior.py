@@ -13,32 +13,33 @@ from lensshift.evaluation.slanted_edge.kernels import process_covariance, proces
 # the LSF, about as long as a pixel, and mostly symmetric.
 _LOG_SIGMA = (np.log(0.4), 1.0)
 _ROOT_SHRINKAGE = (0.0, 0.25)
-# Light far from the edge: a share v |v| of a Lorentzian, whose 1 / x^2 is how diffraction falls.
+# Light far from the edge: a share v |v| of `Tail`, whose widths and speed of fall are free.
 # A halo is positive, sharpening negative, and most lenses have little of either.
 _ROOT_TAIL = (0.0, 0.35)
 _LOG_TAIL_WIDTH = (np.log(1.5), 0.8)
+_LOGIT_SLOW = (0.0, 1.5)
 _LOG_AMPLITUDE = (np.log(0.05), 1.5)
 _LOG_LENGTH = (np.log(1.1), 0.35)
 _LOG_TAIL = (np.log(1.0), 0.6)
 _LOGIT_SYMMETRY = (2.0, 2.0)
 HYPER_PRIOR = np.array(
     [
-        *(_LOG_SIGMA, _ROOT_SHRINKAGE, _ROOT_TAIL, _LOG_TAIL_WIDTH),
+        *(_LOG_SIGMA, _ROOT_SHRINKAGE, _ROOT_TAIL, _LOG_TAIL_WIDTH, _LOGIT_SLOW),
         *(_LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY),
     ]
 )
-BASE_HYPERS = 4  # the first are of the base model, the others of the splines
+BASE_HYPERS = 5  # the first are of the base model, the others of the splines
 HYPERS = len(HYPER_PRIOR)
 HYPER_BOUNDS = np.array(
     [
-        *((-2.5, 2.0), (-1.1, 1.1), (-1.0, 1.0), (-1.0, 3.0)),
+        *((-2.5, 2.0), (-1.1, 1.1), (-1.0, 1.0), (-1.0, 3.0), (-5.0, 5.0)),
         *((-9.0, 0.5), (-1.4, 1.1), (-1.4, 3.5), (-8.0, 8.0)),
     ]
 )
 # At shrinkage 0 and tail 0 the likelihood is level and would hold a descent: start beside it.
 START = np.array([*HYPER_PRIOR[:1, 0], 0.2, 0.2, *HYPER_PRIOR[3:, 0]])
 # Typical sizes of a step.
-STEPS = np.array([0.1, 0.1, 0.1, 0.3, 0.5, 0.2, 0.3, 1.0])
+STEPS = np.array([0.1, 0.1, 0.1, 0.3, 1.0, 0.5, 0.2, 0.3, 1.0])
 _JITTER = 1e-10
 _RELATIVE_JITTER = 1e-8
 
