@@ -15,6 +15,8 @@ from lensshift.evaluation.slanted_edge.kernels import (
     spline_products,
     trapezium_edge,
     trapezium_tail,
+    whitened_products,
+    whitened_sensitivities,
 )
 
 Vector = NDArray[np.float64]
@@ -193,12 +195,25 @@ class SplineBasis:
         place += _TABLE[low]
         return np.asarray((place @ self.parts) * self.step_px)
 
-    def products(self, normal_px: Vector, columns: Matrix, values: Vector) -> SplineProducts:
-        """Return the cross products of `integrals` with themselves, with columns and values."""
+    def products(
+        self,
+        normal_px: Vector,
+        columns: Matrix,
+        values: Vector,
+        whitener: sparse.csr_array | None = None,
+    ) -> SplineProducts:
+        """Return the cross products of `integrals` with themselves, with columns and values.
+
+        A whitener [m n] is applied to the integrals; columns and values are whitened already.
+        """
         knots, levels = self.narrow_px.size, columns.shape[1]
         zz, zx, zy = np.zeros((knots, knots)), np.zeros((knots, levels)), np.zeros(knots)
         place = (normal_px - self.narrow_px[0]) / self.step_px
-        spline_products(place, columns, values, zz, zx, zy)
+        if whitener is None:
+            spline_products(place, columns, values, zz, zx, zy)
+        else:
+            rows = (whitener.indptr, whitener.indices, whitener.data)
+            whitened_products(*rows, place, np.ascontiguousarray(columns), values, zz, zx, zy)
         over = self.parts.T.tocsr()
         zz = np.ascontiguousarray((over @ (over @ zz).T).T)
         return SplineProducts(
@@ -206,7 +221,13 @@ class SplineBasis:
         )
 
     def sensitivities(
-        self, normal_px: Vector, columns: Matrix, values: Vector, quadratic: Matrix, linear: Vector
+        self,
+        normal_px: Vector,
+        columns: Matrix,
+        values: Vector,
+        quadratic: Matrix,
+        linear: Vector,
+        whitener: sparse.csr_array | None = None,
     ) -> tuple[Vector, Matrix]:
         """Return how the sum of D B D^T / 2 - y D g changes with distances [n] and columns [n p].
 
@@ -214,6 +235,7 @@ class SplineBasis:
         ----------
         normal_px, columns, values : [n], [n p], [n]; D is [integrals, columns]
         quadratic, linear : B [j+p j+p], symmetric, and g [j+p]
+        whitener : [m n], see `products`; the columns before it are meant
         """
         knots, levels = self.narrow_px.size, columns.shape[1]
         whole = sparse.block_diag([self.parts, sparse.eye_array(levels)], format="csr")
@@ -225,9 +247,15 @@ class SplineBasis:
         quadratic[:knots] *= self.step_px
         quadratic[:, :knots] *= self.step_px
         linear[:knots] *= self.step_px
-        to_place, to_columns = np.empty(normal_px.size), np.empty(columns.shape)
+        to_place = np.zeros(normal_px.size)
+        to_columns = np.zeros((normal_px.size, levels))
         place = (normal_px - self.narrow_px[0]) / self.step_px
-        sensitivities(place, columns, values, quadratic, linear, to_place, to_columns)
+        given = (place, np.ascontiguousarray(columns), values, quadratic, linear)
+        if whitener is None:
+            sensitivities(*given, to_place, to_columns)
+        else:
+            rows = (whitener.indptr, whitener.indices, whitener.data)
+            whitened_sensitivities(*rows, *given, to_place, to_columns)
         return to_place / self.step_px, to_columns
 
     def values(self, normal_px: Vector) -> Matrix:

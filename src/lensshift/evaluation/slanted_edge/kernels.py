@@ -162,13 +162,20 @@ def spline_products(
             for q in range(columns.shape[1]):
                 with_columns[first + k, q] += local[k] * columns[i, q]
             with_values[first + k] += local[k] * values[i]
-    for k in range(knots - 1, -1, -1):  # I_j is the sum of f_k from k = j on
+    _add_up(products, with_columns, with_values)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_up(products: Array, with_columns: Array, with_values: Array) -> None:
+    """Turn products of differences into those of integrals, sums of f_k from k = j on."""
+    knots = products.shape[0]
+    for k in range(knots - 1, -1, -1):
         for m in range(knots - 2, -1, -1):
             products[k, m] += products[k, m + 1]
         if k < knots - 1:
             for m in range(knots):
                 products[k, m] += products[k + 1, m]
-            for q in range(columns.shape[1]):
+            for q in range(with_columns.shape[1]):
                 with_columns[k, q] += with_columns[k + 1, q]
             with_values[k] += with_values[k + 1]
 
@@ -221,6 +228,122 @@ def sensitivities(
                 total += columns[i, p] * quadratic[j, knots + p]
             slope += rise * total
         to_place[i] = slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _all_locals(place: Array, knots: int, first: Array, count: Array, local: Array) -> None:
+    for i in range(place.size):
+        first[i], count[i] = _local_range(place[i], knots)
+        _local_differences(place[i], first[i], count[i], knots, local[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _whitened_row(
+    taps: Array, weights: Array, first: Array, count: Array, local: Array, row: Array
+) -> tuple[int, int]:
+    """Add the differences that a whitened pixel sees to `row`; return where they begin and end."""
+    start, stop = row.size, 0
+    for t in range(taps.size):
+        i = taps[t]
+        start, stop = min(start, first[i]), max(stop, first[i] + count[i])
+        for k in range(count[i]):
+            row[first[i] + k] += weights[t] * local[i, k]
+    return start, stop
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def whitened_products(
+    pointers: Array,
+    taps: Array,
+    weights: Array,
+    place: Array,
+    columns: Array,
+    values: Array,
+    products: Array,
+    with_columns: Array,
+    with_values: Array,
+) -> None:
+    """Do as `spline_products`, of pixels that are whitened sums of others.
+
+    Parameters
+    ----------
+    pointers, taps, weights : the whitener [m n] in compressed rows
+    place : [n] distance from the first knot, in knots
+    columns, values : [m p], [m] whitened; the others as in `spline_products`
+    """
+    knots = products.shape[0]
+    first, count = np.empty(place.size, np.int64), np.empty(place.size, np.int64)
+    local, row = np.empty((place.size, 6)), np.zeros(knots)
+    _all_locals(place, knots, first, count, local)
+    for r in range(values.size):
+        own = slice(pointers[r], pointers[r + 1])
+        start, stop = _whitened_row(taps[own], weights[own], first, count, local, row)
+        for k in range(start, stop):
+            for m in range(start, k + 1):
+                products[k, m] += row[k] * row[m]
+            for q in range(columns.shape[1]):
+                with_columns[k, q] += row[k] * columns[r, q]
+            with_values[k] += row[k] * values[r]
+        row[start:stop] = 0.0
+    for k in range(knots):
+        for m in range(k):
+            products[m, k] = products[k, m]
+    _add_up(products, with_columns, with_values)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def whitened_sensitivities(
+    pointers: Array,
+    taps: Array,
+    weights: Array,
+    place: Array,
+    columns: Array,
+    values: Array,
+    quadratic: Array,
+    linear: Array,
+    to_place: Array,
+    to_columns: Array,
+) -> None:
+    """Do as `sensitivities`, of pixels that are whitened sums of others.
+
+    Parameters
+    ----------
+    pointers, taps, weights, place, columns, values : as in `whitened_products`
+    quadratic, linear : as in `sensitivities`
+    to_place, to_columns : [n], [n p] of the pixels as they were, zero before
+    """
+    levels = columns.shape[1]
+    knots = linear.size - levels
+    first, count = np.empty(place.size, np.int64), np.empty(place.size, np.int64)
+    local, row = np.empty((place.size, 6)), np.zeros(knots)
+    slopes, to_row = np.empty((place.size, 6)), np.empty(linear.size)
+    _all_locals(place, knots, first, count, local)
+    for i in range(place.size):
+        for k in range(count[i]):
+            j = first[i] + k
+            slopes[i, k] = _density(place[i] - j)
+            if j < knots - 1:
+                slopes[i, k] -= _density(place[i] - j - 1)
+    for r in range(values.size):
+        own = slice(pointers[r], pointers[r + 1])
+        start, stop = _whitened_row(taps[own], weights[own], first, count, local, row)
+        for j in range(start, stop + levels):
+            k = j if j < stop else knots + j - stop
+            total = -values[r] * linear[k]
+            for m in range(start, stop):
+                total += row[m] * quadratic[k, m]
+            for q in range(levels):
+                total += columns[r, q] * quadratic[k, knots + q]
+            to_row[k] = total
+        row[start:stop] = 0.0
+        for t in range(pointers[r], pointers[r + 1]):
+            i = taps[t]
+            total = 0.0
+            for k in range(count[i]):
+                total += slopes[i, k] * to_row[first[i] + k]
+            to_place[i] += weights[t] * total
+            for q in range(levels):
+                to_columns[i, q] += weights[t] * to_row[knots + q]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

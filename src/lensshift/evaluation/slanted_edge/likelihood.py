@@ -11,7 +11,6 @@ from scipy.linalg import lapack
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
-    SplineProducts,
     Tail,
     Vector,
     edge_response,
@@ -186,11 +185,7 @@ class EdgeLikelihood:
         normal_px = samples.normal_px(parameters[: self.geometry_size])
         response = self.base_response(normal_px, parameters)
         columns = samples.whitened(level_columns(response, samples.tilt_columns))
-        if samples.whitener is None:
-            near = self.basis.products(normal_px, columns, y)
-        else:
-            splines = samples.whitened(self.basis.integrals(normal_px))
-            near = SplineProducts(splines.T @ splines, splines.T @ columns, splines.T @ y)
+        near = self.basis.products(normal_px, columns, y, samples.whitener)
         return _Moments(
             normal_px=normal_px,
             response=response,
@@ -279,18 +274,9 @@ class EdgeLikelihood:
     def _base_gradient(self, found: _Solution, quadratic: Matrix, linear: Vector) -> Vector:
         """Return the slopes by geometry and base model, from those by distance and response."""
         samples, m = self.samples, found.moments
-        if samples.whitener is None:
-            to_normal, to_columns = self.basis.sensitivities(
-                m.normal_px, m.columns, samples.values, quadratic, linear
-            )
-        else:
-            splines = samples.whitened(self.basis.integrals(m.normal_px))
-            rows = np.hstack([splines, m.columns])
-            to_rows = rows @ quadratic - np.outer(samples.values, linear)
-            to_rows = samples.whitener.T @ to_rows
-            knots = self.basis.knot_px.size
-            to_normal = np.sum(to_rows[:, :knots] * self.basis.values(m.normal_px), axis=1)
-            to_columns = to_rows[:, knots:]
+        to_normal, to_columns = self.basis.sensitivities(
+            m.normal_px, m.columns, samples.values, quadratic, linear, samples.whitener
+        )
         to_response = to_columns[:, 1].copy()
         if samples.tilt_columns is not None:
             tilts = samples.tilt_columns.shape[1]
