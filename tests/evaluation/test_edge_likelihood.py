@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from lensshift.evaluation.slanted_edge import measure_edge
 from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
-from lensshift.evaluation.slanted_edge.posterior import find_optimum, find_posterior, starting_point
+from lensshift.evaluation.slanted_edge.posterior import find_posterior, starting_point
 from lensshift.evaluation.slanted_edge.prepare import (
     Pixels,
     learn_noise,
@@ -44,7 +44,7 @@ def likelihood_of(
         values=image.ravel(),
     )
     upright = turn_upright(pixels, 1.0, most_bends)
-    noise, tilted = learn_noise(upright, 1.0, tilt)
+    noise, tilted = learn_noise(upright, tilt)
     samples = take_samples(upright, noise, 1.0, tilted)
     likelihood = EdgeLikelihood(samples, upright.basis, 1.0, upright.unit_px)
     log_sigma = float(np.log(upright.line.sigma_px))
@@ -99,7 +99,7 @@ def test_the_sign_of_the_shrinkage_says_nothing() -> None:
     mirrored = start * likelihood.twin
     assert np.any(mirrored != start)
     assert likelihood.negative_log(mirrored) == likelihood.negative_log(start)
-    posterior = find_posterior(likelihood, find_optimum(likelihood, start, steps), seed=0)
+    posterior = find_posterior(likelihood, start, steps, seed=0)
     folded = likelihood.twin < 0
     assert np.all(posterior.draws[:, folded] >= 0.0)
     # The side of the pixel, exp(-root^2), with its interval.

@@ -15,8 +15,8 @@ _LEAST_STD = 1e-6
 
 
 def usable_edges(results: Sequence[EdgeResult]) -> list[EdgeResult]:
-    """Return the edges whose MTF can be trusted; all of them if there is none."""
-    return [result for result in results if result.usable] or list(results)
+    """Return the edges whose MTF can be trusted; the first alone if there is none."""
+    return [result for result in results if result.usable] or list(results[:1])
 
 
 def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:

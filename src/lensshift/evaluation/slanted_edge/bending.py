@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
 from lensshift.evaluation.slanted_edge.samples import distance_px
@@ -13,6 +14,7 @@ _SETTLED_PX = 1e-3
 _WORTH = 12.0  # fall of the information criterion that makes terms worth having
 _LEAST_BEND_PX = 0.03  # rms; what is less does no harm
 _RIDGE = 1e-3  # keeps the free ESF from explaining noise
+_SLIGHT_RIDGE = 1e-6  # where a free ESF must leave no trace of the true one
 _MOST_PIXELS = 4_000
 
 
@@ -92,10 +94,38 @@ def _moves(x: Vector, y: Vector, geometry: Vector, half_length_px: float) -> Mat
     return np.column_stack([turn, -bends[:, : geometry.size - 2]])
 
 
+def free_response(
+    normal_px: Vector,
+    values: Vector,
+    basis: SplineBasis,
+    used: NDArray[np.bool_] | None = None,
+) -> Vector:
+    """Return the ESF at every pixel when nothing but the pixels says what it is.
+
+    Parameters
+    ----------
+    normal_px, values : [n] distances from the edge and pixels
+    basis : splines of the LSF
+    used : [n] the pixels that say what it is, None for all
+    """
+    there, known = (normal_px, values) if used is None else (normal_px[used], values[used])
+    ones = np.ones((known.size, 1))
+    sums = basis.products(there, ones, known)
+    products = np.block([[sums.zz, sums.zx], [sums.zx.T, np.array([[float(known.size)]])]])
+    factors = _ridge_solved(products, np.append(sums.zy, known.sum()), _SLIGHT_RIDGE)
+    count = round(2.0 * basis.reach_px / (0.1 * basis.step_px))
+    grid_px = np.linspace(-basis.reach_px, basis.reach_px, count)
+    response = basis.integrals(grid_px) @ factors[:-1] + factors[-1]
+    return np.asarray(np.interp(normal_px, grid_px, response))
+
+
 def _ridge_fit(columns: Matrix, values: Vector) -> tuple[Vector, float]:
-    products = columns.T @ columns
-    scale = np.sqrt(np.maximum(products.diagonal(), np.finfo(float).tiny))
-    scaled = products / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)
-    factors = np.linalg.solve(scaled, columns.T @ values / scale) / scale
+    factors = _ridge_solved(columns.T @ columns, columns.T @ values, _RIDGE)
     rest = values - columns @ factors
     return factors, float(rest @ rest)
+
+
+def _ridge_solved(products: Matrix, right: Vector, ridge: float) -> Vector:
+    scale = np.sqrt(np.maximum(products.diagonal(), np.finfo(float).tiny))
+    scaled = products / np.outer(scale, scale) + ridge * np.eye(scale.size)
+    return np.asarray(np.linalg.solve(scaled, right / scale) / scale)

@@ -89,7 +89,9 @@ def _result(
         method=method,
         region=region,
         orientation="horizontal" if found.rotated else "vertical",
-        angle_rad=Interval(found.angle_rad),
+        # The original's slope is that of the columns the edge passes, line by line: for an upright
+        # edge the turn of the normal has the other sign.
+        angle_rad=Interval(found.angle_rad if found.rotated else -found.angle_rad),
         position_px=unknown,
         bend_px=0.0,
         dark=dark,

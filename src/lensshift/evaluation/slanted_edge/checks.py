@@ -20,10 +20,13 @@ _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
 _LEAST_BEND_PX = 0.05
 _LEAST_LINES = 8
+_ENDS_OF_RANGE = (0.0, 255.0, 1023.0, 4095.0, 16383.0, 65535.0)  # of 8 to 16 bits
 _NO_NOISE = 1e-9  # of the contrast
 
 
-def doubted(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> EdgeResult:
+def doubted(
+    result: EdgeResult, lines: int, gap_px: float, values: Vector, out: int = 0
+) -> EdgeResult:
     """Return the result with what speaks against it.
 
     Contrast, clipping and how the lines cross the pixels make an edge unusable; what its profile
@@ -35,6 +38,7 @@ def doubted(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> Ed
     lines : number of lines that cross it
     gap_px : largest gap between their phases, see `largest_phase_gap_px`
     values : [n] the pixels of the region
+    out : number of pixels that were left out as they stand out
     """
     found = []
     if not result.contrast >= _LEAST_CONTRAST:
@@ -56,6 +60,8 @@ def doubted(result: EdgeResult, lines: int, gap_px: float, values: Vector) -> Ed
             "take more lines or another angle"
         )
     usable = not found
+    if out:
+        found.append(f"{out} pixels stand out (hot, dead or dusty) and are left out")
     if result.bend_px > _LEAST_BEND_PX:
         found.append(f"the edge is not straight: it bends by {result.bend_px:.2f} px rms")
     asymmetry = result.asymmetry
@@ -79,7 +85,11 @@ def warn_of(found: list[str], region: object) -> None:
 
 
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:
-    """A clipped plateau holds its extreme value far more often than the value opposite to it."""
+    """A clipped plateau holds its extreme value far more often than the value opposite to it.
+
+    Where the noise is below a grey level any value is frequent; then the extreme one must be the
+    end of a range of whole numbers.
+    """
     if result.noise < _NO_NOISE:
         return []  # computed, not taken: plateaus are level without being clipped
     found = []
@@ -88,7 +98,11 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
         (values[values > middle], "bright", np.max, np.min),
         (values[values <= middle], "dark", np.min, np.max),
     ):
-        if np.unique(side).size < 4:  # no noise to be cut off
+        levels = np.unique(side)
+        if levels.size < 4:  # no noise to be cut off
+            continue
+        coarse = result.noise * (result.bright - result.dark) < np.min(np.diff(levels))
+        if coarse and outer(side) not in _ENDS_OF_RANGE:
             continue
         share = float(np.mean(side == outer(side)))
         other = float(np.mean(side == inner(side)))

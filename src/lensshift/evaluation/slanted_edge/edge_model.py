@@ -3,22 +3,61 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.special import ndtr
 
-from lensshift.evaluation.slanted_edge.kernels import sensitivities, spline_products, trapezium_edge
+from lensshift.evaluation.slanted_edge.kernels import (
+    sensitivities,
+    spline_products,
+    trapezium_edge,
+    trapezium_tail,
+    whitened_products,
+    whitened_sensitivities,
+)
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _TABLE_STEPS = 2000  # per knot; linear interpolation in it errs by less than 1e-7
 _SMALLEST_SIDE = 0.01  # of the aperture: below it, a trapezium counts as a box
+_SMALLEST_HALF_PX = 0.02  # of a side, to a tail: below it, differences lose their digits
+_POINT_PX = 1e-3  # an aperture below counts as a point
+_FINE_UNITS, _MIDDLE_UNITS = 6.0, 16.0  # of the splines: beyond, their steps double
+
+
+class Tail(NamedTuple):
+    """Light far from the edge: part Lorentzian, part Laplacian.
+
+        R(x) = k w / (pi (x^2 + w^2)) + (1 - k) exp(-|x| / w) / 2 w
+
+    Diffraction and rough surfaces fall as slowly as the first, light scattered in glass and
+    between pixels as fast as the second.
+
+    Parameters
+    ----------
+    share : of all light; negative for sharpening
+    width_px : w
+    slow : k
+    """
+
+    share: float
+    width_px: float
+    slow: float
+
+
+NO_TAIL = Tail(0.0, 1.0, 1.0)
 
 
 def edge_response(
-    normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float
+    normal_px: Vector,
+    angle_rad: float,
+    sigma_px: float,
+    aperture_px: float,
+    tail: Tail = NO_TAIL,
 ) -> Vector:
     """Return the share of a pixel's light that comes from the bright side of a straight edge.
 
@@ -27,7 +66,7 @@ def edge_response(
 
         E(d) = (G(d+p+q) - G(d+p-q) - G(d-p+q) + G(d-p-q)) / (4 p q)
 
-    with p, q = a/2 |cos t|, a/2 |sin t|.
+    with p, q = a/2 |cos t|, a/2 |sin t|. A share of the light may be blurred by a tail instead.
 
     Parameters
     ----------
@@ -35,58 +74,49 @@ def edge_response(
     angle_rad : angle between the edge and the columns (or rows)
     sigma_px : standard deviation of the Gaussian
     aperture_px : side of the square pixel; 0 for a point
+    tail : light far from the edge
     """
-    if aperture_px <= 0.0:
-        return np.asarray(ndtr(normal_px / sigma_px))
+    normal_px = np.ascontiguousarray(normal_px)
     p = 0.5 * aperture_px * abs(np.cos(angle_rad))
     q = max(0.5 * aperture_px * abs(np.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
-    response = np.empty(normal_px.shape)
-    trapezium_edge(np.ascontiguousarray(normal_px), p, q, sigma_px, response)
-    return response
+    if aperture_px <= _POINT_PX:
+        core = np.asarray(ndtr(normal_px / sigma_px))
+    else:
+        core = np.empty(normal_px.shape)
+        trapezium_edge(normal_px, p, q, sigma_px, core)
+    if tail.share == 0.0:
+        return core
+    far = np.empty(normal_px.shape)
+    p, q = max(p, _SMALLEST_HALF_PX), max(q, _SMALLEST_HALF_PX)
+    trapezium_tail(normal_px, p, q, tail.width_px, tail.slow, far)
+    return np.asarray((1.0 - tail.share) * core + tail.share * far)
 
 
 def edge_response_transform(
-    frequency_cpp: Vector, angle_rad: float, sigma_px: float, aperture_px: float
+    frequency_cpp: Vector,
+    angle_rad: float,
+    sigma_px: float,
+    aperture_px: float,
+    tail: Tail = NO_TAIL,
 ) -> Vector:
     """Return the Fourier transform of the derivative of `edge_response`, 1 at frequency 0.
 
-        T(f) = exp(-2 pi^2 s^2 f^2) sinc(a f cos t) sinc(a f sin t)
+        T(f) = [(1 - v) exp(-2 pi^2 s^2 f^2) + v R(f)] sinc(a f cos t) sinc(a f sin t)
+        R(f) = k exp(-2 pi w |f|) + (1 - k) / (1 + (2 pi w f)^2)
 
     Parameters
     ----------
     frequency_cpp : [n] cycles per pixel along the edge normal
-    angle_rad, sigma_px, aperture_px : as in `edge_response`
+    angle_rad, sigma_px, aperture_px, tail : as in `edge_response`
     """
-    optics = np.exp(-2.0 * (np.pi * sigma_px * frequency_cpp) ** 2)
+    optics = (1.0 - tail.share) * np.exp(-2.0 * (np.pi * sigma_px * frequency_cpp) ** 2)
+    turn = 2.0 * np.pi * tail.width_px * np.abs(frequency_cpp)
+    optics += tail.share * (tail.slow * np.exp(-turn) + (1.0 - tail.slow) / (1.0 + turn**2))
     side = aperture_px * frequency_cpp
     transform: Vector = (
         optics * np.sinc(side * np.cos(angle_rad)) * np.sinc(side * np.sin(angle_rad))
     )
     return transform
-
-
-def tail_response(normal_px: Vector, width_px: float, steepness: float) -> Vector:
-    """Return the edge response of a tail, between a heavy one and an exponential one.
-
-        E(d) = (1 - c) (1/2 + atan(d / w) / pi) + c (1 + sgn(d) (1 - exp(-|d| / w))) / 2
-
-    The LSF of the first falls as w / (pi d^2), as that of diffraction does; light that is scattered
-    mostly falls faster.
-
-    Parameters
-    ----------
-    normal_px : [n] signed distance from the edge
-    width_px, steepness : w and c, 0 to 1
-    """
-    heavy = 0.5 + np.arctan(normal_px / width_px) / np.pi
-    light = 0.5 - 0.5 * np.sign(normal_px) * np.expm1(-np.abs(normal_px) / width_px)
-    return np.asarray((1.0 - steepness) * heavy + steepness * light)
-
-
-def tail_transform(frequency_cpp: Vector, width_px: float, steepness: float) -> Vector:
-    """Return the Fourier transform of the derivative of `tail_response`."""
-    turns = 2.0 * np.pi * width_px * np.abs(frequency_cpp)
-    return np.asarray((1.0 - steepness) * np.exp(-turns) + steepness / (1.0 + turns**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,51 +133,101 @@ class SplineProducts:
     zy: Vector
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SplineBasis:
     """Cubic B-splines of the LSF, and their integrals, which correct the ESF.
 
+    Wide splines far from the edge are sums of narrow ones, so that all pixels see narrow ones on
+    an even grid.
+
     Parameters
     ----------
-    step_px : distance between the knots
-    knot_px : [j] centres of the splines
+    step_px : distance between the narrow splines
+    number : [j] centres of the splines, in steps
+    narrow_px : [i] centres of the narrow ones
+    parts : [i j] of which narrow ones a spline is made
     """
 
     step_px: float
-    knot_px: Vector
+    number: NDArray[np.intp]
+    narrow_px: Vector
+    parts: sparse.csr_array
 
     @classmethod
-    def covering(cls, half_width_px: float, step_px: float) -> SplineBasis:
-        """Return splines with knots from -`half_width_px` to `half_width_px`."""
-        count = round(half_width_px / step_px)
-        return cls(step_px, np.asarray(np.arange(-count, count + 1) * step_px, dtype=np.float64))
+    def covering(cls, half_width_px: float, step_px: float, unit_px: float) -> SplineBasis:
+        """Return splines over -`half_width_px` to `half_width_px`; see `_spread`.
+
+        Parameters
+        ----------
+        half_width_px : where the last spline stands
+        step_px : between the splines near the edge
+        unit_px : width of the edge, which says how far near reaches
+        """
+        limits = [
+            4 * round(units * unit_px / step_px / 4) for units in (_FINE_UNITS, _MIDDLE_UNITS)
+        ]
+        number, narrow, parts = _spread(4 * round(half_width_px / step_px / 4), limits)
+        return cls(step_px, number, np.asarray(narrow * step_px, dtype=np.float64), parts)
+
+    @property
+    def knot_px(self) -> Vector:
+        """Centres of the splines [j]."""
+        return np.asarray(self.number * self.step_px, dtype=np.float64)
+
+    @property
+    def area_px(self) -> Vector:
+        """Integrals of the whole splines [j]."""
+        return np.asarray(self.parts.sum(axis=0) * self.step_px, dtype=np.float64)
 
     @property
     def reach_px(self) -> float:
         """Distance from which on every integrated spline is constant."""
-        return float(self.knot_px[-1] + 2.0 * self.step_px)
+        return float(self.narrow_px[-1] + 2.0 * self.step_px)
 
     def integrals(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the integral of spline j from minus infinity to each distance."""
-        place = (normal_px[:, None] - self.knot_px) * (_TABLE_STEPS / self.step_px)
+        place = (normal_px[:, None] - self.narrow_px) * (_TABLE_STEPS / self.step_px)
         place += 2.0 * _TABLE_STEPS
         np.clip(place, 0.0, 4.0 * _TABLE_STEPS - 1e-9, out=place)
         low = place.astype(np.intp)
         place -= low
         place *= _TABLE_RISE[low]
         place += _TABLE[low]
-        return place * self.step_px
+        return np.asarray((place @ self.parts) * self.step_px)
 
-    def products(self, normal_px: Vector, columns: Matrix, values: Vector) -> SplineProducts:
-        """Return the cross products of `integrals` with themselves, with columns and values."""
-        knots, levels = self.knot_px.size, columns.shape[1]
+    def products(
+        self,
+        normal_px: Vector,
+        columns: Matrix,
+        values: Vector,
+        whitener: sparse.csr_array | None = None,
+    ) -> SplineProducts:
+        """Return the cross products of `integrals` with themselves, with columns and values.
+
+        A whitener [m n] is applied to the integrals; columns and values are whitened already.
+        """
+        knots, levels = self.narrow_px.size, columns.shape[1]
         zz, zx, zy = np.zeros((knots, knots)), np.zeros((knots, levels)), np.zeros(knots)
-        place = (normal_px - self.knot_px[0]) / self.step_px
-        spline_products(place, columns, values, zz, zx, zy)
-        return SplineProducts(self.step_px**2 * zz, self.step_px * zx, self.step_px * zy)
+        place = (normal_px - self.narrow_px[0]) / self.step_px
+        if whitener is None:
+            spline_products(place, columns, values, zz, zx, zy)
+        else:
+            rows = (whitener.indptr, whitener.indices, whitener.data)
+            whitened_products(*rows, place, np.ascontiguousarray(columns), values, zz, zx, zy)
+        over = self.parts.T.tocsr()
+        zz = np.ascontiguousarray((over @ (over @ zz).T).T)
+        return SplineProducts(
+            self.step_px**2 * zz, self.step_px * (over @ zx), self.step_px * (over @ zy)
+        )
 
     def sensitivities(
-        self, normal_px: Vector, columns: Matrix, values: Vector, quadratic: Matrix, linear: Vector
+        self,
+        normal_px: Vector,
+        columns: Matrix,
+        values: Vector,
+        quadratic: Matrix,
+        linear: Vector,
+        whitener: sparse.csr_array | None = None,
     ) -> tuple[Vector, Matrix]:
         """Return how the sum of D B D^T / 2 - y D g changes with distances [n] and columns [n p].
 
@@ -155,32 +235,75 @@ class SplineBasis:
         ----------
         normal_px, columns, values : [n], [n p], [n]; D is [integrals, columns]
         quadratic, linear : B [j+p j+p], symmetric, and g [j+p]
+        whitener : [m n], see `products`; the columns before it are meant
         """
-        knots = self.knot_px.size
-        quadratic, linear = quadratic.copy(), linear.copy()
+        knots, levels = self.narrow_px.size, columns.shape[1]
+        whole = sparse.block_diag([self.parts, sparse.eye_array(levels)], format="csr")
+        quadratic = np.ascontiguousarray(whole @ (whole @ quadratic).T)
+        linear = whole @ linear
         np.cumsum(quadratic[:knots], axis=0, out=quadratic[:knots])
         np.cumsum(quadratic[:, :knots], axis=1, out=quadratic[:, :knots])
         np.cumsum(linear[:knots], out=linear[:knots])
         quadratic[:knots] *= self.step_px
         quadratic[:, :knots] *= self.step_px
         linear[:knots] *= self.step_px
-        to_place, to_columns = np.empty(normal_px.size), np.empty(columns.shape)
-        place = (normal_px - self.knot_px[0]) / self.step_px
-        sensitivities(place, columns, values, quadratic, linear, to_place, to_columns)
+        to_place = np.zeros(normal_px.size)
+        to_columns = np.zeros((normal_px.size, levels))
+        place = (normal_px - self.narrow_px[0]) / self.step_px
+        given = (place, np.ascontiguousarray(columns), values, quadratic, linear)
+        if whitener is None:
+            sensitivities(*given, to_place, to_columns)
+        else:
+            rows = (whitener.indptr, whitener.indices, whitener.data)
+            whitened_sensitivities(*rows, *given, to_place, to_columns)
         return to_place / self.step_px, to_columns
 
     def values(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the splines themselves."""
-        v = np.abs(normal_px[:, None] - self.knot_px) / self.step_px
+        v = np.abs(normal_px[:, None] - self.narrow_px) / self.step_px
         inner = 2.0 / 3.0 - v**2 + 0.5 * v**3
         outer = np.clip(2.0 - v, 0.0, None) ** 3 / 6.0
-        return np.where(v < 1.0, inner, outer)
+        return np.asarray(np.where(v < 1.0, inner, outer) @ self.parts)
 
     def transforms(self, frequency_cpp: Vector) -> NDArray[np.complex128]:
         """Return [f j]: the Fourier transforms of the splines."""
         shape = self.step_px * np.sinc(frequency_cpp * self.step_px) ** 4
-        wave = np.exp(-2j * np.pi * np.outer(frequency_cpp, self.knot_px))
-        return np.asarray(shape[:, None] * wave)
+        wave = np.exp(-2j * np.pi * np.outer(frequency_cpp, self.narrow_px))
+        return np.asarray((shape[:, None] * wave) @ self.parts)
+
+
+def _spread(
+    last: int, limits: list[int]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], sparse.csr_array]:
+    """Return centres of splines and of narrow ones, in steps, and what makes up which [i j].
+
+    Centres lie at every step up to the first limit, at every second up to the next, then at
+    every fourth. Between wider centres the narrow coefficients are those of the same spline,
+
+        c_i = (c_(i-s) + 6 c_i + c_(i+s)) / 8,  or  (c_(i-s/2) + c_(i+s/2)) / 2  where none stands
+
+    so that even coefficients everywhere are an even function.
+
+    Source: refinement of B-splines, Lane and Riesenfeld, IEEE PAMI 2 (1980) 35.
+    """
+    margin = 8
+    narrow = np.arange(-last - margin, last + margin + 1)
+    place = np.abs(narrow)
+    kept = (place <= limits[0]) | ((place <= limits[1]) & (place % 2 == 0)) | (place % 4 == 0)
+    kept &= place <= last
+    rows = np.zeros((narrow.size, int(kept.sum())))
+    rows[kept, np.arange(rows.shape[1])] = 1.0
+    for step, limit in ((4, limits[1]), (2, limits[0])):
+        finer = rows.copy()
+        for i in range(4, narrow.size - 4):
+            if place[i] <= limit:
+                continue
+            if place[i] % step == 0:
+                finer[i] = (rows[i - step] + 6.0 * rows[i] + rows[i + step]) / 8.0
+            elif place[i] % step == step // 2:
+                finer[i] = (rows[i - step // 2] + rows[i + step // 2]) / 2.0
+        rows = finer
+    return narrow[kept], narrow, sparse.csr_array(rows)
 
 
 def _integrated_spline(u: Vector) -> Vector:

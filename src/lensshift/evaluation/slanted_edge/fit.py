@@ -11,7 +11,6 @@ from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
     Posterior,
-    find_optimum,
     find_posterior,
     starting_point,
 )
@@ -21,9 +20,7 @@ from lensshift.evaluation.slanted_edge.samples import distance_px, level_columns
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
 _ESF_STEP = 0.1
-_RESIDUAL_GRID = 1201
-# Minus the log prior of the four slopes of uneven light at 0: normal, 0.1 of the contrast each.
-TILT_WORTH = 4.0 * float(np.log(0.1))
+_RESIDUAL_STEP_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +29,7 @@ class EdgeFit:
 
     Parameters
     ----------
-    edge, noise, tilted : the region, its noise, and whether its light is uneven
+    edge, noise, light : the region, its noise, and the order of its uneven light
     posterior : of the parameters
     parameters, parameter_draws : [p], [p k]
     level, level_draws : [q], [q k] factors of the level columns
@@ -45,7 +42,7 @@ class EdgeFit:
 
     edge: UprightEdge
     noise: NoiseModel
-    tilted: bool
+    light: int
     posterior: Posterior
     parameters: Vector
     parameter_draws: Matrix
@@ -83,32 +80,25 @@ def fit_edge(
     seed : of the draws
     noise_covariance : of the noise, None to let the plateaus tell
     """
-    noise, uneven = learn_noise(edge, aperture_px, tilt, noise_covariance)
+    noise, light = learn_noise(edge, tilt, noise_covariance)
+    samples = take_samples(edge, noise, aperture_px, light)
+    likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / edge.unit_px), -2.0, 1.5))
     start, steps = starting_point(edge.geometry, log_sigma, noise.dark_sigma, edge.half_length_px)
-    # Tails of the response slope as uneven light does: where both may be, the likelier one is.
-    tries = []
-    for tilted in (True, False) if uneven and tilt is None else (uneven,):
-        samples = take_samples(edge, noise, aperture_px, tilted)
-        likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
-        optimum = find_optimum(likelihood, start, steps)
-        worth = TILT_WORTH if tilted else 0.0
-        tries.append((optimum.value + worth, tilted, likelihood, optimum))
-    _, tilted, likelihood, optimum = min(tries, key=lambda one: one[0])
-    posterior = find_posterior(likelihood, optimum, seed)
+    posterior = find_posterior(likelihood, start, steps, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
     curves = _Curves(likelihood, edge.basis, frequency_cpp, edge.unit_px)
     modulation, esf, lsf = curves.of(parameters, levels, coefficients)
     return EdgeFit(
         edge=edge,
         noise=noise,
-        tilted=tilted,
+        light=light,
         posterior=posterior,
         parameters=parameters[:, 0],
         parameter_draws=parameters[:, 1:],
         level=levels[:, 0],
         level_draws=levels[:, 1:],
-        contrast=float(levels[1, 0] + edge.basis.step_px * coefficients[:, 0].sum()),
+        contrast=float(levels[1, 0] + edge.basis.area_px @ coefficients[:, 0]),
         frequency_cpp=frequency_cpp,
         modulation=modulation[:, 0],
         modulation_draws=modulation[:, 1:],
@@ -118,7 +108,7 @@ def fit_edge(
         lsf=lsf[:, 0],
         lsf_draws=lsf[:, 1:],
         residual=_residual(
-            likelihood, edge, tilted, (parameters[:, 0], levels[:, 0], coefficients[:, 0])
+            likelihood, edge, light, (parameters[:, 0], levels[:, 0], coefficients[:, 0])
         ),
     )
 
@@ -199,17 +189,17 @@ class _Curves:
 def _residual(
     likelihood: EdgeLikelihood,
     edge: UprightEdge,
-    tilted: bool,
+    light: int,
     best: tuple[Vector, Vector, Vector],
 ) -> Vector:
-    """Return all pixels minus the model; profiles are interpolated from a fine grid."""
+    """Return all pixels minus the model; the spline is interpolated from a fine grid."""
     parameters, levels, coefficients = best
     normal_px = distance_px(
         edge.across_px, edge.along_px, parameters[: likelihood.geometry_size], edge.half_length_px
     )
-    reach_px = max(edge.basis.reach_px, float(np.max(np.abs(normal_px))))
-    grid_px = np.linspace(-reach_px, reach_px, _RESIDUAL_GRID)
-    response = np.interp(normal_px, grid_px, likelihood.base_response(grid_px, parameters))
+    reach_px = edge.basis.reach_px
+    grid_px = np.linspace(-reach_px, reach_px, round(2.0 * reach_px / _RESIDUAL_STEP_PX))
+    response = likelihood.base_response(normal_px, parameters)
     spline = np.interp(normal_px, grid_px, edge.basis.integrals(grid_px) @ coefficients)
-    columns = level_columns(response, edge.tilt_columns if tilted else None)
+    columns = level_columns(response, edge.light_columns(light))
     return np.asarray(edge.scaled - columns @ levels - spline)

@@ -55,6 +55,40 @@ def _second_integral(t: float, sigma_px: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def trapezium_tail(
+    normal_px: Array, p: float, q: float, width_px: float, slow: float, out: Array
+) -> None:
+    """Fill `out` with the response of an edge: a trapezium of half widths p, q and a tail.
+
+    Parameters
+    ----------
+    normal_px, out : [n]
+    p, q : half the sides of the pixel as the edge's normal sees them
+    width_px : w of the Lorentzian w / (pi (x^2 + w^2)) and of the Laplacian exp(-|x| / w) / 2 w
+    slow : share of the Lorentzian, the rest being Laplacian
+    """
+    for i in range(normal_px.size):
+        d = normal_px[i]
+        total = _second_of_tail(d + p + q, width_px, slow)
+        total -= _second_of_tail(d + p - q, width_px, slow)
+        total += _second_of_tail(d - p - q, width_px, slow)
+        total -= _second_of_tail(d - p + q, width_px, slow)
+        out[i] = 0.5 + total / (4.0 * p * q)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _second_of_tail(x: float, w: float, slow: float) -> float:
+    """Return a second antiderivative of the tail's response minus 1/2."""
+    square = x * x
+    lorentzian = (square - w * w) * math.atan(x / w) - w * x * math.log(square + w * w)
+    far = abs(x)
+    laplacian = 0.5 * square - w * w * math.expm1(-far / w) - w * far
+    if x < 0.0:
+        laplacian = -laplacian
+    return 0.5 * (slow * lorentzian / math.pi + (1.0 - slow) * laplacian)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _integral(u: float) -> float:
     """Return the integral of the centred cubic B-spline (support -2 to 2) up to u."""
     if u <= -2.0:
@@ -128,13 +162,20 @@ def spline_products(
             for q in range(columns.shape[1]):
                 with_columns[first + k, q] += local[k] * columns[i, q]
             with_values[first + k] += local[k] * values[i]
-    for k in range(knots - 1, -1, -1):  # I_j is the sum of f_k from k = j on
+    _add_up(products, with_columns, with_values)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_up(products: Array, with_columns: Array, with_values: Array) -> None:
+    """Turn products of differences into those of integrals, sums of f_k from k = j on."""
+    knots = products.shape[0]
+    for k in range(knots - 1, -1, -1):
         for m in range(knots - 2, -1, -1):
             products[k, m] += products[k, m + 1]
         if k < knots - 1:
             for m in range(knots):
                 products[k, m] += products[k + 1, m]
-            for q in range(columns.shape[1]):
+            for q in range(with_columns.shape[1]):
                 with_columns[k, q] += with_columns[k + 1, q]
             with_values[k] += with_values[k + 1]
 
@@ -190,21 +231,139 @@ def sensitivities(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def process_covariance(
-    envelope: Array, near: Array, symmetry: float, jitter: float, out: Array
+def _all_locals(place: Array, knots: int, first: Array, count: Array, local: Array) -> None:
+    for i in range(place.size):
+        first[i], count[i] = _local_range(place[i], knots)
+        _local_differences(place[i], first[i], count[i], knots, local[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _whitened_row(
+    taps: Array, weights: Array, first: Array, count: Array, local: Array, row: Array
+) -> tuple[int, int]:
+    """Add the differences that a whitened pixel sees to `row`; return where they begin and end."""
+    start, stop = row.size, 0
+    for t in range(taps.size):
+        i = taps[t]
+        start, stop = min(start, first[i]), max(stop, first[i] + count[i])
+        for k in range(count[i]):
+            row[first[i] + k] += weights[t] * local[i, k]
+    return start, stop
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def whitened_products(
+    pointers: Array,
+    taps: Array,
+    weights: Array,
+    place: Array,
+    columns: Array,
+    values: Array,
+    products: Array,
+    with_columns: Array,
+    with_values: Array,
 ) -> None:
-    """Fill in e_i e_j [k(i - j) + m k(i + j)], with i, j counted from the middle, plus jitter.
+    """Do as `spline_products`, of pixels that are whitened sums of others.
 
     Parameters
     ----------
-    envelope, near : [j] e at every knot, k at every lag
+    pointers, taps, weights : the whitener [m n] in compressed rows
+    place : [n] distance from the first knot, in knots
+    columns, values : [m p], [m] whitened; the others as in `spline_products`
+    """
+    knots = products.shape[0]
+    first, count = np.empty(place.size, np.int64), np.empty(place.size, np.int64)
+    local, row = np.empty((place.size, 6)), np.zeros(knots)
+    _all_locals(place, knots, first, count, local)
+    for r in range(values.size):
+        own = slice(pointers[r], pointers[r + 1])
+        start, stop = _whitened_row(taps[own], weights[own], first, count, local, row)
+        for k in range(start, stop):
+            for m in range(start, k + 1):
+                products[k, m] += row[k] * row[m]
+            for q in range(columns.shape[1]):
+                with_columns[k, q] += row[k] * columns[r, q]
+            with_values[k] += row[k] * values[r]
+        row[start:stop] = 0.0
+    for k in range(knots):
+        for m in range(k):
+            products[m, k] = products[k, m]
+    _add_up(products, with_columns, with_values)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def whitened_sensitivities(
+    pointers: Array,
+    taps: Array,
+    weights: Array,
+    place: Array,
+    columns: Array,
+    values: Array,
+    quadratic: Array,
+    linear: Array,
+    to_place: Array,
+    to_columns: Array,
+) -> None:
+    """Do as `sensitivities`, of pixels that are whitened sums of others.
+
+    Parameters
+    ----------
+    pointers, taps, weights, place, columns, values : as in `whitened_products`
+    quadratic, linear : as in `sensitivities`
+    to_place, to_columns : [n], [n p] of the pixels as they were, zero before
+    """
+    levels = columns.shape[1]
+    knots = linear.size - levels
+    first, count = np.empty(place.size, np.int64), np.empty(place.size, np.int64)
+    local, row = np.empty((place.size, 6)), np.zeros(knots)
+    slopes, to_row = np.empty((place.size, 6)), np.empty(linear.size)
+    _all_locals(place, knots, first, count, local)
+    for i in range(place.size):
+        for k in range(count[i]):
+            j = first[i] + k
+            slopes[i, k] = _density(place[i] - j)
+            if j < knots - 1:
+                slopes[i, k] -= _density(place[i] - j - 1)
+    for r in range(values.size):
+        own = slice(pointers[r], pointers[r + 1])
+        start, stop = _whitened_row(taps[own], weights[own], first, count, local, row)
+        for j in range(start, stop + levels):
+            k = j if j < stop else knots + j - stop
+            total = -values[r] * linear[k]
+            for m in range(start, stop):
+                total += row[m] * quadratic[k, m]
+            for q in range(levels):
+                total += columns[r, q] * quadratic[k, knots + q]
+            to_row[k] = total
+        row[start:stop] = 0.0
+        for t in range(pointers[r], pointers[r + 1]):
+            i = taps[t]
+            total = 0.0
+            for k in range(count[i]):
+                total += slopes[i, k] * to_row[first[i] + k]
+            to_place[i] += weights[t] * total
+            for q in range(levels):
+                to_columns[i, q] += weights[t] * to_row[knots + q]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def process_covariance(
+    number: Array, envelope: Array, near: Array, symmetry: float, jitter: float, out: Array
+) -> None:
+    """Fill in e_i e_j [k(n_i - n_j) + m k(n_i + n_j)], plus jitter.
+
+    Parameters
+    ----------
+    number : [j] n, places of the knots in steps from the middle
+    envelope, near : [j], [l] e at every knot, k at every lag
     symmetry, jitter : m, and what the diagonal gets
     out : [j j]
     """
     count = envelope.size
     for i in range(count):
         for j in range(i + 1):
-            value = near[i - j] + symmetry * near[abs(i + j - count + 1)]
+            lag, fold = abs(number[i] - number[j]), abs(number[i] + number[j])
+            value = near[lag] + symmetry * near[fold]
             out[i, j] = out[j, i] = value * envelope[i] * envelope[j]
         out[i, i] += jitter
 
@@ -212,6 +371,7 @@ def process_covariance(
 @njit(cache=True, nogil=True, error_model="numpy")
 def process_slopes(
     sensitivity: Array,
+    number: Array,
     envelope: Array,
     near: Array,
     longer: Array,
@@ -224,17 +384,17 @@ def process_slopes(
     Parameters
     ----------
     sensitivity : [j j] its derivative by the covariance of `process_covariance`
-    envelope, near, symmetry : as there
-    longer, wider : [j] slopes of `near` and of the log envelope
+    number, envelope, near, symmetry : as there
+    longer, wider : [l], [j] slopes of `near` and of the log envelope
     out : [4], added to
     """
     count = envelope.size
     for i in range(count):
         for j in range(count):
-            fold = abs(i + j - count + 1)
+            lag, fold = abs(number[i] - number[j]), abs(number[i] + number[j])
             weight = sensitivity[i, j] * envelope[i] * envelope[j]
-            value = weight * (near[abs(i - j)] + symmetry * near[fold])
+            value = weight * (near[lag] + symmetry * near[fold])
             out[0] += 2.0 * value
-            out[1] += weight * (longer[abs(i - j)] + symmetry * longer[fold])
+            out[1] += weight * (longer[lag] + symmetry * longer[fold])
             out[2] += value * (wider[i] + wider[j])
             out[3] += symmetry * (1.0 - symmetry) * weight * near[fold]

@@ -11,12 +11,10 @@ from scipy.linalg import lapack
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
-    SplineProducts,
+    Tail,
     Vector,
     edge_response,
     edge_response_transform,
-    tail_response,
-    tail_transform,
 )
 from lensshift.evaluation.slanted_edge.lsf_prior import (
     BASE_HYPERS,
@@ -110,6 +108,7 @@ class EdgeLikelihood:
         self.unit_px = unit_px
         self.geometry_size = samples.geometry_size
         self._prior = SplinePrior(basis, unit_px)
+        self._squares = float(samples.values @ samples.values)
         self._cache: dict[bytes, _Moments] = {}
         free = [np.inf] * (self.geometry_size - 1)
         top = [_LARGEST_ANGLE_RAD, *free, *HYPER_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]]
@@ -156,27 +155,21 @@ class EdgeLikelihood:
 
     def base_response(self, normal_px: Vector, parameters: Vector) -> Vector:
         """Return the base model of the ESF, without the splines."""
-        widths_px, (share, *tail) = self._widths_px(parameters), self._tail(parameters)
-        core = edge_response(normal_px, float(parameters[0]), *widths_px)
-        return (1.0 - share) * core + share * tail_response(normal_px, *tail)
+        return edge_response(normal_px, float(parameters[0]), *self._base(parameters))
 
     def base_transform(self, frequency_cpp: Vector, parameters: Vector) -> Vector:
         """Return the Fourier transform of the LSF of the base model."""
-        widths_px, (share, *tail) = self._widths_px(parameters), self._tail(parameters)
-        core = edge_response_transform(frequency_cpp, float(parameters[0]), *widths_px)
-        return (1.0 - share) * core + share * tail_transform(frequency_cpp, *tail)
+        base = self._base(parameters)
+        return edge_response_transform(frequency_cpp, float(parameters[0]), *base)
 
-    def _widths_px(self, parameters: Vector) -> tuple[float, float]:
-        """Return the standard deviation of the Gaussian and the side of the pixel."""
-        log_sigma, root = parameters[self.geometry_size : self.geometry_size + 2]
-        return float(np.exp(log_sigma)) * self.unit_px, float(np.exp(-(root**2))) * self.aperture_px
-
-    def _tail(self, parameters: Vector) -> tuple[float, float, float]:
-        """Return share, width and steepness of the tail."""
-        g = self.geometry_size + 2
-        share, width = np.exp(parameters[g : g + 2])
-        steepness = 1.0 / (1.0 + np.exp(-parameters[g + 2]))
-        return float(share), float(width) * self.unit_px, float(steepness)
+    def _base(self, parameters: Vector) -> tuple[float, float, Tail]:
+        """Return sigma, the side of the pixel and the tail."""
+        base = parameters[self.geometry_size : self.geometry_size + BASE_HYPERS]
+        log_sigma, root, root_share, log_tail, logit = (float(one) for one in base)
+        side_px = np.exp(-(root**2)) * self.aperture_px
+        slow = float(1.0 / (1.0 + np.exp(-logit)))
+        tail = Tail(root_share * abs(root_share), float(np.exp(log_tail)) * self.unit_px, slow)
+        return float(np.exp(log_sigma)) * self.unit_px, float(side_px), tail
 
     def _moments(self, parameters: Vector) -> _Moments:
         key = parameters[: self.geometry_size + BASE_HYPERS].tobytes()
@@ -192,11 +185,7 @@ class EdgeLikelihood:
         normal_px = samples.normal_px(parameters[: self.geometry_size])
         response = self.base_response(normal_px, parameters)
         columns = samples.whitened(level_columns(response, samples.tilt_columns))
-        if samples.whitener is None:
-            near = self.basis.products(normal_px, columns, y)
-        else:
-            splines = samples.whitened(self.basis.integrals(normal_px))
-            near = SplineProducts(splines.T @ splines, splines.T @ columns, splines.T @ y)
+        near = self.basis.products(normal_px, columns, y, samples.whitener)
         return _Moments(
             normal_px=normal_px,
             response=response,
@@ -230,7 +219,7 @@ class EdgeLikelihood:
         v = _solve(levels_factor, m.xy / variance - coupling.T @ along)
         levels = _solve(levels_factor, v, transposed=True)
         weights = _solve(factor, along - coupling @ levels, transposed=True)
-        misfit = float(self.samples.squares / variance - along @ along - v @ v)
+        misfit = float(self._squares / variance - along @ along - v @ v)
         determinant = np.log(factor.diagonal()).sum() + np.log(levels_factor.diagonal()).sum()
         value = 0.5 * misfit + 0.5 * self.samples.count * np.log(variance) + float(determinant)
         z, beyond = allowed - self._mean, parameters - allowed
@@ -285,18 +274,9 @@ class EdgeLikelihood:
     def _base_gradient(self, found: _Solution, quadratic: Matrix, linear: Vector) -> Vector:
         """Return the slopes by geometry and base model, from those by distance and response."""
         samples, m = self.samples, found.moments
-        if samples.whitener is None:
-            to_normal, to_columns = self.basis.sensitivities(
-                m.normal_px, m.columns, samples.values, quadratic, linear
-            )
-        else:
-            splines = samples.whitened(self.basis.integrals(m.normal_px))
-            rows = np.hstack([splines, m.columns])
-            to_rows = rows @ quadratic - np.outer(samples.values, linear)
-            to_rows = samples.whitener.T @ to_rows
-            knots = self.basis.knot_px.size
-            to_normal = np.sum(to_rows[:, :knots] * self.basis.values(m.normal_px), axis=1)
-            to_columns = to_rows[:, knots:]
+        to_normal, to_columns = self.basis.sensitivities(
+            m.normal_px, m.columns, samples.values, quadratic, linear, samples.whitener
+        )
         to_response = to_columns[:, 1].copy()
         if samples.tilt_columns is not None:
             tilts = samples.tilt_columns.shape[1]

@@ -17,7 +17,7 @@ from lensshift.evaluation.slanted_edge.checks import (
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
 from lensshift.evaluation.slanted_edge.frames import EdgeFrames
-from lensshift.evaluation.slanted_edge.prepare import UprightEdge, turn_upright
+from lensshift.evaluation.slanted_edge.prepare import UprightEdge
 from lensshift.evaluation.slanted_edge.result import (
     PIXEL_MTF50_CPP,
     EdgeResult,
@@ -28,6 +28,7 @@ from lensshift.evaluation.slanted_edge.result import (
     interval_of,
     rises,
 )
+from lensshift.evaluation.slanted_edge.screening import screened
 
 _GRID = np.arange(151) * 0.01  # cycles per unit width, for the crossings
 _NYQUIST_STEPS = 50
@@ -73,7 +74,7 @@ def measure_likely(
         If there is no edge in the region.
     """
     pixels = frames.pixels(region)
-    edge = turn_upright(pixels, settings.aperture_px, settings.most_bends)
+    edge, out = screened(pixels, settings.aperture_px, settings.most_bends)
     if min(int(np.sum(edge.normal_px < 0)), int(np.sum(edge.normal_px > 0))) < _FEWEST_ASIDE:
         raise ValueError(f"expected {_FEWEST_ASIDE} pixels on both sides of the edge in {region}")
     pitch_mm = frames.normal_pitch_mm(float(edge.geometry[0]), edge.vertical)
@@ -96,7 +97,7 @@ def measure_likely(
     lines = _lines(edge)
     gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
     count = np.unique(np.round(lines, 6)).size
-    return doubted(result, count, gap_px, pixels.values)
+    return doubted(result, count, gap_px, pixels.values, out)
 
 
 def _result(

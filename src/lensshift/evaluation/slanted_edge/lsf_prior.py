@@ -9,50 +9,37 @@ from lensshift.evaluation.slanted_edge.kernels import process_covariance, proces
 
 # Mean and standard deviation; lengths in units of `unit_px`. The Gaussian of the optics may be
 # anything from far below a pixel to well above it. The pixel may be smaller than its pitch (its
-# side is exp(-r^2) of it), though most fill it. A few per cent of the light may be scattered or
-# diffracted into a tail some pixels wide. What these leave is smooth: a few per cent of the LSF,
-# about as long as a pixel, and mostly symmetric.
+# side is exp(-r^2) of it), though most fill it. What these two leave is smooth: a few per cent of
+# the LSF, about as long as a pixel, and mostly symmetric.
 _LOG_SIGMA = (np.log(0.4), 1.0)
 _ROOT_SHRINKAGE = (0.0, 0.25)
-_LOG_SHARE = (np.log(0.03), 1.5)
-_LOG_WIDTH = (np.log(2.0), 0.7)
-_LOGIT_STEEPNESS = (0.0, 2.0)
+# Light far from the edge: a share v |v| of `Tail`, whose widths and speed of fall are free.
+# A halo is positive, sharpening negative, and most lenses have little of either.
+_ROOT_TAIL = (0.0, 0.35)
+_LOG_TAIL_WIDTH = (np.log(1.5), 0.8)
+_LOGIT_SLOW = (0.0, 1.5)
 _LOG_AMPLITUDE = (np.log(0.05), 1.5)
 _LOG_LENGTH = (np.log(1.1), 0.35)
 _LOG_TAIL = (np.log(1.0), 0.6)
 _LOGIT_SYMMETRY = (2.0, 2.0)
 HYPER_PRIOR = np.array(
     [
-        _LOG_SIGMA,
-        _ROOT_SHRINKAGE,
-        _LOG_SHARE,
-        _LOG_WIDTH,
-        _LOGIT_STEEPNESS,
-        _LOG_AMPLITUDE,
-        _LOG_LENGTH,
-        _LOG_TAIL,
-        _LOGIT_SYMMETRY,
+        *(_LOG_SIGMA, _ROOT_SHRINKAGE, _ROOT_TAIL, _LOG_TAIL_WIDTH, _LOGIT_SLOW),
+        *(_LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY),
     ]
 )
-BASE_HYPERS = 5  # of the base model: Gaussian, pixel; share, width and steepness of its tail
+BASE_HYPERS = 5  # the first are of the base model, the others of the splines
 HYPERS = len(HYPER_PRIOR)
 HYPER_BOUNDS = np.array(
     [
-        (-2.5, 2.0),
-        (-1.1, 1.1),
-        (-9.0, -0.7),
-        (-1.5, 3.0),
-        (-8.0, 8.0),
-        (-9.0, 0.5),
-        (-1.4, 1.1),
-        (-1.4, 2.0),
-        (-8.0, 8.0),
+        *((-2.5, 2.0), (-1.1, 1.1), (-1.0, 1.0), (-1.0, 3.0), (-5.0, 5.0)),
+        *((-9.0, 0.5), (-1.4, 1.1), (-1.4, 3.5), (-8.0, 8.0)),
     ]
 )
-# At shrinkage 0 the likelihood is level and would hold a descent: start beside it.
-START = np.array([*HYPER_PRIOR[:1, 0], 0.2, *HYPER_PRIOR[2:, 0]])
+# At shrinkage 0 and tail 0 the likelihood is level and would hold a descent: start beside it.
+START = np.array([*HYPER_PRIOR[:1, 0], 0.2, 0.2, *HYPER_PRIOR[3:, 0]])
 # Typical sizes of a step.
-STEPS = np.array([0.1, 0.1, 0.7, 0.4, 1.0, 0.5, 0.2, 0.3, 1.0])
+STEPS = np.array([0.1, 0.1, 0.1, 0.3, 1.0, 0.5, 0.2, 0.3, 1.0])
 _JITTER = 1e-10
 _RELATIVE_JITTER = 1e-8
 
@@ -74,21 +61,22 @@ class SplinePrior:
     def __init__(self, basis: SplineBasis, unit_px: float) -> None:
         self._place = basis.knot_px / unit_px
         self._unit_px = unit_px
-        self._lags = basis.step_px / unit_px * np.arange(basis.knot_px.size)
+        self._number = basis.number
+        self._lags = basis.step_px / unit_px * np.arange(2 * basis.number[-1] + 1)
 
     def covariance(self, shape: Vector) -> Matrix:
         """Return K [j j] for `shape` [4]: log amplitude, log length, log tail, logit symmetry."""
         amplitude, near, _, envelope, _, symmetry = self._parts(shape)
         covariance = np.empty((envelope.size,) * 2)
         jitter = _JITTER / self._unit_px**2 + _RELATIVE_JITTER * amplitude**2
-        process_covariance(envelope, near, symmetry, jitter, covariance)
+        process_covariance(self._number, envelope, near, symmetry, jitter, covariance)
         return covariance
 
     def gradient(self, shape: Vector, sensitivity: Matrix) -> Vector:
         """Return the gradient [4] of a value whose derivative by K is `sensitivity` [j j]."""
         amplitude, near, longer, envelope, wider, symmetry = self._parts(shape)
         slopes = np.zeros(shape.size)
-        process_slopes(sensitivity, envelope, near, longer, wider, symmetry, slopes)
+        process_slopes(sensitivity, self._number, envelope, near, longer, wider, symmetry, slopes)
         slopes[0] += 2.0 * _RELATIVE_JITTER * amplitude**2 * np.trace(sensitivity)
         return slopes
 

@@ -14,6 +14,7 @@ from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 _LARGEST_ORDER = 3
 _SIGNIFICANT = 1e-3
 _NOISELESS = 1e-4  # of the contrast
+_LARGEST_SUM = 0.8  # of a prediction: a smoother noise is not told from uneven light
 _BLOCK = 4
 _FEWEST_BLOCKS = 8
 _MOST_SITES = 10_000
@@ -88,7 +89,7 @@ def plateau_tilt_matters(
     values : [n]
     places : [n 3] frame, row, column
     sides : masks of the plateaus
-    columns : [n 2] the slopes
+    columns : [n k] the slopes
     """
     plain = tilted = 0.0
     blocks = 0
@@ -102,11 +103,12 @@ def plateau_tilt_matters(
         y, slopes = means[:, 0], means[:, 1:]
         rest = y - slopes @ np.linalg.lstsq(slopes, y)[0]
         plain, tilted, blocks = plain + y @ y, tilted + rest @ rest, blocks + y.size
-    freedom = blocks - 6
+    terms = 2 * columns.shape[1]
+    freedom = blocks - terms - 2
     if tilted <= (_NOISELESS**2) * blocks:
         return bool(plain > _NOISELESS**2 * blocks)
-    ratio = (plain - tilted) / 4.0 / (tilted / freedom)
-    return bool(f_distribution.sf(ratio, 4, freedom) < _SIGNIFICANT)
+    ratio = (plain - tilted) / terms / (tilted / freedom)
+    return bool(f_distribution.sf(ratio, terms, freedom) < _SIGNIFICANT)
 
 
 def few_factors(columns: Matrix, values: Vector) -> Vector:
@@ -201,7 +203,7 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
     between = at(steps[:, None, :] - steps[None, :, :])
     between.flat[:: len(steps) + 1] += _NOISELESS * variance  # smooth noise has nearly equal rows
     prediction = np.asarray(np.linalg.solve(between, at(steps)), dtype=np.float64)
-    return NoiseModel(sigma, sigma, order, steps, prediction)
+    return NoiseModel(sigma, sigma, order, steps, _limited(prediction))
 
 
 def _best_prediction(
@@ -226,12 +228,21 @@ def _best_prediction(
         if count < 4 * terms + _FEWEST_SITES // 2:
             break
         inputs = around[:, used]
-        factors = few_factors(inputs, foretold) if terms else np.zeros(0)
+        factors = _limited(few_factors(inputs, foretold)) if terms else np.zeros(0)
         rest = float(np.mean((foretold - inputs @ factors) ** 2))
         criterion = count * np.log(max(rest, 1e-300)) + terms * np.log(count)
         if criterion < best[0]:
             best = (criterion, order, widest[used], factors)
     return best[1:]
+
+
+def _limited(prediction: Vector) -> Vector:
+    """Return the prediction with a sum that leaves the plateaus their level.
+
+    A sum of 1 whitens every constant to 0: the levels are free then, and diverge.
+    """
+    total = float(prediction.sum())
+    return prediction * min(1.0, _LARGEST_SUM / total) if total > 0.0 else prediction
 
 
 def _half_plane(order: int) -> NDArray[np.intp]:

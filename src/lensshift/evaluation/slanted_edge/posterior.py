@@ -23,6 +23,8 @@ _LARGEST_SD = 3.0  # in steps; what the likelihood does not limit, the prior doe
 _CURVATURE_STEP = 0.4
 _ROUNDS = 3
 _GENERATIONS = 6  # of proposals, each adapted to the draws before it
+_MOST_GENERATIONS = 16
+_ENOUGH = 40.0  # effective draws, where more generations end
 _DRAWS_EACH = 32  # a power of two
 _MOST_STEPS = 80
 _SETTLED = 0.05  # of the log posterior
@@ -51,22 +53,16 @@ class Posterior:
         return float(1.0 / np.sum(self.weights**2))
 
 
-@dataclass(frozen=True, slots=True)
-class Optimum:
-    """The most likely parameters [p], minus their log posterior, and directions [p p] to draw."""
-
-    best: Vector
-    value: float
-    directions: Matrix
-
-
-def find_optimum(likelihood: EdgeLikelihood, start: Vector, steps: Vector) -> Optimum:
-    """Maximise the posterior.
+def find_posterior(
+    likelihood: EdgeLikelihood, start: Vector, steps: Vector, seed: int
+) -> Posterior:
+    """Maximise the posterior from `start`, then draw around the optimum.
 
     Parameters
     ----------
     likelihood : the model
     start, steps : [p] first guess and typical sizes of a step
+    seed : of the draws
     """
     best, value = _descended(likelihood, start, np.diag(steps))
     directions = _curvature_directions(likelihood, best, np.diag(steps))
@@ -76,23 +72,13 @@ def find_optimum(likelihood: EdgeLikelihood, start: Vector, steps: Vector) -> Op
         if last - value < _SETTLED:
             break
         directions = _curvature_directions(likelihood, best, directions)
-    return Optimum(best, value, directions)
-
-
-def find_posterior(likelihood: EdgeLikelihood, optimum: Optimum, seed: int) -> Posterior:
-    """Draw around the optimum.
-
-    Parameters
-    ----------
-    likelihood : the model
-    optimum : its optimum
-    seed : of the draws
-    """
-    best, value = optimum.best, optimum.value
-    proposals = [_Student(best, _SPREAD * optimum.directions, likelihood.twin)]
+    proposals = [_Student(best, _SPREAD * directions, likelihood.twin)]
     parameters, log_weights = np.empty((0, best.size)), np.empty(0)
     found: list[tuple[float, Conditional | None]] = []
-    for k in range(_GENERATIONS):
+    weights = np.empty(0)
+    for k in range(_MOST_GENERATIONS):
+        if k >= _GENERATIONS and np.sum(weights**2) * _ENOUGH < 1.0:
+            break
         if k:
             proposals.append(proposals[0].adapted(parameters, log_weights))
         more = proposals[-1].draws(_DRAWS_EACH, seed + k)
@@ -102,10 +88,11 @@ def find_posterior(likelihood: EdgeLikelihood, optimum: Optimum, seed: int) -> P
         # Every draw counts as one of the mixture of all proposals so far.
         densities = [proposal.log_density(parameters) for proposal in proposals]
         log_weights = logs - np.logaddexp.reduce(densities, axis=0)
-    weights = np.exp(log_weights - log_weights.max())
+        weights = np.exp(log_weights - log_weights.max())
+        weights /= weights.sum()
     conditionals = [one[1] for one in found]
     inside = likelihood.bounded(parameters)
-    return Posterior(likelihood.bounded(best), inside, weights / weights.sum(), conditionals)
+    return Posterior(likelihood.bounded(best), inside, weights, conditionals)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.evaluation.slanted_edge.bending import bend_edge
+from lensshift.evaluation.slanted_edge.bending import bend_edge, free_response
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
@@ -28,11 +28,10 @@ from lensshift.evaluation.slanted_edge.samples import (
     distance_px,
 )
 
-_HALF_WIDTH = 6.0  # of the spline, in units of the edge's own width
-_MOST_HALF_WIDTH, _REGION_SHARE = 16.0, 0.5
+# In units of the edge's own width:
+_HALF_WIDTH = 6.0  # where plateaus begin, to a first look
 _KNOT_STEP = 0.25
-_PROFILE_STEP_PX = 0.5
-_SLACK_PX = 1.0  # what the geometry may still move by
+_LARGEST_REACH = 32.0  # of the splines: a ghost farther away is taken for part of the plateau
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,29 +89,41 @@ class UprightEdge:
         """Signed distance of every pixel from the first guess."""
         return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
 
-    @property
-    def tilt_columns(self) -> Matrix:
-        """Return [n 2]: distance from the edge and place along it, about -1 to 1."""
+    def light_columns(self, order: int) -> Matrix | None:
+        """Return [n k]: by which even light may differ, about -1 to 1; None for order 0.
+
+        Distance from the edge and place along it; for order 2 their squares and product too.
+        """
+        if order == 0:
+            return None
         normal_px = self.normal_px
-        reach_px = max(float(np.max(np.abs(normal_px))), 1.0)
-        return np.column_stack([normal_px / reach_px, self.along_px / self.half_length_px])
+        across = normal_px / max(float(np.max(np.abs(normal_px))), 1.0)
+        along = self.along_px / self.half_length_px
+        columns = [across, along]
+        if order > 1:
+            columns += [across**2 - 1.0 / 3.0, along**2 - 1.0 / 3.0, across * along]
+        return np.column_stack(columns)
 
     @property
     def basis(self) -> SplineBasis:
-        """Splines that suit the width of the edge and reach as far as the region lets them."""
+        """Splines that suit the width of the edge and reach as far as the region."""
         reach_px = float(np.max(np.abs(self.normal_px)))
-        widths = np.clip(_REGION_SHARE * reach_px / self.unit_px, _HALF_WIDTH, _MOST_HALF_WIDTH)
-        return SplineBasis.covering(float(widths) * self.unit_px, _KNOT_STEP * self.unit_px)
+        units = np.clip(reach_px / self.unit_px, _HALF_WIDTH, _LARGEST_REACH)
+        return _splines(float(units), self.unit_px)
 
     def plateaus(self) -> list[Mask]:
         """Return the masks of the dark and the bright plateau."""
-        reach_px = (_HALF_WIDTH + 2.0 * _KNOT_STEP) * self.unit_px + _SLACK_PX
+        reach_px = (_HALF_WIDTH + 1.0) * self.unit_px
         normal_px = self.normal_px
         half = 0.5 * reach_px
         sides = [normal_px < -reach_px, normal_px > reach_px]
         if min(int(side.sum()) for side in sides) >= 40:
             return sides
         return [normal_px < -half, normal_px > half]  # a narrow region: nearer to the edge
+
+
+def _splines(reach: float, unit_px: float) -> SplineBasis:
+    return SplineBasis.covering(reach * unit_px, _KNOT_STEP * unit_px, unit_px)
 
 
 def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> UprightEdge:
@@ -143,7 +154,7 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
     if most_bends:
         half_length_px = max(float(np.max(np.abs(y_px))), 1.0)
         unit_px = max(1.0, line.sigma_px)
-        basis = SplineBasis.covering(_HALF_WIDTH * unit_px, _KNOT_STEP * unit_px)
+        basis = _splines(_HALF_WIDTH, unit_px)
         geometry = bend_edge(across_px, y_px, scaled, geometry, basis, half_length_px, most_bends)
     return UprightEdge(
         pixels=pixels,
@@ -160,55 +171,39 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
 
 
 def learn_noise(
-    edge: UprightEdge, aperture_px: float, tilt: bool | None, covariance: Matrix | None = None
-) -> tuple[NoiseModel, bool]:
-    """Return the noise of the plateaus, and whether the illumination is uneven.
+    edge: UprightEdge, tilt: bool | None, covariance: Matrix | None = None
+) -> tuple[NoiseModel, int]:
+    """Return the noise of the plateaus, and the order of uneven light: even, plane, bowl.
 
     Parameters
     ----------
     edge : the region
-    aperture_px : side of the pixel
     tilt : whether to model uneven illumination; None asks the plateaus
     covariance : of the noise, if it is known; see `noise_of_covariance`
     """
-    sides = edge.plateaus()
-    tilts = edge.tilt_columns
-    tilted = tilt
-    if tilted is None:
-        tilted = plateau_tilt_matters(edge.scaled, edge.pixels.places, sides, tilts)
+    sides, places = edge.plateaus(), edge.pixels.places
+    # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
+    # what changes across the edge; what changes along it tells uneven light.
+    rest = edge.scaled - free_response(edge.normal_px, edge.scaled, edge.basis)
+    place = edge.along_px / edge.half_length_px
+    along = np.column_stack([place, place**2 - 1.0 / 3.0])
+    both = np.hstack([along, along * (edge.normal_px > 0.0)[:, None]])
+    factors = few_factors(both, rest)
+    even = rest - both @ factors
+    bowl = even + both[:, 1::2] @ factors[1::2]
+    if tilt is not None:
+        order = int(tilt)
+    elif plateau_tilt_matters(bowl, places, sides, along[:, 1:]):
+        order = 2
+    else:
+        order = int(plateau_tilt_matters(rest, places, sides, along[:, :1]))
     if covariance is not None:
-        return noise_of_covariance(covariance, edge.line.high - edge.line.low), tilted
-    noise = estimate_noise(_without_profile(edge, tilts, sides), edge.pixels.places, sides)
-    return noise, tilted
-
-
-def _without_profile(edge: UprightEdge, tilts: Matrix, sides: list[Mask]) -> Vector:
-    """Return the pixels of the plateaus without what goes with the distance from the edge.
-
-    The tails of a response reach far into the plateaus; they are no noise. What is taken away, a
-    mean for each distance and slopes, is made up for in the deviation of the rest.
-    """
-    rest = edge.scaled.copy()
-    normal_px = edge.normal_px
-    for side in sides:
-        if not side.any():
-            continue
-        place = normal_px[side] / _PROFILE_STEP_PX
-        bins = np.floor(place).astype(np.intp)
-        bins -= bins.min()
-        count = np.maximum(np.bincount(bins), 1)
-        centres, means = (np.bincount(bins, v) / count for v in (place, rest[side]))
-        full = np.bincount(bins) > 0
-        values = rest[side] - np.interp(place, centres[full], means[full])
-        columns = np.column_stack([np.ones(values.size), tilts[side]])
-        values -= columns @ few_factors(columns, values)
-        free = max(values.size - int(full.sum()) - columns.shape[1], 1)
-        rest[side] = values * np.sqrt(values.size / free)
-    return rest
+        return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
+    return estimate_noise(even if order else rest, places, sides), order
 
 
 def take_samples(
-    edge: UprightEdge, noise: NoiseModel, aperture_px: float, tilted: bool
+    edge: UprightEdge, noise: NoiseModel, aperture_px: float, light: int
 ) -> EdgeSamples:
     """Return the samples of a region, whitened.
 
@@ -216,7 +211,7 @@ def take_samples(
     ----------
     edge, noise : the region and its noise
     aperture_px : side of the pixel
-    tilted : whether to model uneven illumination
+    light : order of the uneven illumination
     """
     values, whitener = edge.scaled, None
     if not noise.is_plain:
@@ -230,9 +225,7 @@ def take_samples(
         along_px=edge.along_px,
         half_length_px=edge.half_length_px,
         bends=edge.geometry.size - 2,
-        tilt_columns=edge.tilt_columns if tilted else None,
+        tilt_columns=edge.light_columns(light),
         values=values,
         whitener=whitener,
-        squares=float(values @ values),
-        count=values.size,
     )

@@ -22,11 +22,9 @@ class EdgeSamples:
     across_px, along_px : [n] coordinates of the pixels, from the edge's middle
     half_length_px : half the length of the edge along `along_px`
     bends : number of bending terms (0 for a straight edge)
-    tilt_columns : [n 2] places by which the illumination may rise, None for an even one
+    tilt_columns : [n k] places by which the illumination may rise, None for an even one
     values : [m] the pixels, whitened
     whitener : [m n] what was done to them, None for nothing
-    squares : sum of the squares of all whitened pixels
-    count : number of pixels
     """
 
     across_px: Vector
@@ -36,8 +34,11 @@ class EdgeSamples:
     tilt_columns: Matrix | None
     values: Vector
     whitener: sparse.csr_array | None
-    squares: float
-    count: int
+
+    @property
+    def count(self) -> int:
+        """Number of whitened pixels."""
+        return self.values.size
 
     @property
     def geometry_size(self) -> int:

@@ -1,0 +1,80 @@
+"""What does not belong to an edge: hot pixels, second edges, mere noise, grey levels."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.slanted_edge import measure_edge
+from lensshift.evaluation.slanted_edge.noise_model import noise_of_covariance
+
+Image = NDArray[np.float64]
+pytestmark = pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
+SHAPE = (47, 61)
+
+
+def step(place_px: float, sigma_px: float = 0.6) -> Image:
+    row, col = (np.arange(n) - (n - 1) / 2 for n in SHAPE)
+    normal = col * np.cos(0.1) + row[:, None] * np.sin(0.1) - place_px
+    return np.asarray(ndtr(normal / sigma_px))
+
+
+def noisy(image: Image, noise: float, seed: int = 4) -> Image:
+    return image + noise * np.random.default_rng(seed).standard_normal(SHAPE)
+
+
+@pytest.mark.parametrize("dust", [False, True])
+def test_pixels_that_stand_out_do_not_move_the_result(dust: bool) -> None:
+    image = noisy(step(0.3), 0.01)
+    spoiled = image.copy()
+    if dust:
+        spoiled[20:24, 40:44] -= 0.4
+    else:
+        spoiled[np.random.default_rng(7).random(SHAPE) < 0.003] = 1.4
+    clean = measure_edge(image).mtf50_lpmm
+    with pytest.warns(QualityWarning, match=r"\d+ pixels stand out"):
+        found = measure_edge(spoiled)
+    assert found.usable
+    half_width = 0.5 * (clean.high - clean.low)
+    assert abs(found.mtf50_lpmm.value - clean.value) < 0.3 * half_width
+    assert found.mtf50_lpmm.high - found.mtf50_lpmm.low < 2.6 * half_width
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (step(-3.0) - step(3.0), "a second one"),
+        (step(-1.5) - step(1.5), "a second one"),
+        (step(-10.0) - step(10.0), "a second one"),
+        (step(-10.0) + step(10.0), "a second one"),
+        (np.zeros(SHAPE), "expected an edge, got noise"),
+    ],
+)
+def test_what_is_not_one_edge_is_refused(image: Image, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        measure_edge(noisy(image, 0.01), region=(0, SHAPE[0], 0, SHAPE[1]))
+
+
+def test_grey_levels_are_not_taken_for_clipping() -> None:
+    fine = noisy(step(0.3), 0.0005)
+    counts = np.round(150.0 * fine + 40.0)
+    assert not any("clipped" in note for note in measure_edge(counts).notes)
+    bright = np.round(230.0 * noisy(step(0.3), 0.01) + 40.0)
+    with pytest.warns(QualityWarning, match="bright pixels are clipped at 255"):
+        assert not measure_edge(np.clip(bright, 0.0, 255.0)).usable
+
+
+def test_a_prediction_leaves_the_plateaus_their_level() -> None:
+    """The sum of a moving mean's prediction tends to 1: a constant would be whitened away."""
+    lag = np.abs(np.arange(-3, 4))
+    smooth = np.exp(-0.5 * (np.hypot(lag[:, None], lag) / 3.0) ** 2)
+    assert noise_of_covariance(smooth, 1.0).prediction.sum() <= 0.8 + 1e-12
+
+
+def test_light_that_falls_towards_the_corners_is_not_blur() -> None:
+    row, col = (2.0 * np.arange(n) / (n - 1) - 1.0 for n in SHAPE)
+    light = 1.0 - 0.2 * (col**2 + row[:, None] ** 2)
+    even = measure_edge(noisy(0.2 + step(0.3), 0.005)).mtf50_lpmm
+    found = measure_edge(noisy(light * (0.2 + step(0.3)), 0.005)).mtf50_lpmm
+    assert found.value == pytest.approx(even.value, rel=0.012)
