@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -9,21 +11,50 @@ from scipy import ndimage
 from lensshift.evaluation.slanted_edge.geometry import explained_share
 from lensshift.evaluation.slanted_edge.result import Region
 
+Image = NDArray[np.float64]
+
 _WHOLE_SHARE = 0.8  # of the variance that one step explains: the image is one edge
 _MOST_PIXELS = 20_000
 _SMOOTHING_PX = 1.0
-_STRONG_SHARE = 0.4  # of the strongest gradient
+# A ridge stands out of the gradient's noise by so many of its deviations, and of rounding.
+_NOISE_SIGMAS, _LEAST_SHARE_OF_RANGE = 5.0, 2e-3
 _LEAST_LENGTH_PX = 10
 _CORNER_PX = 3  # left out at both ends of an edge
-_HALF_WIDTH_PX = 16  # of a region across its edge
-_LEAST_HALF_WIDTH_PX = 5
-_STRAIGHT_PX = 1.5  # rms distance of the ridge from its line
-_LEAST_SHARE = 0.6  # of the variance in a region that one step must explain
-_LARGEST_SLOPE = 1.0
+_HALF_WIDTH_PX = 24  # of a region across its edge, at most
+_LEAST_HALF_WIDTH_PX, _GOOD_HALF_WIDTH_PX = 5, 12
+_PARTS = (1.0, 0.7, 0.5, 0.35)
+_STRAIGHT_PX = 0.7  # rms distance of the ridge from its line, smooth bends apart
+_CORNER_AWAY_PX = 2.0  # a ridge so far from its chord has a corner there
+# Beside an edge lie other things where their gradient is this share of its own.
+_OTHERS_SHARE = 0.2
+_LEAST_SHARE = 0.8  # of the variance in a region, but for the noise, that one step must explain
+# ISO 12233 takes edges of 5 degrees; below the first the lines of frames lie, and beyond the second
+# rows and columns see an edge alike.
+_LEAST_ANGLE, _LARGEST_ANGLE = np.deg2rad([2.0, 40.0])
+# All phases of the pixel are seen by an edge that crosses one.
+_LEAST_CROSSED_PX = 1.0
 
 
-def find_regions(image: NDArray[np.float64]) -> list[Region]:
-    """Return a region for every edge, the longest first.
+@dataclass(frozen=True, slots=True)
+class _Ridges:
+    """Where the gradient is largest across an edge that runs near the rows' direction.
+
+    Parameters
+    ----------
+    strength : [line place] gradient
+    crest : [line place] where it is largest across the edge and stands out of the noise
+    """
+
+    strength: Image
+    crest: NDArray[np.bool_]
+
+
+def find_regions(image: Image) -> list[Region]:
+    """Return a region for every slanted edge, the longest first.
+
+    An edge is taken by what is around it, not by what is strongest in the image: straight, slanted
+    by 2 to 40 degrees so that it crosses a whole pixel, between two even areas. Lines, bars and
+    the frame of a chart are none.
 
     Parameters
     ----------
@@ -38,80 +69,159 @@ def find_regions(image: NDArray[np.float64]) -> list[Region]:
     whole = Region(0, rows, 0, cols)
     if not np.any(np.isfinite(image)):
         raise ValueError("expected an edge, got an image without a valid pixel")
-    if _share(image, whole) > _WHOLE_SHARE:
+    if _share(image, whole, 0.0) > _WHOLE_SHARE:
         return [whole]
     filled = np.where(np.isfinite(image), image, np.nanmedian(image))
     gradient = [ndimage.gaussian_filter1d(filled, _SMOOTHING_PX, axis=k, order=1) for k in (0, 1)]
     for k in (0, 1):
         gradient[k] = ndimage.gaussian_filter1d(gradient[k], _SMOOTHING_PX, axis=1 - k)
     strength = np.hypot(*gradient)
-    strong = strength > _STRONG_SHARE * np.quantile(strength, 0.999)
-    found = []
+    # The strength of noise is Rayleigh distributed, whose median is 1.18 deviations.
+    least = max(
+        _NOISE_SIGMAS * float(np.median(strength)) / 1.18,
+        _LEAST_SHARE_OF_RANGE * float(np.ptp(filled)),
+    )
+    noise = _noise_of(filled)
+    found: list[tuple[int, Region]] = []
     for axis in (0, 1):  # 1: the gradient runs along the columns, the edge is near-vertical
-        steeper = np.abs(gradient[axis]) >= np.abs(gradient[1 - axis])
-        for rising in (True, False):
-            ridge = strong & steeper & ((gradient[axis] > 0) == rising)
-            labels, count = ndimage.label(ridge, structure=np.ones((3, 3)))
-            for label in range(1, count + 1):
-                region = _around(labels == label, strength, strong, axis == 1)
-                if region is not None and _share(image, region) > _LEAST_SHARE:
-                    found.append(region)
+        across = gradient[axis] if axis == 1 else gradient[axis].T
+        along = gradient[1 - axis] if axis == 1 else gradient[1 - axis].T
+        steep = strength if axis == 1 else strength.T
+        crest = (steep > least) & (np.abs(across) >= np.abs(along))
+        crest[:, 1:-1] &= (steep[:, 1:-1] >= steep[:, :-2]) & (steep[:, 1:-1] > steep[:, 2:])
+        for sign in (1, -1):
+            ridges = _Ridges(steep, crest & (sign * across > 0))
+            for lines, places in _segments(ridges.crest):
+                region = _around(ridges, lines, places)
+                if region is None:
+                    continue
+                if axis == 0:
+                    region = Region(
+                        region.col_start, region.col_stop, region.row_start, region.row_stop
+                    )
+                if _share(image, region, noise) > _LEAST_SHARE:
+                    found.append((len(lines), region))
     if not found:
         raise ValueError(
             "found no slanted edge in the image: expected one of at least "
-            f"{_LEAST_LENGTH_PX} lines between two even areas; give its region"
+            f"{_LEAST_LENGTH_PX} lines, 2 to 40 degrees off rows or columns, between two even "
+            "areas; give its region"
         )
-    return found
+    return [region for _, region in sorted(found, key=lambda one: -one[0])]
 
 
-def _share(image: NDArray[np.float64], region: Region) -> float:
+def _noise_of(image: Image) -> float:
+    """Return the deviation of white noise: from second differences, most of which see no edge."""
+    mixed = np.diff(np.diff(image, axis=0), axis=1)
+    return float(np.median(np.abs(mixed))) / 0.6745 / 2.0
+
+
+def _share(image: Image, region: Region, noise: float) -> float:
+    """Return the share of the variance, but for that of the noise, that one step explains."""
     row, col = np.nonzero(np.isfinite(image[region.slices]))
     values = image[region.slices][row, col]
     every = max(1, values.size // _MOST_PIXELS)
+    if values.size <= 16:
+        return 0.0
     x_px, y_px = col[::every].astype(np.float64), row[::every].astype(np.float64)
-    return explained_share(x_px, y_px, values[::every]) if values.size > 16 else 0.0
+    variance = float(np.var(values[::every]))
+    rest = max(variance - noise**2, 0.0)
+    share = explained_share(x_px, y_px, values[::every])
+    return share * variance / rest if rest > 0.1 * noise**2 else 0.0
 
 
-def _around(
-    ridge: NDArray[np.bool_],
-    strength: NDArray[np.float64],
-    strong: NDArray[np.bool_],
-    vertical: bool,
-) -> Region | None:
-    """Return the region of one ridge of the gradient, None if it is short, bent or cramped."""
-    if not vertical:
-        ridge, strength, strong = ridge.T, strength.T, strong.T
-    lines, places = np.nonzero(ridge)
-    first, last = int(lines.min()) + _CORNER_PX, int(lines.max()) + 1 - _CORNER_PX
+def _segments(crest: NDArray[np.bool_]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return lines and places of the straight parts of all crests, one place a line."""
+    labels, count = ndimage.label(crest, structure=np.ones((3, 3)))
+    if not count:
+        return []
+    line, place = np.nonzero(crest)
+    label = labels[line, place]
+    order = np.argsort(label, kind="stable")
+    starts = np.searchsorted(label[order], np.arange(1, count + 2))
+    parts = []
+    for k in np.flatnonzero(np.diff(starts) >= _LEAST_LENGTH_PX + 2 * _CORNER_PX):
+        own = order[starts[k] : starts[k + 1]]
+        lines, first = np.unique(line[own], return_index=True)
+        if lines.size < own.size:  # branches: the mean of a line is no crest
+            totals = np.bincount(np.searchsorted(lines, line[own]), weights=place[own])
+            places = np.rint(totals / np.bincount(np.searchsorted(lines, line[own])))
+            parts += _split(lines, places.astype(np.intp))
+        else:
+            parts += _split(lines, place[own][first])
+    return parts
+
+
+def _split(
+    lines: NDArray[np.intp], places: NDArray[np.intp]
+) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return the parts of a crest between its corners (Ramer 1972, Douglas and Peucker 1973)."""
+    if lines.size < _LEAST_LENGTH_PX + 2 * _CORNER_PX:
+        return []
+    chord = np.interp(lines, [lines[0], lines[-1]], [places[0], places[-1]])
+    away_px = np.abs(places - chord)
+    worst = int(np.argmax(away_px))
+    bend = np.polyfit(lines, places, 2)
+    smooth = np.std(places - np.polyval(bend, lines)) < _STRAIGHT_PX
+    if away_px[worst] <= _CORNER_AWAY_PX or smooth:
+        return [(lines, places)]
+    return _split(lines[: worst + 1], places[: worst + 1]) + _split(lines[worst:], places[worst:])
+
+
+def _around(ridges: _Ridges, lines: NDArray[np.intp], places: NDArray[np.intp]) -> Region | None:
+    """Return the region of one straight crest, None if it is short, bent, upright or cramped."""
+    first, last = int(lines[0]) + _CORNER_PX, int(lines[-1]) + 1 - _CORNER_PX
     if last - first < _LEAST_LENGTH_PX:
         return None
-    weights = np.bincount(lines, weights=strength[lines, places])
-    sums = np.bincount(lines, weights=strength[lines, places] * places)
-    line = np.arange(first, last)
-    if np.any(weights[first:last] == 0.0):
+    inside = (lines >= first) & (lines < last)
+    line, place = lines[inside], places[inside]
+    slope = float(np.polyfit(line, place, 1)[0])
+    bend = np.polyfit(line, place, 2)
+    straight = np.std(place - np.polyval(bend, line)) < _STRAIGHT_PX
+    angle, crossed_px = abs(np.arctan(slope)), abs(slope) * (last - first)
+    if not straight or not _LEAST_ANGLE <= angle <= _LARGEST_ANGLE:
         return None
-    centre = sums[first:last] / weights[first:last]
-    slope, offset = np.polyfit(line, centre, 1)
-    straight = np.std(centre - slope * line - offset) < _STRAIGHT_PX
-    if not straight or abs(slope) > _LARGEST_SLOPE:
+    if crossed_px < _LEAST_CROSSED_PX:
         return None
-    left, right = int(np.floor(centre.min())), int(np.ceil(centre.max()))
-    own = ndimage.binary_dilation(ridge, iterations=2)
-    others = np.any((strong & ~own)[first:last], axis=0)
-    start = _free(others, left, -1)
-    stop = _free(others, right, +1) + 1
-    if left - start < _LEAST_HALF_WIDTH_PX or stop - 1 - right < _LEAST_HALF_WIDTH_PX:
-        return None
-    region = Region(first, last, start, stop)
-    return region if vertical else Region(start, stop, first, last)
+    own = float(np.median(ridges.strength[line, place]))
+    best: Region | None = None
+    best_px = _LEAST_HALF_WIDTH_PX - 1
+    for (
+        part
+    ) in _PARTS:  # a long slanted edge leaves its rectangle little room; a part of it has more
+        cut = round(0.5 * (1.0 - part) * (last - first))
+        low, high = first + cut, last - cut
+        if high - low < _LEAST_LENGTH_PX or abs(slope) * (high - low) < _LEAST_CROSSED_PX:
+            break
+        at = np.polyval(bend, np.arange(low, high))
+        left, right = _room(ridges.strength[low:high], at, own)
+        if min(left, right) > best_px:
+            best_px = min(left, right)
+            start, stop = int(np.floor(at.min())) - left, int(np.ceil(at.max())) + right + 1
+            best = Region(low, high, max(start, 0), min(stop, ridges.strength.shape[1]))
+        if best_px >= _GOOD_HALF_WIDTH_PX:
+            break
+    return best
 
 
-def _free(others: NDArray[np.bool_], place: int, step: int) -> int:
-    """Return how far a region may reach from `place` before it meets another edge."""
-    for distance in range(1, _HALF_WIDTH_PX + 1):
-        at = place + step * distance
-        if not 0 <= at < others.size:
-            return at - step
-        if others[at]:
-            return place + step * max(distance - 2, 0)
-    return place + step * _HALF_WIDTH_PX
+def _room(strength: Image, centre: Image, own: float) -> tuple[int, int]:
+    """Return how far even areas reach to both sides of an edge, from its outermost places."""
+    count = strength.shape[1]
+    low, high = int(np.floor(centre.min())), int(np.ceil(centre.max()))
+    lines = np.arange(len(centre))
+    # The flank of the edge itself ends where its gradient has fallen.
+    away = np.arange(1, high - low + _HALF_WIDTH_PX + 1)
+    found = []
+    for side in (-1, 1):
+        at = np.rint(centre[:, None] + side * away).astype(np.intp)
+        valid = (at >= 0) & (at < count)
+        seen = strength[lines[:, None], np.clip(at, 0, count - 1)]
+        loud = np.mean((seen > _OTHERS_SHARE * own) & valid, axis=0) > 0.05
+        flank = int(np.argmin(loud)) if not loud.all() else away.size
+        beyond = loud[flank:]
+        free = flank + (int(np.argmax(beyond)) if beyond.any() else beyond.size)
+        border = (low if side < 0 else count - 1 - high) + high - low
+        # Of a rectangle the corner reaches as much farther as the edge slants.
+        room = min(free - 2 if beyond.any() else free, border) - (high - low)
+        found.append(min(room, _HALF_WIDTH_PX))
+    return found[0], found[1]
