@@ -1,0 +1,56 @@
+"""Slanted edges found on charts and photographs, and what is none."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from lensshift.evaluation.slanted_edge import find_regions
+
+CHARTS = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples" / "charts.py"))
+
+
+@pytest.mark.parametrize(("name", "shape"), [("board", (650, 851)), ("star_chart", (1101, 1600))])
+def test_edges_of_charts(name: str, shape: tuple[int, int]) -> None:
+    found = there = false = 0
+    for seed in (101, 102):
+        counts = CHARTS["score"](CHARTS[name](seed, shape))
+        found, there, false = found + counts[0], there + counts[1], false + counts[2]
+    assert found >= 0.95 * there
+    assert false < 0.05 * there
+
+
+def seen(radiance: NDArray[np.float64], noise: float = 1.0) -> NDArray[np.float64]:
+    rng = np.random.default_rng(3)
+    return gaussian_filter(radiance, 0.7) + noise * rng.standard_normal(radiance.shape)
+
+
+def slanted(shape: tuple[int, int], slope: float, place: float) -> NDArray[np.float64]:
+    row, col = np.indices(shape)
+    return col - place - slope * (row - shape[0] / 2)
+
+
+def test_what_is_no_slanted_edge() -> None:
+    shape = (121, 173)
+    line = np.where(np.abs(slanted(shape, 0.09, 80.0)) < 1.5, 30.0, 200.0)
+    bar = np.where(np.abs(slanted(shape, 0.09, 80.0)) < 4.0, 30.0, 200.0)
+    upright = np.where(slanted(shape, 0.0, 80.0) > 0, 30.0, 200.0)
+    upright[:70] = 90.0
+    steep = np.where(slanted(shape, 1.0, 80.0) > 0, 30.0, 200.0)
+    steep[:70] = 90.0
+    fine = np.where(np.sin(slanted(shape, 0.09, 80.0)) > 0, 30.0, 200.0)
+    for none in (line, bar, upright, steep, fine, np.full(shape, 90.0)):
+        with pytest.raises(ValueError, match="no slanted edge"):
+            find_regions(seen(none))
+
+
+def test_a_faint_edge_is_found_beside_a_strong_frame() -> None:
+    image = np.where(slanted((140, 200), 0.1, 90.0) > 0, 120.0, 100.0)
+    image[:12], image[-12:], image[:, :12], image[:, -12:] = 0.0, 0.0, 255.0, 0.0
+    [region] = find_regions(seen(image))
+    assert region.row_stop - region.row_start > 60
+    assert region.col_start < 80
+    assert region.col_stop > 100
