@@ -95,25 +95,11 @@ def lens_of_entries(
         raise DataError("expected at least one element of glass or a curved mirror")
     elements = [_element([entries[i] for i in group], frames[group[0]], notes) for group in groups]
     starts_mm = np.array([frames[group[0]].origin[2] for group in groups])
+    _check_image(frames[-1], entries[-1])
     ends_mm = starts_mm + [element.length_mm for element in elements]
-    image = frames[-1]
-    away = np.abs(np.abs(image.axes[:, 2]) - [0.0, 0.0, 1.0])
-    if np.abs(image.origin[:2]).max() > _CLOSE or away.max() > _CLOSE:
-        raise DataError(
-            "expected an image plane centred on and across the axis of the object",
-            field=entries[-1].where(),
-        )
-    gaps_mm = np.append(starts_mm[1:], image.origin[2]) - ends_mm
+    gaps_mm = np.append(starts_mm[1:], frames[-1].origin[2]) - ends_mm
     gaps_mm[np.abs(gaps_mm) < _CLOSE] = 0.0
-    for number, (gap_mm, group) in enumerate(zip(gaps_mm[:-1], groups, strict=False)):
-        if gap_mm < 0:
-            raise DataError(
-                f"expected the next element behind it, got {gap_mm:g} mm of air",
-                field=entries[group[-1]].where(),
-            )
-        elements[number], elements[number + 1] = _apart(
-            elements[number], elements[number + 1], float(gap_mm), notes
-        )
+    _clear_edges(elements, gaps_mm, [entries[group[-1]] for group in groups], notes)
     stops = [number for number, entry in enumerate(entries) if entry.is_stop]
     if len(stops) != 1:
         raise DataError(f"expected one surface marked STOP, got {len(stops)}")
@@ -129,6 +115,31 @@ def lens_of_entries(
         name=name,
     )
     return _with_aperture(lens, aperture, entries[stops[0]], notes)
+
+
+def _check_image(image: Frame, entry: Entry) -> None:
+    away = np.abs(np.abs(image.axes[:, 2]) - [0.0, 0.0, 1.0])
+    if np.abs(image.origin[:2]).max() > _CLOSE or away.max() > _CLOSE:
+        raise DataError(
+            "expected an image plane centred on and across the axis of the object",
+            field=entry.where(),
+        )
+
+
+def _clear_edges(
+    elements: list[Element], gaps_mm: NDArray[np.float64], last: list[Entry], notes: list[str]
+) -> None:
+    """Clip neighbours whose edges cross; refuse those that cross on the axis."""
+    for number, gap_mm in enumerate(gaps_mm[:-1]):
+        if gap_mm < 0:
+            raise DataError(
+                f"expected the next element behind it, got {gap_mm:g} mm of air",
+                field=last[number].where(),
+            )
+        front, back = elements[number : number + 2]
+        near, far = _trim(front.surfaces[-1], back.surfaces[0], float(gap_mm), None, notes)
+        elements[number] = replace(front, surfaces=(*front.surfaces[:-1], near))
+        elements[number + 1] = replace(back, surfaces=(far, *back.surfaces[1:]))
 
 
 def _unfolded(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
@@ -271,17 +282,6 @@ def _surface(entry: Entry, notes: list[str]) -> Surface:
         )
     except ValueError as error:
         raise DataError(str(error), field=entry.where()) from error
-
-
-def _apart(
-    front: Element, back: Element, gap_mm: float, notes: list[str]
-) -> tuple[Element, Element]:
-    """Return two elements whose edges do not cross."""
-    last, first = _trim(front.surfaces[-1], back.surfaces[0], gap_mm, None, notes)
-    return (
-        replace(front, surfaces=(*front.surfaces[:-1], last)),
-        replace(back, surfaces=(first, *back.surfaces[1:])),
-    )
 
 
 def _trim(

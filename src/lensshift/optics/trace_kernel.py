@@ -52,12 +52,14 @@ def _meet_conic(p: _Vector, d: _Vector, curvature: float, conic: float) -> float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet_asphere(
+def _meet(
     p: _Vector, d: _Vector, curvature: float, conic: float, asphere: Array, s: int, terms: int,
     radial: Array, radial_terms: int,
 ) -> float:  # fmt: skip
-    """Return the distance along a ray from the vertex plane to an asphere, NaN if it misses."""
+    """Return the distance along a ray from the vertex plane to a surface, NaN if it misses."""
     t = _meet_conic(p, d, curvature, conic)
+    if terms == 0 and radial_terms == 0:
+        return t
     if np.isnan(t):
         t = 0.0
     for _ in range(_NEWTON_STEPS):
@@ -91,6 +93,11 @@ def _reflect(d: _Vector, row: float, col: float, slope: float) -> _Vector:
     n_row, n_col = -2.0 * slope * row, -2.0 * slope * col
     twice = 2.0 * (n_row * d[0] + n_col * d[1] + d[2]) / (n_row * n_row + n_col * n_col + 1.0)
     return d[0] - twice * n_row, d[1] - twice * n_col, twice - d[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _vector(values: Array) -> _Vector:
+    return values[0], values[1], values[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -144,8 +151,7 @@ def trace_kernel(
     for b in range(origin.shape[0]):
         for r in range(origin.shape[1]):
             before, length = 1.0, path[b, r]
-            p = (origin[b, r, 0], origin[b, r, 1], origin[b, r, 2])
-            d = (direction[b, r, 0], direction[b, r, 1], direction[b, r, 2])
+            p, d = _vector(origin[b, r]), _vector(direction[b, r])
             for s in range(surfaces):
                 e = element[s]
                 if s == 0 or element[s - 1] != e:
@@ -154,19 +160,15 @@ def trace_kernel(
                     d = _into(rotations, b, e, d)
                 t = (depth[s] - p[2]) / d[2]
                 at = (p[0] + t * d[0], p[1] + t * d[1], 0.0)
-                if terms[s] or radial_terms[s]:
-                    t += _meet_asphere(
-                        at, d, curvature[s], conic[s], asphere, s, terms[s], radial,
-                        radial_terms[s],
-                    )  # fmt: skip
-                else:
-                    t += _meet_conic(at, d, curvature[s], conic[s])
+                t += _meet(
+                    at, d, curvature[s], conic[s], asphere, s, terms[s], radial, radial_terms[s]
+                )
                 p = (p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2])
                 length += before * t
                 square = p[0] * p[0] + p[1] * p[1]
-                _, slope = _slope(
+                slope = _slope(
                     square, curvature[s], conic[s], asphere, s, terms[s], radial, radial_terms[s]
-                )
+                )[1]
                 if np.isnan(slope):
                     status[b, r], failed_at[b, r] = MISSED, s
                     break
