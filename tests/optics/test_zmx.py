@@ -180,6 +180,7 @@ def test_bad_files_are_named_with_line_and_surface(
 WORDS = ["", "nan", "-inf", "0", "-5", "1e400", "x", "99999999999999999999", "STOP", "SURF", "GLAS"]
 
 
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
 @settings(max_examples=40)
 @given(data=st.data())
 def test_damaged_files_raise_nothing_but_data_errors(data: st.DataObject) -> None:

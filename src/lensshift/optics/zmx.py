@@ -233,8 +233,8 @@ def _glass(values: list[str], entry: Entry, line: int) -> tuple[str, str]:
         note = f"glass {name} taken from its index {index:g} and Abbe number {abbe:g}"
         return made, f"surface {entry.number}: {note}"
     raise DataError(
-        f"line {line}: expected a glass that is known, got {name}: load the catalogue of its maker "
-        "(.agf) first",
+        f"line {line}: expected a known glass, got {name}: load the catalogue of its maker, "
+        "`lensshift lens convert LENS.zmx LENS.toml --glass-catalogue MAKER.agf`",
         field=entry.where(),
     )
 
