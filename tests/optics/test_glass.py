@@ -47,9 +47,9 @@ def test_dispersion_is_normal_and_indices_are_continuous_in_temperature(
 
 
 def test_unknown_glass_lists_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"N-BK7.*fused silica.*got 'N-BK8'"):
+    with pytest.raises(ValueError, match=r"N-BK7.*got 'N-BK8'"):
         refractive_index("N-BK8", 850.0)
-    assert set(glass_names()) == {"air", "N-BK7", "N-SF11", "L-BAL35", "fused silica"}
+    assert {"air", "N-BK7", "N-SF11", "L-BAL35", "fused silica", "CAF2"} < set(glass_names())
 
 
 def test_wavelength_outside_the_measured_range() -> None:

@@ -1,13 +1,17 @@
 """Shift maps, their inverse, and the choice of the element."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
+from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Lens, Stop, cover_glass
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import pixel_centres_mm
+from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import (
     decenter_for_shift,
     moving,
@@ -15,7 +19,7 @@ from lensshift.optics.shift import (
     shift_uniformity,
 )
 from lensshift.optics.spots import fields_for_image, image_per_field_mm, spots
-from lensshift.optics.which import edge_fields, format_movers, which_element
+from lensshift.optics.which import edge_fields, format_movers, which_element, which_mover
 
 SENSOR = Grid((16, 64), (0.155, 0.155))
 SMALL = Grid((3, 5), (0.7, 1.9))
@@ -137,3 +141,29 @@ def test_wrong_requests() -> None:
     with pytest.raises(ValueError, match="positive shift_px"):
         which_element(lens, SMALL, shift_px=0.0)
     assert edge_fields(lens, SMALL).shape == (9, 2)
+
+
+def test_tilts_a_plate_and_the_sensor_stand_beside_the_elements() -> None:
+    lens, shift_px = load_lens("petzval_a"), 0.25
+    grid = Grid((5, 9), (0.16, 0.15))
+    movers = which_mover(lens, grid, shift_px=shift_px, frequency_lpmm=5.0)
+    kinds = [mover.kind for mover in movers]
+    assert kinds == ["decentre"] * 3 + ["tilt"] * 3 + ["plate", "sensor"]
+    assert len(format_movers(movers).splitlines()) == 9
+    sensor = movers[-1]
+    assert sensor.stroke_mm == pytest.approx(-shift_px * 0.15)
+    assert (sensor.max_shift_error_px, sensor.mtf_loss) == (0.0, 0.0)
+
+
+def test_a_tilted_plate_shifts_by_its_closed_form() -> None:
+    # A thin beam through a plate of thickness t: t sin a (1 - cos a / sqrt(n^2 - sin^2 a)).
+    lens = replace(load_lens("al2550"), stop=Stop(0.5))
+    lens = lens.with_sensor(paraxial(lens).image_mm)
+    grid, shift_px = Grid((1, 1), (0.1, 0.1)), 0.25
+    plate = next(m for m in which_mover(lens, grid, shift_px=shift_px) if m.kind == "plate")
+    index = refractive_index("N-BK7", lens.wavelength_nm)
+    sine = np.sin(np.deg2rad(plate.stroke_deg))
+    cosine = np.sqrt(1.0 - sine**2)
+    wanted_mm = sine * (1.0 - cosine / np.sqrt(index**2 - sine**2))
+    assert abs(wanted_mm) == pytest.approx(shift_px * 0.1, rel=2e-4)
+    assert plate.cross_talk_px < 1e-3

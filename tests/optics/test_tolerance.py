@@ -144,3 +144,21 @@ def test_bad_requests() -> None:
         sensitivity_table(LENS, 3, SENSOR, NONE)
     with pytest.warns(QualityWarning, match=r"builds would need a refocus of more than 0\.1 mm"):
         tolerance_analysis(LENS, 0, SENSOR, Tolerances(), builds=20, refocus_mm=0.1)
+
+
+def test_no_plane_is_better_than_that_of_the_refocus() -> None:
+    # The plane serves all positions that are judged, at rest and moved.
+    lens = load_lens("petzval_search")
+    found = tolerance_analysis(lens, 1, SENSOR, NONE, builds=1)
+    fields = edge_fields(lens, SENSOR)
+    moves_mm = decenter_for_shift(lens, 1, 0.25 * np.array([[1, 1], [1, -1], [-1, 1]]), SENSOR)
+    builds = [None, *(moving(lens, 1, move) for move in [*moves_mm, -moves_mm[0]])]
+    for away_mm in found.refocus_mm[0] + np.array([-0.06, -0.02, 0.02, 0.06]):
+        least = min(
+            fast_mtf(
+                lens, fields, [found.frequency_lpmm], AZIMUTHS_RAD, build=build, rings=3,
+                defocus_mm=away_mm,
+            ).min()
+            for build in builds
+        )  # fmt: skip
+        assert least < found.nominal_mtf.min() + 1e-3

@@ -257,18 +257,22 @@ def which(
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
-    """Compare the elements as movers: stroke, evenness of the shift, MTF, actuator sensitivity.
+    """Compare what can move: each element decentred or tilted, a tilted plate, the sensor.
+
+    Stroke, evenness of the shift, cross-talk between the axes, MTF. The least MTF is that over the
+    centre, edges and corners, two directions and four diagonal moves, without refocus; px per um
+    is shift over stroke at the centre of the sensor, gain the same in mm per mm for paraxial rays.
 
     \b
     Example:
       lensshift lens which petzval_a
     """
     with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
-        from lensshift.optics.which import format_movers, which_element
+        from lensshift.optics.which import format_movers, which_mover
 
         check_outputs([], csv, plot)
         model = read_lens(lens, wavelength_nm, temperature_c)
-        movers = which_element(model, sensor_grid(sensor, pitch_mm), shift_px=shift_px)
+        movers = which_mover(model, sensor_grid(sensor, pitch_mm), shift_px=shift_px)
         current.say(format_movers(movers))
         rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
         current.result |= {"lens": model.name or lens, "movers": rows}
@@ -280,17 +284,24 @@ def which(
 def convert(
     source: Annotated[str, typer.Argument(help="Lens file (.toml, .zmx) or built-in lens.")],
     target: Annotated[Path, typer.Argument(help="File to write, .toml or .zmx.")],
+    glass_catalogue: Annotated[
+        list[Path] | None,
+        typer.Option("--glass-catalogue", help="Glasses of a maker (.agf); repeatable."),
+    ] = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Convert a lens between lens files (TOML) and sequential Zemax files.
 
+    A TOML file brings the glasses of a catalogue with it, so that other commands need none.
+
     \b
     Example:
       lensshift lens convert petzval_a petzval_a.zmx
-      lensshift lens convert bought.zmx bought.toml
+      lensshift lens convert bought.zmx bought.toml --glass-catalogue maker.agf
     """
     with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
+        from lensshift.optics.agf import load_glass_catalogue
         from lensshift.optics.lens_file import save_lens
         from lensshift.optics.zmx_writer import save_zmx
 
@@ -299,6 +310,8 @@ def convert(
         if writer is None:
             raise typer.BadParameter(f"expected {target} to end in {' or '.join(writers)}")
         check_outputs([Path(source)], target, None)
+        for catalogue in glass_catalogue or []:
+            load_glass_catalogue(catalogue)
         model = read_lens(source)
         writer(model, target)
         current.result |= {"source": source, "target": target, "elements": len(model.elements)}

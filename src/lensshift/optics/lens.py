@@ -8,22 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.optics.glass import (
-    AIR,
-    GLASSES,
-    REFERENCE_TEMPERATURE_C,
-    glass_names,
-    refractive_index,
-)
+from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, glass_data, refractive_index
 
 _CHECKED_HEIGHTS = np.linspace(0.0, 1.0, 33)  # of the smaller semi-diameter
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A surface of revolution.
+    """A surface of revolution, refracting or reflecting.
 
-        z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)) + A4 r^4 + A6 r^6 + ...,   c = 1 / radius
+        z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)) + A4 r^4 + A6 r^6 + ... + B1 r + B2 r^2 + ...
+
+    with c = 1 / radius. Behind a mirror everything is drawn unfolded, as its image in the plane
+    through the vertex, so that light always travels to larger z.
 
     Parameters
     ----------
@@ -31,6 +28,8 @@ class Surface:
     conic : k; 0 is a sphere, -1 a paraboloid
     asphere : A4, A6, A8, ... in mm^-3, mm^-5, mm^-7, ...
     semi_diameter_mm : light farther from the axis of the element is stopped
+    radial : B1, B2, B3, ... in mm^0, mm^-1, mm^-2, ...
+    mirror : whether it reflects
 
     Raises
     ------
@@ -42,13 +41,15 @@ class Surface:
     conic: float = 0.0
     asphere: tuple[float, ...] = ()
     semi_diameter_mm: float = math.inf
+    radial: tuple[float, ...] = ()
+    mirror: bool = False
 
     def __post_init__(self) -> None:
         if math.isnan(self.radius_mm) or self.radius_mm == 0:
             raise ValueError(f"expected a radius other than 0 mm, got {self.radius_mm}")
         if not self.semi_diameter_mm > 0:
             raise ValueError(f"expected a positive semi-diameter, got {self.semi_diameter_mm} mm")
-        if not all(math.isfinite(value) for value in (self.conic, *self.asphere)):
+        if not all(math.isfinite(value) for value in (self.conic, *self.asphere, *self.radial)):
             raise ValueError("expected a finite conic constant and asphere coefficients")
         bend = (1.0 + self.conic) * self.curvature_per_mm**2
         if math.isfinite(self.semi_diameter_mm) and bend * self.semi_diameter_mm**2 > 1.0:
@@ -62,6 +63,11 @@ class Surface:
         """1 / radius, 0 for a plane."""
         return 1.0 / self.radius_mm
 
+    @property
+    def vertex_curvature_per_mm(self) -> float:
+        """Second derivative of the sag on the axis, for paraxial rays."""
+        return self.curvature_per_mm + (2.0 * self.radial[1] if len(self.radial) > 1 else 0.0)
+
     def sag_mm(self, height_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return z at distances from the axis; NaN where the surface has ended."""
         c, square = self.curvature_per_mm, np.asarray(height_mm, dtype=np.float64) ** 2
@@ -69,11 +75,18 @@ class Surface:
             sag = c * square / (1.0 + np.sqrt(1.0 - (1.0 + self.conic) * c * c * square))
         for power, coefficient in enumerate(self.asphere, start=2):
             sag = sag + coefficient * square**power
+        for power, coefficient in enumerate(self.radial, start=1):
+            sag = sag + coefficient * square ** (0.5 * power)
         return np.asarray(sag)
 
     def reversed(self) -> Surface:
         """Return the surface as light from the other side meets it."""
-        return replace(self, radius_mm=-self.radius_mm, asphere=tuple(-a for a in self.asphere))
+        return replace(
+            self,
+            radius_mm=-self.radius_mm,
+            asphere=tuple(-a for a in self.asphere),
+            radial=tuple(-b for b in self.radial),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +99,7 @@ class Element:
 
     Parameters
     ----------
-    surfaces : in the order in which light meets them, at least two
+    surfaces : in the order in which light meets them, at least two, or a mirror
     glass : between them, one less than surfaces
     thickness_mm : between the vertices, one less than surfaces
     name : for tables and messages
@@ -108,15 +121,21 @@ class Element:
 
     def __post_init__(self) -> None:
         spaces = len(self.surfaces) - 1
-        if spaces < 1 or len(self.glass) != spaces or len(self.thickness_mm) != spaces:
+        alone = spaces == 0 and self.surfaces[0].mirror
+        if (
+            (spaces < 1 and not alone)
+            or len(self.glass) != spaces
+            or len(self.thickness_mm) != spaces
+        ):
             raise ValueError(
                 f"expected n surfaces, n - 1 glasses and n - 1 thicknesses, got "
                 f"{len(self.surfaces)}, {len(self.glass)} and {len(self.thickness_mm)}"
             )
         for number, glass in enumerate(self.glass, start=1):
-            if glass not in GLASSES:
-                known = ", ".join(name for name in glass_names() if name != AIR)
-                raise ValueError(f"surface {number}: expected a glass of {known}, got {glass!r}")
+            try:
+                glass_data(glass)
+            except ValueError as error:
+                raise ValueError(f"surface {number}: {error}") from error
         for number, thickness_mm in enumerate(self.thickness_mm, start=1):
             if not (math.isfinite(thickness_mm) and thickness_mm > 0):
                 raise ValueError(
@@ -170,7 +189,8 @@ class Lens:
     Parameters
     ----------
     elements : in the order in which light meets them
-    gaps_mm : air behind each element; the last one reaches to the sensor
+    gaps_mm : air behind each element; the last one reaches to the sensor, and is negative if the
+        image is a virtual one
     stop : the aperture
     object_mm : from the object to the first vertex, or infinite
     wavelength_nm : of the design, used where no other is given
@@ -198,8 +218,12 @@ class Lens:
                 f"expected a gap behind each of at least one element, got {len(self.gaps_mm)} "
                 f"gaps and {len(self.elements)} elements"
             )
-        if not all(math.isfinite(gap_mm) and gap_mm >= 0 for gap_mm in self.gaps_mm):
-            raise ValueError(f"expected gaps of at least 0 mm, got {self.gaps_mm}")
+        for number, gap_mm in enumerate(self.gaps_mm, start=1):
+            virtual = number == len(self.gaps_mm)
+            if not (math.isfinite(gap_mm) and (gap_mm >= 0 or virtual)):
+                raise ValueError(
+                    f"expected a gap of at least 0 mm behind element {number}, got {gap_mm:g} mm"
+                )
         if not self.object_mm > 0:
             raise ValueError(f"expected a positive object distance, got {self.object_mm} mm")
         number = 0
@@ -217,18 +241,18 @@ class Lens:
             raise ValueError(
                 f"expected the stop on an element from 0 to {len(self.elements) - 1}, got {carrier}"
             )
-        before = self.elements_before_stop()
-        beside = []
-        if before > 0:
-            beside.append(self.elements[before - 1].surfaces[-1])
-        if before < len(self.elements):
-            beside.append(self.elements[before].surfaces[0])
-        smallest_mm = min(surface.semi_diameter_mm for surface in beside)
+        smallest_mm = min(surface.semi_diameter_mm for surface in self.beside_stop())
         if self.stop.diameter_mm > 2.0 * smallest_mm:
             raise ValueError(
                 f"expected a stop no larger than the surface beside it, "
                 f"{2.0 * smallest_mm:g} mm, got {self.stop.diameter_mm:g} mm"
             )
+
+    def beside_stop(self) -> tuple[Surface, ...]:
+        """Return the surfaces next to the stop, one or two."""
+        before = self.elements_before_stop()
+        front = [one.surfaces[-1] for one in self.elements[:before][-1:]]
+        return (*front, *(one.surfaces[0] for one in self.elements[before : before + 1]))
 
     def positions_mm(self) -> NDArray[np.float64]:
         """Return where the first vertex of each element and the sensor lie, [element + 1]."""
@@ -253,7 +277,7 @@ class Lens:
         """
         stop_mm = self.stop.position_mm
         starts_mm = self.positions_mm()
-        if stop_mm > starts_mm[-1]:
+        if stop_mm > starts_mm[-1] and self.gaps_mm[-1] >= 0:
             raise ValueError(
                 f"expected a stop in front of the sensor at {starts_mm[-1]:g} mm, got {stop_mm} mm"
             )
@@ -304,6 +328,8 @@ def cover_glass(glass: str, thickness_mm: float, semi_diameter_mm: float = math.
 
 def _check_order(front: Surface, back: Surface, distance_mm: float, number: int) -> None:
     """Raise a ValueError if the back surface reaches before the front one anywhere on both."""
+    if front.mirror or back.mirror:  # what is drawn unfolded may cross
+        return
     largest_mm = min(front.semi_diameter_mm, back.semi_diameter_mm)
     if not math.isfinite(largest_mm):
         return

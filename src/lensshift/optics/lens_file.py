@@ -9,15 +9,22 @@ from typing import Any
 
 from lensshift.core.errors import DataError
 from lensshift.core.settings import fit, parse_toml, read_text, settings_of
-from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
+from lensshift.optics.glass import (
+    REFERENCE_TEMPERATURE_C,
+    Glass,
+    add_glasses,
+    glass_data,
+    is_shipped,
+)
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 
-_LENS_KEYS = {"name", "wavelength_nm", "temperature_c", "object_mm", "stop", "element"}
+_LENS_KEYS = {"name", "wavelength_nm", "temperature_c", "object_mm", "stop", "element", "glass"}
 _STOP_KEYS = {"diameter_mm", "position_mm", "rides_on"}
 _ELEMENT_KEYS = {
     "name", "glass", "thickness_mm", "gap_mm", "decenter_mm", "tilt_deg", "surface",
 }  # fmt: skip
-_SURFACE_KEYS = {"radius_mm", "conic", "asphere", "semi_diameter_mm"}
+_SURFACE_KEYS = {"radius_mm", "conic", "asphere", "semi_diameter_mm", "radial", "mirror"}
+_GLASS_KEYS = {"name", "formula", "constants", "thermal", "reference_c", "range_nm", "source"}
 
 
 def lens_names() -> tuple[str, ...]:
@@ -84,6 +91,9 @@ def format_lens(lens: Lens) -> str:
     ]
     if lens.stop.rides_on is not None:
         lines.append(f"rides_on = {lens.stop.rides_on + 1}")
+    for name in sorted({glass for element in lens.elements for glass in element.glass}):
+        if not is_shipped(name):
+            lines += _glass_lines(name, glass_data(name))
     for element, gap_mm in zip(lens.elements, lens.gaps_mm, strict=True):
         lines += [
             "",
@@ -103,12 +113,53 @@ def format_lens(lens: Lens) -> str:
                 lines.append(f"conic = {_value(surface.conic)}")
             if surface.asphere:
                 lines.append(f"asphere = {_values(surface.asphere)}")
+            if surface.radial:
+                lines.append(f"radial = {_values(surface.radial)}")
+            if surface.mirror:
+                lines.append("mirror = true")
             lines.append(f"semi_diameter_mm = {_value(surface.semi_diameter_mm)}")
     return "\n".join(lines) + "\n"
 
 
+def _glass_lines(name: str, glass: Glass) -> list[str]:
+    return [
+        "",
+        "[[glass]]",
+        f"name = {_text(name)}",
+        f"formula = {_text(glass.formula)}",
+        f"constants = {_values(glass.constants)}",
+        f"thermal = {_values(glass.thermal)}",
+        f"reference_c = {_value(glass.reference_c)}",
+        f"range_nm = {_values(glass.range_nm)}",
+        f"source = {_text(glass.source)}",
+    ]
+
+
+def _glass(table: dict[str, Any], where: str) -> dict[str, Glass]:
+    """Return a glass that the file brings with it."""
+    _check_keys(table, _GLASS_KEYS, where, {"name", "formula", "constants", "range_nm"})
+    low_nm, high_nm = _numbers(table["range_nm"], "range_nm", where, 2)
+    try:
+        glass = Glass(
+            formula=fit(table["formula"], str, f"{where}, formula"),
+            constants=_numbers(table["constants"], "constants", where),
+            thermal=_numbers(table.get("thermal", [0.0] * 6), "thermal", where, 6),
+            reference_c=_number(table, "reference_c", where, REFERENCE_TEMPERATURE_C),
+            range_nm=(low_nm, high_nm),
+            source=fit(table.get("source", ""), str, f"{where}, source"),
+        )
+    except DataError:
+        raise
+    except ValueError as error:
+        raise DataError(str(error), field=where) from error
+    return {fit(table["name"], str, f"{where}, name").upper(): glass}
+
+
 def _lens(content: dict[str, Any], text: str) -> Lens:
     _check_keys(content, _LENS_KEYS, "lens", {"stop", "element"})
+    for number, one in enumerate(_tables(content.get("glass", []), "glass", "lens"), start=1):
+        where = f"glass {number}, line {_line(text, '[[glass]]', number)}"
+        add_glasses(_glass(_table(one, where), where))
     stop = _table(content["stop"], "stop")
     _check_keys(stop, _STOP_KEYS, "stop", {"diameter_mm"})
     tables = _tables(content["element"], "element", "lens")
@@ -177,6 +228,8 @@ def _surface(table: dict[str, Any], where: str) -> Surface:
         conic=_number(table, "conic", where, 0.0),
         asphere=_numbers(table.get("asphere", []), "asphere", where),
         semi_diameter_mm=_number(table, "semi_diameter_mm", where, math.inf),
+        radial=_numbers(table.get("radial", []), "radial", where),
+        mirror=fit(table.get("mirror", False), bool, f"{where}, mirror"),
     )
 
 

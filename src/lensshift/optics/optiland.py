@@ -101,7 +101,7 @@ class _Plane:
         if surface.asphere:
             options |= {
                 "surface_type": "even_asphere",
-                "coefficients": [0.0, *surface.asphere],
+                "coefficients": [(*surface.radial, 0.0, 0.0)[1], *surface.asphere],
                 "tol": 1e-13,
             }
         if math.isfinite(surface.semi_diameter_mm):
@@ -171,7 +171,9 @@ def _entry(number: int, surface: Any, wavelength_um: float) -> Entry:
     entry.curvature_per_mm = 0.0 if math.isinf(radius_mm) else 1.0 / radius_mm
     entry.conic = float(np.asarray(getattr(surface.geometry, "k", 0.0)).item())
     terms = getattr(surface.geometry, "coefficients", ())
-    entry.parameters = {place: float(term) for place, term in enumerate(terms, start=1)}
+    square, *higher = (*map(float, terms), 0.0)
+    entry.radial = (0.0, square) if square else ()
+    entry.asphere = tuple(higher[:-1]) if any(higher) else ()
     entry.semi_diameter_mm = float(getattr(surface.aperture, "r_max", 0.0))
     entry.is_stop = bool(surface.is_stop)
     entry.glass = _glass(surface.material_post, wavelength_um, entry)

@@ -138,7 +138,9 @@ def element_matrix(element: Element, indices: tuple[float, ...]) -> Matrix:
     before = 1.0
     for number, surface in enumerate(element.surfaces):
         after = indices[number] if number < len(indices) else 1.0
-        bend = (after - before) * surface.curvature_per_mm / after
+        bend = (after - before) * surface.vertex_curvature_per_mm / after
+        if surface.mirror:  # unfolded
+            bend = -2.0 * surface.vertex_curvature_per_mm
         matrix = np.array([[1.0, 0.0], [-bend, before / after]]) @ matrix
         if number < len(indices):
             matrix = _gap(element.thickness_mm[number]) @ matrix

@@ -10,11 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.paraxial import entrance_pupil, paraxial
 
 _CLOSE = 1e-9  # of an image plane to the axis, in mm and in direction cosines
 _UNSET_STOP_MM = 1e-6
+_ROUNDING = 1e-9
+_HEIGHTS = 257
+_LEAST_SHARE = 0.5  # of the semi-diameter that must be left where edges cross
 
 
 @dataclass(slots=True)
@@ -24,6 +28,7 @@ class Entry:
     number: int
     line: int = 0
     type: str = "STANDARD"
+    line_of_type: int = 0
     curvature_per_mm: float = 0.0
     conic: float = 0.0
     parameters: dict[int, float] = field(default_factory=dict)
@@ -31,6 +36,12 @@ class Entry:
     semi_diameter_mm: float = 0.0
     glass: str = ""
     is_stop: bool = False
+    mirror: bool = False
+    clear_mm: float = math.inf
+    comment: str = ""
+    extra: dict[int, float] = field(default_factory=dict)
+    asphere: tuple[float, ...] = ()
+    radial: tuple[float, ...] = ()
 
     def where(self) -> str:
         """Return how messages name the surface."""
@@ -51,6 +62,9 @@ def lens_of_entries(
     aperture: tuple[str, float],
     wavelength_nm: float,
     name: str,
+    *,
+    temperature_c: float = REFERENCE_TEMPERATURE_C,
+    notes: list[str] | None = None,
 ) -> Lens:
     """Return the lens that surfaces from object to image describe.
 
@@ -59,55 +73,139 @@ def lens_of_entries(
     entries : object, surfaces, image; neighbours with glass between them make an element
     frames : where each of them is, the object at the origin, or any surface if it is infinitely
         far
-    aperture : ("ENPD", diameter of the entrance pupil in mm), ("FNUM", f-number), or ("FLOA", 0)
-        for a stop as wide as its surface
-    wavelength_nm, name : of the lens
+    aperture : ("ENPD", diameter of the entrance pupil in mm), ("FNUM", f-number), ("WORKING",
+        f-number at the image), ("OBNA", numerical aperture at the object), or ("FLOA", 0) for a
+        stop as wide as its surface
+    wavelength_nm, temperature_c, name : of the lens
+    notes : takes what had to be changed
 
     Raises
     ------
     DataError
         If they describe no lens: with the surface.
     """
-    if len(entries) < 4:
+    notes = [] if notes is None else notes
+    if len(entries) < 3:
         raise DataError(
-            f"expected an object, at least two surfaces and an image, got {len(entries)} surfaces"
+            f"expected an object, at least one surface and an image, got {len(entries)} surfaces"
         )
+    frames = _unfolded(entries, frames)
     groups = list(_groups(entries))
     if not groups:
-        raise DataError("expected at least one element of glass")
-    elements = [_element([entries[i] for i in group], frames[group[0]]) for group in groups]
+        raise DataError("expected at least one element of glass or a curved mirror")
+    elements = [_element([entries[i] for i in group], frames[group[0]], notes) for group in groups]
     starts_mm = np.array([frames[group[0]].origin[2] for group in groups])
+    _check_image(frames[-1], entries[-1])
     ends_mm = starts_mm + [element.length_mm for element in elements]
-    image = frames[-1]
-    if np.abs(image.origin[:2]).max() > _CLOSE or np.abs(image.axes - np.eye(3)).max() > _CLOSE:
-        raise DataError(
-            "expected an image plane centred on and across the axis of the object",
-            field=entries[-1].where(),
-        )
-    gaps_mm = np.append(starts_mm[1:], image.origin[2]) - ends_mm
+    gaps_mm = np.append(starts_mm[1:], frames[-1].origin[2]) - ends_mm
     gaps_mm[np.abs(gaps_mm) < _CLOSE] = 0.0
+    _clear_edges(elements, gaps_mm, [entries[group[-1]] for group in groups], notes)
     stops = [number for number, entry in enumerate(entries) if entry.is_stop]
     if len(stops) != 1:
         raise DataError(f"expected one surface marked STOP, got {len(stops)}")
+    stop_mm, rides_on = _stop_place(frames[stops[0]], stops[0], groups, elements, starts_mm, notes)
     far = math.isinf(entries[0].distance_mm)
     lens = Lens(
         elements=tuple(elements),
         gaps_mm=tuple(map(float, gaps_mm)),
-        stop=Stop(_UNSET_STOP_MM, float(frames[stops[0]].origin[2] - starts_mm[0])),
+        stop=Stop(_UNSET_STOP_MM, stop_mm, rides_on),
         object_mm=math.inf if far else float(starts_mm[0]),
         wavelength_nm=wavelength_nm,
+        temperature_c=temperature_c,
         name=name,
     )
-    return _with_aperture(lens, aperture, entries[stops[0]])
+    return _with_aperture(lens, aperture, entries[stops[0]], notes)
 
 
-def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry) -> Lens:
+def _check_image(image: Frame, entry: Entry) -> None:
+    away = np.abs(np.abs(image.axes[:, 2]) - [0.0, 0.0, 1.0])
+    if np.abs(image.origin[:2]).max() > _CLOSE or away.max() > _CLOSE:
+        raise DataError(
+            "expected an image plane centred on and across the axis of the object",
+            field=entry.where(),
+        )
+
+
+def _clear_edges(
+    elements: list[Element], gaps_mm: NDArray[np.float64], last: list[Entry], notes: list[str]
+) -> None:
+    """Clip neighbours whose edges cross; refuse those that cross on the axis."""
+    for number, gap_mm in enumerate(gaps_mm[:-1]):
+        if gap_mm < 0:
+            raise DataError(
+                f"expected the next element behind it, got {gap_mm:g} mm of air",
+                field=last[number].where(),
+            )
+        front, back = elements[number : number + 2]
+        near, far = _trim(front.surfaces[-1], back.surfaces[0], float(gap_mm), None, notes)
+        elements[number] = replace(front, surfaces=(*front.surfaces[:-1], near))
+        elements[number + 1] = replace(back, surfaces=(far, *back.surfaces[1:]))
+
+
+def _unfolded(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
+    """Return the frames as seen in the mirrors in front of them: light goes towards larger z."""
+    turn, shift_mm = np.eye(3), np.zeros(3)
+    unfolded = []
+    for entry, frame in zip(entries, frames, strict=True):
+        seen = Frame(turn @ frame.origin + shift_mm, turn @ frame.axes)
+        unfolded.append(seen)
+        if entry.mirror:
+            normal = seen.axes[:, 2]
+            across = np.eye(3) - 2.0 * np.outer(normal, normal)
+            turn = across @ turn
+            shift_mm = across @ (shift_mm - seen.origin) + seen.origin
+    return unfolded
+
+
+def _stop_place(
+    frame: Frame,
+    number: int,
+    groups: list[list[int]],
+    elements: list[Element],
+    starts_mm: NDArray[np.float64],
+    notes: list[str],
+) -> tuple[float, int | None]:
+    """Return where the stop is from the first vertex, and which decentred element carries it."""
+    at_mm = float(frame.origin[2] - starts_mm[0])
+    for element, start_mm in zip(elements, starts_mm - starts_mm[0], strict=True):
+        end_mm = float(start_mm) + element.length_mm
+        if start_mm + _CLOSE < at_mm < end_mm - _CLOSE:
+            nearest_mm = float(start_mm) if 2 * at_mm < start_mm + end_mm else end_mm
+            notes.append(
+                f"the stop lies in {element.name}: taken at its nearest vertex, "
+                f"{abs(nearest_mm - at_mm):.3g} mm away"
+            )
+            at_mm = nearest_mm
+    if np.abs(frame.origin[:2]).max() < _CLOSE:
+        return at_mm, None
+    carrier = next((i for i, group in enumerate(groups) if number in group), None)
+    if carrier is None:
+        raise DataError("expected a stop on the axis, or on an element", field=f"surface {number}")
+    return at_mm, carrier
+
+
+def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: list[str]) -> Lens:
     kind, value = aperture
+    widest_mm = 2.0 * min(surface.semi_diameter_mm for surface in lens.beside_stop())
     if kind == "FLOA":
-        diameter_mm = 2.0 * stop.semi_diameter_mm
+        diameter_mm = 2.0 * min(stop.semi_diameter_mm or math.inf, stop.clear_mm)
+        diameter_mm = min(diameter_mm, widest_mm)
     else:
-        pupil_mm = value if kind == "ENPD" else abs(paraxial(lens).focal_length_mm) / value
-        diameter_mm = pupil_mm / abs(entrance_pupil(lens)[1])
+        position_mm, scale = entrance_pupil(lens)
+        pupil_mm = value
+        if kind == "FNUM":
+            pupil_mm = abs(paraxial(lens).focal_length_mm) / value
+        elif kind == "WORKING":  # 1 / (2 F) is the slope at the image, and goes with the stop
+            unit = paraxial(replace(lens, stop=replace(lens.stop, diameter_mm=_UNSET_STOP_MM)))
+            pupil_mm = unit.entrance_pupil_diameter_mm * unit.working_f_number / value
+        elif kind == "OBNA":
+            pupil_mm = 2.0 * math.tan(math.asin(min(value, 1.0))) * (lens.object_mm + position_mm)
+        diameter_mm = pupil_mm / abs(scale)
+        if diameter_mm > widest_mm:
+            notes.append(
+                f"stop of {diameter_mm:.4g} mm clipped to the surface beside it, {widest_mm:.4g} mm"
+            )
+            diameter_mm = widest_mm
     try:
         return replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
     except ValueError as error:
@@ -119,8 +217,18 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
     group: list[int] = []
     for number, entry in enumerate(entries[:-1]):
         if group and entry.type == "COORDBRK":
-            raise DataError("expected no coordinate break inside an element", field=entry.where())
-        if entry.glass or group:
+            raise DataError(
+                "expected no coordinate break inside an element, whose surfaces share one axis",
+                field=entry.where(),
+            )
+        if number == 0:
+            if entry.glass:
+                raise DataError("expected an object in air", field=entry.where())
+            continue
+        if entry.mirror and group:  # behind it light is in the same glass again
+            entry.glass = entries[group[-1]].glass
+        plane = not (entry.curvature_per_mm or entry.asphere or entry.radial)
+        if entry.glass or group or (entry.mirror and not plane):
             group.append(number)
         if group and not entry.glass:
             yield group
@@ -129,14 +237,25 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
         raise DataError("expected air in front of the image", field=entries[-1].where())
 
 
-def _element(entries: list[Entry], frame: Frame) -> Element:
-    x, y, z = frame.axes[:, 2]
+def _element(entries: list[Entry], frame: Frame, notes: list[str]) -> Element:
+    ahead = 1.0 if frame.axes[2, 2] > 0 else -1.0  # of light along the axis of the surface
+    x, y, z = ahead * frame.axes[:, 2]
+    surfaces, thickness_mm = [], []
+    for entry in entries:
+        surface = _surface(entry, notes)
+        surfaces.append(surface if ahead > 0 else surface.reversed())
+        ahead = -ahead if entry.mirror else ahead
+        thickness_mm.append(ahead * entry.distance_mm)
+    for number, length_mm in enumerate(thickness_mm[:-1]):
+        surfaces[number : number + 2] = _trim(
+            surfaces[number], surfaces[number + 1], length_mm, entries[number].number, notes
+        )
     try:
         return Element(
-            surfaces=tuple(_surface(entry) for entry in entries),
+            surfaces=tuple(surfaces),
             glass=tuple(entry.glass for entry in entries[:-1]),
-            thickness_mm=tuple(entry.distance_mm for entry in entries[:-1]),
-            name=f"surfaces {entries[0].number}-{entries[-1].number}",
+            thickness_mm=tuple(thickness_mm[:-1]),
+            name=entries[0].comment or f"surfaces {entries[0].number}-{entries[-1].number}",
             decenter_mm=(float(frame.origin[1]), float(frame.origin[0])),
             tilt_rad=(math.atan2(y, z), math.asin(max(-1.0, min(1.0, x)))),
         )
@@ -146,19 +265,43 @@ def _element(entries: list[Entry], frame: Frame) -> Element:
         raise DataError(str(error), field=entries[0].where()) from error
 
 
-def _surface(entry: Entry) -> Surface:
-    asphere: tuple[float, ...] = ()
-    if entry.type == "EVENASPH":
-        if entry.parameters.get(1, 0.0):
-            raise DataError("expected no term in r^2 in an EVENASPH", field=entry.where())
-        last = max((i for i, value in entry.parameters.items() if value), default=1)
-        asphere = tuple(entry.parameters.get(i, 0.0) for i in range(2, last + 1))
+def _surface(entry: Entry, notes: list[str]) -> Surface:
+    semi_mm = min(entry.semi_diameter_mm or math.inf, entry.clear_mm)
+    bend = math.sqrt(max(0.0, 1.0 + entry.conic)) * abs(entry.curvature_per_mm)
+    if math.isfinite(semi_mm) and bend * semi_mm > 1.0:
+        semi_mm = (1.0 - _ROUNDING) / bend
+        notes.append(f"surface {entry.number}: clipped to {semi_mm:.4g} mm, where it ends")
     try:
         return Surface(
             radius_mm=1.0 / entry.curvature_per_mm if entry.curvature_per_mm else math.inf,
             conic=entry.conic,
-            asphere=asphere,
-            semi_diameter_mm=entry.semi_diameter_mm or math.inf,
+            asphere=entry.asphere,
+            semi_diameter_mm=semi_mm,
+            radial=entry.radial,
+            mirror=entry.mirror,
         )
     except ValueError as error:
         raise DataError(str(error), field=entry.where()) from error
+
+
+def _trim(
+    front: Surface, back: Surface, length_mm: float, number: int | None, notes: list[str]
+) -> tuple[Surface, Surface]:
+    """Return two surfaces as far as the height where they meet, if that is near their edge."""
+    edge_mm = min(front.semi_diameter_mm, back.semi_diameter_mm)
+    if front.mirror or back.mirror or math.isinf(edge_mm) or not length_mm >= 0:
+        return front, back
+    heights_mm = np.linspace(0.0, edge_mm, _HEIGHTS)
+    room_mm = length_mm + back.sag_mm(heights_mm) - front.sag_mm(heights_mm)
+    crossed = ~(room_mm >= 0)
+    if not crossed.any():
+        return front, back
+    meets_mm = float(heights_mm[max(0, int(crossed.argmax()) - 1)])
+    if meets_mm < _LEAST_SHARE * edge_mm:
+        return front, back  # no lens: its own check tells
+    where = "air" if number is None else f"surface {number}"
+    notes.append(f"{where}: edges cross, clipped to {meets_mm:.4g} mm")
+    return (
+        replace(front, semi_diameter_mm=min(front.semi_diameter_mm, meets_mm)),
+        replace(back, semi_diameter_mm=min(back.semi_diameter_mm, meets_mm)),
+    )

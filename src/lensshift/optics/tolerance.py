@@ -131,7 +131,8 @@ def tolerance_analysis(
     """Return the sharpness and the shifts of randomly built lenses (Monte Carlo).
 
     Each element of each build is off by evenly distributed random amounts within the tolerances;
-    then the sensor is moved to where the least MTF over the field, element at rest, is largest.
+    then the sensor is moved to where the least MTF over the field and all positions of the
+    moving element is largest.
     The moving element is driven as the lens as drawn needs it.
 
     Parameters
@@ -303,7 +304,7 @@ class _Bench:
         decenter_mm = self.moves if build.decenter_mm is None else build.decenter_mm + self.moves
         build = Build(decenter_mm, build.tilt_rad, build.gap_mm, build.index_factor)
         rays = trace(self.lens, self.fields, self.points, build=build)
-        away_mm = self._refocus(rays.part((slice(None), 0)))
+        away_mm = self._refocus(rays)
         behind_mm = away_mm[:, None, None]
         mtf = self._scan(rays, behind_mm, 0.0, 1)[..., 0]
         means = spot_means(rays, self.weight)
@@ -311,13 +312,16 @@ class _Bench:
         return mtf, (at_mm[:, 1:] - at_mm[:, :1]) / self.pitch_mm, away_mm
 
     def _refocus(self, rays: RayBundle) -> Array:
-        """Return for [build field ray] where the least MTF is largest, [build]."""
+        """Return for [build position field ray] where the least MTF is largest, [build].
+
+        Over all positions: one plane serves the element at rest and moved.
+        """
         planes = 1 + 2 * math.ceil(self.refocus_mm / _COARSE_MM)
         start_mm = np.full(rays.status.shape[:1], -_COARSE_MM * (planes // 2))
-        least = self._scan(rays, start_mm[:, None], _COARSE_MM, planes).min(axis=(1, 2))
+        least = self._scan(rays, start_mm[:, None, None], _COARSE_MM, planes).min(axis=(1, 2, 3))
         start_mm += _COARSE_MM * (least.argmax(axis=-1) - 1)
         planes = 1 + 2 * round(_COARSE_MM / _FINE_MM)
-        least = self._scan(rays, start_mm[:, None], _FINE_MM, planes).min(axis=(1, 2))
+        least = self._scan(rays, start_mm[:, None, None], _FINE_MM, planes).min(axis=(1, 2, 3))
         return np.asarray(start_mm + _FINE_MM * least.argmax(axis=-1))
 
     def _scan(self, rays: RayBundle, first_mm: Array, step_mm: float, planes: int) -> Array:

@@ -204,6 +204,11 @@ class _System:
         self.asphere = np.zeros((len(surfaces), max(1, self.terms.max())))
         for row, surface in zip(self.asphere, surfaces, strict=True):
             row[: len(surface.asphere)] = surface.asphere
+        self.radial_terms = np.array([len(surface.radial) for surface in surfaces])
+        self.radial = np.zeros((len(surfaces), max(1, self.radial_terms.max())))
+        for row, surface in zip(self.radial, surfaces, strict=True):
+            row[: len(surface.radial)] = surface.radial
+        self.mirror = np.array([surface.mirror for surface in surfaces])
 
     def follow(
         self,
@@ -222,7 +227,7 @@ class _System:
             _NO_CROSSINGS if crossings is None else crossings,
             self.vertices, self.rotations, self.index, plane_mm,
             self.element, self.depth, self.curvature, self.conic, self.asphere,
-            self.terms, self.semi_diameter, surfaces,
+            self.terms, self.radial, self.radial_terms, self.mirror, self.semi_diameter, surfaces,
         )  # fmt: skip
 
     def bundle(self, rays: _Rays, with_heights: bool, with_crossings: bool) -> RayBundle:

@@ -20,8 +20,9 @@ _Vector = tuple[float, float, float]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _slope(
-    square: float, curvature: float, conic: float, asphere: Array, s: int, terms: int
-) -> tuple[float, float]:
+    square: float, curvature: float, conic: float, asphere: Array, s: int, terms: int,
+    radial: Array, radial_terms: int,
+) -> tuple[float, float]:  # fmt: skip
     """Return sag and d sag / d r^2 at the squared height r^2; NaN where the surface has ended."""
     root = np.sqrt(1.0 - (1.0 + conic) * curvature * curvature * square)
     sag = curvature * square / (1.0 + root)
@@ -31,6 +32,13 @@ def _slope(
         slope += (i + 2) * asphere[s, i] * power
         power *= square
         sag += asphere[s, i] * power
+    if radial_terms:
+        height = np.sqrt(square)
+        power = 1.0 / height if height > 0.0 else 0.0  # the tip of a cone has no slope
+        for i in range(radial_terms):
+            slope += 0.5 * (i + 1) * radial[s, i] * power
+            power = 1.0 if i == 0 else power * height
+            sag += radial[s, i] * power * height
     return sag, slope
 
 
@@ -44,16 +52,21 @@ def _meet_conic(p: _Vector, d: _Vector, curvature: float, conic: float) -> float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet_asphere(
-    p: _Vector, d: _Vector, curvature: float, conic: float, asphere: Array, s: int, terms: int
-) -> float:
-    """Return the distance along a ray from the vertex plane to an asphere, NaN if it misses."""
+def _meet(
+    p: _Vector, d: _Vector, curvature: float, conic: float, asphere: Array, s: int, terms: int,
+    radial: Array, radial_terms: int,
+) -> float:  # fmt: skip
+    """Return the distance along a ray from the vertex plane to a surface, NaN if it misses."""
     t = _meet_conic(p, d, curvature, conic)
+    if terms == 0 and radial_terms == 0:
+        return t
     if np.isnan(t):
         t = 0.0
     for _ in range(_NEWTON_STEPS):
         row, col = p[0] + t * d[0], p[1] + t * d[1]
-        sag, slope = _slope(row * row + col * col, curvature, conic, asphere, s, terms)
+        sag, slope = _slope(
+            row * row + col * col, curvature, conic, asphere, s, terms, radial, radial_terms
+        )
         step = (t * d[2] - sag) / (d[2] - 2.0 * slope * (row * d[0] + col * d[1]))
         t -= step
         if abs(step) < _CLOSE_MM:
@@ -72,6 +85,19 @@ def _refract(d: _Vector, row: float, col: float, slope: float, ratio: float) -> 
     along = np.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine)) - ratio * cosine
     along *= scale
     return ratio * d[0] + along * n_row, ratio * d[1] + along * n_col, ratio * d[2] + along
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _reflect(d: _Vector, row: float, col: float, slope: float) -> _Vector:
+    """Reflect the direction, seen in the plane through the vertex so that it still goes on."""
+    n_row, n_col = -2.0 * slope * row, -2.0 * slope * col
+    twice = 2.0 * (n_row * d[0] + n_col * d[1] + d[2]) / (n_row * n_row + n_col * n_col + 1.0)
+    return d[0] - twice * n_row, d[1] - twice * n_col, twice - d[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _vector(values: Array) -> _Vector:
+    return values[0], values[1], values[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -99,7 +125,8 @@ def trace_kernel(
     origin: Array, direction: Array, path: Array, status: Array, failed_at: Array,
     heights: Array, crossings: Array, vertices: Array, rotations: Array, index: Array,
     plane: Array, element: Array, depth: Array, curvature: Array, conic: Array,
-    asphere: Array, terms: Array, semi_diameter: Array, surfaces: int,
+    asphere: Array, terms: Array, radial: Array, radial_terms: Array, mirror: Array,
+    semi_diameter: Array, surfaces: int,
 ) -> None:  # fmt: skip
     """Trace rays in place through the first `surfaces` surfaces to a plane across the axis.
 
@@ -118,13 +145,13 @@ def trace_kernel(
     plane : [batch] axial position of the last plane
     element, depth : [surface] its element, and how far its vertex lies behind the first one
     curvature, conic, asphere, terms, semi_diameter : [surface], asphere [surface term] of which
-        `terms` are used
+        `terms` are used, and as many of powers of r as `radial_terms`
+    mirror : [surface] whether it reflects; behind it everything is seen in its vertex plane
     """
     for b in range(origin.shape[0]):
         for r in range(origin.shape[1]):
             before, length = 1.0, path[b, r]
-            p = (origin[b, r, 0], origin[b, r, 1], origin[b, r, 2])
-            d = (direction[b, r, 0], direction[b, r, 1], direction[b, r, 2])
+            p, d = _vector(origin[b, r]), _vector(direction[b, r])
             for s in range(surfaces):
                 e = element[s]
                 if s == 0 or element[s - 1] != e:
@@ -133,14 +160,15 @@ def trace_kernel(
                     d = _into(rotations, b, e, d)
                 t = (depth[s] - p[2]) / d[2]
                 at = (p[0] + t * d[0], p[1] + t * d[1], 0.0)
-                if terms[s]:
-                    t += _meet_asphere(at, d, curvature[s], conic[s], asphere, s, terms[s])
-                else:
-                    t += _meet_conic(at, d, curvature[s], conic[s])
+                t += _meet(
+                    at, d, curvature[s], conic[s], asphere, s, terms[s], radial, radial_terms[s]
+                )
                 p = (p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2])
                 length += before * t
                 square = p[0] * p[0] + p[1] * p[1]
-                _, slope = _slope(square, curvature[s], conic[s], asphere, s, terms[s])
+                slope = _slope(
+                    square, curvature[s], conic[s], asphere, s, terms[s], radial, radial_terms[s]
+                )[1]
                 if np.isnan(slope):
                     status[b, r], failed_at[b, r] = MISSED, s
                     break
@@ -153,7 +181,11 @@ def trace_kernel(
                         crossings[b, r, s, i] = v[i] + vertices[b, e, i]
                 if height > 1.0 and status[b, r] == PASSED:
                     status[b, r], failed_at[b, r] = VIGNETTED, s
-                d = _refract(d, p[0], p[1], slope, before / index[b, s])
+                if mirror[s]:
+                    d = _reflect(d, p[0], p[1], slope)
+                    p = (p[0], p[1], 2.0 * depth[s] - p[2])
+                else:
+                    d = _refract(d, p[0], p[1], slope, before / index[b, s])
                 if np.isnan(d[2]):
                     status[b, r], failed_at[b, r] = REFLECTED, s
                     break

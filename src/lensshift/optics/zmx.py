@@ -1,59 +1,94 @@
-"""Read sequential Zemax files (.zmx): standard and even aspheric surfaces, coordinate breaks."""
+"""Read sequential Zemax files (.zmx)."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
-from lensshift.optics.glass import GLASSES, glass_called
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.optics.agf import decode
+from lensshift.optics.glass import (
+    REFERENCE_TEMPERATURE_C,
+    glass_called,
+    model_glass,
+    successor,
+)
 from lensshift.optics.lens import Lens
 from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 
-_TYPES = ("STANDARD", "EVENASPH", "COORDBRK")
-_MOST_PARAMETERS = 8  # an even asphere ends with r^16
+_LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
+_FAR_MM = 1e9  # programs write such a distance for infinity
+_KNOWN = ("STANDARD", "EVENASPH", "ODDASPHE", "XASPHERE", "COORDBRK")
+_NO_REVOLUTION = "which is no surface of revolution"
+_DIFFRACTS = "which diffracts light"
+_REASONS = {
+    "TOROIDAL": _NO_REVOLUTION,
+    "CYLINDER": _NO_REVOLUTION,
+    "BICONICX": _NO_REVOLUTION,
+    "TILTSURF": _NO_REVOLUTION,
+    "IRREGULA": _NO_REVOLUTION,
+    "XPOLYNOM": _NO_REVOLUTION,
+    "BINARY_1": _DIFFRACTS,
+    "BINARY_2": _DIFFRACTS,
+    "BINARY_3": _DIFFRACTS,
+    "DGRATING": _DIFFRACTS,
+    "HOLOGRM1": _DIFFRACTS,
+    "HOLOGRM2": _DIFFRACTS,
+    "FRESNELS": "whose grooves scatter light",
+    "PARAXIAL": "an ideal lens, which has no surfaces to trace",
+    "USERSURF": "whose shape is in a program of its own",
+    "NONSEQCO": "in which light takes no fixed order of surfaces",
+}
+_LIKE_ASPHERE = ("BINARY_1", "BINARY_2")  # even aspheres, where their phase is 0
+_MOST_PARAMETERS = 8  # an even asphere ends with r^16, an odd one with r^8
+_DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
+_D_LINE_UM = 0.5875618
 
 
 @dataclass(slots=True)
 class _File:
-    """The contents of a file, as written."""
+    """The contents of a file, as written, lengths in mm."""
 
     entries: list[Entry] = field(default_factory=list)
     name: str = ""
+    mm: float = 1.0
     wavelengths_um: dict[int, float] = field(default_factory=dict)
     primary: int = 1
     aperture: tuple[str, float] = ("FLOA", 0.0)
+    temperature_c: float = REFERENCE_TEMPERATURE_C
+    notes: list[str] = field(default_factory=list)
 
 
 def load_zmx(path: str | Path) -> Lens:
     """Read a lens from a sequential .zmx file.
 
-    Neighbouring surfaces with glass between them make an element; coordinate breaks between
-    elements become its decentre and tilt. Entries that say nothing about the path of the light
-    (fields, coatings, solves, display) are skipped.
+    Neighbouring surfaces with glass between them make an element, a curved mirror another;
+    behind a mirror the path is unfolded, plane mirrors in air only fold it. Coordinate breaks
+    between elements become decentre and tilt. Lengths may be mm, cm, m or inches. Glasses are
+    those of the package, of `load_glass_catalogue`, model glasses and six-digit codes. Entries
+    that say nothing about the path of the light (fields, coatings, solves, display, other
+    configurations) are skipped.
 
     Raises
     ------
     DataError
-        If the file is missing, malformed, uses something else than surfaces STANDARD, EVENASPH
-        and COORDBRK, an unknown glass or a mirror, or describes no lens: with file, line and
-        surface.
+        If the file is missing or malformed, describes no lens, or has a surface, a glass or a
+        place of the image that cannot be traced, with the reason: with file, line and surface.
+
+    Warns
+    -----
+    QualityWarning
+        If something was taken otherwise than it is written: a stop or a surface that is clipped, a
+        glass known by its index and Abbe number only, an aperture that is not round.
     """
-    if Path(path).exists() and not Path(path).is_file():
-        raise DataError("cannot read: expected a file, not a folder, device or pipe", source=path)
+    text = decode(path)
     try:
-        raw = Path(path).read_bytes()
-    except OSError as error:
-        raise DataError(f"cannot read: {error.strerror or error}", source=path) from error
-    encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        return parse_zmx(raw.decode(encoding))
-    except UnicodeDecodeError as error:
-        raise DataError("expected a text file in UTF-8 or UTF-16", source=path) from error
+        return parse_zmx(text)
     except DataError as error:
         raise error.in_file(path) from error
 
@@ -62,11 +97,14 @@ def parse_zmx(text: str) -> Lens:
     """Return the lens that the text of a .zmx file describes; see `load_zmx`."""
     content = _read(text)
     try:
-        return _lens(content)
+        lens = _lens(content)
     except DataError:
         raise
     except ValueError as error:
         raise DataError(str(error)) from error
+    if content.notes:
+        warnings.warn("; ".join(dict.fromkeys(content.notes)), QualityWarning, stacklevel=3)
+    return lens
 
 
 def _read(text: str) -> _File:
@@ -93,51 +131,75 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
     if key == "SURF":
         content.entries.append(Entry(int(values[0]), line))
     elif content.entries:
-        _read_surface_line(content.entries[-1], key, values, line)
+        _read_surface_line(content, content.entries[-1], key, values, line)
     elif key == "MODE" and values[0] != "SEQ":
         raise DataError(f"expected a sequential file, got mode {values[0]}", field=f"line {line}")
-    elif key == "UNIT" and values[0] != "MM":
-        raise DataError(f"expected lengths in MM, got {values[0]}", field=f"line {line}")
+    elif key == "UNIT":
+        if values[0].upper() not in _LENGTHS_MM:
+            raise DataError(
+                f"expected lengths in {', '.join(_LENGTHS_MM)}, got {values[0]}",
+                field=f"line {line}",
+            )
+        content.mm = _LENGTHS_MM[values[0].upper()]
     elif key == "NAME":
         content.name = " ".join(values)
     elif key == "WAVM":
         content.wavelengths_um[int(values[0])] = float(values[1])
-    elif key == "WAVL":
+    elif key in ("WAVL", "WAVN"):
         content.wavelengths_um.update({i: float(v) for i, v in enumerate(values, start=1)})
     elif key == "PWAV":
         content.primary = int(values[0])
-    elif key in ("ENPD", "FNUM"):
-        if not float(values[0]) > 0:
+    elif key == "ENVD":
+        content.temperature_c = _finite(values[0])
+    elif key in ("ENPD", "FNUM", "OBNA"):
+        value = float(values[0])
+        if key == "ENPD" and value == 0:
+            return  # none is set: the stop is as wide as its surface
+        if not value > 0:
             raise DataError(f"expected a positive {key}, got {values[0]}", field=f"line {line}")
-        content.aperture = (key, float(values[0]))
+        working = key == "FNUM" and len(values) > 1 and values[1] == "1"
+        length = content.mm if key == "ENPD" else 1.0
+        content.aperture = ("WORKING" if working else key, length * value)
 
 
-def _read_surface_line(entry: Entry, key: str, values: list[str], line: int) -> None:
+def _read_surface_line(
+    content: _File, entry: Entry, key: str, values: list[str], line: int
+) -> None:
+    mm = content.mm
     if key == "TYPE":
-        if values[0] not in _TYPES:
-            raise DataError(
-                f"line {line}: expected a surface of type {', '.join(_TYPES)}, got {values[0]}",
-                field=entry.where(),
-            )
         entry.type = values[0]
+        entry.line_of_type = line
     elif key == "CURV":
-        entry.curvature_per_mm = _finite(values[0])
+        entry.curvature_per_mm = _finite(values[0]) / mm
     elif key == "CONI":
         entry.conic = _finite(values[0])
-    elif key == "PARM":
+    elif key in ("PARM", "XDAT"):
         number = int(values[0])
-        if not 0 <= number <= _MOST_PARAMETERS:
+        if key == "PARM" and not 0 <= number <= _MOST_PARAMETERS and float(values[1]):
             raise DataError(
                 f"line {line}: expected a parameter up to {_MOST_PARAMETERS}, got {number}",
                 field=entry.where(),
             )
-        entry.parameters[number] = _finite(values[1])
+        table = entry.parameters if key == "PARM" else entry.extra
+        table[number] = _finite(values[1])
     elif key == "DISZ":
-        entry.distance_mm = float(values[0])  # also reads INFINITY
+        entry.distance_mm = mm * float(values[0])  # also reads INFINITY
     elif key == "DIAM":
-        entry.semi_diameter_mm = float(values[0])
+        entry.semi_diameter_mm = mm * _finite(values[0])
+    elif key in ("CLAP", "FLAP") and len(values) > 1 and float(values[1]) > 0:
+        entry.clear_mm = mm * _finite(values[1])
+        if float(values[0]) > 0:
+            content.notes.append(f"surface {entry.number}: its central obstruction is left out")
+    elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
+        content.notes.append(f"surface {entry.number}: aperture {key} is left out")
+    elif key == "COMM":
+        entry.comment = " ".join(values)
     elif key == "GLAS":
-        entry.glass = _glass(values[0], entry, line)
+        if values[0].upper() == "MIRROR":
+            entry.mirror = True
+        else:
+            entry.glass, note = _glass(values, entry, line)
+            content.notes += [note] if note else []
     elif key == "STOP":
         entry.is_stop = True
 
@@ -149,28 +211,91 @@ def _finite(word: str) -> float:
     return value
 
 
-def _glass(name: str, entry: Entry, line: int) -> str:
-    glass = glass_called(name)
-    if glass is None:
-        raise DataError(
-            f"line {line}: expected a glass of {', '.join(GLASSES)}, got {name}",
-            field=entry.where(),
-        )
-    return glass
+def _glass(values: list[str], entry: Entry, line: int) -> tuple[str, str]:
+    """Return the glass of a line and what has to be said about it; no glass for air."""
+    name = values[0]
+    numbers = [float(word) for word in values[3:6]]
+    index, abbe, partial = (*numbers, 0.0, 0.0, 0.0)[:3]
+    if name.upper() in ("AIR", "VACUUM"):
+        return "", ""
+    if name.upper() == "___BLANK":
+        if not math.isfinite(index) or not index > 0:
+            raise ValueError(f"expected an index, got {index}")
+        return ("" if index == 1.0 else model_glass(index, abbe or 1e5, partial)), ""
+    known = glass_called(name)
+    if known is not None:
+        return known, ""
+    newer = successor(name)
+    if newer is not None:
+        return newer, f"surface {entry.number}: glass {name} taken as {newer}, which replaced it"
+    if 1.2 < index < 4.5 and 5.0 < abbe < 150.0 and (index, abbe) != _DEFAULT_GLASS:
+        made = model_glass(index, abbe)
+        note = f"glass {name} taken from its index {index:g} and Abbe number {abbe:g}"
+        return made, f"surface {entry.number}: {note}"
+    raise DataError(
+        f"line {line}: expected a known glass, got {name}: load the catalogue of its maker, "
+        "`lensshift lens convert LENS.zmx LENS.toml --glass-catalogue MAKER.agf`",
+        field=entry.where(),
+    )
 
 
 def _lens(content: _File) -> Lens:
     if not content.entries:
         raise DataError("expected surfaces (SURF), got none")
+    if not content.wavelengths_um:
+        content.wavelengths_um, content.primary = {1: _D_LINE_UM}, 1
+        content.notes.append("no wavelength is given: taken as 587.6 nm")
     if content.primary not in content.wavelengths_um:
         raise DataError(f"expected a wavelength number {content.primary}", field="PWAV")
+    for entry in content.entries[1:-1]:
+        _shape(entry, content.mm)
+    if content.entries[0].distance_mm >= _FAR_MM:
+        content.entries[0].distance_mm = math.inf
     return lens_of_entries(
         content.entries,
         _frames(content.entries),
         content.aperture,
         1e3 * content.wavelengths_um[content.primary],
         content.name,
+        temperature_c=content.temperature_c,
+        notes=content.notes,
     )
+
+
+def _shape(entry: Entry, mm: float) -> None:
+    """Turn the parameters of a surface into the terms of its sag, or refuse it."""
+    value = entry.parameters
+    if entry.type in _LIKE_ASPHERE and not any(entry.extra.values()):
+        entry.type = "EVENASPH"
+    if entry.type == "COORDBRK":
+        value.update({axis: mm * value.get(axis, 0.0) for axis in (1, 2)})
+    elif entry.type == "EVENASPH":
+        entry.radial = _trimmed([0.0, value.get(1, 0.0) / mm])
+        terms = [value.get(i, 0.0) * mm ** (1 - 2 * i) for i in range(2, _MOST_PARAMETERS + 1)]
+        entry.asphere = _trimmed(terms)
+    elif entry.type == "ODDASPHE":
+        terms = [value.get(i, 0.0) * mm ** (1 - i) for i in range(1, _MOST_PARAMETERS + 1)]
+        entry.radial = _trimmed(terms)
+    elif entry.type == "XASPHERE":  # terms of (r / unit)^2, (r / unit)^4, ...
+        count, unit_mm = int(entry.extra.get(1, 0.0)), mm * entry.extra.get(2, 1.0)
+        if not (0 <= count <= 240 and unit_mm > 0):
+            raise DataError("expected terms and a radius above 0", field=entry.where())
+        terms = [mm * entry.extra.get(2 + i, 0.0) / unit_mm ** (2 * i) for i in range(1, count + 1)]
+        entry.radial = _trimmed([0.0, *terms[:1]])
+        entry.asphere = _trimmed(terms[1:])
+    elif entry.type != "STANDARD":
+        reason = _REASONS.get(entry.type, "whose shape is not known here")
+        raise DataError(
+            f"line {entry.line_of_type}: expected a surface of type {', '.join(_KNOWN)}, got "
+            f"{entry.type}, {reason}",
+            field=entry.where(),
+        )
+
+
+def _trimmed(terms: list[float]) -> tuple[float, ...]:
+    """Return the terms without zeros at the end."""
+    last = max((number for number, term in enumerate(terms, start=1) if term), default=0)
+    return tuple(terms[:last])
 
 
 def _frames(entries: list[Entry]) -> list[Frame]:
@@ -183,7 +308,7 @@ def _frames(entries: list[Entry]) -> list[Frame]:
         frames.append(Frame(origin, axes))
         if math.isfinite(entry.distance_mm):
             origin = origin + axes[:, 2] * entry.distance_mm
-        elif entry is not entries[0]:
+        elif entry is not entries[0] and entry is not entries[-1]:
             raise DataError(
                 f"expected a finite distance, got {entry.distance_mm}", field=entry.where()
             )

@@ -16,12 +16,14 @@ def save_zmx(lens: Lens, path: str | Path) -> None:
     """Write a lens as a sequential .zmx file, millimetres and degrees.
 
     A decentred or tilted element stands between two coordinate breaks, the second of which
-    returns to the axis exactly. The stop becomes a plane of its own.
+    returns to the axis exactly. The stop becomes a plane of its own. Behind a mirror distances
+    are negative, as the format wants.
 
     Raises
     ------
     ValueError
-        If the stop rides on an element that is decentred: the format cannot say so.
+        If the stop rides on an element that is decentred, a mirror is tilted, or a surface has
+        even and odd powers of its radius: the format cannot say so.
     DataError
         If the file cannot be written.
     """
@@ -68,48 +70,69 @@ def _blocks(lens: Lens) -> list[list[str]]:
     far = math.isinf(lens.object_mm)
     to_stop_mm = stop_mm if before == 0 else 0.0
     blocks = [_plane(math.inf if far else lens.object_mm + to_stop_mm)]
+    ahead = 1.0
     for number, element in enumerate(lens.elements):
         if number == before:
-            blocks.append(_stop(lens, float(starts_mm[number]) - stop_mm))
+            blocks.append(_stop(lens, ahead * (float(starts_mm[number]) - stop_mm)))
         gap_mm = lens.gaps_mm[number]
         if number + 1 == before:
             gap_mm = stop_mm - ends_mm[number + 1]
-        blocks += _element(element, gap_mm)
+        blocks += _element(element, gap_mm, ahead)
+        ahead *= -1.0 if sum(surface.mirror for surface in element.surfaces) % 2 else 1.0
     if before == len(lens.elements):
-        blocks.append(_stop(lens, float(starts_mm[-1]) - stop_mm))
+        blocks.append(_stop(lens, ahead * (float(starts_mm[-1]) - stop_mm)))
     return [*blocks, _plane(0.0)]
 
 
-def _element(element: Element, gap_mm: float) -> list[list[str]]:
+def _element(element: Element, gap_mm: float, ahead: float) -> list[list[str]]:
+    """Return the lines of an element that light meets along (1) or against (-1) the z axis."""
     row_mm, col_mm = element.decenter_mm
-    about_x_deg, about_y_deg = -math.degrees(element.tilt_rad[0]), math.degrees(element.tilt_rad[1])
+    about_x_deg, about_y_deg = (
+        -ahead * math.degrees(element.tilt_rad[0]),
+        ahead * math.degrees(element.tilt_rad[1]),
+    )
     away = any((*element.decenter_mm, *element.tilt_rad))
+    if any(element.tilt_rad) and any(surface.mirror for surface in element.surfaces):
+        raise ValueError(f"expected mirrors that are not tilted, got {element.name} tilted")
     blocks = []
     if away:
         blocks.append(_break((col_mm, row_mm, about_x_deg, about_y_deg, 0.0, 0), 0.0))
+    length_mm = 0.0
     for number, surface in enumerate(element.surfaces):
+        shape = surface if ahead > 0 else surface.reversed()
+        ahead = -ahead if surface.mirror else ahead
         if number < len(element.glass):
-            glass, distance_mm = element.glass[number], element.thickness_mm[number]
+            glass, distance_mm = element.glass[number], ahead * element.thickness_mm[number]
+            length_mm += distance_mm
         else:  # back to the first vertex, about which the element is tilted
-            glass, distance_mm = "", -element.length_mm if away else gap_mm
-        blocks.append(_surface(surface, glass, distance_mm))
+            glass, distance_mm = "", -length_mm if away else ahead * gap_mm
+        blocks.append(_surface(shape, "MIRROR" if surface.mirror else glass, distance_mm))
     if away:
         back = (-col_mm, -row_mm, -about_x_deg, -about_y_deg, 0.0, 1)
-        blocks.append(_break(back, element.length_mm + gap_mm))
+        blocks.append(_break(back, length_mm + ahead * gap_mm))
     return blocks
 
 
 def _surface(surface: Surface, glass: str, distance_mm: float) -> list[str]:
-    lines = [
-        f"TYPE {'EVENASPH' if surface.asphere else 'STANDARD'}",
-        f"CURV {_number(surface.curvature_per_mm)}",
-    ]
+    kind = "STANDARD"
+    parameters: tuple[float, ...] = ()
+    square = surface.radial[1] if len(surface.radial) > 1 else 0.0
+    if surface.asphere or (square and len(surface.radial) == 2 and not surface.radial[0]):
+        if any(surface.radial[:1]) or any(surface.radial[2:]):
+            raise ValueError("expected even powers of the radius in a surface, or others alone")
+        kind, parameters = "EVENASPH", (square, *surface.asphere)
+    elif surface.radial:
+        kind, parameters = "ODDASPHE", surface.radial
+    lines = [f"TYPE {kind}", f"CURV {_number(surface.curvature_per_mm)}"]
     if surface.conic:
         lines.append(f"CONI {_number(surface.conic)}")
-    for number, coefficient in enumerate(surface.asphere, start=2):
+    for number, coefficient in enumerate(parameters, start=1):
         lines.append(f"PARM {number} {_number(coefficient)}")
     lines.append(f"DISZ {_number(distance_mm)}")
-    if glass:
+    if glass.startswith("model:"):
+        index, abbe, partial = glass.split(":")[1:]
+        lines.append(f"GLAS ___BLANK 1 0 {index} {abbe} {partial} 0 0 0 0 0")
+    elif glass:
         lines.append(f"GLAS {_GLASS_NAMES.get(glass, glass)}")
     if math.isfinite(surface.semi_diameter_mm):
         lines.append(f"DIAM {_number(surface.semi_diameter_mm)} 1 0 0 1")

@@ -13,6 +13,7 @@ from lensshift.optics.layout import layout
 from lensshift.optics.mtf import diffraction_limit
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.shift import moving
+from lensshift.optics.which import label_of
 from lensshift.report import curves
 from lensshift.report.style import (
     BLUE,
@@ -156,7 +157,7 @@ def which_figure(movers: Sequence[Mover]) -> Figure:
     """
     if not movers:
         raise ValueError("expected at least one element that moves the image, got none")
-    names = [f"{mover.element + 1} {mover.name}" for mover in movers]
+    names = [label_of(mover) for mover in movers]
     stroke_um = [1e3 * mover.stroke_mm for mover in movers]
     panels = (
         ("stroke for the shift (um)", [abs(stroke) for stroke in stroke_um], BLUE),

@@ -193,7 +193,7 @@ def _around(ridges: _Ridges, lines: NDArray[np.intp], places: NDArray[np.intp]) 
         low, high = first + cut, last - cut
         if high - low < _LEAST_LENGTH_PX or abs(slope) * (high - low) < _LEAST_CROSSED_PX:
             break
-        at = np.polyval(bend, np.arange(low, high))
+        at: Image = np.polyval(bend, np.arange(low, high)).astype(np.float64)
         left, right = _room(ridges.strength[low:high], at, own)
         if min(left, right) > best_px:
             best_px = min(left, right)

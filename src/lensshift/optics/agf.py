@@ -1,0 +1,114 @@
+"""Glass catalogues as optical design programs have them (.agf)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lensshift.core.errors import DataError
+from lensshift.optics.glass import CONSTANT_COUNTS, REFERENCE_TEMPERATURE_C, Glass, add_glasses
+
+_FORMULAS = {
+    1: "schott", 2: "sellmeier 1", 3: "herzberger", 4: "sellmeier 2", 5: "conrady",
+    6: "sellmeier 3", 7: "handbook 1", 8: "handbook 2", 9: "sellmeier 4", 10: "extended",
+    11: "sellmeier 5", 12: "extended 2", 13: "extended 3",
+}  # fmt: skip
+
+
+def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
+    """Read a glass catalogue and make its glasses known to lens files by their names.
+
+    Glasses that come with the package keep their constants.
+
+    Parameters
+    ----------
+    path : text in UTF-8, UTF-16 or ISO-8859-1; entries NM, CD, TD, LD count, the others do not
+
+    Returns
+    -------
+    all glasses of the file by name, in upper case
+
+    Raises
+    ------
+    DataError
+        If the file is missing, has no glass, or a number or a formula is wrong: with file and line.
+    """
+    text = decode(path)
+    try:
+        glasses = parse_agf(text)
+        if not glasses:
+            raise DataError("expected glasses (NM), got none")
+        add_glasses(glasses)
+    except DataError as error:
+        raise error.in_file(path) from error
+    except ValueError as error:
+        raise DataError(str(error), source=path) from error
+    return glasses
+
+
+def parse_agf(text: str) -> dict[str, Glass]:
+    """Return the glasses of a catalogue by name; see `load_glass_catalogue`."""
+    glasses: dict[str, Glass] = {}
+    lines: dict[str, tuple[int, list[str]]] = {}
+    for number, line in enumerate([*text.splitlines(), "NM"], start=1):
+        key, _, rest = line.strip().partition(" ")
+        if key == "NM":
+            if "NM" in lines:
+                name, glass = _glass(lines)
+                glasses.setdefault(name, glass)
+            lines = {}
+        if key in ("NM", "CD", "TD", "LD", "GC"):
+            lines[key] = (number, rest.split())
+    return glasses
+
+
+def _glass(lines: dict[str, tuple[int, list[str]]]) -> tuple[str, Glass]:
+    number, words = lines["NM"]
+    try:
+        name, formula = words[0].upper(), _FORMULAS[int(float(words[1]))]
+        number, constants = lines["CD"]
+        values = [float(word) for word in constants[: CONSTANT_COUNTS[formula]]]
+        number, thermal = lines.get("TD", (number, []))
+        # Without all of them, and with "_" for a number, the change is not known.
+        known = len(thermal) >= 6 and "_" not in thermal[:6]
+        number, span = lines["LD"]
+        low_um, high_um = (float(word) for word in span[:2])
+        return name, Glass(
+            formula,
+            tuple(values),
+            tuple(float(word) for word in thermal[:6]) if known else (0.0,) * 6,
+            float(thermal[6]) if known and len(thermal) > 6 else REFERENCE_TEMPERATURE_C,
+            (1e3 * low_um, 1e3 * high_um),
+            " ".join(lines.get("GC", (0, []))[1]),
+        )
+    except (ValueError, IndexError, KeyError) as error:
+        raise DataError(
+            f"expected a glass as NM name formula, CD constants, LD range, got {words}: {error}",
+            field=f"line {number}",
+        ) from error
+
+
+def decode(path: str | Path) -> str:
+    """Return the text of a file of a design program, whatever its encoding.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or is no text.
+    """
+    if Path(path).exists() and not Path(path).is_file():
+        raise DataError("cannot read: expected a file, not a folder, device or pipe", source=path)
+    try:
+        raw = Path(path).read_bytes()
+    except OSError as error:
+        raise DataError(f"cannot read: {error.strerror or error}", source=path) from error
+    try:
+        if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return raw.decode("utf-16")
+        if b"\0" in raw[:200]:  # UTF-16 without its mark: every other byte of plain text is 0
+            return raw.decode("utf-16-be" if raw[:1] == b"\0" else "utf-16-le")
+        try:
+            return raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return raw.decode("iso-8859-1")  # knows every byte
+    except UnicodeDecodeError as error:
+        raise DataError("expected a text file in UTF-8 or UTF-16", source=path) from error
