@@ -118,7 +118,7 @@ def show(
             gap_mm = model.gaps_mm[number - 1]
             current.say(
                 f"  {number} {part.name or 'element':<18.18} f {focal_mm:9.3f} mm, "
-                f"{part.length_mm:6.3f} mm {' + '.join(part.glass):<12}"
+                f"{part.length_mm:6.3f} mm {' + '.join(part.glass):<12} "
                 f"then {gap_mm:8.3f} mm air, image moves {gain:+.4f} mm per mm"
             )
             rows.append({"name": part.name, "focal_length_mm": focal_mm, "gap_mm": gap_mm})
@@ -126,7 +126,7 @@ def show(
         for name, value in asdict(data).items():
             unit = " mm" if name.endswith("_mm") else ""
             label = name.removesuffix("_mm").replace("_", " ")
-            current.say(f"{label:<28}{value:.6g}{unit}")
+            current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
         travel_mm = diagonal_mm(model, moved, shift_px, grid)
         current.say(
             f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
