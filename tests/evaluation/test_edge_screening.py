@@ -70,3 +70,11 @@ def test_a_prediction_leaves_the_plateaus_their_level() -> None:
     lag = np.abs(np.arange(-3, 4))
     smooth = np.exp(-0.5 * (np.hypot(lag[:, None], lag) / 3.0) ** 2)
     assert noise_of_covariance(smooth, 1.0).prediction.sum() <= 0.8 + 1e-12
+
+
+def test_light_that_falls_towards_the_corners_is_not_blur() -> None:
+    row, col = (2.0 * np.arange(n) / (n - 1) - 1.0 for n in SHAPE)
+    light = 1.0 - 0.2 * (col**2 + row[:, None] ** 2)
+    even = measure_edge(noisy(0.2 + step(0.3), 0.005)).mtf50_lpmm
+    found = measure_edge(noisy(light * (0.2 + step(0.3)), 0.005)).mtf50_lpmm
+    assert found.value == pytest.approx(even.value, rel=0.012)

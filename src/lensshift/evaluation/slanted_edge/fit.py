@@ -29,7 +29,7 @@ class EdgeFit:
 
     Parameters
     ----------
-    edge, noise, tilted : the region, its noise, and whether its light is uneven
+    edge, noise, light : the region, its noise, and the order of its uneven light
     posterior : of the parameters
     parameters, parameter_draws : [p], [p k]
     level, level_draws : [q], [q k] factors of the level columns
@@ -42,7 +42,7 @@ class EdgeFit:
 
     edge: UprightEdge
     noise: NoiseModel
-    tilted: bool
+    light: int
     posterior: Posterior
     parameters: Vector
     parameter_draws: Matrix
@@ -80,8 +80,8 @@ def fit_edge(
     seed : of the draws
     noise_covariance : of the noise, None to let the plateaus tell
     """
-    noise, tilted = learn_noise(edge, tilt, noise_covariance)
-    samples = take_samples(edge, noise, aperture_px, tilted)
+    noise, light = learn_noise(edge, tilt, noise_covariance)
+    samples = take_samples(edge, noise, aperture_px, light)
     likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / edge.unit_px), -2.0, 1.5))
     start, steps = starting_point(edge.geometry, log_sigma, noise.dark_sigma, edge.half_length_px)
@@ -92,7 +92,7 @@ def fit_edge(
     return EdgeFit(
         edge=edge,
         noise=noise,
-        tilted=tilted,
+        light=light,
         posterior=posterior,
         parameters=parameters[:, 0],
         parameter_draws=parameters[:, 1:],
@@ -108,7 +108,7 @@ def fit_edge(
         lsf=lsf[:, 0],
         lsf_draws=lsf[:, 1:],
         residual=_residual(
-            likelihood, edge, tilted, (parameters[:, 0], levels[:, 0], coefficients[:, 0])
+            likelihood, edge, light, (parameters[:, 0], levels[:, 0], coefficients[:, 0])
         ),
     )
 
@@ -189,7 +189,7 @@ class _Curves:
 def _residual(
     likelihood: EdgeLikelihood,
     edge: UprightEdge,
-    tilted: bool,
+    light: int,
     best: tuple[Vector, Vector, Vector],
 ) -> Vector:
     """Return all pixels minus the model; the spline is interpolated from a fine grid."""
@@ -201,5 +201,5 @@ def _residual(
     grid_px = np.linspace(-reach_px, reach_px, round(2.0 * reach_px / _RESIDUAL_STEP_PX))
     response = likelihood.base_response(normal_px, parameters)
     spline = np.interp(normal_px, grid_px, edge.basis.integrals(grid_px) @ coefficients)
-    columns = level_columns(response, edge.tilt_columns if tilted else None)
+    columns = level_columns(response, edge.light_columns(light))
     return np.asarray(edge.scaled - columns @ levels - spline)

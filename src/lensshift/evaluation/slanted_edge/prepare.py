@@ -89,12 +89,20 @@ class UprightEdge:
         """Signed distance of every pixel from the first guess."""
         return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
 
-    @property
-    def tilt_columns(self) -> Matrix:
-        """Return [n 2]: distance from the edge and place along it, about -1 to 1."""
+    def light_columns(self, order: int) -> Matrix | None:
+        """Return [n k]: by which even light may differ, about -1 to 1; None for order 0.
+
+        Distance from the edge and place along it; for order 2 their squares and product too.
+        """
+        if order == 0:
+            return None
         normal_px = self.normal_px
-        reach_px = max(float(np.max(np.abs(normal_px))), 1.0)
-        return np.column_stack([normal_px / reach_px, self.along_px / self.half_length_px])
+        across = normal_px / max(float(np.max(np.abs(normal_px))), 1.0)
+        along = self.along_px / self.half_length_px
+        columns = [across, along]
+        if order > 1:
+            columns += [across**2 - 1.0 / 3.0, along**2 - 1.0 / 3.0, across * along]
+        return np.column_stack(columns)
 
     @property
     def basis(self) -> SplineBasis:
@@ -164,8 +172,8 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
 
 def learn_noise(
     edge: UprightEdge, tilt: bool | None, covariance: Matrix | None = None
-) -> tuple[NoiseModel, bool]:
-    """Return the noise of the plateaus, and whether the illumination is uneven.
+) -> tuple[NoiseModel, int]:
+    """Return the noise of the plateaus, and the order of uneven light: even, plane, bowl.
 
     Parameters
     ----------
@@ -173,23 +181,29 @@ def learn_noise(
     tilt : whether to model uneven illumination; None asks the plateaus
     covariance : of the noise, if it is known; see `noise_of_covariance`
     """
-    if covariance is not None and tilt is not None:
-        return noise_of_covariance(covariance, edge.line.high - edge.line.low), tilt
-    sides = edge.plateaus()
-    # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light.
+    sides, places = edge.plateaus(), edge.pixels.places
+    # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
+    # what changes across the edge; what changes along it tells uneven light.
     rest = edge.scaled - free_response(edge.normal_px, edge.scaled, edge.basis)
-    along = edge.tilt_columns[:, 1:]
-    tilted = plateau_tilt_matters(rest, edge.pixels.places, sides, along) if tilt is None else tilt
+    place = edge.along_px / edge.half_length_px
+    along = np.column_stack([place, place**2 - 1.0 / 3.0])
+    both = np.hstack([along, along * (edge.normal_px > 0.0)[:, None]])
+    factors = few_factors(both, rest)
+    even = rest - both @ factors
+    bowl = even + both[:, 1::2] @ factors[1::2]
+    if tilt is not None:
+        order = int(tilt)
+    elif plateau_tilt_matters(bowl, places, sides, along[:, 1:]):
+        order = 2
+    else:
+        order = int(plateau_tilt_matters(rest, places, sides, along[:, :1]))
     if covariance is not None:
-        return noise_of_covariance(covariance, edge.line.high - edge.line.low), tilted
-    if tilted:
-        columns = np.hstack([along, along * (edge.normal_px > 0.0)[:, None]])
-        rest = rest - columns @ few_factors(columns, rest)
-    return estimate_noise(rest, edge.pixels.places, sides), tilted
+        return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
+    return estimate_noise(even if order else rest, places, sides), order
 
 
 def take_samples(
-    edge: UprightEdge, noise: NoiseModel, aperture_px: float, tilted: bool
+    edge: UprightEdge, noise: NoiseModel, aperture_px: float, light: int
 ) -> EdgeSamples:
     """Return the samples of a region, whitened.
 
@@ -197,7 +211,7 @@ def take_samples(
     ----------
     edge, noise : the region and its noise
     aperture_px : side of the pixel
-    tilted : whether to model uneven illumination
+    light : order of the uneven illumination
     """
     values, whitener = edge.scaled, None
     if not noise.is_plain:
@@ -211,7 +225,7 @@ def take_samples(
         along_px=edge.along_px,
         half_length_px=edge.half_length_px,
         bends=edge.geometry.size - 2,
-        tilt_columns=edge.tilt_columns if tilted else None,
+        tilt_columns=edge.light_columns(light),
         values=values,
         whitener=whitener,
     )

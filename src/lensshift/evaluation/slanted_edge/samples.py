@@ -22,7 +22,7 @@ class EdgeSamples:
     across_px, along_px : [n] coordinates of the pixels, from the edge's middle
     half_length_px : half the length of the edge along `along_px`
     bends : number of bending terms (0 for a straight edge)
-    tilt_columns : [n 2] places by which the illumination may rise, None for an even one
+    tilt_columns : [n k] places by which the illumination may rise, None for an even one
     values : [m] the pixels, whitened
     whitener : [m n] what was done to them, None for nothing
     """

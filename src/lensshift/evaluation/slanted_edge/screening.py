@@ -11,7 +11,7 @@ from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_
 
 _STANDS_OUT = 6.0  # deviations; of 1e6 pixels of normal noise, none does
 _MOST_OUT = 0.05  # of the pixels; what is more frequent is no exception
-_LEAST_OUT = 1e-3  # of the contrast: the ESF is known no better yet
+_LEAST_OUT = 0.01  # of the contrast, as a deviation: the blocks of a JPEG are no dust
 _OF_GREY_LEVEL = 0.3  # as a deviation, that of rounding
 _BIN_UNITS = 2.0
 _FEWEST_IN_BIN = 16
