@@ -19,6 +19,7 @@ Array = NDArray[Any]
 
 _ROOT_HALF = math.sqrt(0.5)
 _INVERSE_ROOT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
+_FAR_SIDES = 16.0  # half sides of a pixel, where an error below 1e-6 is left
 _FAR = 9.0  # standard deviations; what is left of the normal distribution there is below 1e-18
 
 
@@ -67,8 +68,19 @@ def trapezium_tail(
     width_px : w of the Lorentzian w / (pi (x^2 + w^2)) and of the Laplacian exp(-|x| / w) / 2 w
     slow : share of the Lorentzian, the rest being Laplacian
     """
+    far_px, half_variance = _FAR_SIDES * max(p, q), (p * p + q * q) / 6.0
     for i in range(normal_px.size):
         d = normal_px[i]
+        if abs(d) > far_px:  # the pixel is small there: its second moment says all
+            square, fast = d * d + width_px * width_px, math.exp(-abs(d) / width_px)
+            value = (
+                slow
+                / math.pi
+                * (math.atan(d / width_px) - 2.0 * half_variance * d * width_px / (square * square))
+            )
+            rest = 0.5 - 0.5 * fast * (1.0 + half_variance / (width_px * width_px))
+            out[i] = 0.5 + value + (1.0 - slow) * math.copysign(rest, d)
+            continue
         total = _second_of_tail(d + p + q, width_px, slow)
         total -= _second_of_tail(d + p - q, width_px, slow)
         total += _second_of_tail(d - p - q, width_px, slow)
@@ -151,8 +163,7 @@ def spline_products(
     columns, values : [n p], [n]
     products, with_columns, with_values : [j j], [j p], [j], zero before
     """
-    knots = products.shape[0]
-    local = np.empty(6)
+    knots, local = products.shape[0], np.empty(6)
     for i in range(place.size):
         first, count = _local_range(place[i], knots)
         _local_differences(place[i], first, count, knots, local)
@@ -344,57 +355,3 @@ def whitened_sensitivities(
             to_place[i] += weights[t] * total
             for q in range(levels):
                 to_columns[i, q] += weights[t] * to_row[knots + q]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def process_covariance(
-    number: Array, envelope: Array, near: Array, symmetry: float, jitter: float, out: Array
-) -> None:
-    """Fill in e_i e_j [k(n_i - n_j) + m k(n_i + n_j)], plus jitter.
-
-    Parameters
-    ----------
-    number : [j] n, places of the knots in steps from the middle
-    envelope, near : [j], [l] e at every knot, k at every lag
-    symmetry, jitter : m, and what the diagonal gets
-    out : [j j]
-    """
-    count = envelope.size
-    for i in range(count):
-        for j in range(i + 1):
-            lag, fold = abs(number[i] - number[j]), abs(number[i] + number[j])
-            value = near[lag] + symmetry * near[fold]
-            out[i, j] = out[j, i] = value * envelope[i] * envelope[j]
-        out[i, i] += jitter
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def process_slopes(
-    sensitivity: Array,
-    number: Array,
-    envelope: Array,
-    near: Array,
-    longer: Array,
-    wider: Array,
-    symmetry: float,
-    out: Array,
-) -> None:
-    """Add up how a value changes with log amplitude, log length, log tail and logit symmetry.
-
-    Parameters
-    ----------
-    sensitivity : [j j] its derivative by the covariance of `process_covariance`
-    number, envelope, near, symmetry : as there
-    longer, wider : [l], [j] slopes of `near` and of the log envelope
-    out : [4], added to
-    """
-    count = envelope.size
-    for i in range(count):
-        for j in range(count):
-            lag, fold = abs(number[i] - number[j]), abs(number[i] + number[j])
-            weight = sensitivity[i, j] * envelope[i] * envelope[j]
-            value = weight * (near[lag] + symmetry * near[fold])
-            out[0] += 2.0 * value
-            out[1] += weight * (longer[lag] + symmetry * longer[fold])
-            out[2] += value * (wider[i] + wider[j])
-            out[3] += symmetry * (1.0 - symmetry) * weight * near[fold]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.kernels import process_covariance, process_slopes
+from lensshift.evaluation.slanted_edge.prior_kernels import process_covariance, process_slopes
 
 # Mean and standard deviation; lengths in units of `unit_px`. The Gaussian of the optics may be
 # anything from far below a pixel to well above it. The pixel may be smaller than its pitch (its
