@@ -91,13 +91,24 @@ def test_one_spoiled_frame_is_left_out() -> None:
 
 
 @given(st.integers(3, 8), st.floats(0.01, 2.0), st.floats(0.01, 2.0))
-def test_a_scan_reaches_every_position_from_both_sides(steps: int, row: float, col: float) -> None:
+def test_a_scan_comes_from_both_sides_and_to_no_row_or_column_twice(
+    steps: int, row: float, col: float
+) -> None:
     scan = calibration_scan_mm((1.0, -2.0), (row, col), steps=steps)
     assert len(scan) == 2 * steps**2 + 3
     np.testing.assert_allclose(scan[[0, len(scan) // 2, -1]], [[1.0, -2.0]] * 3)
     np.testing.assert_allclose(np.ptp(scan, axis=0), (row, col))
-    raster = len(scan) // 2
-    np.testing.assert_allclose(scan[1:raster], scan[raster + 1 : -1][::-1])
+    middle = len(scan) // 2
+    there, back = scan[1:middle], scan[middle + 1 : -1]
+    share = 1.0 / (2 * steps**2 - 1)
+    for axis, span in enumerate((row, col)):
+        places = np.sort(np.concatenate([there, back])[:, axis])
+        np.testing.assert_allclose(np.diff(places), share * span)
+        np.testing.assert_allclose(back[::-1, axis] - there[:, axis], share * span)
+        # The way back turns every motion round.
+        steps_there, steps_back = np.diff(there[:, axis]), np.diff(back[::-1, axis])
+        np.testing.assert_allclose(steps_there, steps_back, atol=1e-9)
+        assert np.abs(steps_there).min() > 1.9 * share * span
 
 
 def test_mistakes_are_named() -> None:

@@ -97,28 +97,30 @@ def fit_scan(
     stage_mm = _stage(burst)
     if lens_field is not None:
         lens_field.check_camera(burst)
+    known_px2 = np.zeros((2 * burst.frame_count, 2 * burst.frame_count))
     if not registered:
-        burst = _registered(burst, photometric=photometric)
+        burst, known_px2 = _registered(burst, photometric=photometric)
     rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
     commanded = burst.stage_commanded_mm if burst.stage_commanded_mm is not None else stage_mm
     direction = _directions(commanded)
     # Nobody knows on which side of its play an axis stood before it moved.
     known = np.all((direction != 0) | ~_turns(direction), axis=1)
     burst, direction = burst.select(list(np.flatnonzero(known))), direction[known]
+    known_px2 = known_px2[np.ix_(np.repeat(known, 2), np.repeat(known, 2))]
     away_mm = stage_mm[known] - rest
     time_s = None if burst.time_s is None else burst.time_s - burst.time_s.mean()
     design = _design(away_mm, direction, time_s)
-    found, covariance, residual = _robust(design, burst.offset_px)
+    found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     turns = _turns(direction)
     bent, order = None, 0
     if over_sensor:
         play_mm, _ = _play(found, covariance, turns)
         effective_mm = away_mm - 0.5 * play_mm * direction
         known_px = _slip_px(lens_field, effective_mm @ found[:2])
-        bent, order, better_px = fit_field(burst, design @ found, effective_mm, known_px)
+        bent, order, texture_px = fit_field(burst, design @ found, effective_mm, known_px)
         if bent is not None or lens_field is not None:
-            burst = replace(burst, offset_px=better_px)
-            found, covariance, residual = _robust(design, better_px)
+            burst = replace(burst, offset_px=burst.offset_px - texture_px)
+            found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     matrix, sigma = found[:2].T, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
     play, play_sigma = _play(found, covariance, turns)
     drift, drift_sigma = np.zeros(2), np.zeros(2)
@@ -169,20 +171,21 @@ def _refined(field: LensField, bent: Array, matrix: Array) -> tuple[LensField, A
     return field.corrected((bent - middle) @ np.linalg.inv(whole)), whole
 
 
-def _registered(burst: Burst, *, photometric: bool) -> Burst:
-    """Return the scan with registered offsets; how good they are, the fit will tell."""
+def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Array]:
+    """Return the scan with registered offsets and their covariance [2 frame, 2 frame]."""
     frames = frames_of(burst, "amplitude")
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     start_px = burst.offset_px - burst.offset_px[0]
     if not np.any(start_px):  # nobody said where the frames are
         start_px = phase_shifts(filled(frames, valid), 0)
     found = likely_shifts(frames, valid, start_px, photometric=photometric)
-    return replace(
+    burst = replace(
         burst,
         offset_px=found.offset_px,
         offset_sigma_px=found.sigma_px,
         offset_source="registered",
     )
+    return burst, found.covariance_px2
 
 
 def _stage(burst: Burst) -> Array:
@@ -222,8 +225,12 @@ def _design(away_mm: Array, direction: Array, time_s: Array | None) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def _robust(design: Array, offset_px: Array) -> tuple[Array, Array, Array]:
-    """Return parameters [column axis], covariance [axis column column], residual [frame axis]."""
+def _robust(design: Array, offset_px: Array, known_px2: Array) -> tuple[Array, Array, Array]:
+    """Return parameters [column axis], covariance [axis column column], residual [frame axis].
+
+    What frames share of the errors of registration leaves no residual: it counts by its
+    covariance `known_px2`, and what is left beside it as errors of the stage, one by one.
+    """
     weight = np.ones(len(design))
     found: Array = np.zeros((design.shape[1], 2))
     residual: Array = offset_px
@@ -239,9 +246,16 @@ def _robust(design: Array, offset_px: Array) -> tuple[Array, Array, Array]:
             break
         weight = changed
     inverse = np.linalg.pinv((weight[:, None] * design).T @ design)
+    solved = inverse @ (weight[:, None] * design).T
+    hidden = weight[:, None] * (np.eye(len(design)) - design @ solved)
     freedom = max(weight.sum() - design.shape[1], 1.0)
-    variance = np.sum(weight[:, None] * residual**2, axis=0) / freedom
-    return found, variance[:, None, None] * inverse, residual
+    covariance = np.empty((2, *inverse.shape))
+    for axis in (0, 1):
+        known = known_px2[axis::2, axis::2]
+        seen = float(weight @ residual[:, axis] ** 2) - float(np.sum(hidden * known))
+        rest = max(seen / freedom, 0.0)
+        covariance[axis] = solved @ known @ solved.T + rest * inverse
+    return found, covariance, residual
 
 
 def _play(found: Array, covariance: Array, turns: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -7,30 +7,30 @@ from numpy.typing import NDArray
 
 from lensshift.core.types import Burst
 from lensshift.registration.reference_image import reference_image
+from lensshift.registration.taper import taper_frames
 
 Array = NDArray[np.float64]
 
 MAX_ORDER = 2
 _PASSES = 3
 _BORDER_PX = 1
-# An order is kept if it improves the fit by so many standard errors squared per parameter.
-_SIGNIFICANT = 4.0
 _OUTLIER_SIGMAS = 4.0
 
 
 def fit_field(
     burst: Burst, offset_px: Array, away_mm: Array, known_px: Array | float = 0.0
 ) -> tuple[Array | None, int, Array]:
-    """Return how the map differs at every pixel [row col 2 2], its order, and better offsets.
+    """Return how the map differs at every pixel [row col 2 2], its order, and what textures add.
 
-    None and 0 where the map is the same everywhere; the offsets then are those given.
+    None and 0 where the map is the same everywhere.
 
         y_k(u) - s(u - d_k) = - grad s . dM(u) away_k,   dM(u) = polynomial in (row, col)
 
     A spline through all frames is the model s; the coefficients of the polynomial are fitted to
-    what it leaves, together with a shift of each frame, and the spline again without them. dM
-    is 0 on the mean over the sensor, and the offsets are what is left for the mean: where
-    texture is, the shift of a whole frame may be another one.
+    what it leaves, together with a shift of each frame, and the spline again without them. dM is
+    0 on the mean over the sensor. An order is kept if every other frame finds the same: better
+    to know it than to leave it out. The shift of a whole frame is that of its texture, which
+    differs by [frame 2] px from that of the sensor.
 
     Parameters
     ----------
@@ -44,17 +44,46 @@ def fit_field(
     frames = frames.astype(np.float64)
     weight = np.ones(frames.shape) if burst.valid is None else burst.valid.astype(np.float64)
     frames = np.where(weight > 0, frames, 0.0)
+    known_px = np.broadcast_to(known_px, (2, *frames.shape))
     best: Array | None = None
-    order, better_px = 0, offset_px
+    order, slip_px = 0, known_px
     for trial in range(1, MAX_ORDER + 1):
         basis = _basis(burst.grid.shape, trial)
-        found, gain, moved_px = _coefficients(frames, weight, offset_px, away_mm, basis, known_px)
-        if trial == 1 and np.any(known_px):
-            better_px = moved_px  # of the middle, not of where the texture is
-        if gain > _SIGNIFICANT * found.size:
+        halves = [
+            _coefficients(
+                frames[part],
+                weight[part],
+                offset_px[part],
+                away_mm[part],
+                basis,
+                known_px[:, part],
+            )
+            for part in (slice(0, None, 2), slice(1, None, 2))
+        ]
+        if _agree(*(np.einsum("bij,brc->rcij", half, basis) for half in halves)):
+            found = _coefficients(frames, weight, offset_px, away_mm, basis, known_px)
             best, order = np.einsum("bij,brc->rcij", found, basis), trial
-            better_px = moved_px
-    return best, order, better_px
+    if best is not None:
+        slip_px = known_px + np.einsum("rcij,fj->ifrc", best, away_mm)
+    reference = reference_image(frames, weight, offset_px, slip_px)
+    window = taper_frames(frames, weight > 0, offset_px, own_mean=False).window
+    return best, order, _of_texture(reference.slope, weight * window**2, slip_px)
+
+
+def _agree(first: Array, second: Array) -> bool:
+    """Tell whether the mean of two independent findings is nearer to the truth than nothing.
+
+    Their product is the square of what is true; a quarter of the squared difference is that of
+    the error of their mean.
+    """
+    return bool(np.mean(first * second) > 0.25 * np.mean((first - second) ** 2))
+
+
+def _of_texture(slope: Array, weight: Array, slip_px: Array) -> Array:
+    """Return the shift [frame 2] that tapered frames show where each pixel slips by its own."""
+    moves = np.einsum("ifrc,jfrc,frc->fij", slope, slope, weight)
+    asked = np.einsum("ifrc,jfrc,jfrc,frc->fi", slope, slope, slip_px, weight)
+    return np.asarray(np.linalg.solve(moves, asked[..., None])[..., 0])
 
 
 def _basis(shape: tuple[int, int], order: int) -> Array:
@@ -72,11 +101,11 @@ def _coefficients(
     offset_px: Array,
     away_mm: Array,
     basis: Array,
-    known_px: Array | float,
-) -> tuple[Array, float, Array]:
-    """Return dM [term 2 2], by how many squared errors it differs from 0, offsets [frame 2]."""
+    known_px: Array,
+) -> Array:
+    """Return dM [term 2 2]."""
     found = np.zeros((len(basis), 2, 2))
-    gain, moved_px = 0.0, offset_px
+    moved_px = offset_px
     used = weight.copy()
     used[:, :_BORDER_PX] = used[:, -_BORDER_PX:] = 0.0
     used[:, :, :_BORDER_PX] = used[:, :, -_BORDER_PX:] = 0.0
@@ -101,10 +130,7 @@ def _coefficients(
         found = found + step.reshape(found.shape)
         left = rest[here] - design @ step
         moved_px = moved_px - np.stack([solved @ left[part] for part, _, solved in shifts])
-        variance = float(np.mean(rest[here] ** 2))
-        flat = found.ravel()
-        gain = float(flat @ normal @ flat) / max(variance, 1e-300)
-    return found, gain, moved_px
+    return found
 
 
 def _free_shifts(slope: Array, here: NDArray[np.bool_]) -> list[tuple[slice, Array, Array]]:

@@ -19,7 +19,7 @@ MAX_STEP_PX = 0.2
 CONVERGED_PX, CONVERGED_SIGMAS = 1e-3, 0.03
 _SPECTRUM_PASSES = 6
 # The image power is freed from the power law in this many rounds, once the shifts are near.
-_FREE_ROUNDS = 3
+_FREE_ROUNDS = 6
 _FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0
 # For differences of the score.
 _STEP_PX = 0.02
@@ -71,7 +71,7 @@ def likely_shifts(
 ) -> ShiftFit:
     """Estimate the offsets of all frames by maximum likelihood.
 
-        Y_k(f) = g_k sum_m X(f + m) exp(-2 pi i (f + m) . d_k) + N_k(f),   m in {-1, 0, 1}^2
+        Y_k(f) = g_k sum_m X(f + m) exp(-2 pi i (f + m) . d_k) + N_k(f),   m in {-r ... r}^2
         S(f) = sum_m P(f + m) a_m a_m^H + sigma^2 I,   a_m = g exp(-2 pi i (f + m) . d)
         maximise  - sum_f [ log det S(f) + Y^H S^-1 Y ]
 
@@ -90,7 +90,7 @@ def likely_shifts(
 
     Source: Whittle (1953); Gaussian Fisher scoring as in Kay, Estimation Theory (1993) ch. 3.
     """
-    frequencies = Frequencies.of(frames.shape[1:], whole_plane=frames.dtype.kind == "c")
+    frequencies = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c")
     tapered = taper_frames(frames, valid, start_px, own_mean=photometric)
     state = _State(
         start_px.copy(), np.zeros(len(frames)), first_spectrum(frequencies, tapered.spectra)

@@ -139,7 +139,7 @@ def _plane(first: Array, second: Array, start_px: Shifts) -> Shifts:
     The taper follows the content; a fixed one would pull the shift towards 0.
     """
     frames = np.stack([first, second])
-    at = Frequencies.of(first.shape, whole_plane=frames.dtype.kind == "c")
+    at = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c")
     # The bin in the middle of the aliases is the frequency itself.
     middle = at.down.shape[1] // 2
     frequency = np.stack([at.down[:, middle], at.right[:, middle]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,9 +15,9 @@ Shifts = NDArray[np.float64]
 
 # The blur of a square pixel that fills its cell; the power law takes up what differs.
 PIXEL_SIGMA_PX = 0.3
-_ALIASES = (-1, 0, 1)
+_FURTHEST_ALIAS = 3  # of sharp edges behind half-filled pixels 1e-5 of the power lies beyond
 # The freed power leans towards the power law as if it had seen that many bins of it.
-_LEANING_BINS = 3.0
+_LEANING_BINS = 0.3
 _LEAST_FREEDOM = 1e-6
 _NEIGHBOURS = 3
 _NUMBERS_AT_ONCE = 200_000  # a few MB at a time, which stay in the cache
@@ -32,6 +33,7 @@ class Frequencies:
     down, right : [frequency alias] in cycles per pixel
     weight : [frequency] 1, or 1/2 where a real image counts a frequency twice
     whole_plane : whether the frames are complex
+    reach : the largest alias along an axis
     """
 
     shape: tuple[int, int]
@@ -39,18 +41,24 @@ class Frequencies:
     right: NDArray[np.float64]
     weight: NDArray[np.float64]
     whole_plane: bool
+    reach: int
 
     @classmethod
     def of(cls, shape: tuple[int, ...], *, whole_plane: bool) -> Frequencies:
-        """Return those of frames of a shape."""
-        rows, cols = shape
+        """Return those of frames [frame row col].
+
+        K frames sample root K times as finely along an axis, and tell aliases apart up to half of
+        that.
+        """
+        frames, rows, cols = shape
+        reach = min(max((math.isqrt(frames) + 1) // 2, 1), _FURTHEST_ALIAS)
         col = np.fft.fftfreq(cols) if whole_plane else np.fft.rfftfreq(cols)
         weight = np.ones((rows, col.size))
         if not whole_plane:
             weight[:, 0] = 0.5
             if cols % 2 == 0:
                 weight[:, -1] = 0.5
-        alias = np.array(_ALIASES, dtype=np.float64)
+        alias = np.arange(-reach, reach + 1.0)
         row_at, col_at = np.broadcast_arrays(
             np.fft.fftfreq(rows)[:, None, None, None] + alias[:, None],
             col[None, :, None, None] + alias,
@@ -62,11 +70,12 @@ class Frequencies:
             col_at.reshape(-1, count)[1:],
             weight.ravel()[1:],
             whole_plane,
+            reach,
         )
 
     def parts(self, frames: int, kinds: int) -> Iterator[slice]:
         """Yield slices of the frequencies that fit in memory one after another."""
-        step = max(1, _NUMBERS_AT_ONCE // max(9 * frames, (kinds * frames) ** 2))
+        step = max(1, _NUMBERS_AT_ONCE // max(self.down.shape[1] * frames, (kinds * frames) ** 2))
         for first in range(0, len(self.down), step):
             yield slice(first, min(first + step, len(self.down)))
 
@@ -79,7 +88,7 @@ class Frequencies:
         """Return the mean over the neighbours of each frequency, aliases included, [f alias]."""
         from scipy.ndimage import uniform_filter
 
-        rows, cols = (len(_ALIASES) * size for size in self.shape)
+        rows, cols = ((2 * self.reach + 1) * size for size in self.shape)
         at_row = np.rint(self.down * self.shape[0]).astype(np.intp)
         at_col = np.rint(self.right * self.shape[1]).astype(np.intp)
         total, count = np.zeros((rows, cols)), np.zeros((rows, cols))
@@ -98,6 +107,9 @@ class Spectrum:
     """Power of the scene at each frequency and alias, and of white noise.
 
         P = exp(log_level) (f0^2 + |f|^2)^-exponent exp(-(2 pi sigma |f|)^2) freedom
+
+    sigma is that of a full pixel while the frames tell one alias from none; more of them see a
+    smaller pixel themselves.
 
     Parameters
     ----------
@@ -122,7 +134,7 @@ class Spectrum:
         """Power P [frequency alias]."""
         at = self.frequencies
         square = at.down**2 + at.right**2
-        blur = (2.0 * np.pi * PIXEL_SIGMA_PX) ** 2 * square
+        blur = (2.0 * np.pi * PIXEL_SIGMA_PX / at.reach) ** 2 * square
         law = np.exp(self.log_level - self.exponent * self._log_frequency() - blur)
         return np.asarray(law * self.freedom)
 
