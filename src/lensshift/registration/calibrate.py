@@ -17,7 +17,7 @@ from lensshift.core.types import Burst
 from lensshift.registration.field import fit_field
 from lensshift.registration.likelihood import likely_shifts
 from lensshift.registration.phase import phase_shifts
-from lensshift.registration.register import filled, frames_of
+from lensshift.registration.register import USUAL_SHIFT_PX, filled, frames_of
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,7 @@ HUBER_SIGMAS = 1.345
 _PASSES = 20
 _LEAST_FRAMES = 9
 BUDGET_PX = 0.02
+_BLIND_SHARE = 0.05  # of the map: 0.02 px of a move by half a pixel, with two standard errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +98,7 @@ def fit_scan(
     stage_mm = _stage(burst)
     if lens_field is not None:
         lens_field.check_camera(burst)
-    known_px2 = np.zeros((2 * burst.frame_count, 2 * burst.frame_count))
+    known_px2: Array = np.zeros((2 * burst.frame_count, 2 * burst.frame_count))
     if not registered:
         burst, known_px2 = _registered(burst, photometric=photometric)
     rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
@@ -117,18 +118,19 @@ def fit_scan(
         play_mm, _ = _play(found, covariance, turns)
         effective_mm = away_mm - 0.5 * play_mm * direction
         known_px = _slip_px(lens_field, effective_mm @ found[:2])
-        bent, order, texture_px = fit_field(burst, design @ found, effective_mm, known_px)
-        if bent is not None or lens_field is not None:
-            burst = replace(burst, offset_px=burst.offset_px - texture_px)
-            found, covariance, residual = _robust(design, burst.offset_px, known_px2)
+        bent, order, texture_px, doubt_px2 = fit_field(
+            burst, design @ found, effective_mm, known_px
+        )
+        burst = replace(burst, offset_px=burst.offset_px - texture_px)
+        known_px2 = known_px2 + (doubt_px2 if lens_field is None else 0.0)
+        found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     matrix, sigma = found[:2].T, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
     play, play_sigma = _play(found, covariance, turns)
-    drift, drift_sigma = np.zeros(2), np.zeros(2)
-    if time_s is not None:
-        drift, drift_sigma = found[-2], sigma[-2]
+    still = (np.zeros(2), np.zeros(2))
+    drift, drift_sigma = still if time_s is None else (found[-2], sigma[-2])
     scale = len(residual) / max(len(residual) - design.shape[1], 1)
     sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
-    _warn_of_rest(sigma_px)
+    _warn(sigma_px, matrix, sigma[:2].T)
     if lens_field is not None and bent is not None:
         lens_field, matrix = _refined(lens_field, bent, matrix)
         bent = None
@@ -185,7 +187,10 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Array]:
         offset_sigma_px=found.sigma_px,
         offset_source="registered",
     )
-    return burst, found.covariance_px2
+    # Where the frames tell nothing, a shift is known to be some pixels at most.
+    blind_px2 = found.covariance_px2 + USUAL_SHIFT_PX**2 * np.eye(len(found.covariance_px2))
+    known_px2 = USUAL_SHIFT_PX**2 * np.linalg.solve(blind_px2, found.covariance_px2)
+    return burst, 0.5 * (known_px2 + known_px2.T)
 
 
 def _stage(burst: Burst) -> Array:
@@ -273,7 +278,7 @@ def _play(found: Array, covariance: Array, turns: NDArray[np.bool_]) -> tuple[Ar
     return play, play_sigma
 
 
-def _warn_of_rest(sigma_px: float) -> None:
+def _warn(sigma_px: float, matrix: Array, matrix_sigma: Array) -> None:
     if sigma_px > BUDGET_PX:
         warnings.warn(
             f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); does "
@@ -281,3 +286,12 @@ def _warn_of_rest(sigma_px: float) -> None:
             QualityWarning,
             stacklevel=3,
         )
+    for row, name in zip(matrix_sigma, ("row", "col"), strict=True):
+        share = float(np.linalg.norm(row) / np.linalg.norm(matrix))
+        if share > _BLIND_SHARE:
+            warnings.warn(
+                f"the scan tells shifts along {name} to {100 * share:.0f} % only: the scene has "
+                "too little texture; put a chart with edges in several directions there",
+                QualityWarning,
+                stacklevel=3,
+            )
