@@ -83,6 +83,16 @@ def test_standard_errors_are_as_large_as_errors() -> None:
     assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
 
 
+@pytest.mark.parametrize("told", [[[6.17, 0.54], [0.54, -6.17]], [[-5.6, 0.0], [0.0, 5.4]]])
+def test_the_map_that_planned_the_scan_may_be_wrong(told: list[list[float]]) -> None:
+    rig = Rig()
+    burst = rig.scan()
+    assert burst.stage_commanded_mm is not None
+    planned = (burst.stage_commanded_mm - (3.0, 5.0)) @ np.array(told).T
+    found = fit_scan(replace(burst, offset_px=planned), over_sensor=False).calibration
+    np.testing.assert_allclose(found.stage_map.px_per_mm, rig.px_per_mm, atol=0.06)
+
+
 def test_one_spoiled_frame_is_left_out() -> None:
     burst = by_hand(Rig(), 0, outlier_px=1.0)
     with pytest.warns(QualityWarning, match="px rms unexplained"):

@@ -17,7 +17,7 @@ from lensshift.core.types import Burst
 from lensshift.registration.field import fit_field
 from lensshift.registration.likelihood import likely_shifts
 from lensshift.registration.phase import phase_shifts
-from lensshift.registration.register import USUAL_SHIFT_PX, filled, frames_of
+from lensshift.registration.register import AGREES_PX, filled, frames_of, with_given
 
 Array = NDArray[np.float64]
 
@@ -102,8 +102,7 @@ def fit_scan(
     if not registered:
         burst, known_px2 = _registered(burst, photometric=photometric)
     rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
-    commanded = burst.stage_commanded_mm if burst.stage_commanded_mm is not None else stage_mm
-    direction = _directions(commanded)
+    direction = _directions(_commanded(burst))
     # Nobody knows on which side of its play an axis stood before it moved.
     known = np.all((direction != 0) | ~_turns(direction), axis=1)
     burst, direction = burst.select(list(np.flatnonzero(known))), direction[known]
@@ -177,20 +176,33 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Array]:
     """Return the scan with registered offsets and their covariance [2 frame, 2 frame]."""
     frames = frames_of(burst, "amplitude")
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
-    start_px = burst.offset_px - burst.offset_px[0]
-    if not np.any(start_px):  # nobody said where the frames are
-        start_px = phase_shifts(filled(frames, valid), 0)
-    found = likely_shifts(frames, valid, start_px, photometric=photometric)
+    given_px = burst.offset_px - burst.offset_px[0]
+    phase_px = phase_shifts(filled(frames, valid), 0)
+    agree = float(np.abs(phase_px - given_px).max()) < AGREES_PX
+    # The map that planned the scan may be mirrored; the stage tells which start leads astray.
+    starts = [given_px] if agree else [given_px, phase_px] if np.any(given_px) else [phase_px]
+    fits = [likely_shifts(frames, valid, start, photometric=photometric) for start in starts]
+    found = min(fits, key=lambda fit: _unexplained(burst, fit.offset_px))
+    # Where the frames tell nothing, a shift is known to be some pixels at most.
+    found = with_given(found, given_px, None, said=False)
     burst = replace(
         burst,
         offset_px=found.offset_px,
         offset_sigma_px=found.sigma_px,
         offset_source="registered",
     )
-    # Where the frames tell nothing, a shift is known to be some pixels at most.
-    blind_px2 = found.covariance_px2 + USUAL_SHIFT_PX**2 * np.eye(len(found.covariance_px2))
-    known_px2 = USUAL_SHIFT_PX**2 * np.linalg.solve(blind_px2, found.covariance_px2)
-    return burst, 0.5 * (known_px2 + known_px2.T)
+    return burst, found.covariance_px2
+
+
+def _unexplained(burst: Burst, offset_px: Array) -> float:
+    """Return the share of the offsets that stage and play do not explain."""
+    design = _design(_stage(burst), _directions(_commanded(burst)), None)
+    left = offset_px - design @ (np.linalg.pinv(design) @ offset_px)
+    return float(np.linalg.norm(left)) / max(float(np.linalg.norm(offset_px)), 1e-12)
+
+
+def _commanded(burst: Burst) -> Array:
+    return _stage(burst) if burst.stage_commanded_mm is None else burst.stage_commanded_mm
 
 
 def _stage(burst: Burst) -> Array:

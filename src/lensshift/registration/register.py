@@ -31,7 +31,7 @@ PHASE_SIGMA_PX = 0.005
 # A burst moves by some pixels; where the frames tell nothing, this is what is known of a shift.
 USUAL_SHIFT_PX = 2.0
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
-_AGREES_PX = 0.5
+AGREES_PX = 0.5
 _CLEARLY_BETTER = 0.7
 
 
@@ -97,7 +97,7 @@ def register(
         else:
             measured_px = burst.offset_sigma_px if use_given else None
             told_px = _against_reference(measured_px, reference)
-            fit = _with_given(fit, given_px, told_px, said=said)
+            fit = with_given(fit, given_px, told_px, said=said)
     rivals_px = np.zeros_like(given_px)
     if method == "phase" or not said:
         rivals_px = rival_shifts(whole, reference)
@@ -172,7 +172,7 @@ def _from_best_start(
     clearly better.
     """
     said = bool(np.any(given_px != 0.0))
-    if keep_given or (said and float(np.abs(phase_px - given_px).max()) < _AGREES_PX):
+    if keep_given or (said and float(np.abs(phase_px - given_px).max()) < AGREES_PX):
         return run(frames, valid, given_px)
     if not said:
         return run(frames, valid, phase_px)
@@ -180,9 +180,7 @@ def _from_best_start(
     return second if second.noise_sigma < _CLEARLY_BETTER * first.noise_sigma else first
 
 
-def _with_given(
-    fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool
-) -> ShiftFit:
+def with_given(fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool) -> ShiftFit:
     """Return the fit with what is known beside the frames.
 
     Measured offsets count by their errors; planned ones, or that there are none, say at least that
