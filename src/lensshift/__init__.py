@@ -10,8 +10,8 @@
 True
 
 Files: `load_burst`, `load_image_stack`, `save_reconstruction`. Unknown shifts: `register`.
-Resolution: `measure_edges`. A rig: `open_rig`. Values show themselves: `print(result)`,
-`result.plot()`, `result.to_xarray()`. On the command line: ``lensshift --help``.
+Resolution: `measure_edges`. A rig: `examine_rig`, `open_rig`. Values show themselves:
+`print(result)`, `result.plot()`, `result.to_xarray()`. On the command line: ``lensshift --help``.
 
 The folders, and who may import whom (from above to below):
 
@@ -85,6 +85,7 @@ if TYPE_CHECKING:
     from lensshift.optics.field import lens_field as lens_field
     from lensshift.optics.lens_file import load_lens as load_lens
     from lensshift.pipeline import run as run
+    from lensshift.pipeline.doctor import examine_rig as examine_rig
     from lensshift.pipeline.recording import reconstruct_recording as reconstruct_recording
     from lensshift.reconstruction.batch import reconstruct_batch as reconstruct_batch
     from lensshift.reconstruction.methods import method_names as method_names
@@ -137,6 +138,7 @@ _HOME = {
     "lens_field": "optics.field",
     "load_lens": "optics.lens_file",
     "run": "pipeline",
+    "examine_rig": "pipeline.doctor",
     "reconstruct_recording": "pipeline.recording",
     "simulate_burst": "camera",
     "method_names": "reconstruction.methods",

@@ -508,7 +508,7 @@ def test_port_that_is_not_there() -> None:
 
 def test_port_with_no_controller() -> None:
     settings = AptSettings(max_retries=2)
-    with pytest.raises(DeviceTimeout, match="loop://: request 0x0005: no answer"):
+    with pytest.raises(DeviceTimeout, match="loop://: request 0x0005: bytes come, but no APT"):
         open_apt_stage("loop://", "loop://?logging=error", settings)
 
 

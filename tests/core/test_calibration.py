@@ -46,6 +46,24 @@ def test_rotation_and_cross_talk_of_equal_axes(angle_rad: float) -> None:
     )
 
 
+def test_errors_of_rotation_and_cross_talk_are_those_of_many_maps() -> None:
+    """A turn by nearly half a circle, where its angle jumps."""
+    rng = np.random.default_rng(4)
+    turn = np.pi - 1e-3
+    per_mm = 5.0 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    sigma = np.array([[0.02, 0.05], [0.01, 0.03]])
+    told = Calibration(StageMap(per_mm), np.zeros(2), px_per_mm_sigma=sigma)
+    many = [
+        Calibration(StageMap(per_mm + sigma * rng.standard_normal((2, 2))), np.zeros(2))
+        for _ in range(2000)
+    ]
+    turns = np.angle(np.exp(1j * (np.array([one.rotation_rad for one in many]) - turn)))
+    assert told.rotation_sigma_rad == pytest.approx(float(turns.std()), rel=0.06)
+    across = np.array([one.cross_talk for one in many])
+    np.testing.assert_allclose(told.cross_talk_sigma, across.std(axis=0), rtol=0.06)
+    assert Calibration(StageMap(per_mm), np.zeros(2)).rotation_sigma_rad is None
+
+
 def test_a_burst_is_told_where_it_lies() -> None:
     stage_mm = np.add(REST_MM, [[0.1, 0.0], [0.0, 0.2]])
     calibration = Calibration(

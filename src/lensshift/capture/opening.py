@@ -180,6 +180,68 @@ def open_rig(
     DeviceError
         If a device is not there or fails, or there is no leave to home it.
     """
+    told = read_rig(config)
+    with ExitStack() as opening:
+        camera = told.open_camera()
+        opening.callback(camera.close)
+        stage = told.open_stage(home, on_homing)
+        opening.callback(stage.close)
+        return Rig(stage, camera, told.calibration, told.acquisition, opening.pop_all())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigFile:
+    """What a rig file says; nothing is open yet.
+
+    Parameters
+    ----------
+    stage, camera : their tables
+    calibration, lens_field : from image offsets to stage positions, and what that follows from
+    acquisition : how frames are taken
+    source, folder : name of the file, and where its relative paths begin
+    """
+
+    stage: _Table
+    camera: _Table
+    calibration: Calibration
+    lens_field: LensField | None
+    acquisition: Acquisition
+    source: str
+    folder: Path
+
+    def open_camera(self) -> Camera:
+        """Return the camera, receiving.
+
+        Raises
+        ------
+        DataError
+            If the table describes none, or not the one of the lens field.
+        DeviceError
+            If it cannot be had.
+        """
+        camera = _camera(self.camera, self.source, self.folder)
+        with ExitStack() as opening:
+            opening.callback(camera.close)
+            camera.open()
+            if self.lens_field is not None:
+                with settings_of(self.source):
+                    self.lens_field.check_sensor(camera.grid)
+            opening.pop_all()
+        return camera
+
+    def open_stage(self, home: str | None = None, on_homing: OnHoming | None = None) -> Stage:
+        """Return the stage, homed if it has leave; `home` and `on_homing` as in `open_rig`."""
+        return _stage(self.stage, self.source, self.folder, home, on_homing)
+
+
+def read_rig(config: str | Path | _Table) -> RigFile:
+    """Return what a rig file says, without opening anything.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, no TOML, or describes no rig: with file and field.
+    """
     if isinstance(config, Mapping):
         table, source, folder = config, "rig", Path()
     else:
@@ -193,16 +255,8 @@ def open_rig(
             raise DataError("expected a table", field=name, source=source)
     calibration, lens_field = _calibration(table.get("calibration", {}), source, folder)
     acquisition = _build(Acquisition, table.get("acquisition", {}), "acquisition", source)
-    with ExitStack() as opening:
-        camera = _camera(table.get("camera", {}), source, folder)
-        opening.callback(camera.close)
-        camera.open()
-        if lens_field is not None:
-            with settings_of(source):
-                lens_field.check_sensor(camera.grid)
-        stage = _stage(table.get("stage", {}), source, folder, home, on_homing)
-        opening.callback(stage.close)
-        return Rig(stage, camera, calibration, acquisition, opening.pop_all())
+    stage, camera = table.get("stage", {}), table.get("camera", {})
+    return RigFile(stage, camera, calibration, lens_field, acquisition, source, folder)
 
 
 def nominal_calibration(

@@ -9,6 +9,7 @@ import typer
 from lensshift.cli.calibrate import calibrate
 from lensshift.cli.capture import capture
 from lensshift.cli.convert import convert
+from lensshift.cli.doctor import doctor
 from lensshift.cli.emulate import emulate
 from lensshift.cli.evaluate import evaluate
 from lensshift.cli.info import info
@@ -62,6 +63,7 @@ def root(
 app.command()(run)
 app.command()(simulate)
 app.command()(reproduce)
+app.command()(doctor)
 app.command()(capture)
 app.command()(live)
 app.command()(register)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -80,6 +80,32 @@ class Calibration:
         """[2] shift across over shift along, for a move of the row and of the col axis."""
         m = self.stage_map.px_per_mm
         return np.array([m[1, 0] / m[0, 0], m[0, 1] / m[1, 1]])
+
+    @property
+    def rotation_sigma_rad(self) -> float | None:
+        """Standard error of the turn, None if that of the map is not known."""
+        # As a point on the unit circle, which knows no jump at half a turn.
+        found = self._spread(lambda one: np.exp([1j * one.rotation_rad]))
+        return None if found is None else float(found[0])
+
+    @property
+    def cross_talk_sigma(self) -> Array | None:
+        """[2] standard errors of the cross-talk, None if those of the map are not known."""
+        return self._spread(lambda one: one.cross_talk)
+
+    def _spread(self, value: Callable[[Calibration], NDArray[Any]]) -> Array | None:
+        """Propagate the errors of the map: sqrt(sum over i, j of (d value / d M_ij sigma_ij)^2)."""
+        if self.px_per_mm_sigma is None:
+            return None
+        per_mm, total = self.stage_map.px_per_mm, np.zeros(value(self).shape)
+        for place, sigma in np.ndenumerate(self.px_per_mm_sigma):
+            ends = []
+            for sign in (-0.5, 0.5):
+                moved = per_mm.copy()
+                moved[place] += sign * sigma
+                ends.append(value(Calibration(StageMap(moved), self.rest_mm)))
+            total += np.abs(ends[1] - ends[0]) ** 2
+        return np.asarray(np.sqrt(total))
 
     def offset_px(self, stage_mm: ArrayLike) -> Array:
         """Return image offsets [... 2] in the middle of the sensor for positions [... 2]."""

@@ -32,10 +32,15 @@ def calibration_page(fit: ScanFit, *, psnr_loss_db: float, mtf50_loss: float) ->
     ----------
     psnr_loss_db, mtf50_loss : what shifts wrong by the rest of this calibration cost
     """
-    found = fit.calibration
-    sigma_px = found.stage_map.sigma_px
     page = Page("Calibration of the shift")
-    page.heading("Verdict")
+    add_calibration(page, fit, psnr_loss_db, mtf50_loss)
+    return page
+
+
+def add_calibration(page: Page, fit: ScanFit, psnr_loss_db: float, mtf50_loss: float) -> None:
+    """Add what `calibration_page` holds to a page."""
+    sigma_px = fit.calibration.stage_map.sigma_px
+    page.heading("Calibration")
     good = sigma_px <= BUDGET_PX
     page.text(
         f"{'Good enough' if good else 'Not good enough'}: the calibration predicts the shift of a "
@@ -56,7 +61,7 @@ def calibration_page(fit: ScanFit, *, psnr_loss_db: float, mtf50_loss: float) ->
         "Shift of the image that the stage did not make, frame after frame; the line is the drift.",
     )
     page.heading("Over the sensor")
-    if found.stage_map.field_px_per_mm is None:
+    if fit.calibration.stage_map.field_px_per_mm is None:
         page.text("The shift is the same everywhere, as far as this scan can tell.")
     else:
         page.figure(
@@ -64,7 +69,6 @@ def calibration_page(fit: ScanFit, *, psnr_loss_db: float, mtf50_loss: float) ->
             f"How the shift differs from its mean when the stage moves the image by {_MOVE_PX} px "
             "along one axis.",
         )
-    return page
 
 
 def residual_figure(fit: ScanFit) -> Figure:
@@ -203,9 +207,12 @@ def _rows(fit: ScanFit) -> list[dict[str, str]]:
             error = None if sigma is None else float(sigma[i, j])
             what = f"image {_NAMES[i]} per stage {_NAMES[j]}"
             add(what, float(found.stage_map.px_per_mm[i, j]), error, "px per mm")
-    add("rotation of the stage", float(np.rad2deg(found.rotation_rad)), None, "degrees", 3)
+    turn, cross = found.rotation_sigma_rad, found.cross_talk_sigma
+    error = None if turn is None else float(np.rad2deg(turn))
+    add("rotation of the stage", float(np.rad2deg(found.rotation_rad)), error, "degrees", 3)
     for i in (0, 1):
-        add(f"cross-talk of stage {_NAMES[i]}", 100 * float(found.cross_talk[i]), None, "%", 2)
+        error = None if cross is None else 100 * float(cross[i])
+        add(f"cross-talk of stage {_NAMES[i]}", 100 * float(found.cross_talk[i]), error, "%", 2)
     for i in (0, 1):
         play, error_mm = found.play_mm[i], found.play_sigma_mm[i]
         if error_mm > 0:

@@ -67,6 +67,7 @@ class AptLink:
         self.device = port  # how errors name it; the model, once it is known
         self.repeated = 0  # requests that had to be sent again
         self.heard: Counter[int] = Counter()  # messages that came, by id
+        self._bytes = 0  # that came
         self._timeout_s = reply_timeout_s
         self._attempts = attempts
         self._framer = Framer(TO_HOST)
@@ -125,6 +126,7 @@ class AptLink:
             If the connection is lost.
         """
         with self._lock:
+            before = self._bytes, self.heard.total()
             for attempt in range(attempts or self._attempts):
                 self.repeated += attempt > 0
                 self._drain()
@@ -132,8 +134,11 @@ class AptLink:
                 for reply in self._replies(answer):
                     with suppress(DamagedMessage):
                         return read(reply)
+        garbled = self._bytes > before[0] and self.heard.total() == before[1]
         raise DeviceTimeout(
-            "no answer (switched off, or no APT controller at this port?)",
+            "bytes come, but no APT messages (another device, or another baud rate?)"
+            if garbled
+            else "no answer (switched off, or no APT controller at this port?)",
             device=self.device,
             command=f"request {messages[-1].id:#06x}",
         )
@@ -168,6 +173,7 @@ class AptLink:
     def _read(self) -> list[Message]:
         # Never more than is wanted: the port waits for all it is asked for.
         data = self._use(lambda: self._port.read(self._framer.wanted))
+        self._bytes += len(data)
         messages = self._framer.feed(data, time.monotonic())
         self.heard.update(message.id for message in messages)
         return messages

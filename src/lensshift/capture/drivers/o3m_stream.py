@@ -271,6 +271,8 @@ class O3MStream:
         known: dict[str, Any] = {"model": "ifm O3M", "address": self.address}
         if self.other:
             known["another_camera"] = f"{self.other} sends images too; choose by source"
+        elif self._stranger:
+            known["other_sender"] = self._stranger
         image, diagnosis = self.image, self.diagnosis
         if image is not None:
             known["layout"] = image.layout

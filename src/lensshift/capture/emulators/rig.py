@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -50,6 +51,8 @@ class RigSettings:
     play_mm, encoder_noise_mm : of the stages
     message_loss : share of the messages of the stages that lose a byte
     packet_loss, reorder : share of the packets of the camera
+    drift_px_per_s : [2] of the image while the lens stands still
+    brightness_jump : share by which every other frame may be brighter, and nobody tells
     rate_hz : frames per second
     speed : of the stages, times their own
     seed : of all of it
@@ -65,6 +68,8 @@ class RigSettings:
     message_loss: float = 0.02
     packet_loss: float = 0.01
     reorder: float = 0.01
+    drift_px_per_s: tuple[float, float] = (0.0, 0.0)
+    brightness_jump: float = 0.0
     rate_hz: float = 25.0
     speed: float = 1.0
     seed: int = 0
@@ -82,6 +87,7 @@ class EmulatedWorld:
     def __init__(self, settings: RigSettings, lens_mm: Any) -> None:
         self._settings, self._lens_mm = settings, lens_mm
         self._rng = np.random.default_rng(settings.seed)
+        self._began_s = time.monotonic()
         self.running = RunningCamera(settings.scene, settings.camera, reach_px=REACH_PX)
         rows, cols = (np.linspace(-1.0, 1.0, count) for count in settings.camera.grid.shape)
         radius = np.hypot(*np.meshgrid(rows * len(rows) / len(cols), cols, indexing="ij"))
@@ -100,9 +106,12 @@ class EmulatedWorld:
         if np.ptp(places, axis=0).max() < _STILL_MM:
             places = places[:1]
         # Far from rest, as on the way home, the image has left the scene that was cast.
-        offsets = [np.clip(self.offset_px(place), -REACH_PX, REACH_PX) for place in places]
+        drift_px = np.asarray(self._settings.drift_px_per_s) * (end_s - self._began_s)
+        away_px = [self.offset_px(place) + drift_px for place in places]
+        offsets = [np.clip(one, -REACH_PX, REACH_PX) for one in away_px]
         image = self.running.frame(np.stack(offsets), self._rng)
-        return Frame(image.amplitude, image.distance_m, image.valid, end_s)
+        gain = 1.0 + self._settings.brightness_jump * self._rng.integers(2)
+        return Frame(image.amplitude * gain, image.distance_m, image.valid, end_s)
 
 
 class EmulatedRig:

@@ -1,0 +1,104 @@
+"""A rig file for who has none: what is plugged in, and what is not known is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from lensshift.capture.opening import EXAMPLE
+from lensshift.core.errors import DataError
+
+# USB of the APT controllers (Thorlabs in FTDI's range), and how their serial numbers begin.
+_VENDOR, _PRODUCT = 0x0403, 0xFAF0
+_SERIALS = ("27", "83")  # KDC101, TDC001
+Ask = Callable[[str, str], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Cube:
+    """A serial port that may be an APT controller."""
+
+    serial: str
+    port: str
+    description: str
+
+
+def cubes() -> list[Cube]:
+    """Return the ports that look like KDC101 or TDC001 controllers, by serial number."""
+    from serial.tools import list_ports
+
+    found = []
+    for one in list_ports.comports():
+        serial = one.serial_number or ""
+        if (one.vid, one.pid) == (_VENDOR, _PRODUCT) or serial.startswith(_SERIALS):
+            found.append(Cube(serial or one.device, one.device, one.description))
+    return sorted(found, key=lambda cube: cube.serial)
+
+
+def rig_text(row: str, col: str, port: int) -> str:
+    """Return a rig file: the example with these devices.
+
+    Parameters
+    ----------
+    row, col : serial number, device or URL of the stage
+    port : UDP port of an O3M
+    """
+    changed = {'row = "83000001"': f'row = "{row}"', 'col = "83000002"': f'col = "{col}"'}
+    changed["port = 42000"] = f"port = {port}"
+    lines = []
+    for line in EXAMPLE.splitlines():
+        begin = next((one for one in changed if line.startswith(one)), "")
+        lines.append(changed[begin] + line[len(begin) :] if begin else line)
+    return "\n".join(lines) + "\n"
+
+
+def begin(path: Path, row: str | None, col: str | None, port: int, ask: Ask | None) -> None:
+    """Write a rig file from what is given, plugged in and answered.
+
+    Parameters
+    ----------
+    path : that must not exist
+    row, col : where the axes are, None: look for them
+    ask : called with a question and what is likely, returns the answer; None: nobody to ask
+
+    Raises
+    ------
+    DataError
+        If the file exists or cannot be written, or an axis is not known.
+    """
+    if path.exists():
+        raise DataError("there is a rig file already: give it as argument", source=path)
+    found = [cube.serial for cube in cubes() if cube.serial not in (row, col)]
+    answers = {"row": row, "col": col}
+    meant = {"row": "moves the image up and down", "col": "moves it sideways"}
+    for axis, given in answers.items():
+        if given is not None:
+            continue
+        likely = found.pop(0) if found else ""
+        if ask is not None:
+            answers[axis] = ask(f"Port or serial number of the axis that {meant[axis]}", likely)
+        elif likely:
+            answers[axis] = likely
+        if not answers[axis]:
+            problem = f"no APT controller is plugged in; give --{axis} SERIAL or PORT"
+            raise DataError(problem, field=f"stage.{axis}")
+    from lensshift.io.atomic import written_whole
+
+    with written_whole(path) as part:
+        part.write_text(rig_text(str(answers["row"]), str(answers["col"]), port), encoding="utf-8")
+
+
+def with_calibration(path: Path, calibration: Path) -> None:
+    """Let a rig file that `begin` wrote name a calibration file instead of the nominal map."""
+    import os
+
+    from lensshift.io.atomic import written_whole
+
+    name = Path(os.path.relpath(calibration, path.parent)).as_posix()
+    lines = path.read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if not line.startswith(("px_per_mm", "rest_mm", "# file"))]
+    kept = [line for line in kept if not line.startswith("# lens_field")]
+    kept.insert(kept.index("[calibration]") + 1, f'file = "{name}"')
+    with written_whole(path) as part:
+        part.write_text("\n".join(kept) + "\n", encoding="utf-8")

@@ -1,0 +1,193 @@
+"""What the camera shows while the lens stands still: light, noise, texture, losses."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.capture.rig import Camera, CameraFrame
+from lensshift.pipeline.doctor.findings import Finding, Level
+from lensshift.registration.gradient import texture_covariance
+
+Array = NDArray[np.float64]
+
+LOOKED_S, LEAST_FRAMES, MOST_FRAMES = 2.0, 16, 64
+# The mean of frames at a position shall tell its shift to this: a fifth of what is wanted of a
+# calibration, so that 35 positions leave its model room.
+WANTED_PX = 0.004
+LEAST_AVERAGES, MOST_AVERAGES = 2, 64  # one may be a frame that is out of the ordinary
+# What a scene with texture gives: with this much light its shifts are known.
+_FAIR_SNR = 50.0
+# Brightness may change by the noise that `calibrate_rig` assumes of a pixel.
+_JUMP = 0.005
+_MOST_LOST = 1 / 3  # then everything takes half as long again
+_MOST_INVALID = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Frames of a camera behind a lens that stands still.
+
+    Parameters
+    ----------
+    amplitude, valid : [frame row col]
+    rate_hz : by the camera's own counter
+    lost_share : of the frames that the camera counted
+    snr : median over the pixels of mean over noise in time
+    sigma_px : [2] how well one frame tells a shift along (row, col)
+    brightness_jump : rms change of brightness from frame to frame that noise does not explain
+    settings_share : of the pixels whose amplitude depends on the exposure that they chose
+    """
+
+    amplitude: Array
+    valid: NDArray[np.bool_]
+    rate_hz: float
+    lost_share: float
+    snr: float
+    sigma_px: Array
+    brightness_jump: float
+    settings_share: float
+
+    @property
+    def averages_needed(self) -> float:
+        """How many frames have a mean that tells the shift well enough."""
+        return float(max(np.max(self.sigma_px / WANTED_PX) ** 2, 1.0))
+
+    @property
+    def jumps(self) -> bool:
+        """Whether frames differ in brightness more than a calibration may overlook."""
+        return self.brightness_jump > _JUMP
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What a page or a program is told."""
+        return {
+            "rate_hz": self.rate_hz,
+            "lost_share": self.lost_share,
+            "valid_share": float(self.valid.mean()),
+            "snr": self.snr,
+            "shift_sigma_px": self.sigma_px,
+            "brightness_jump": self.brightness_jump,
+        }
+
+
+def look(camera: Camera, patience_s: float) -> View:
+    """Take frames for two seconds, 16 at least.
+
+    Raises
+    ------
+    DeviceError
+        If the camera stops sending.
+    """
+    frames = [camera.next_frame(patience_s)]
+    end_s = time.monotonic() + LOOKED_S
+    while len(frames) < LEAST_FRAMES or time.monotonic() < end_s:
+        frames.append(camera.next_frame(patience_s))
+        if len(frames) >= MOST_FRAMES:
+            break
+    return _view(frames)
+
+
+def _view(frames: list[CameraFrame]) -> View:
+    amplitude = np.stack([one.frame.amplitude for one in frames]).astype(np.float64)
+    valid = np.stack([one.frame.valid for one in frames])
+    cycles = frames[-1].cycle - frames[0].cycle
+    seconds = frames[-1].arrived_s - frames[0].arrived_s
+    always = np.asarray(valid.all(axis=0) & np.isfinite(amplitude).all(axis=0))
+    dark = View(
+        amplitude,
+        valid,
+        rate_hz=cycles / seconds if seconds > 0 else 0.0,
+        lost_share=1.0 - (len(frames) - 1) / cycles if cycles > 0 else 0.0,
+        snr=0.0,
+        sigma_px=np.full(2, np.inf),
+        brightness_jump=0.0,
+        settings_share=_settings_share([one.raw for one in frames], amplitude, always),
+    )
+    if not always.any():
+        return dark
+    mean = np.where(always, amplitude.mean(axis=0), 0.0)
+    gain = np.array([np.median(one[always] / mean[always]) for one in amplitude])
+    flat = amplitude / gain[:, None, None]
+    noise = np.std(np.diff(flat, axis=0), axis=0) / np.sqrt(2.0)
+    snr = float(np.median(mean[always] / np.maximum(noise[always], 1e-12 * mean.max())))
+    # The median of so many pixels scatters by itself.
+    chance2 = 0.5 * np.pi / (snr**2 * np.count_nonzero(always))
+    jump = float(np.sqrt(max(np.var(gain) - 4.0 * chance2, 0.0)))
+    sigma = float(np.sqrt(np.mean(noise[always] ** 2)))
+    plain = np.where(always, flat, np.mean(mean[always]))
+    known = np.broadcast_to(always, plain.shape)
+    covariance = texture_covariance(plain, known, np.zeros((len(plain), 2)), sigma)
+    sigma_px = np.sqrt(np.diagonal(covariance))
+    return replace(dark, snr=snr, sigma_px=sigma_px, brightness_jump=jump)
+
+
+def _settings_share(
+    raw: list[Mapping[str, NDArray[Any]]], amplitude: Array, always: NDArray[np.bool_]
+) -> float:
+    """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
+    if not all({"confidence", "normalization"} <= set(one) for one in raw):
+        return 0.0
+    setting = (np.stack([one["confidence"] for one in raw]).astype(int) >> 1) & 3
+    differing = np.zeros(always.shape, np.bool_)
+    for pixel in zip(*np.nonzero(always & np.any(setting != setting[0], axis=0)), strict=True):
+        here, values = setting[:, *pixel], amplitude[:, *pixel]
+        groups = [values[here == one] for one in np.unique(here)]
+        told = [one for one in groups if len(one) > 2]
+        if len(told) == 2:
+            error = np.hypot(*(one.std(ddof=1) / len(one) ** 0.5 for one in told))
+            differing[pixel] = abs(told[0].mean() - told[1].mean()) > max(
+                4.0 * error, _JUMP * values.mean()
+            )
+    return float(differing.mean())
+
+
+def view_findings(
+    view: View, counts: Mapping[str, int], known: Mapping[str, Any]
+) -> Iterator[Finding]:
+    """Yield what is wrong with the light, the scene and the network.
+
+    Parameters
+    ----------
+    counts, known : what the camera counted, and what it says of itself
+    """
+    invalid = 1.0 - float(view.valid.mean())
+    poor = view.averages_needed > MOST_AVERAGES
+    along = ("rows", "columns")[int(np.argmax(view.sigma_px))]
+    # The error of a shift goes with noise over texture: with fair light, would it do?
+    fair = view.averages_needed * min(view.snr / _FAIR_SNR, 1.0) ** 2 <= MOST_AVERAGES
+    if invalid > _MOST_INVALID or (poor and fair):
+        said = f"SNR {view.snr:.1f} of a pixel, {100 * invalid:.0f} % of the pixels are invalid"
+        cure = "go nearer, take a brighter scene, longer exposure"
+        yield Finding(Level.FAULT, "too dark", said, cure)
+    elif poor:
+        said = (
+            f"the scene tells shifts across the {along} to {view.sigma_px.max():.2f} px a frame, "
+            f"{MOST_AVERAGES} frames are not enough"
+        )
+        cure = "put a chart with edges in several directions into the view"
+        yield Finding(Level.FAULT, "no texture", said, cure)
+    if view.lost_share > _MOST_LOST:
+        said = f"{100 * view.lost_share:.0f} % of the frames do not arrive whole"
+        if "receive_buffer_bytes" in known:
+            said += f" (buffer granted: {known['receive_buffer_bytes'] / 2**20:.1f} MiB)"
+        cure = "direct cable; sudo sysctl -w net.core.rmem_max=4194304"
+        yield Finding(Level.DOUBT, "losses", said, cure)
+    if view.jumps or view.settings_share > 0.0:
+        said = f"brightness jumps by {100 * view.brightness_jump:.1f} % from frame to frame"
+        if not view.jumps:
+            share = 100 * view.settings_share
+            said = f"{share:.1f} % of the pixels change their amplitude with their exposure"
+        cure = "fix exposure and gain; daylight or a flickering lamp in the view"
+        yield Finding(Level.DOUBT, "exposure switching", said, cure)
+    strangers = counts.get("foreign_packets", 0) + counts.get("other_cameras_packets", 0)
+    if strangers:
+        who = known.get("another_camera") or known.get("other_sender") or "unknown"
+        said = f"{strangers} datagrams came to the camera's port from elsewhere ({who})"
+        cure = 'end it, or write source = "ADDRESS OF THE CAMERA" in [camera]'
+        yield Finding(Level.DOUBT, "foreign sender", said, cure)

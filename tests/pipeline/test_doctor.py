@@ -1,0 +1,366 @@
+"""The doctor names what was planted, and finds the truth of rigs that are well."""
+
+import errno
+import json
+import os
+import shutil
+import socket
+import threading
+import tomllib
+from collections import namedtuple
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import serial
+from typer.testing import CliRunner
+
+import lensshift.capture.emulators.o3m as o3m_emulator
+from lensshift.camera import camera_preset
+from lensshift.capture.emulators.listener import free_udp_port
+from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
+from lensshift.cli.app import app
+from lensshift.core.errors import DataError
+from lensshift.io.calibration_file import load_calibration
+from lensshift.pipeline.doctor import Diagnosis, Level, examine_rig
+from lensshift.pipeline.doctor.start import rig_text
+from lensshift.registration import calibration_scan_mm
+from lensshift.scene import Plane, Scene
+
+NOMINAL = 0.25 / 0.0444
+QUICK = RigSettings(speed=20.0, rate_hz=40.0, px_per_mm=NOMINAL * np.eye(2))
+
+
+@contextmanager
+def bench(settings: RigSettings = QUICK, **told: Any) -> Iterator[tuple[EmulatedRig, dict]]:
+    """Yield a running rig and its rig file; `told` changes tables of it."""
+    with EmulatedRig(settings, camera_port=free_udp_port()) as rig:
+        table = tomllib.loads(rig.rig_file())
+        table["acquisition"] = {"frame_timeout_s": 10.0}
+        for name, changes in told.items():
+            table[name] = table.get(name, {}) | changes
+        yield rig, table
+
+
+def verdict(done: Diagnosis) -> str:
+    """Return level and name of the first line."""
+    return done.verdict.partition(":")[0]
+
+
+def examined(
+    out: Path,
+    settings: RigSettings = QUICK,
+    change: Callable[[EmulatedRig, dict], None] | None = None,
+    **told: Any,
+) -> Diagnosis:
+    with bench(settings, **told) as (rig, table):
+        if change is not None:
+            change(rig, table)
+        done = examine_rig(table, out)
+        if "row" in done.devices.get("stage", {}) and done.axes is not None:
+            rest = settings.rest_mm
+            np.testing.assert_allclose(rig.stages.lens_mm(), rest, atol=0.012)  # brought back
+    assert (out / "doctor.html").exists()
+    json.dumps(done.as_dict(), default=lambda one: getattr(one, "tolist", lambda: str(one))())
+    return done
+
+
+def error_px(rig: EmulatedRig, file: Path) -> float:
+    """Return the rms error of a calibration over sensor and scan, the common offset left out."""
+    found = load_calibration(file)
+    places = calibration_scan_mm(rig.settings.rest_mm, 0.25, steps=5)
+    true = np.array([rig.true_offset_px(place) for place in places])
+    told = (
+        found.offset_px(places)[:, None, None]
+        if found.stage_map.field_px_per_mm is None
+        else found.shift_field(places).offset_px
+    )
+    error = told - true
+    return float(np.sqrt(np.mean((error - error.mean(axis=(0, 1, 2))) ** 2)))
+
+
+def turned(*, swapped: bool, mirrored: bool, turn_deg: float, scale: float) -> np.ndarray:
+    turn = np.deg2rad(turn_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    per_mm = scale * NOMINAL * rotation @ np.diag([1.0, -1.0 if mirrored else 1.0])
+    return per_mm[:, ::-1] if swapped else per_mm
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("swapped", "mirrored", "turn_deg", "scale", "play_mm"),
+    list(product([False, True], [False, True], [0.0, 3.0], [0.8, 1.2], [0.0, 0.010])),
+)
+def test_all_rigs_end_within_a_hundredth_of_a_pixel(
+    tmp_path: Path, swapped: bool, mirrored: bool, turn_deg: float, scale: float, play_mm: float
+) -> None:
+    per_mm = turned(swapped=swapped, mirrored=mirrored, turn_deg=turn_deg, scale=scale)
+    seed = hash((swapped, mirrored, turn_deg, scale, play_mm)) % 1000
+    settings = replace(QUICK, px_per_mm=per_mm, play_mm=play_mm, seed=seed)
+    with bench(settings) as (rig, table):
+        done = examine_rig(table, tmp_path)
+        assert done.level is Level.NOTE
+        assert error_px(rig, tmp_path / "calibration.json") <= 0.01
+    names = {one.name for one in done.findings}
+    assert ("axes swapped" in names) == swapped
+    assert ("axis mirrored" in names) == mirrored
+
+
+# ---- planted faults --------------------------------------------------------------------------
+
+
+def test_a_camera_that_is_silent(tmp_path: Path) -> None:
+    done = examined(
+        tmp_path,
+        change=lambda rig, _: rig.camera.pause(),
+        acquisition={"frame_timeout_s": 0.5},
+    )
+    assert verdict(done) == "FAULT camera silent"
+    assert done.devices["stage"]["row"]["model"] == "KDC101"  # asked, not moved
+
+
+@pytest.mark.skipif(not Path("/proc/net/snmp").exists(), reason="counts of Linux")
+def test_a_camera_that_sends_to_another_port(tmp_path: Path) -> None:
+    with bench(acquisition={"frame_timeout_s": 0.5}) as (_, table):
+        true = table["camera"]["port"]
+        table["camera"]["port"] = true - 7
+        done = examine_rig(table, tmp_path)
+    assert verdict(done) == "FAULT wrong port"
+    assert f"port = {true}" in done.verdict
+
+
+def test_a_layout_that_nobody_knows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = o3m_emulator.pixel_message
+
+    def newer(*given: Any, **named: Any) -> bytes:
+        message = bytearray(real(*given, **named))
+        message[9] = 9  # DIA1 1.9
+        return bytes(message)
+
+    monkeypatch.setattr(o3m_emulator, "pixel_message", newer)
+    done = examined(tmp_path, acquisition={"frame_timeout_s": 1.0})
+    assert verdict(done) == "FAULT other layout"
+
+
+def stranger(port: int, ended: threading.Event) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        while not ended.wait(0.02):
+            udp.sendto(b"nobody asked for this", ("127.0.0.1", port))
+
+
+@pytest.mark.parametrize("alone", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_somebody_else_sends_to_the_port(tmp_path: Path, alone: bool) -> None:
+    ended = threading.Event()
+    with bench(acquisition={"frame_timeout_s": 0.5 if alone else 10.0}) as (rig, table):
+        if alone:
+            rig.camera.pause()
+        port = table["camera"]["port"]
+        thread = threading.Thread(target=stranger, args=(port, ended))
+        thread.start()
+        try:
+            done = examine_rig(table, tmp_path)
+        finally:
+            ended.set()
+            thread.join()
+    assert verdict(done) == ("FAULT foreign sender" if alone else "DOUBT foreign sender")
+    assert (done.calibration is None) == alone
+
+
+def test_too_little_light(tmp_path: Path) -> None:
+    camera = camera_preset("o3m151")
+    dim = replace(camera.illumination, intensity_w_per_sr=0.05)
+    done = examined(tmp_path, replace(QUICK, camera=replace(camera, illumination=dim)))
+    assert verdict(done) == "FAULT too dark"
+    assert done.axes is None  # nothing was moved
+
+
+def test_a_scene_without_edges(tmp_path: Path) -> None:
+    wall = Scene((Plane(centre_m=(0.0, 0.0, 3.0), reflectance=0.5),))
+    done = examined(tmp_path, replace(QUICK, scene=wall))
+    assert verdict(done) == "FAULT no texture"
+
+
+@pytest.mark.slow
+def test_an_image_that_drifts(tmp_path: Path) -> None:
+    done = examined(tmp_path, replace(QUICK, drift_px_per_s=(0.0, 0.02)))
+    assert verdict(done) == "DOUBT drift"
+
+
+@pytest.mark.slow
+def test_brightness_that_jumps(tmp_path: Path) -> None:
+    done = examined(tmp_path, replace(QUICK, brightness_jump=0.05))
+    assert verdict(done) == "DOUBT exposure switching"
+
+
+@pytest.mark.slow
+def test_exposures_whose_factors_are_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pixel of 2.5 % more in one setting than in another, near the level of the switch."""
+    real = o3m_emulator.pixel_message
+    chance = np.random.default_rng(3)
+
+    def switching(frame: Any, **named: Any) -> bytes:
+        message = bytearray(real(frame, **named))
+        if chance.random() < 0.5:
+            return bytes(message)
+        weaker = bytearray(real(replace(frame, amplitude=1.025 * frame.amplitude), **named))
+        at = 12 + 4 + 2 * 1024 + 12 * 1024  # of the confidence
+        bits = np.frombuffer(weaker, "<u2", 1024, at) ^ (1 << 1)  # as if with another exposure
+        weaker[at : at + 2048] = bits.astype("<u2").tobytes()
+        factors = np.frombuffer(weaker, "<f4", 4, at + 4096)[[1, 0, 3, 2]]
+        weaker[at + 4096 : at + 4112] = factors.astype("<f4").tobytes()
+        return bytes(weaker)
+
+    monkeypatch.setattr(o3m_emulator, "pixel_message", switching)
+    done = examined(tmp_path)
+    assert verdict(done) == "DOUBT exposure switching"
+
+
+@pytest.mark.slow
+def test_frames_that_get_lost(tmp_path: Path) -> None:
+    done = examined(tmp_path, replace(QUICK, packet_loss=0.05))
+    assert verdict(done) == "DOUBT losses"
+
+
+def test_a_stage_that_is_blocked(tmp_path: Path) -> None:
+    """Its motor reports a motion error at the first move."""
+
+    def stuck(rig: EmulatedRig, _: dict) -> None:
+        col = rig.stages.controllers[1]
+        go = col._go
+        col._go = lambda *given: (go(*given), col.fail_motion())[0]  # type: ignore[method-assign]
+
+    done = examined(tmp_path, change=stuck)
+    assert verdict(done) == "FAULT stage blocked"
+
+
+def test_a_lens_that_does_not_follow_its_screw(tmp_path: Path) -> None:
+    per_mm = np.diag([NOMINAL, 0.01])
+    done = examined(tmp_path, replace(QUICK, px_per_mm=per_mm))
+    assert verdict(done) == "FAULT stage blocked"
+    assert "axis col" in done.verdict
+
+
+def test_one_stage_for_both_axes(tmp_path: Path) -> None:
+    done = examined(tmp_path, replace(QUICK, px_per_mm=NOMINAL * np.array([[1, 0.9], [0.1, 0.2]])))
+    assert verdict(done) == "FAULT axes parallel"
+
+
+def test_rest_at_the_end_of_the_way(tmp_path: Path) -> None:
+    done = examined(tmp_path, calibration={"rest_mm": [3.0, 5.98]})
+    assert verdict(done) == "FAULT limit"
+
+
+def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(2**30, 2**30, 2**20))
+    done = examined(tmp_path)
+    assert verdict(done) == "FAULT full disk"
+
+
+def test_another_program_has_the_port_of_the_camera(tmp_path: Path) -> None:
+    with (
+        bench() as (_, table),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
+    ):
+        udp.bind(("127.0.0.1", table["camera"]["port"]))
+        done = examine_rig(table, tmp_path)
+    assert verdict(done) == "FAULT second process"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs a pty")
+@pytest.mark.parametrize("fault", ["second process", "no permission", "wrong baud"])
+def test_a_port_of_the_stage_that_is_not_to_be_had(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    real = serial.serial_for_url
+    ours, theirs = os.openpty()
+    url, ended = os.ttyname(theirs), threading.Event()
+
+    def babble() -> None:
+        chance = np.random.default_rng(1)
+        while not ended.wait(0.01):
+            os.write(ours, chance.bytes(8))
+
+    def denied(port: str, **named: Any) -> Any:
+        if port == url:
+            raise serial.SerialException(errno.EACCES, f"could not open port {port}")
+        return real(port, **named)
+
+    with bench() as (_, table), ExitStack() as undo:
+        undo.callback(os.close, ours)
+        undo.callback(os.close, theirs)
+        table["stage"]["row"] = url
+        if fault == "second process":
+            undo.callback(real(url, exclusive=True).close)
+        elif fault == "no permission":
+            monkeypatch.setattr(serial, "serial_for_url", denied)
+        else:
+            thread = threading.Thread(target=babble)
+            thread.start()
+            undo.callback(thread.join)
+            undo.callback(ended.set)
+        done = examine_rig(table, tmp_path)
+    assert verdict(done) == f"FAULT {fault}"
+    assert done.view is not None  # the camera is looked at all the same
+
+
+def test_no_leave_to_home(tmp_path: Path) -> None:
+    done = examined(tmp_path, stage={"home": "ask"})
+    assert verdict(done) == "FAULT homing"
+    assert "goes back until its switch" in done.verdict
+
+
+# ---- the verb --------------------------------------------------------------------------------
+
+
+def test_an_earlier_examination_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "scan.nc").write_bytes(b"mine")
+    with pytest.raises(DataError, match=r"scan\.nc"):
+        examine_rig({"stage": {"row": "1", "col": "2"}}, tmp_path)
+    assert (tmp_path / "scan.nc").read_bytes() == b"mine"
+
+
+def test_from_no_rig_file_to_a_filed_calibration_of_an_askew_rig(tmp_path: Path) -> None:
+    per_mm = turned(swapped=True, mirrored=True, turn_deg=3.0, scale=1.2)
+    file, out = tmp_path / "rig.toml", tmp_path / "out"
+    with bench(replace(QUICK, px_per_mm=per_mm, play_mm=0.010)) as (rig, table):
+        row, col = rig.stages.urls
+        ran = CliRunner().invoke(
+            app,
+            ["doctor", "--file", str(file), "--row", row, "--col", col, "--out", str(out),
+             "--port", str(table["camera"]["port"]), "--yes", "--json"],
+        )  # fmt: skip
+        assert ran.exit_code == 0, ran.output + ran.stderr
+        assert error_px(rig, out / "calibration.json") <= 0.01
+    told = json.loads(ran.stdout)
+    assert told["verdict"].startswith("HEALTHY")
+    named = {one["name"] for one in told["findings"]}
+    assert named == {"axes swapped", "axis mirrored", "stage turned", "other scale"}
+    assert abs(told["axes"]["turn_deg"]) == pytest.approx(3.0, abs=0.6)
+    np.testing.assert_allclose(told["axes"]["play_mm"], 0.010, atol=0.002)
+    assert told["error_budget_px"]["shift"] < 0.02
+    assert told["devices"]["stage"]["col"]["serial_number"] == 83000001
+    written = tomllib.loads(file.read_text(encoding="utf-8"))
+    assert written["calibration"] == {"file": "out/calibration.json"}
+    again = CliRunner().invoke(app, ["doctor", "--file", str(file)])
+    assert again.exit_code == 1
+    assert "give it as argument" in again.stderr
+
+
+def test_what_is_not_known_is_asked_for(tmp_path: Path) -> None:
+    ran = CliRunner().invoke(app, ["doctor", "--file", str(tmp_path / "rig.toml")])
+    assert ran.exit_code == 1
+    assert "--row SERIAL" in ran.stderr
+    assert not (tmp_path / "rig.toml").exists()
+
+
+def test_the_rig_file_that_is_written_says_what_was_given() -> None:
+    told = tomllib.loads(rig_text("83000009", "socket://127.0.0.1:9", 42007))
+    assert told["stage"]["row"] == "83000009"
+    assert told["stage"]["col"] == "socket://127.0.0.1:9"
+    assert told["camera"]["port"] == 42007
