@@ -33,6 +33,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Frame
 from lensshift.io.calibration_file import save_calibration
+from lensshift.io.capture_file import CaptureWriter
 from lensshift.optics.shift import decenter_for_shift
 
 Call = Callable[..., Any]
@@ -112,6 +113,20 @@ def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Pa
     resumed = call("capture", rig_file, "-o", out, "--resume")
     assert resumed.exit_code == 0, resumed.output
     assert f"nothing to do: {out} is complete, 4 frames" in resumed.stdout
+
+
+def test_an_unfinished_capture_is_set_aside(call: Call, rig_file: Path, tmp_path: Path) -> None:
+    out, aside = tmp_path / "burst.nc", tmp_path / "burst-unfinished-1.nc"
+    CaptureWriter.create(out, {"plan": "square", "calibration": {"sha256": "other"}}).close()
+    begun = out.read_bytes()
+    refused = call("capture", rig_file, "-o", out, "--resume")
+    assert refused.exit_code == 1
+    done = call("capture", rig_file, "-o", out, "--restart", "--plan", "still")
+    assert done.exit_code == 0, done.output
+    assert aside.read_bytes() == begun
+    again = call("capture", rig_file, "-o", out, "--restart")  # complete: that stays
+    assert again.exit_code == 1
+    assert "there is a file of this name" in again.stderr
 
 
 @pytest.mark.parametrize(
@@ -195,6 +210,7 @@ def test_ports_are_listed(call: Call) -> None:
         ((), "expected a rig file"),
         (("RIG", "--plan", "round"), "expected a plan of square"),
         (("RIG", "--continuous", "--resume"), "goes with neither"),
+        (("RIG", "--resume", "--restart"), "not both"),
     ],
 )
 def test_wrong_use(call: Call, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -89,6 +90,28 @@ def check_target(path: str | Path, *, resume: bool) -> None:
         refuse_taken(path)
 
 
+def set_aside(path: str | Path) -> Path | None:
+    """Make room for a capture that begins anew: rename an unfinished one, and return its new name.
+
+    A complete one, or anything else of that name, stays; then it is refused as ever.
+
+    Raises
+    ------
+    DataError
+        If it cannot be renamed, or is being written by another process.
+    """
+    target = Path(path)
+    if not is_capture(target):
+        return None
+    CaptureWriter.resume(target).close()
+    names = (target.with_stem(f"{target.stem}-unfinished-{n}") for n in itertools.count(1))
+    aside = next(name for name in names if not name.exists())
+    try:
+        return target.rename(aside)
+    except OSError as error:
+        raise DataError(f"cannot be set aside: {error.strerror}", source=target) from error
+
+
 def opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> CaptureWriter:
     """Begin a journal, or go on with the one that is there if it was begun in the same way.
 
@@ -118,7 +141,7 @@ def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str |
     if ours != theirs:
         raise DataError(
             f"the capture was begun with another calibration (sha256 {theirs:.12}, not "
-            f"{ours:.12}); resume it with that one, or begin a new file",
+            f"{ours:.12}); resume it with that one, or begin anew (--restart)",
             field="calibration",
             source=path,
         )

@@ -46,6 +46,9 @@ ScanOption = Annotated[
 ]
 SpanOption = Annotated[float, typer.Option("--span-um", min=1.0, help="Width of the scan.")]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with an unfinished capture.")]
+RestartOption = Annotated[
+    bool, typer.Option("--restart", help="Begin anew; an unfinished capture is set aside.")
+]
 ContinuousOption = Annotated[
     bool, typer.Option("--continuous", help="One burst after another, OUT-0001.nc and so on.")
 ]
@@ -67,6 +70,7 @@ def capture(
     scan: ScanOption = False,
     span_um: SpanOption = 300.0,
     resume: ResumeOption = False,
+    restart: RestartOption = False,
     continuous: ContinuousOption = False,
     burst_count: CountOption = None,
     print_rig: PrintOption = False,
@@ -94,8 +98,14 @@ def capture(
             raise typer.Exit
         if rig is None:
             raise typer.BadParameter("expected a rig file; --print-rig shows one")
-        if continuous and (scan or resume):
-            raise typer.BadParameter("--continuous goes with neither --scan nor --resume")
+        if continuous and (scan or resume or restart):
+            raise typer.BadParameter(
+                "--continuous goes with neither --scan nor --resume nor --restart"
+            )
+        if resume and restart:
+            raise typer.BadParameter("expected --resume or --restart, not both")
+        if restart:
+            _set_aside(current, out)
         from lensshift.capture.opening import open_rig
 
         wanted = None if scan else _plan(plan)
@@ -118,6 +128,14 @@ def capture(
         current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
         current.say(f"wrote {out}")
         current.result |= _summary(burst, counts) | {"seconds": seconds, "files": [out]}
+
+
+def _set_aside(current: Session, out: Path) -> None:
+    from lensshift.capture.journal import set_aside
+
+    aside = set_aside(out)
+    if aside is not None:
+        current.say(f"the unfinished capture is now {aside}")
 
 
 def _nothing_to_do(
