@@ -15,9 +15,9 @@ from lensshift.core.lens_field import LensField
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
 from lensshift.registration.field import fit_field
-from lensshift.registration.likelihood import likely_shifts
+from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts
-from lensshift.registration.register import AGREES_PX, filled, frames_of, with_given
+from lensshift.registration.register import filled, frames_of, with_given
 
 Array = NDArray[np.float64]
 
@@ -176,15 +176,15 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Array]:
     """Return the scan with registered offsets and their covariance [2 frame, 2 frame]."""
     frames = frames_of(burst, "amplitude")
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
-    given_px = burst.offset_px - burst.offset_px[0]
     phase_px = phase_shifts(filled(frames, valid), 0)
-    agree = float(np.abs(phase_px - given_px).max()) < AGREES_PX
-    # The map that planned the scan may be mirrored; the stage tells which start leads astray.
-    starts = [given_px] if agree else [given_px, phase_px] if np.any(given_px) else [phase_px]
-    fits = [likely_shifts(frames, valid, start, photometric=photometric) for start in starts]
-    found = min(fits, key=lambda fit: _unexplained(burst, fit.offset_px))
+    fits: list[ShiftFit] = []
+    for start_px in _starts(burst, phase_px):
+        fits.append(likely_shifts(frames, valid, start_px, photometric=photometric))
+        if _unexplained_px(burst, fits[-1].offset_px) < BUDGET_PX:
+            break
+    found = min(fits, key=lambda fit: _unexplained_px(burst, fit.offset_px))
     # Where the frames tell nothing, a shift is known to be some pixels at most.
-    found = with_given(found, given_px, None, said=False)
+    found = with_given(found, burst.offset_px - burst.offset_px[0], None, said=False)
     burst = replace(
         burst,
         offset_px=found.offset_px,
@@ -194,11 +194,30 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Array]:
     return burst, found.covariance_px2
 
 
-def _unexplained(burst: Burst, offset_px: Array) -> float:
-    """Return the share of the offsets that stage and play do not explain."""
-    design = _design(_stage(burst), _directions(_commanded(burst)), None)
+def _starts(burst: Burst, phase_px: Array) -> list[Array]:
+    """Return where registration may begin, relative to the first frame, the best first.
+
+    Phase correlation of each frame is rough where content is aliased; what stage and play make of
+    all of them is not. The map that planned the scan may be mirrored, or wrong by a tenth.
+    """
+    design = _stage_and_play(burst)
+    found, _, _ = _robust(design, phase_px, np.zeros((phase_px.size, phase_px.size)))
+    smooth_px = design @ found
+    starts = [smooth_px - smooth_px[0], phase_px]
+    if np.any(burst.offset_px):
+        starts.insert(1, burst.offset_px - burst.offset_px[0])
+    return starts
+
+
+def _unexplained_px(burst: Burst, offset_px: Array) -> float:
+    """Return the rms of what stage and play do not explain of offsets."""
+    design = _stage_and_play(burst)
     left = offset_px - design @ (np.linalg.pinv(design) @ offset_px)
-    return float(np.linalg.norm(left)) / max(float(np.linalg.norm(offset_px)), 1e-12)
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def _stage_and_play(burst: Burst) -> Array:
+    return _design(_stage(burst), _directions(_commanded(burst)), None)
 
 
 def _commanded(burst: Burst) -> Array:
