@@ -37,6 +37,7 @@ NOT_RUN = {
     r"^lensshift (reproduce|lens optimise|lens tolerance)|--workers": "minutes: has its own test",
     r"recording\.pcap|mine\.zmx|--window 4 --every|sr\.mcap": "files of the reader's own",
     r"^\$ |^bicubic |^shift-and-add |^auto |^wrote ": "output",
+    r"photo": "files of the reader's own (tests/cli/test_cli_chart.py)",
     r"frames/|planned\.csv": "files of the reader's own",
 }  # fmt: skip
 # Snippets that show an interface of the reader's own.

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lensshift.cli.chart import chart
 from lensshift.cli.depth import depth
 from lensshift.cli.gain import gain
 from lensshift.cli.gradient import gradient
@@ -21,7 +22,7 @@ from lensshift.core.errors import QualityWarning
 
 evaluate = verb_group()
 
-for verb in (mtf, gain, gradient, star, zone, frc, depth):
+for verb in (mtf, chart, gain, gradient, star, zone, frc, depth):
     evaluate.command()(verb)
 
 ImageArgument = Annotated[Path, typer.Argument(help="Image, burst file or reconstruction.")]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from csv import writer as csv_writer
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +21,7 @@ from lensshift.cli.inputs import (
     parse_pitch_mm,
     refuse_overwriting,
 )
+from lensshift.core.errors import QualityWarning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,6 +56,42 @@ FocalOption = Annotated[
         "--focal-length-mm", min=0.0, help="Give frequencies in cycles per mrad of the scene."
     ),
 ]
+
+
+class ColourChannel(StrEnum):
+    """What of a colour photograph is measured."""
+
+    LUMINANCE = "luminance"
+    RED = "red"
+    GREEN = "green"
+    BLUE = "blue"
+
+
+ChannelOption = Annotated[
+    ColourChannel | None,
+    typer.Option("--channel", help="Of a colour photograph; luminance, of a mosaic green."),
+]
+GammaOption = Annotated[
+    float | None,
+    typer.Option("--gamma", help="Light = level^gamma; 2.2 for sRGB photographs. Else linear."),
+]
+OecfOption = Annotated[
+    Path | None, typer.Option("--oecf", help="Instead: CSV of the measured curve, level,light.")
+]
+BayerOption = Annotated[
+    str | None,
+    typer.Option("--bayer", help="Raw mosaic, as RGGB; pixels are then those of one colour."),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoOptions:
+    """How the levels of a photograph become light."""
+
+    channel: ColourChannel | None = None
+    gamma: float | None = None
+    oecf: Path | None = None
+    bayer: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +142,52 @@ def measured_image(
         return Measured(values, result.grid.pitch_mm, True, scale=result.scale)
     pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
     return Measured(values, pitch, pitch_mm is not None)
+
+
+def measured_photograph(
+    path: Path,
+    pitch_mm: str | None,
+    options: PhotoOptions,
+    *,
+    key: str | None = None,
+    frame: int = 0,
+) -> Measured:
+    """Read one image; of a photograph one channel, as linear light."""
+    from lensshift.evaluation.levels import bayer_frames, linear_light, one_channel
+    from lensshift.io.photograph import (
+        JPEG_SUFFIXES,
+        PHOTOGRAPH_SUFFIXES,
+        load_oecf,
+        load_photograph,
+    )
+
+    suffix = path.suffix.lower()
+    if suffix not in PHOTOGRAPH_SUFFIXES and options == PhotoOptions():
+        return measured_image(path, pitch_mm, key=key, frame=frame)
+    if options.gamma is not None and options.oecf is not None:
+        raise typer.BadParameter("expected --gamma or --oecf, not both")
+    curve = options.gamma if options.oecf is None else load_oecf(options.oecf)
+    if suffix in PHOTOGRAPH_SUFFIXES:
+        levels = load_photograph(path, frame=frame)
+        pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
+        read = Measured(levels, pitch, pitch_mm is not None)
+    else:
+        read = measured_image(path, pitch_mm, key=key, frame=frame)
+    if curve is None and suffix in JPEG_SUFFIXES:
+        warnings.warn(
+            f"{path.name}: the levels are taken for light; those of a JPEG rarely are: --gamma 2.2",
+            QualityWarning,
+            stacklevel=2,
+        )
+    light = linear_light(read.values, curve)
+    channel = None if options.channel is None else options.channel.value
+    if options.bayer is None:
+        return replace(read, values=one_channel(light, channel))
+    values, offset_px = bayer_frames(one_channel(light), options.bayer, channel or "green")
+    pitch = (2.0 * read.pitch_mm[0], 2.0 * read.pitch_mm[1])
+    if len(values) == 1:
+        return replace(read, values=values[0], pitch_mm=pitch)
+    return replace(read, values=values, pitch_mm=pitch, offset_px=offset_px)
 
 
 def measured_frames(path: Path, *, key: str | None = None) -> Measured:
@@ -200,9 +286,10 @@ def write_table(current: Session, csv: Path | None, columns: Mapping[str, Any]) 
     from lensshift.io.atomic import written_whole
 
     rows = zip(*columns.values(), strict=True)
-    lines = [",".join(columns), *(",".join(_cell(cell) for cell in row) for row in rows)]
-    with written_whole(csv) as part:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with written_whole(csv) as part, part.open("w", encoding="utf-8", newline="") as file:
+        writer = csv_writer(file, lineterminator="\n")  # quotes what holds a comma
+        writer.writerow(columns)
+        writer.writerows([_cell(cell) for cell in row] for row in rows)
     current.say(f"wrote {csv}")
 
 

@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensshift.cli.measured import (
+    BayerOption,
+    ChannelOption,
     CsvOption,
     FocalOption,
     FrameOption,
+    GammaOption,
     ImageArgument,
     KeyOption,
     Measured,
+    OecfOption,
+    PhotoOptions,
     PitchOption,
     PlotOption,
     RegionOption,
@@ -22,7 +27,7 @@ from lensshift.cli.measured import (
     frequency_unit,
     interval_row,
     measured_frames,
-    measured_image,
+    measured_photograph,
     parse_region,
     write_plot,
     write_table,
@@ -32,6 +37,7 @@ from lensshift.cli.session import DebugOption, JsonOption, Session, session
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from lensshift.core.optical import MtfCurve
     from lensshift.evaluation.slanted_edge import EdgeResult, Interval
 
 
@@ -43,12 +49,37 @@ class EdgeMethod(StrEnum):
     SFRMAT5 = "sfrmat5"
 
 
+class Window(StrEnum):
+    """Window of sfrmat5."""
+
+    TUKEY = "tukey"
+    HAMMING = "hamming"
+
+
 JointOption = Annotated[
     bool, typer.Option("--joint", help="Fit all frames of a burst file together.")
 ]
 MethodOption = Annotated[
     EdgeMethod,
     typer.Option("--method", help="Maximum likelihood, or a published algorithm to compare with."),
+]
+OrderOption = Annotated[
+    int | None, typer.Option("--order", help="Of sfrmat5: of the polynomial of the edge, 5.")
+]
+WindowOption = Annotated[
+    Window | None, typer.Option("--window", help="Of sfrmat5: tukey or hamming.")
+]
+ApertureOption = Annotated[
+    float | None,
+    typer.Option("--aperture-px", help="Of ml: side of the largest pixel that is thought of."),
+]
+TiltOption = Annotated[
+    bool | None,
+    typer.Option("--tilt/--no-tilt", help="Of ml: light is uneven, or not; else it is found out."),
+]
+AtOption = Annotated[
+    list[float] | None,
+    typer.Option("--at", help="Frequency at which the MTF is wanted; again for each further one."),
 ]
 
 # Name in the result, name for people, what it is.
@@ -70,6 +101,15 @@ def mtf(
     region: RegionOption = None,
     joint: JointOption = False,
     method: MethodOption = EdgeMethod.ML,
+    order: OrderOption = None,
+    window: WindowOption = None,
+    aperture_px: ApertureOption = None,
+    tilt: TiltOption = None,
+    at: AtOption = None,
+    channel: ChannelOption = None,
+    gamma: GammaOption = None,
+    oecf: OecfOption = None,
+    bayer: BayerOption = None,
     focal_length_mm: FocalOption = None,
     frame: FrameOption = 0,
     key: KeyOption = None,
@@ -87,18 +127,21 @@ def mtf(
     Example:
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --csv mtf.csv --plot mtf.png
       lensshift evaluate mtf burst.nc --joint --region 0,16,20,50
+      lensshift evaluate mtf photo.jpg --gamma 2.2 --channel green --at 0.1 --at 0.25
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
     with session(as_json=as_json, debug=debug, doing="measuring edges") as current:
-        from lensshift.evaluation.slanted_edge import average_curves, measure_edges, usable_edges
+        from lensshift.evaluation.slanted_edge import measure_edges
 
         place = parse_region(region)
         check_outputs([image], csv, plot)
+        photo = PhotoOptions(channel, gamma, oecf, bayer)
         measured = (
             measured_frames(image, key=key)
             if joint
-            else measured_image(image, pitch_mm, key=key, frame=frame)
+            else measured_photograph(image, pitch_mm, photo, key=key, frame=frame)
         )
+        chosen = {"order": order, "window": window, "aperture_px": aperture_px, "tilt": tilt}
         unit = frequency_unit(measured, focal_length_mm)
         results = measure_edges(
             measured.values,
@@ -108,26 +151,41 @@ def mtf(
             offset_px=measured.offset_px,
             valid=measured.valid,
             scale=measured.scale,
+            **method_options(**chosen),
         )
-        for result in results:
-            say_edge(current, result, unit, measured.length)
-        used = usable_edges(results)
-        mean = _mean(used)
-        if len(results) > 1:
-            current.say(f"mean of {len(used)} usable of {len(results)} edges")
-            _say_numbers(current, mean, unit, measured.length)
-        curve = average_curves(results)
-        frequency = curve.frequency_lpmm * unit.factor
-        current.result |= {"image": image, "unit": unit.name, "length_unit": measured.length}
-        current.result["edges"] = [edge_row(result, unit) for result in results]
-        current.result["mean"] = _mean_row(mean, unit)
-        current.result["mtf"] = {"frequency": frequency, "frequency_lpmm": curve.frequency_lpmm}
-        current.result["mtf"] |= {"modulation": curve.modulation, "std": curve.std}
+        curve, frequency = _tell(current, results, unit, measured.length, at or [])
+        current.result["image"] = image
         first = "frequency_lpmm" if focal_length_mm is None else "frequency_cycles_per_mrad"
         columns = {first: frequency, "modulation": curve.modulation}
         columns |= {} if curve.std is None else {"std": curve.std}
         write_table(current, csv, columns)
         write_plot(current, plot, lambda: _figure(results, measured, unit))
+
+
+def _tell(
+    current: Session, results: Sequence[EdgeResult], unit: Unit, length: str, at: Sequence[float]
+) -> tuple[MtfCurve, Any]:
+    """Print and keep the numbers of edges and of their mean; return its curve and frequencies."""
+    from lensshift.evaluation.slanted_edge import average_curves, usable_edges
+
+    for result in results:
+        say_edge(current, result, unit, length)
+        say_at(current, result.mtf, unit, at)
+    used = usable_edges(results)
+    mean = _mean(used)
+    if len(results) > 1:
+        current.say(f"mean of {len(used)} usable of {len(results)} edges")
+        _say_numbers(current, mean, unit, length)
+    curve = average_curves(results)
+    frequency = curve.frequency_lpmm * unit.factor
+    current.result |= {"unit": unit.name, "length_unit": length}
+    current.result["edges"] = [
+        edge_row(result, unit) | {"at": at_rows(result.mtf, unit, at)} for result in results
+    ]
+    current.result["mean"] = _mean_row(mean, unit)
+    current.result["mtf"] = {"frequency": frequency, "frequency_lpmm": curve.frequency_lpmm}
+    current.result["mtf"] |= {"modulation": curve.modulation, "std": curve.std}
+    return curve, frequency
 
 
 def _figure(results: Sequence[EdgeResult], measured: Measured, unit: Unit) -> Any:
@@ -146,14 +204,46 @@ def say_edge(current: Session, result: EdgeResult, unit: Unit, length: str) -> N
         f"{np.rad2deg(result.angle_rad.value):.2f} degrees, contrast "
         f"{100 * result.contrast:.0f} %, SNR {result.snr:.3g}"
     )
-    _say_numbers(current, {name: getattr(result, name) for name, _, _ in NUMBERS}, unit, length)
+    numbers = {name: getattr(result, name) for name, _, _ in NUMBERS}
+    _say_numbers(current, numbers, unit, length, result.sample_nyquist_lpmm)
 
 
-def _say_numbers(current: Session, numbers: dict[str, Interval], unit: Unit, length: str) -> None:
+def say_at(current: Session, curve: MtfCurve, unit: Unit, at: Sequence[float]) -> None:
+    """Print the modulation at frequencies in the unit."""
+    for row in at_rows(curve, unit, at):
+        shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
+        known = row["value"] == row["value"]
+        text = shown if known else "beyond the curve"
+        current.say(f"  MTF at {row['frequency']:<16g}{text}")
+
+
+def at_rows(curve: MtfCurve, unit: Unit, at: Sequence[float]) -> list[dict[str, float]]:
+    """Return the modulation at frequencies in the unit, for JSON."""
+    from lensshift.evaluation.chart import modulation_at
+
+    return [
+        {"frequency": one} | interval_row(modulation_at(curve, one / unit.factor)) for one in at
+    ]
+
+
+def method_options(**chosen: Any) -> Any:
+    """Return the options of `measure_edges` that were given."""
+    return {name: value for name, value in chosen.items() if value is not None}
+
+
+def _say_numbers(
+    current: Session,
+    numbers: dict[str, Interval],
+    unit: Unit,
+    length: str,
+    nyquist_lpmm: float | None = None,
+) -> None:
     for name, label, kind in NUMBERS:
         number, ending = numbers[name], ""
         if kind == "frequency":
+            beyond = nyquist_lpmm is not None and number.value > nyquist_lpmm
             number, ending = number.scaled(unit.factor), f" {unit.name}"
+            ending += ", beyond the Nyquist frequency of the pixels" if beyond else ""
         elif kind == "length":
             ending = f" {length}"
         known = number.value == number.value
@@ -185,5 +275,6 @@ def edge_row(result: EdgeResult, unit: Unit) -> dict[str, Any]:
         row[name] = interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
     for name in ("method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm"):
         row[name] = getattr(result, name)
+    row["beyond_nyquist"] = result.beyond_nyquist
     row |= {"notes": list(result.notes), "usable": result.usable}
     return row

@@ -20,7 +20,7 @@ IMAGE_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy")
 _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
 _CHANNEL_MODES = ("LA", "RGB", "RGBA")
 _PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
-_TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
+TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
 _MIN_IS_BLACK, _RGB = 1, 2
 _ADVICE = "save it as greyscale of 8 or 16 bits first"
 
@@ -87,14 +87,14 @@ def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
 def _load_tiff(path: str | Path) -> NDArray[Any]:
     import tifffile
 
-    with _strict_tifffile(), tifffile.TiffFile(path) as file:
+    with strict_tifffile(), tifffile.TiffFile(path) as file:
         series = file.series
         if len(series) != 1:
             raise DataError(f"expected pages of one size, got {len(series)} kinds of pages")
         page = file.pages.first
         if page.photometric not in (_MIN_IS_BLACK, _RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
-        if page.compression not in _TIFFFILE_COMPRESSIONS:
+        if page.compression not in TIFFFILE_COMPRESSIONS:
             return _load_pillow(path)
         size = Path(path).stat().st_size
         check_held(series[0].shape, series[0].nbytes, size, "pages")
@@ -121,7 +121,7 @@ def _are_frames(series: Any, planes: NDArray[Any]) -> bool:
 
 
 @contextmanager
-def _strict_tifffile() -> Iterator[None]:
+def strict_tifffile() -> Iterator[None]:
     """Turn the errors that tifffile raises or only logs into a `DataError`.
 
     It logs pages that it cannot find, and leaves them out.

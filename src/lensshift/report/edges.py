@@ -45,6 +45,7 @@ _PROFILE_PX = 4.0  # shown on either side of an edge, at least
 _PROFILE_WIDTHS = 2.0  # or so many 10-90 widths
 _LEAST_MODULATION = 0.05  # below it a ratio of two curves says nothing
 _MOST_RATIO = 6.0
+_SAME_NYQUIST = 1.2  # of the pixels over that of LR pixels; the slant alone makes up to 1.1
 
 
 def edge_figure(
@@ -218,12 +219,20 @@ def _draw_limits(
     factor: float,
     pitch_mm: float | tuple[float, float] | None,
 ) -> None:
-    """Draw the limits of a pixel along the normal of an edge, and the LR Nyquist frequency."""
+    """Draw the limits of a pixel along the normal of an edge, and both Nyquist frequencies.
+
+    Shaded: beyond that of the pixels of the image, where all but a slanted edge is an alias.
+    """
     turn_rad = result.angle_rad.value
     normal_rad = turn_rad if result.orientation == "vertical" else 0.5 * np.pi - turn_rad
     pixel_mm = 0.5 / result.nyquist_lpmm if pitch_mm is None else pitch_mm
     curves.draw_pixel_limits(axes, pixel_mm, normal_rad, highest_lpmm, factor)
     curves.mark_frequency(axes, result.nyquist_lpmm * factor, "LR Nyquist")
+    samples_lpmm = result.sample_nyquist_lpmm
+    if highest_lpmm > samples_lpmm:
+        axes.axvspan(samples_lpmm * factor, highest_lpmm * factor, color=FAINT, alpha=0.45, lw=0)
+    if samples_lpmm > _SAME_NYQUIST * result.nyquist_lpmm:
+        curves.mark_frequency(axes, samples_lpmm * factor, "Nyquist of the pixels")
 
 
 def _draw_profiles(axes: Axes, results: Sequence[EdgeResult]) -> None:

@@ -161,6 +161,19 @@ class EdgeResult(Shown, AsTable):
     usable: bool = True
 
     @property
+    def sample_nyquist_lpmm(self) -> float:
+        """The Nyquist frequency of the pixels of the image, along the normal of the edge."""
+        return 0.5 / self.pitch_mm
+
+    @property
+    def beyond_nyquist(self) -> bool:
+        """Whether MTF50 lies beyond it, where one image holds aliases only.
+
+        The edge, slanted, is sampled finer than that; other content of the image is not.
+        """
+        return bool(self.mtf50_lpmm.value > self.sample_nyquist_lpmm)
+
+    @property
     def contrast(self) -> float:
         """Michelson contrast of the edge."""
         total = self.bright + self.dark

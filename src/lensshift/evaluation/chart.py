@@ -1,0 +1,244 @@
+"""Many edges of photographs as one lens: over the field, through focus, as an eye sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.slanted_edge import EdgeResult, Interval, average_interval
+
+Array = NDArray[np.float64]
+Direction = Literal["sagittal", "tangential"]
+DIRECTIONS: tuple[Direction, ...] = ("sagittal", "tangential")
+
+# Zones of the field, by distance from the middle over half the diagonal.
+ZONES = (("centre", 0.0, 0.3), ("part way", 0.3, 0.7), ("corners", 0.7, 1.01))
+# Contrast sensitivity of the eye in the acutance of CPIQ (IEEE 1858), f^c exp(-b f) up to a
+# factor, f in cycles per degree.
+_EYE_POWER, _EYE_FALL = 0.8, 0.2
+_MOST_CPD, _CPD_STEP = 80.0, 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChartEdge:
+    """One edge, and where in the field it lies.
+
+    Parameters
+    ----------
+    result : the measurement
+    image : name of the photograph
+    focus : of the photograph: position of the focus, in any unit, or its number
+    row_px, col_px : middle of the edge
+    field : its distance from the middle of the image over half the diagonal
+    direction : "sagittal" if the lines that it measures point to the middle, else "tangential"
+    """
+
+    result: EdgeResult
+    image: str
+    focus: float
+    row_px: float
+    col_px: float
+    field: float
+    direction: Direction
+
+
+def chart_edges(
+    results: Sequence[EdgeResult], shape: tuple[int, int], *, image: str = "", focus: float = 0.0
+) -> list[ChartEdge]:
+    """Return edges with their places in the field of an image.
+
+    Lines that point to the middle (sagittal) are blurred across the radius: edges along the radius
+    measure them, edges across it the tangential ones.
+
+    Parameters
+    ----------
+    results : of `measure_edges`
+    shape : (rows, cols) of the image; its middle is that of the field
+    image, focus : of the photograph
+    """
+    rows, cols = shape
+    half = 0.5 * np.hypot(rows, cols)
+    edges = []
+    for one in results:
+        place = one.region
+        row_px = 0.5 * (place.row_start + place.row_stop - 1)
+        col_px = 0.5 * (place.col_start + place.col_stop - 1)
+        away = np.array([row_px - 0.5 * (rows - 1), col_px - 0.5 * (cols - 1)])
+        radius = float(np.hypot(*away))
+        along = _along(one)
+        share = abs(float(along @ away)) / radius if radius > 0 else 1.0
+        direction: Direction = "sagittal" if share >= np.sqrt(0.5) else "tangential"
+        edges.append(ChartEdge(one, image, focus, row_px, col_px, radius / half, direction))
+    return edges
+
+
+def _along(one: EdgeResult) -> Array:
+    """Return the direction (row, col) of an edge."""
+    turn = one.angle_rad.value
+    upright = np.array([np.cos(turn), -np.sin(turn)])  # col = -row tan(turn)
+    return upright if one.orientation == "vertical" else upright[::-1]
+
+
+def modulation_at(curve: MtfCurve, frequency_lpmm: float) -> Interval:
+    """Return the modulation of a curve at a frequency, with its 95 % interval; NaN beyond it."""
+    if not 0.0 <= frequency_lpmm <= curve.frequency_lpmm[-1]:
+        return Interval(float("nan"))
+    value = float(np.interp(frequency_lpmm, curve.frequency_lpmm, curve.modulation))
+    if curve.std is None:
+        return Interval(value)
+    half = 1.96 * float(np.interp(frequency_lpmm, curve.frequency_lpmm, curve.std))
+    return Interval(value, max(value - half, 0.0), value + half)
+
+
+def acutance(curve: MtfCurve, height_mm: float, eye_heights: float) -> float:
+    """Return how sharp a whole picture looks, 0 to 1 (more if it is sharpened).
+
+        A = integral of MTF(f) C(f) df / integral of C(f) df,   C(f) = f^0.8 exp(-0.2 f)
+
+    with f in cycles per degree at the eye: a picture of height H, seen from n H, has
+    f = frequency H n pi / 180. Without the frame and the print: those of the display are 1.
+
+    Parameters
+    ----------
+    curve : of the picture, 0 beyond its last frequency
+    height_mm : height H of the picture in the unit of the curve: on the sensor, for LP/mm
+    eye_heights : n, the distance of the eye over the height of the picture that it looks at
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive.
+
+    Source: IEEE 1858 (CPIQ), contrast sensitivity and acutance.
+    """
+    if not (height_mm > 0 and eye_heights > 0):
+        raise ValueError(f"expected positive lengths, got {height_mm} and {eye_heights}")
+    per_degree = np.arange(0.0, _MOST_CPD, _CPD_STEP)
+    eye = per_degree**_EYE_POWER * np.exp(-_EYE_FALL * per_degree)
+    frequency_lpmm = per_degree / (height_mm * eye_heights * np.pi / 180.0)
+    seen = np.interp(frequency_lpmm, curve.frequency_lpmm, curve.modulation, right=0.0)
+    return float(np.sum(seen * eye) / np.sum(eye))
+
+
+def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
+    """Return the summary over the field: of each zone and direction the edges, mean and spread.
+
+    Only usable edges count. `mtf50_lpmm` is the mean of different places, so its interval is that
+    of the places' scatter; a single edge keeps its own.
+    """
+    rows = []
+    for zone, low, high in ZONES:
+        for direction in DIRECTIONS:
+            here = [
+                one.result.mtf50_lpmm
+                for one in edges
+                if one.result.usable and one.direction == direction and low <= one.field < high
+            ]
+            if here:
+                mean = _mean_of_places(here)
+                worst = min(one.value for one in here if np.isfinite(one.value))
+                rows.append(
+                    {"zone": zone, "direction": direction, "edges": len(here), "mtf50_lpmm": mean}
+                    | {"worst_mtf50_lpmm": worst}
+                )
+    return rows
+
+
+def _mean_of_places(numbers: Sequence[Interval]) -> Interval:
+    values = np.array([one.value for one in numbers if np.isfinite(one.value)])
+    if len(values) < 2:
+        return average_interval(numbers)
+    mean = float(values.mean())
+    half = 1.96 * float(values.std(ddof=1)) / len(values) ** 0.5
+    return Interval(mean, mean - half, mean + half)
+
+
+@dataclass(frozen=True, slots=True)
+class FocusFit:
+    """A parabola through the MTF50 of a series of photographs.
+
+    Parameters
+    ----------
+    focus, sigma : where it is largest, and the standard error of that; NaN with three points,
+        which a parabola always meets
+    mtf50_lpmm : there
+    """
+
+    focus: float
+    sigma: float
+    mtf50_lpmm: float
+
+    def scaled(self, factor: float) -> FocusFit:
+        """Return it with MTF50 in another unit."""
+        return FocusFit(self.focus, self.sigma, self.mtf50_lpmm * factor)
+
+
+def best_focus(focus: Sequence[float], mtf50_lpmm: Sequence[float]) -> FocusFit:
+    """Return where a lens is sharpest, from MTF50 at three or more positions of the focus.
+
+    The parabola is fitted to the largest value and up to two neighbours on each side.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three positions, or the largest value is the first or last one.
+    """
+    x, y = np.asarray(focus, dtype=np.float64), np.asarray(mtf50_lpmm, dtype=np.float64)
+    known = np.isfinite(y)
+    x, y = x[known], y[known]
+    order = np.argsort(x)
+    x, y = x[order], y[order]
+    if len(np.unique(x)) < 3:
+        raise ValueError(f"expected three positions of the focus or more, got {len(np.unique(x))}")
+    top = int(np.argmax(y))
+    if top in (0, len(x) - 1):
+        raise ValueError("the sharpest photograph is the first or last of the series; go on there")
+    near = slice(max(top - 2, 0), top + 3)
+    x, y = x[near], y[near]
+    middle, span = float(x.mean()), float(np.ptp(x))
+    design = np.vander((x - middle) / span, 3)
+    (bend, slope, level), *_ = np.linalg.lstsq(design, y, rcond=None)
+    if bend >= 0:
+        raise ValueError("MTF50 has no maximum over the focus")
+    rest = y - design @ np.array([bend, slope, level])
+    spread = float(rest @ rest) / (len(x) - 3) if len(x) > 3 else float("nan")
+    covariance = np.linalg.inv(design.T @ design) * spread
+    at = -slope / (2.0 * bend)
+    lean = np.array([slope / (2.0 * bend**2), -1.0 / (2.0 * bend), 0.0])
+    sigma = float(np.sqrt(lean @ covariance @ lean)) * span
+    return FocusFit(middle + span * float(at), sigma, float(level - slope**2 / (4.0 * bend)))
+
+
+def edge_rows(
+    edges: Sequence[ChartEdge], at_lpmm: Sequence[float] = (), factor: float = 1.0
+) -> Iterator[dict[str, Any]]:
+    """Yield a flat row for each edge: place, frequencies with intervals, MTF at frequencies.
+
+    Parameters
+    ----------
+    at_lpmm : frequencies at which the modulation is wanted
+    factor : what frequencies are multiplied by for the unit that is wanted; the names of the
+        columns say nothing of it
+    """
+    for one in edges:
+        found = one.result
+        row: dict[str, Any] = {"image": one.image, "focus": one.focus}
+        row |= {"row_px": one.row_px, "col_px": one.col_px, "field": one.field}
+        row |= {"direction": one.direction, "orientation": found.orientation}
+        row |= {"angle_deg": float(np.rad2deg(found.angle_rad.value))}
+        for name in ("mtf50", "mtf30", "mtf10"):
+            number = getattr(found, f"{name}_lpmm").scaled(factor)
+            row |= {name: number.value, f"{name}_low": number.low, f"{name}_high": number.high}
+        row |= {"mtf_at_nyquist": found.mtf_at_nyquist.value, "contrast": found.contrast}
+        row |= {"snr": found.snr, "beyond_nyquist": found.beyond_nyquist, "usable": found.usable}
+        for frequency_lpmm in at_lpmm:
+            number = modulation_at(found.mtf, frequency_lpmm)
+            name = f"mtf_at_{frequency_lpmm * factor:g}"
+            row |= {name: number.value, f"{name}_low": number.low, f"{name}_high": number.high}
+        row["notes"] = "; ".join(found.notes)
+        yield row

@@ -1,0 +1,192 @@
+"""Measure the edges of many photographs, on all cores."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.chart import ChartEdge, FocusFit, best_focus, chart_edges, zone_rows
+from lensshift.evaluation.slanted_edge import EdgeResult, Region, find_regions, measure_edge
+
+Pitch = float | tuple[float, float]
+_WORTH_WORKERS = 8  # edges: below, starting processes takes longer than it saves
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photograph:
+    """One picture of a chart.
+
+    Parameters
+    ----------
+    name : of it
+    image : [row col], or [frame row col] with `offset_px`, of linear light
+    focus : position of the focus, in any unit
+    offset_px : [frame 2] of frames, as of the green pixels of a mosaic
+    """
+
+    name: str
+    image: NDArray[Any]
+    focus: float = 0.0
+    offset_px: ArrayLike | None = None
+
+    @property
+    def first(self) -> NDArray[Any]:
+        """The picture that is shown [row col]."""
+        return self.image if self.image.ndim == 2 else self.image[0]
+
+
+def measure_chart(
+    pictures: Sequence[Photograph],
+    pitch_mm: Pitch = 1.0,
+    *,
+    workers: int | None = None,
+    on_edge: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> list[ChartEdge]:
+    """Measure every slanted edge of photographs, and say where in the field each lies.
+
+    What speaks against an edge is in the notes of its result.
+
+    Parameters
+    ----------
+    pictures : of one lens; the middle of each is that of the field
+    pitch_mm : of the pixels; 1 gives cycles per pixel
+    workers : processes, by default one a core if there are edges enough; 1: none
+    on_edge : told how many edges are done, and how many there are
+    options : of `measure_edges`: method, aperture_px and so on
+
+    Raises
+    ------
+    ValueError
+        If no photograph shows a slanted edge that can be measured.
+
+    Warns
+    -----
+    QualityWarning
+        If regions that look like edges could not be measured.
+    """
+    tasks: list[tuple[int, Region]] = []
+    for number, one in enumerate(pictures):
+        try:
+            tasks += [(number, place) for place in find_regions(np.asarray(one.first, float))]
+        except ValueError:
+            continue  # another photograph may show some
+    if workers is None:
+        workers = (os.cpu_count() or 1) if len(tasks) >= _WORTH_WORKERS else 1
+    found: list[list[EdgeResult]] = [[] for _ in pictures]
+    refused: list[str] = []
+    with _measured(pictures, pitch_mm, options, tasks, workers) as results:
+        for done, (number, result) in enumerate(results, start=1):
+            if isinstance(result, str):
+                refused.append(f"{pictures[number].name}: {result}")
+            else:
+                found[number].append(result)
+            if on_edge is not None:
+                on_edge(done, len(tasks))
+    edges = [
+        edge
+        for one, results in zip(pictures, found, strict=True)
+        for edge in chart_edges(results, one.first.shape, image=one.name, focus=one.focus)
+    ]
+    if not edges:
+        names = ", ".join(one.name for one in pictures)
+        why = f" ({refused[0]})" if refused else ""
+        raise ValueError(
+            f"expected a slanted edge that can be measured, found none in {names}{why}"
+        )
+    if refused:
+        warnings.warn(
+            f"{len(refused)} regions could not be measured, the first: {refused[0]}",
+            QualityWarning,
+            stacklevel=2,
+        )
+    return edges
+
+
+def focus_series(edges: Sequence[ChartEdge]) -> tuple[list[dict[str, Any]], dict[str, FocusFit]]:
+    """Return the MTF50 of each zone and position of the focus, and where each zone is sharpest.
+
+    Zones whose best position is not within the series have no fit.
+    """
+    rows: list[dict[str, Any]] = []
+    for focus in dict.fromkeys(one.focus for one in edges):
+        by_zone: dict[str, list[tuple[int, float]]] = {}
+        for row in zone_rows([one for one in edges if one.focus == focus]):
+            by_zone.setdefault(row["zone"], []).append((row["edges"], row["mtf50_lpmm"].value))
+        for zone, told in by_zone.items():
+            count, value = np.array(told).T
+            rows.append(
+                {"zone": zone, "focus": focus, "mtf50_lpmm": float(count @ value / count.sum())}
+            )
+    fits = {}
+    for zone in dict.fromkeys(str(row["zone"]) for row in rows):
+        here = [row for row in rows if row["zone"] == zone]
+        try:
+            fits[zone] = best_focus(
+                [row["focus"] for row in here], [row["mtf50_lpmm"] for row in here]
+            )
+        except ValueError:
+            continue
+    return rows, fits
+
+
+@contextmanager
+def _measured(
+    pictures: Sequence[Photograph],
+    pitch_mm: Pitch,
+    options: dict[str, Any],
+    tasks: Sequence[tuple[int, Region]],
+    workers: int,
+) -> Iterator[Iterator[tuple[int, EdgeResult | str]]]:
+    """Yield the results in the order of the tasks."""
+    given = [(one.image, one.offset_px) for one in pictures]
+    if workers <= 1:
+        yield (_one(given, pitch_mm, options, task) for task in tasks)
+        return
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin, (given, pitch_mm, options))
+    try:
+        yield pool.map(_task, tasks)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+_given: Any = ()
+
+
+def _begin(*given: Any) -> None:
+    """Keep what every task of this process needs."""
+    global _given
+    _given = given
+
+
+def _task(task: tuple[int, Region]) -> tuple[int, EdgeResult | str]:
+    given, pitch_mm, options = _given
+    return _one(given, pitch_mm, options, task)
+
+
+def _one(
+    given: Sequence[tuple[NDArray[Any], ArrayLike | None]],
+    pitch_mm: Pitch,
+    options: dict[str, Any],
+    task: tuple[int, Region],
+) -> tuple[int, EdgeResult | str]:
+    number, place = task
+    image, offset_px = given[number]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)  # the notes say it
+        try:
+            return number, measure_edge(
+                image, pitch_mm, region=place, offset_px=offset_px, **options
+            )
+        except ValueError as error:
+            return number, str(error)

@@ -1,0 +1,118 @@
+"""Photographs, grey or in colour: JPEG, PNG, TIFF."""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.settings import read_text
+from lensshift.io.image_file import (
+    TIFF_SUFFIXES,
+    TIFFFILE_COMPRESSIONS,
+    load_frames,
+    strict_tifffile,
+)
+from lensshift.io.reading import check_unpacked, reading, require_file
+
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+PHOTOGRAPH_SUFFIXES = (*JPEG_SUFFIXES, ".png", *TIFF_SUFFIXES)
+_COLOURS = 3
+_RGB = 2
+
+
+def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
+    """Read one picture [row col], or [row col 3] if its colours differ; levels stay as they are.
+
+    Parameters
+    ----------
+    path : .jpg, .png, or .tif (also of 16 bits a colour)
+    frame : of a grey TIFF with several pages
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged or of another kind.
+    """
+    require_file(path)
+    suffix = Path(path).suffix.lower()
+    with reading(path):
+        if suffix in TIFF_SUFFIXES and (values := _colour_tiff(path)) is not None:
+            return _plain(values)
+        if suffix in (*JPEG_SUFFIXES, ".png") and (values := _colour_pillow(path)) is not None:
+            return _plain(values)
+        frames = load_frames(path)
+        if not 0 <= frame < len(frames):
+            raise DataError(f"expected a frame from 0 to {len(frames) - 1}, got {frame}")
+        return np.asarray(frames[frame])
+
+
+def load_oecf(path: str | Path) -> NDArray[np.float64]:
+    """Read an opto-electronic conversion function [n 2] from a CSV file: level, light.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or a line is not two numbers; a first line of words is a header.
+    """
+    rows = []
+    for number, row in enumerate(csv.reader(read_text(path).splitlines()), start=1):
+        if not row:
+            continue
+        try:
+            level, light = (float(one) for one in row)
+        except ValueError as error:
+            if number == 1:
+                continue
+            problem = f"line {number}: expected level,light, got {','.join(row)!r:.60}"
+            raise DataError(problem, source=path) from error
+        rows.append((level, light))
+    if len(rows) < 2:
+        raise DataError("expected two lines of level,light or more", source=path)
+    return np.array(rows)
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Return [row col] if all colours are equal."""
+    return values[..., 0] if np.all(values == values[..., :1]) else values
+
+
+def _colour_tiff(path: str | Path) -> NDArray[Any] | None:
+    """Return [row col 3] of a TIFF of colours, None if it is none."""
+    import tifffile
+
+    with strict_tifffile(), tifffile.TiffFile(path) as file:
+        page = file.pages.first
+        if page.photometric != _RGB or len(file.pages) != 1:
+            return None
+        if page.compression not in TIFFFILE_COMPRESSIONS:
+            return _colour_pillow(path)
+        check_unpacked(page.nbytes, Path(path).stat().st_size, "pages")
+        values = page.asarray()
+        if "S" not in page.axes:
+            return None
+        return np.moveaxis(values, page.axes.index("S"), -1)[..., :_COLOURS]
+
+
+def _colour_pillow(path: str | Path) -> NDArray[Any] | None:
+    """Return [row col 3] of a JPEG, or of a PNG of colours of 8 bits; None if it is grey."""
+    from PIL import Image
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        try:
+            with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
+                size = Path(path).stat().st_size
+                check_unpacked(_COLOURS * image.width * image.height, size, "pixels")
+                if image.format == "JPEG":
+                    return np.asarray(image.convert("RGB"))
+                if image.mode != "RGB" or any("16" in str(tile[3]) for tile in image.tile):
+                    return None
+                return np.asarray(image)
+        except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+            raise DataError(f"too large: {error}") from error

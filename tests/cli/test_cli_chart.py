@@ -1,0 +1,105 @@
+"""`lensshift evaluate chart`, and photographs in `evaluate mtf`."""
+
+import json
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from stand_in import Call
+
+LENS = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples" / "measure_lens.py"))
+SIDE = LENS["TILE_PX"]
+TRUE_SIGMA_PX = np.hypot(0.6, 0.29)
+TRUE_CPP = np.sqrt(np.log(2.0) / 2.0) / np.pi / TRUE_SIGMA_PX
+
+
+def save_square(path: Path, *, gamma: float = 2.2, sigma_px: float = 0.6) -> None:
+    """Write a photograph of one slanted square; its round blur makes every edge alike."""
+    light = LENS["square"](7.0, sigma_px, sigma_px, 0.0)
+    light = light + np.random.default_rng(0).normal(0.0, 0.002, light.shape)
+    levels = np.rint(255 * np.clip(light, 0, 1) ** (1 / gamma)).astype("u1")
+    Image.fromarray(levels).save(path, quality=98)
+
+
+def test_a_photograph_to_numbers_a_table_a_page_and_a_picture(call: Call, tmp_path: Path) -> None:
+    save_square(tmp_path / "photo.jpg")
+    page, table, seen = tmp_path / "lens.html", tmp_path / "edges.csv", tmp_path / "seen"
+    done = call(
+        "evaluate", "chart", tmp_path / "photo.jpg", "--gamma", "2.2", "--pitch-mm", "0.005",
+        "--at", "40", "--report", page, "--csv", table, "--annotate", seen, "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["unit"] == "LP/mm"
+    assert len(told["edges"]) == 4
+    for one in told["edges"]:
+        assert one["mtf50"] == pytest.approx(TRUE_CPP / 0.005, rel=0.03)
+    assert 0 < told["acutance"]["photo.jpg"] < 1
+    rows = np.genfromtxt(table, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert len(rows) == 4
+    assert rows["mtf50_lp_per_mm"][0] == pytest.approx(told["edges"][0]["mtf50"])
+    assert rows["mtf_at_40"][0] == pytest.approx(told["edges"][0]["mtf_at_40"])
+    html = page.read_text(encoding="utf-8")
+    assert "sagittal" in html
+    assert "src=" not in html.replace('src="data:', "")  # nothing from elsewhere
+    with Image.open(seen / "photo_edges.png") as picture:
+        assert picture.size[0] > 500
+
+
+def test_through_focus(call: Call, tmp_path: Path) -> None:
+    names = []
+    for place, sigma_px in ((0, 1.0), (10, 0.6), (20, 1.0)):
+        names.append(tmp_path / f"at_{place}.png")
+        save_square(names[-1], gamma=1.0, sigma_px=sigma_px)
+    done = call("evaluate", "chart", *names, "--focus", "0,10,20", "--focus-unit", "um", "--json")
+    assert done.exit_code == 0, done.output
+    for fit in json.loads(done.stdout)["best_focus"].values():
+        assert fit["focus"] == pytest.approx(10.0, abs=0.3)
+
+
+def test_mtf_of_a_photograph_at_frequencies(call: Call, tmp_path: Path) -> None:
+    save_square(tmp_path / "photo.png")
+    region = f"{SIDE // 2 - 20},{SIDE // 2 + 20},5,45"
+    done = call("evaluate", "mtf", tmp_path / "photo.png", "--gamma", "2.2", "--region", region,
+                "--at", "0.1", "--at", "0.25", "--at", "9", "--json")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    [edge] = json.loads(done.stdout)["edges"]
+    for one in edge["at"][:2]:
+        expected = np.exp(-2 * (np.pi * TRUE_SIGMA_PX * one["frequency"]) ** 2)
+        assert one["value"] == pytest.approx(expected, abs=0.02)
+        assert one["low"] <= one["value"] <= one["high"]
+    assert edge["at"][2]["value"] is None
+    linear = call("evaluate", "mtf", tmp_path / "photo.png", "--region", region, "--json")
+    bent = json.loads(linear.stdout)["edges"][0]["mtf50"]["value"]
+    assert abs(bent / TRUE_CPP - 1) > abs(edge["mtf50"]["value"] / TRUE_CPP - 1)
+
+
+def test_a_jpeg_of_unknown_curve_is_questioned(call: Call, tmp_path: Path) -> None:
+    save_square(tmp_path / "photo.jpg")
+    done = call("evaluate", "mtf", tmp_path / "photo.jpg", "--region", "40,80,5,45")
+    assert "--gamma 2.2" in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["--gamma", "2.2", "--oecf", "x.csv"], 2, "not both"),
+        (["--gamma", "-1"], 1, "positive gamma"),
+        (["--bayer", "RGBW"], 1, "expected a pattern of RGGB"),
+        (["--channel", "red"], 1, "this one is grey"),
+        (["--focus", "1,2"], 2, "a focus for each of 1 photographs"),
+        (["--order", "3"], 1, "order"),
+        (["--csv", "photo.png"], 2, "photo.png"),
+    ],
+)
+def test_wrong_arguments(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], code: int,
+    message: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    save_square(tmp_path / "photo.png")
+    done = call("evaluate", "chart", "photo.png", *options)
+    assert done.exit_code == code, done.output
+    assert message in " ".join(done.stderr.split())

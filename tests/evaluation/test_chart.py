@@ -1,0 +1,174 @@
+"""Edges of photographs as one lens: places, zones, focus and acutance by closed forms."""
+
+import runpy
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.chart import (
+    ChartEdge,
+    acutance,
+    best_focus,
+    edge_rows,
+    modulation_at,
+    zone_rows,
+)
+from lensshift.evaluation.chart_series import Photograph, focus_series, measure_chart
+from lensshift.evaluation.slanted_edge import Interval
+
+LENS = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples" / "measure_lens.py"))
+TILE_PX = LENS["TILE_PX"]
+TURN_RAD, RADIAL_PX, ROUND_PX = np.arctan2(1.0, 1.0), 1.1, 0.5
+
+
+def photograph() -> np.ndarray:
+    """Return an even picture with one dark square to the lower right of its middle.
+
+    The lens blurs along the radius twice as much as across it.
+    """
+    light = np.full((3 * TILE_PX, 3 * TILE_PX), LENS["BRIGHT"])
+    square = LENS["square"](38.0, RADIAL_PX, ROUND_PX, TURN_RAD)
+    light[2 * TILE_PX :, 2 * TILE_PX :] = square
+    return light + np.random.default_rng(5).normal(0.0, 0.002, light.shape)
+
+
+@pytest.fixture(scope="module")
+def edges() -> list[ChartEdge]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        return measure_chart([Photograph("one", photograph(), 3.0)], workers=1)
+
+
+def test_lines_to_the_middle_are_sagittal(edges: list[ChartEdge]) -> None:
+    """Edges along the radius measure the narrow blur across it, the two others the wide one."""
+    assert len(edges) == 4
+    assert all(0.5 < one.field < 0.85 for one in edges)
+    for direction, width_px in (("sagittal", ROUND_PX), ("tangential", RADIAL_PX)):
+        here = [one for one in edges if one.direction == direction]
+        assert len(here) == 2
+        for one in here:
+            # Seven degrees off the radius, and the pixel's own blur of 0.29 px.
+            sigma_px = np.hypot(width_px, 0.29)
+            expected = np.sqrt(np.log(2.0) / 2.0) / np.pi / sigma_px
+            assert one.result.mtf50_lpmm.value == pytest.approx(expected, rel=0.05)
+
+
+def test_zones_count_usable_edges_only(edges: list[ChartEdge]) -> None:
+    height = [0.1, 0.1, 0.5, 0.9]
+    placed = [
+        replace(one, field=at, direction="sagittal") for one, at in zip(edges, height, strict=True)
+    ]
+    bad = replace(placed[0], result=replace(placed[0].result, usable=False))
+    rows = zone_rows([*placed, bad])
+    assert [(row["zone"], row["edges"]) for row in rows] == [
+        ("centre", 2), ("part way", 1), ("corners", 1)
+    ]  # fmt: skip
+    values = [one.result.mtf50_lpmm.value for one in placed[:2]]
+    assert rows[0]["mtf50_lpmm"].value == pytest.approx(np.mean(values))
+    half = 1.96 * abs(values[1] - values[0]) / 2  # std of two over sqrt(2)
+    assert rows[0]["mtf50_lpmm"].high - rows[0]["mtf50_lpmm"].value == pytest.approx(half)
+    own, found = placed[2].result.mtf50_lpmm, rows[1]["mtf50_lpmm"]
+    assert (found.low, found.high) == pytest.approx((own.low, own.high), rel=1e-3)
+    assert rows[0]["worst_mtf50_lpmm"] == min(values)
+
+
+def test_rows_of_a_table_are_in_the_unit(edges: list[ChartEdge]) -> None:
+    [row, *_] = edge_rows(edges, [0.1], factor=20.0)
+    found = edges[0].result
+    assert row["mtf50"] == pytest.approx(20.0 * found.mtf50_lpmm.value)
+    assert row["mtf_at_2"] == pytest.approx(modulation_at(found.mtf, 0.1).value)
+    assert row["mtf_at_2_low"] < row["mtf_at_2"] < row["mtf_at_2_high"]
+    assert row["angle_deg"] == pytest.approx(np.rad2deg(found.angle_rad.value))
+
+
+def test_the_modulation_between_and_beyond() -> None:
+    curve = MtfCurve(np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.6, 0.0]), np.full(3, 0.1))
+    assert modulation_at(curve, 0.5) == Interval(0.8, 0.8 - 0.196, 0.8 + 0.196)
+    assert modulation_at(curve, 2.0).low == 0.0
+    assert np.isnan(modulation_at(curve, 2.1).value)
+    bare = MtfCurve(np.array([0.0, 1.0]), np.array([1.0, 0.5]))
+    assert np.isnan(modulation_at(bare, 0.5).low)
+
+
+@given(st.floats(0.05, 0.4), st.floats(0.5, 5.0), st.floats(5.0, 30.0))
+def test_acutance_of_an_exponential_is_in_closed_form(
+    fall: float, heights: float, height_mm: float
+) -> None:
+    """MTF exp(-a f) against f^0.8 exp(-0.2 f): (0.2 / (0.2 + a))^1.8, a per cycle per degree."""
+    per_lpmm = fall * height_mm * heights * np.pi / 180.0  # cycles per degree in one LP/mm
+    frequency_lpmm = np.linspace(0.0, 80.0 * fall / per_lpmm, 20001)
+    curve = MtfCurve(frequency_lpmm, np.exp(-per_lpmm * frequency_lpmm))
+    expected = (0.2 / (0.2 + fall)) ** 1.8
+    assert acutance(curve, height_mm, heights) == pytest.approx(expected, rel=2e-3)
+
+    with pytest.raises(ValueError, match="positive"):
+        acutance(curve, 0.0, heights)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.1, 2.0), st.permutations(range(7)))
+def test_a_parabola_is_found_whatever_the_order(top: float, bend: float, order: list[int]) -> None:
+    focus = np.linspace(-5.0, 5.0, 7)[order]
+    fit = best_focus(focus, 40.0 - bend * (focus - top) ** 2)
+    assert fit.focus == pytest.approx(top, abs=1e-6)
+    assert fit.mtf50_lpmm == pytest.approx(40.0, rel=1e-9)
+    assert fit.sigma == pytest.approx(0.0, abs=1e-5)
+
+
+def test_the_error_of_the_focus_is_its_scatter() -> None:
+    rng = np.random.default_rng(2)
+    focus = np.arange(-2.0, 3.0)
+    fits = [best_focus(focus, 10 - (focus - 0.2) ** 2 + rng.normal(0, 0.2, 5)) for _ in range(300)]
+    told = np.sqrt(np.mean([one.sigma**2 for one in fits]))
+    assert np.std([one.focus for one in fits]) == pytest.approx(told, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("focus", "mtf50", "message"),
+    [
+        ([0, 1], [1, 2], "three positions"),
+        ([0, 1, 2], [1, 2, np.nan], "three positions"),
+        ([0, 1, 2], [1, 2, 3], "go on there"),
+    ],
+)
+def test_series_without_a_best_focus(focus: list[float], mtf50: list[float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        best_focus(focus, mtf50)
+
+
+def test_through_focus(edges: list[ChartEdge]) -> None:
+    def at(focus: float) -> list[ChartEdge]:
+        factor = 1.0 - 0.02 * (focus - 1.0) ** 2
+        return [
+            replace(one, focus=focus, result=replace(
+                one.result, mtf50_lpmm=one.result.mtf50_lpmm.scaled(factor)
+            ))
+            for one in edges
+        ]  # fmt: skip
+
+    series, fits = focus_series([one for focus in (-2.0, 0.0, 2.0, 4.0) for one in at(focus)])
+    assert {row["zone"] for row in series} == set(fits)
+    assert all(fit.focus == pytest.approx(1.0, abs=1e-6) for fit in fits.values())
+
+
+def test_workers_find_the_same(edges: list[ChartEdge]) -> None:
+    """And a photograph without an edge costs nothing but a line of its own."""
+    empty = np.random.default_rng(1).normal(0.5, 0.01, (80, 90))
+    told: list[tuple[int, int]] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        again = measure_chart(
+            [Photograph("empty", empty), Photograph("one", photograph(), 3.0)],
+            workers=2,
+            on_edge=lambda done, of: told.append((done, of)),
+        )
+    assert [one.result.mtf50_lpmm for one in again] == [one.result.mtf50_lpmm for one in edges]
+    assert told[-1] == (4, 4)
+    with pytest.raises(ValueError, match="found none in empty"):
+        measure_chart([Photograph("empty", empty)])

@@ -1,0 +1,71 @@
+"""Photographs of all kinds come with the levels of their files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from lensshift.core.errors import DataError
+from lensshift.io.photograph import load_oecf, load_photograph
+
+SHAPE = (13, 21)
+
+
+def colours(dtype: str = "u1") -> np.ndarray:
+    top = np.iinfo(dtype).max
+    return np.random.default_rng(4).integers(0, top, (*SHAPE, 3)).astype(dtype)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2"])
+@pytest.mark.parametrize("planes", ["contig", "separate"])
+def test_a_tiff_of_colours(tmp_path: Path, dtype: str, planes: str) -> None:
+    rgb = colours(dtype)
+    stored = rgb if planes == "contig" else np.moveaxis(rgb, -1, 0)
+    tifffile.imwrite(tmp_path / "a.tif", stored, photometric="rgb", planarconfig=planes)
+    np.testing.assert_array_equal(load_photograph(tmp_path / "a.tif"), rgb)
+
+
+def test_png_and_jpeg(tmp_path: Path) -> None:
+    rgb = colours()
+    Image.fromarray(rgb).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(load_photograph(tmp_path / "a.png"), rgb)
+    smooth = np.broadcast_to(np.linspace(20, 200, 64).astype("u1")[:, None], (64, 48))
+    Image.fromarray(smooth).save(tmp_path / "a.jpg", quality=98)
+    found = load_photograph(tmp_path / "a.jpg")
+    assert found.shape == (64, 48)  # equal colours are one channel
+    assert np.abs(found.astype(int) - smooth).max() <= 2
+
+
+@pytest.mark.parametrize("name", ["grey.png", "grey.tif"])
+def test_sixteen_bits_of_grey_stay(tmp_path: Path, name: str) -> None:
+    grey = np.random.default_rng(0).integers(0, 60000, SHAPE).astype("u2")
+    if name.endswith("png"):
+        Image.fromarray(grey).save(tmp_path / name)
+    else:
+        tifffile.imwrite(tmp_path / name, np.stack([grey, grey + 1]), photometric="minisblack")
+    found = load_photograph(tmp_path / name, frame=0)
+    assert found.dtype == np.uint16
+    np.testing.assert_array_equal(found, grey)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"no picture at all")
+    with pytest.raises(DataError, match=r"a\.jpg"):
+        load_photograph(tmp_path / "a.jpg")
+    with pytest.raises(DataError, match=r"b\.png"):
+        load_photograph(tmp_path / "b.png")
+    tifffile.imwrite(tmp_path / "c.tif", np.zeros((2, *SHAPE), "u1"), photometric="minisblack")
+    with pytest.raises(DataError, match="a frame from 0 to 1, got 5"):
+        load_photograph(tmp_path / "c.tif", frame=5)
+
+
+def test_a_measured_curve(tmp_path: Path) -> None:
+    file = tmp_path / "oecf.csv"
+    file.write_text("level,light\n0,0\n\n128,0.2\n255,1\n")
+    np.testing.assert_array_equal(load_oecf(file), [[0, 0], [128, 0.2], [255, 1]])
+    for text, message in (("0,0\n1,x\n", "line 2"), ("0,0\n", "two lines")):
+        file.write_text(text)
+        with pytest.raises(DataError, match=message):
+            load_oecf(file)
