@@ -26,6 +26,8 @@ Generator = np.random.Generator
 USUAL, USUAL_OF_PHASORS = 0.3, 0.5
 # Share of bursts without errors of the shifts: measured ones of phasors always have some.
 EXACT, EXACT_OF_PHASORS = 0.6, 0.25
+# Places of real frames are not those of the plan: so far, in pixels, from the usual square.
+WANDER_PX = 0.06
 MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
 
 
@@ -90,10 +92,15 @@ def draw_geometry(rng: Generator, hr_side: int = 56) -> Geometry:
     return Geometry(scale, shape, np.clip(offset, -1.6, 1.6), samples)
 
 
-def usual_geometry(rng: Generator, side: int = 28) -> Geometry:
-    """Return four frames, half an HR pixel around the middle, at twice the resolution."""
+def usual_geometry(rng: Generator, side: int = 28, wander_px: float = 0.0) -> Geometry:
+    """Return four frames, half an HR pixel around the middle, at twice the resolution.
+
+    With `wander_px` every other burst has its frames elsewhere by as much, and as told.
+    """
     shape = (side, side) if rng.random() < 0.5 else (side // 2, side)
     offset = np.array([(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)])
+    if wander_px and rng.random() < 0.5:
+        offset = offset + wander_px * rng.uniform(-1, 1, offset.shape)
     return Geometry(2, shape, offset, int(rng.choice([10, 12])))
 
 
@@ -146,12 +153,13 @@ class Bench:
         return torch.einsum("bkuh,bhw,bkvw->bkuv", seen[0], scenes, seen[1])
 
 
-def draw_bench(rng: Generator, usual: float = USUAL) -> Bench:
+def draw_bench(rng: Generator, usual: float = USUAL, wander_px: float = 0.0) -> Bench:
     """Return a camera; what is told of its blur is the pixel's, pixel's and lens's, or wrong.
 
     Wanted is what smaller pixels behind the same lens see; no pixel is wider than a square one.
     """
-    g = usual_geometry(rng) if rng.random() < usual else draw_geometry(rng)
+    square = rng.random() < usual
+    g = usual_geometry(rng, wander_px=wander_px) if square else draw_geometry(rng)
     fill = 1.0 if rng.random() < 0.55 else float(rng.uniform(0.4, 1))
     optics = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.03, 0.35))
     lens = optics if rng.random() < 0.4 else 0.0
@@ -185,9 +193,11 @@ def draw_errors(rng: Generator, g: Geometry, count: int, exact: float = EXACT) -
     return wrong
 
 
-def draw_batch(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
-    """Return bursts of one geometry from scenes of the pool."""
-    bench = draw_bench(rng)
+def draw_batch(
+    rng: Generator, pool: NDArray[np.float16], count: int, square: bool = False
+) -> Batch:
+    """Return bursts of one geometry from scenes of the pool, all on the usual square if asked."""
+    bench = draw_bench(rng, 1.0, WANDER_PX) if square else draw_bench(rng)
     g = bench.geometry
     scenes = torch.tensor(np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)]))
     frames = bench.frames(scenes, draw_errors(rng, g, count))

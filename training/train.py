@@ -96,8 +96,10 @@ def _pool(worlds: Path) -> np.ndarray:
 
 
 def _draw(given: argparse.Namespace, step: int) -> Batch:
-    draw = draw_phasors if given.phasor else draw_batch
-    return draw(np.random.default_rng((given.seed, step)), _pool(given.worlds), BATCH)
+    rng, pool = np.random.default_rng((given.seed, step)), _pool(given.worlds)
+    if given.phasor:
+        return draw_phasors(rng, pool, BATCH)
+    return draw_batch(rng, pool, BATCH, given.square)
 
 
 def rate(step: int, done: float) -> float:
@@ -117,6 +119,7 @@ def main() -> None:
     ask.add_argument("--threads", type=int, default=1)
     ask.add_argument("--peak", type=float, default=1.0, help="factor of the learning rate")
     ask.add_argument("--phasor", action="store_true", help="train the solver for phasors")
+    ask.add_argument("--square", action="store_true", help="four frames on the usual square alone")
     ask.add_argument("--go-on", action="store_true", help="begin with the weights of the package")
     given = ask.parse_args()
     torch.set_num_threads(given.threads)
