@@ -5,7 +5,7 @@
 The photographs are rendered: at each square the lens blurs with its own Gaussian, wider towards the
 corners and across the radius than along it, and its focus is curved; 4:1 contrast, noise, gamma of
 2.2, JPEG of quality 95. So the MTF of every edge is known. Prints how far MTF50 is off, how often
-the 95 % interval holds it, and where the focus was found; writes lens.html and pictures of what was measured.
+the 95 % interval holds it, and where the focus was found; writes lens.html and pictures.
 """
 
 import argparse

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 
-from lensshift.forward import sampling
+from lensshift.forward import bands, sampling
 from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
 from lensshift.forward.warp import field_positions, frame_positions
 
-PARTS = ("split_line", "merge_line", "_sample_frame", "_spread_frame")
+PARTS = ("split_line", "merge_line", "sample_frame", "spread_frame")
 KERNELS = ("forward_separable", "adjoint_separable", "forward_field", "adjoint_field")
 COMPILED = {name: getattr(sampling, name) for name in (*PARTS, *KERNELS)}
 
@@ -48,3 +49,19 @@ def test_the_run_of_equal_taps_leaves_out_the_borders():
     assert 1 <= begin <= 2
     assert 17 <= end <= 19
     assert (weight[0, begin:end] == weight[0, begin]).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.complex64])
+def test_bands_on_several_cores_are_the_same_to_the_last_bit(kind, rng, monkeypatch):
+    model = forward_model((21, 34), 3, rng.uniform(-1.6, 1.6, (5, 2)))
+    A = model.operator
+    x = rng.standard_normal(A.in_shape).astype(kind)
+    y = rng.standard_normal(A.out_shape).astype(kind)
+    if kind is np.complex64:
+        x, y = x * np.complex64(1 + 2j), y * np.complex64(2 - 1j)
+    expected = A.forward(x), A.adjoint(y)
+    monkeypatch.setattr(bands, "WORTH_THREADS", 1)
+    for cores in (2, 3, 5):
+        monkeypatch.setattr(bands, "core_count", lambda cores=cores: cores)
+        np.testing.assert_array_equal(A.forward(x), expected[0])
+        np.testing.assert_array_equal(A.adjoint(y), expected[1])

@@ -294,6 +294,19 @@ def test_a_convolution_is_that_of_its_definition(shape, last):
     np.testing.assert_allclose(found, direct, atol=2e-5)
 
 
+def test_the_picture_does_not_depend_on_the_cores(monkeypatch):
+    rng = np.random.default_rng(3)
+    weight = convolution.transformed(rng.standard_normal((9 * 5, 7)).astype(np.float32))
+    x = convolution.with_margin([rng.standard_normal((37, 90, 5)).astype(np.float32)])
+    monkeypatch.setattr(convolution, "STRIP", 24)  # nine strips of one line of tiles
+    expected = convolution.convolved(x, weight, (37, 90), last=False)
+    monkeypatch.setattr(convolution, "WORTH_THREADS", 1)
+    for cores in (2, 4):
+        monkeypatch.setattr(convolution, "core_count", lambda cores=cores: cores)
+        found = convolution.convolved(x, weight, (37, 90), last=False)
+        np.testing.assert_array_equal(found[:38], expected[:38])
+
+
 def test_rounding_does_not_show(monkeypatch):
     burst = mosaic_burst(4, snr=2000.0)
     fast = solved(burst)

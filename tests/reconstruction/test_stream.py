@@ -14,6 +14,7 @@ from lensshift.core.types import Frame
 from lensshift.core.units import distance_to_phase
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
+from lensshift.reconstruction.learned import method
 
 SHAPE, SCALE = (21, 26), 2
 SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)])
@@ -122,6 +123,20 @@ def test_lost_frames_are_noticed():
         found = run(one, clean, 4, sigma=0.02, rng=rng, first=10)  # two are missing
     assert [result.settings["event"] for result in found] == ["frames lost", None, None, None]
     assert all(error(result, truth) < 1.2 * usual for result in found)
+
+
+def test_the_misfit_of_a_resting_scene_is_found_once_a_round(monkeypatch):
+    """Each frame is held against the picture when it comes."""
+    calls, find = [], method.find_misfit
+    monkeypatch.setattr(method, "find_misfit", lambda *given: calls.append(1) or find(*given))
+    clean, rng, counts = clean_frames(scene(16).truth), np.random.default_rng(1), []
+    one = camera(pace="live")
+    for number in range(16):
+        before = len(calls)
+        found = run(one, clean, 1, sigma=0.02, rng=rng, first=number)[0]
+        counts.append(len(calls) - before)
+        assert found.amplitude.misfit.shape == found.amplitude.image.shape
+    assert counts[4:] == [0, 0, 0, 1] * 3
 
 
 def test_something_that_moves_is_computed_anew_and_said():

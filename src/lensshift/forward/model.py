@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.grid import hr_to_lr
+from lensshift.forward.bands import adjoint_banded, forward_banded
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
 from lensshift.forward.operator import Array, LinearOperator, by_parts
 from lensshift.forward.sampling import (
     adjoint_field,
-    adjoint_separable,
     forward_field,
-    forward_separable,
     regular_runs,
 )
 from lensshift.forward.smooth_field import adjoint_smooth, forward_smooth, smooth_field
@@ -295,7 +294,7 @@ def _kernels(
 ) -> tuple[Any, Any, tuple[Starts, ...], tuple[Array, ...]]:
     """Return kernel, adjoint, and what they take besides the taps: places, and further weights."""
     if rows.start.ndim < 3:
-        return forward_separable, adjoint_separable, (cols.run,), ()
+        return forward_banded, adjoint_banded, (cols.run,), ()
     smooth = smooth_field(rows.start, row_weight, cols.start, cols.weight, stride)
     if smooth is None:
         return forward_field, adjoint_field, (), ()

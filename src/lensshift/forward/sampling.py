@@ -73,7 +73,7 @@ def merge_line(planes: Array, stride: int, count: int, line: Array) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _sample_frame(
+def sample_frame(
     x: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, run: Starts,
     out: Array,
 ) -> None:  # fmt: skip
@@ -108,11 +108,14 @@ def _sample_frame(
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _spread_frame(
+def spread_frame(
     y: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, run: Starts,
     out: Array,
 ) -> None:  # fmt: skip
-    """Add one frame, spread over its taps, to the HR image; the adjoint of `_sample_frame`."""
+    """Add one frame, spread over its taps, to the HR image; the adjoint of `sample_frame`.
+
+    Of rows of the image that are not there, as beside a band of it, nothing is written.
+    """
     width = out.shape[1]
     count, taps = weight.shape
     begin, end, stride = run[0], run[1], run[2]
@@ -134,7 +137,7 @@ def _spread_frame(
                 for t in range(taps):
                     line[start[v] + t] += weight[v, t] * source[v]
         top = row_start[u]
-        for s in range(row_weight.shape[1]):
+        for s in range(max(0, -top), min(row_weight.shape[1], len(out) - top)):
             target, factor = out[top + s], row_weight[u, s]
             for j in range(width):
                 target[j] += factor * line[j]
@@ -160,7 +163,7 @@ def forward_separable(
     out : [frame row col], overwritten
     """
     for k in range(out.shape[0]):
-        _sample_frame(
+        sample_frame(
             x, row_start[k], row_weight[k], col_start[k], col_weight[k], col_run[k], out[k]
         )
 
@@ -185,7 +188,7 @@ def adjoint_separable(
     """
     out[:] = 0
     for k in range(y.shape[0]):
-        _spread_frame(
+        spread_frame(
             y[k], row_start[k], row_weight[k], col_start[k], col_weight[k], col_run[k], out
         )
 

@@ -11,17 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lensshift.core.threads import bands, core_count, on_threads
+
 Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
 
 TILE, POINTS = 4, 6
 # Tiles that one matrix product takes: what goes in and out stays in the second-level cache.
 STRIP = 128
+WORTH_THREADS = 8  # strips: below, waking a thread takes as long as the work
 _KERNEL = np.array(
     [[1 / 4, 0, 0], [-1 / 6, -1 / 6, -1 / 6], [-1 / 6, 1 / 6, -1 / 6],
      [1 / 24, 1 / 12, 1 / 6], [1 / 24, -1 / 12, 1 / 6], [0, 0, 1]]
@@ -80,19 +84,25 @@ def convolved(x: Single, weight: Single, shape: tuple[int, int], *, last: bool) 
     channels, outputs = weight.shape[1:]
     rows, tiles = (len(x) - 2) // TILE, x.shape[2] - 1
     step = min(rows, max(1, STRIP // tiles))
-    strip = np.empty((POINTS**2, step * tiles, channels), np.float32)
-    product = np.empty((POINTS**2, step * tiles, outputs), np.float32)
-    lines = np.empty((POINTS**2, tiles * max(channels, outputs)), np.float32)
     margin = 0 if last else 1
     out = np.empty((rows * TILE + 2 * margin, TILE, tiles + margin, outputs), np.float32)
     flat, lines_of_x = out.reshape(len(out), -1), x.reshape(len(x), -1)
     least: Any = np.float32(-np.inf if last else 0.0)
-    for top in range(0, rows, step):
-        count = min(step, rows - top)
-        _take(lines_of_x, channels, top, count, lines, strip.reshape(POINTS**2, -1))
-        part = slice(None), slice(count * tiles)
-        np.matmul(strip[part], weight, out=product[part])
-        _put(product.reshape(POINTS**2, -1), outputs, top, count, margin, least, lines, flat)
+
+    def convolve(first: int, end: int) -> None:
+        strip = np.empty((POINTS**2, step * tiles, channels), np.float32)
+        product = np.empty((POINTS**2, step * tiles, outputs), np.float32)
+        lines = np.empty((POINTS**2, tiles * max(channels, outputs)), np.float32)
+        for top in range(first * step, min(end * step, rows), step):
+            count = min(step, rows - top)
+            _take(lines_of_x, channels, top, count, lines, strip.reshape(POINTS**2, -1))
+            part = slice(None), slice(count * tiles)
+            np.matmul(strip[part], weight, out=product[part])
+            _put(product.reshape(POINTS**2, -1), outputs, top, count, margin, least, lines, flat)
+
+    strips = -(-rows // step)
+    cores = core_count() if strips >= WORTH_THREADS else 1
+    on_threads([partial(convolve, *band) for band in bands(strips, cores)])
     if last:
         pixels = out.transpose(0, 2, 1, 3).reshape(rows * TILE, tiles * TILE, outputs)
         return pixels[: shape[0], : shape[1]]

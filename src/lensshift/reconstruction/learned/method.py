@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
+from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
 from lensshift.reconstruction.method import Request
@@ -93,15 +94,14 @@ def solved(
             request.on_iteration(len(objective), misfit)
 
     memory = request.memory
-    kept = None if memory is None else memory.recalled()
-    unit, level = problem.unit, problem.level
-    held = kept and tuple(one.moved(1 / unit, -level / unit) for one in kept)
+    kept = _recalled(problem, memory)
+    held, rested = (kept.held, kept.misfit) if kept else (None, None)
 
     def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
         # Of the pixel: the networks have seen few responses that are much wider.
         width_px = blur_width_px(problem.model.blur)
         asked = Asked(problem.model, problem.y, noise, width_px, on_stage, held)
-        return _solved_once(problem, asked, request)
+        return _solved_once(problem, asked, request, rested)
 
     found, misfit = run(noise)
     if misfit.curable and not misfit.off_px and not request.shifts_doubted:
@@ -124,7 +124,9 @@ def solved(
         )
         found, left = run(weighed)
     if memory is not None:
-        memory.keep(tuple(one.moved(unit, level) for one in found.held))
+        still = None if wrong or left.curable or left.lit else left
+        age = kept.age + 1 if kept and rested else 1
+        memory.keep(Kept(found.held, still, age).moved(problem.unit, problem.level))
     estimate = Estimate(
         image=found.image,
         objective=tuple(objective),
@@ -139,7 +141,43 @@ def solved(
     return _judged(estimate, wrong, used, request), std
 
 
-def _solved_once(problem: Problem, asked: Asked, request: Request) -> tuple[Solution, Misfit]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept:
+    """What a stream keeps of a step for the next.
+
+    Parameters
+    ----------
+    held : half-done pictures
+    misfit : that of the picture if nothing contradicts it: frames of a scene that rests are held
+        against the picture when they come (`Stream`), so that it need not be found after each
+    age : steps since it was found
+    """
+
+    held: tuple[Held, ...]
+    misfit: Misfit | None
+    age: int
+
+    def moved(self, factor: complex | float, level: complex | float) -> Kept:
+        """Return it in the units of frames times a factor plus a level."""
+        misfit = self.misfit
+        if misfit is not None:
+            misfit = replace(misfit, unexplained=misfit.unexplained * abs(factor))
+        return Kept(tuple(one.moved(factor, level) for one in self.held), misfit, self.age)
+
+
+def _recalled(problem: Problem, memory: Memory | None) -> Kept | None:
+    """Return what the step before kept, in units of the problem; a misfit is good for a round."""
+    kept: Kept | None = None if memory is None else memory.recalled()
+    if kept is None:
+        return None
+    kept = kept.moved(1 / problem.unit, -problem.level / problem.unit)
+    return kept if kept.age < len(problem.y) else replace(kept, misfit=None)
+
+
+def _solved_once(
+    problem: Problem, asked: Asked, request: Request, rested: Misfit | None = None
+) -> tuple[Solution, Misfit]:
+    """Return picture and misfit; that of a picture that rests is known already."""
     A, noise = problem.model.operator, asked.sigma
     there = request.device
     found = solve_together([asked])[0] if there is None else there.solve(asked)
@@ -147,6 +185,8 @@ def _solved_once(problem: Problem, asked: Asked, request: Request) -> tuple[Solu
         weight = found.weight / np.where(np.isfinite(noise), noise, np.inf) ** 2
         low_hr_px = LOW_PASS_PX * problem.scale
         found = replace(found, image=with_means_of(A, found.image, problem.y, weight, low_hr_px))
+    if rested is not None:
+        return found, rested
     return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
 
 

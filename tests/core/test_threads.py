@@ -1,0 +1,42 @@
+"""Tasks side by side: all are done, none of the errors is lost."""
+
+import os
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lensshift.core.threads import bands, core_count, on_threads
+
+
+@given(st.integers(1, 50), st.integers(1, 9))
+def test_bands_cover_a_length(size: int, count: int) -> None:
+    found = bands(size, count)
+    assert [index for first, end in found for index in range(first, end)] == list(range(size))
+    lengths = [end - first for first, end in found]
+    assert len(found) == min(size, count)
+    assert max(lengths) - min(lengths) <= 1
+
+
+def test_tasks_run_at_the_same_time_and_errors_come_back() -> None:
+    meet = threading.Barrier(2, timeout=20)  # passes only if both are there
+    done: list[int] = []
+    on_threads([lambda: done.append(meet.wait()), lambda: done.append(meet.wait())])
+    assert sorted(done) == [0, 1]
+
+    def fail() -> None:
+        raise ZeroDivisionError("one task")
+
+    with pytest.raises(ZeroDivisionError, match="one task"):
+        on_threads([fail, lambda: done.append(1)])
+    assert done[2:] == [1]
+
+
+def test_as_many_cores_as_there_are_or_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    assert 1 <= core_count() <= (os.cpu_count() or 1)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert core_count() == 1
+    monkeypatch.setenv("OMP_NUM_THREADS", "many")
+    assert core_count() >= 1
