@@ -320,7 +320,8 @@ def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Arra
     fit = _fits(terms, variance * odd**2, r, on)[0][:, None]
     rest = _middle(np.abs(r - (fit @ terms)[:, 0]), on) / GAUSSIAN_MEDIAN
     rest = np.maximum(rest, LEAST_REST * np.sqrt(_middle(variance, on)))[:, 0]
-    light = np.abs((fit[..., :2] @ terms[:, :2])[:, 0]) ** 2
+    own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
+    light = np.abs((own @ terms[:, :2])[:, 0]) ** 2
     return float(np.max(np.sqrt(np.mean(light, axis=-1, where=on)) / rest))
 
 
