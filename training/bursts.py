@@ -15,7 +15,14 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter
 
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import Taps, forward_model
-from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
+from lensshift.reconstruction.learned.method import (
+    LEAST_FRAMES,
+    LEAST_SHARE,
+    LEAST_SIGMA,
+    USUAL_SHIFT_ERROR_PX,
+)
+from lensshift.reconstruction.learned.solver import SQUARE_REACH_PX
+from lensshift.reconstruction.noise_law import light_of, noise_law
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 
 Array = NDArray[np.float64]
@@ -26,8 +33,8 @@ Generator = np.random.Generator
 USUAL, USUAL_OF_PHASORS = 0.3, 0.5
 # Share of bursts without errors of the shifts: measured ones of phasors always have some.
 EXACT, EXACT_OF_PHASORS = 0.6, 0.25
-# Places of real frames are not those of the plan: so far, in pixels, from the usual square.
-WANDER_PX = 0.06
+# Share of bursts whose noise is read from the frames, as it mostly is, errors and all.
+READ = 0.55
 MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
 
 
@@ -197,19 +204,32 @@ def draw_batch(
     rng: Generator, pool: NDArray[np.float16], count: int, square: bool = False
 ) -> Batch:
     """Return bursts of one geometry from scenes of the pool, all on the usual square if asked."""
-    bench = draw_bench(rng, 1.0, WANDER_PX) if square else draw_bench(rng)
+    bench = draw_bench(rng, 1.0, SQUARE_REACH_PX) if square else draw_bench(rng)
     g = bench.geometry
     scenes = torch.tensor(np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)]))
     frames = bench.frames(scenes, draw_errors(rng, g, count))
     frames, valid, sigma, noise = _spoil(rng, frames.numpy())
+    if len(g.offset_px) >= LEAST_FRAMES:
+        for k in np.flatnonzero(rng.random(count) < READ):
+            sigma[k] = _read_noise(g.offset_px, frames[k], valid[k], bench.told_px)
     seen_by_solver = (_float(frames), _float(valid), _float(sigma), _float(noise))
     return Batch(*seen_by_solver, bench.truth(scenes), bench.rows, bench.cols,
                  bench.told_px * g.scale, g.scale)  # fmt: skip
 
 
-def draw_phasors(rng: Generator, pool: NDArray[np.float16], count: int) -> Batch:
+def _read_noise(offset_px: Array, y: Array, valid: Array, told_px: float) -> Array:
+    """Return the noise of frames as the package reads it, where texture may be taken for it."""
+    used = valid > 0
+    law = noise_law(offset_px, y, valid, told_px)
+    least = max(LEAST_SHARE * float(np.std(y[used])), LEAST_SIGMA)
+    return np.sqrt(np.maximum(law.variance(light_of(y, used)), least**2))
+
+
+def draw_phasors(
+    rng: Generator, pool: NDArray[np.float16], count: int, square: bool = False
+) -> Batch:
     """Return bursts of phasors [burst component ...] of one geometry, turned by random phases."""
-    bench = draw_bench(rng, USUAL_OF_PHASORS)
+    bench = draw_bench(rng, *((1.0, SQUARE_REACH_PX) if square else (USUAL_OF_PHASORS,)))
     g = bench.geometry
     scenes = np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)])
     light, phase = scenes[:, 0], scenes[:, 1] + rng.uniform(0, 2 * np.pi, (count, 1, 1))
@@ -271,7 +291,8 @@ def _spoil(rng: Generator, y: NDArray[np.float32]) -> tuple[NDArray[np.float32],
     mean = np.sqrt(np.mean(true**2, axis=(1, 2, 3), keepdims=True))
     smooth = sigma * np.sqrt(1 - share + share * np.clip(noisy, 0.02, None) / 0.8)
     told = np.where(known, smooth, mean) * np.exp(0.08 * rng.standard_normal(one))
-    return noisy * valid, valid, np.broadcast_to(told, y.shape), np.broadcast_to(true, y.shape)
+    told, true = (np.broadcast_to(part, y.shape) for part in (told, true))
+    return noisy * valid, valid, told.copy(), true
 
 
 def _move(rng: Generator, y: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -24,9 +24,8 @@ from lensshift.reconstruction.learned.network import Network
 def arrays_of(state: dict[str, torch.Tensor], phasor: bool) -> dict[str, np.ndarray]:
     """Return the arrays of the file: the level of brightness already left out.
 
-    Phasors need no more than half precision, and two files are to stay below 1.5 MB.
+    Half precision is enough, and all files are to stay below 1.5 MB.
     """
-    precision = np.float16 if phasor else np.float32
     found = {}
     for name, values in state.items():
         if match := re.fullmatch(r"priors\.(\d+)\.layers\.(\d+)\.weight", name):
@@ -36,7 +35,7 @@ def arrays_of(state: dict[str, torch.Tensor], phasor: bool) -> dict[str, np.ndar
                 weight[:, :4] -= weight[:, :4].mean((1, 2, 3), keepdims=True)
             out_channels = weight.shape[0]
             taps = weight.transpose(2, 3, 1, 0).reshape(-1, out_channels)
-            found[f"layer_{stage}_{layer}"] = taps.astype(precision)
+            found[f"layer_{stage}_{layer}"] = taps.astype(np.float16)
         elif match := re.fullmatch(r"priors\.(\d+)\.facts\.(weight|bias)", name):
             kind = "facts" if match[2] == "weight" else "gain"
             found[f"{kind}_{match[1]}"] = values.numpy().T.astype(np.float32)

@@ -97,9 +97,8 @@ def _pool(worlds: Path) -> np.ndarray:
 
 def _draw(given: argparse.Namespace, step: int) -> Batch:
     rng, pool = np.random.default_rng((given.seed, step)), _pool(given.worlds)
-    if given.phasor:
-        return draw_phasors(rng, pool, BATCH)
-    return draw_batch(rng, pool, BATCH, given.square)
+    draw = draw_phasors if given.phasor else draw_batch
+    return draw(rng, pool, BATCH, given.square)
 
 
 def rate(step: int, done: float) -> float:

@@ -95,15 +95,15 @@ def judged(scale: int, snr: float, bursts: int) -> tuple[float, float, float, fl
     return float(psnr.mean()), float(one.mean()), float(two.mean()), float(two.min())
 
 
-def calibration(bursts: int) -> float:
+def calibration(weights: str, bursts: int) -> float:
     """Return what STD_SCALE should be: two std hold what two of a Gaussian do, on other seeds."""
     seeds = range(CALIBRATION_SEED, CALIBRATION_SEED + bursts)
     factors = []
-    for scale in (2, 3, 4):
+    for scale in (2,) if weights == "square" else (3, 4):
         for snr in (5, 15, 50, 200, 1000):
             sizes = [(np.abs(e) / s).ravel() for e, s in errors_of(seeds, scale, snr)]
             factors.append(np.quantile(np.concatenate(sizes), 0.9545) / 2)
-    return STD_SCALE * float(np.mean(factors))
+    return STD_SCALE[weights] * float(np.mean(factors))
 
 
 def main() -> None:
@@ -121,7 +121,8 @@ def main() -> None:
         print_phasors(given.bursts)
         return
     if given.calibrate:
-        sys.stdout.write(f"STD_SCALE = {calibration(given.bursts):.2f}\n")
+        for weights in STD_SCALE:
+            sys.stdout.write(f"STD_SCALE of {weights} {calibration(weights, given.bursts):.2f}\n")
         return
     sys.stdout.write("scale  SNR   PSNR dB  within 1 std  2 std  least of a burst\n")
     for scale in (2, 3, 4):

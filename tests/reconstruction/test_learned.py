@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
 
 from lensshift import Burst, ShiftField, reconstruct
@@ -307,6 +309,26 @@ def test_the_picture_does_not_depend_on_the_cores(monkeypatch):
         np.testing.assert_array_equal(found[:38], expected[:38])
 
 
+@given(
+    st.permutations(range(4)),
+    st.lists(st.integers(-3, 3), min_size=8, max_size=8),
+    st.floats(0.0, 2 * np.pi),
+)
+def test_the_square_is_known_in_any_order_and_wherever_it_is(order, pixels, angle):
+    offset_px = SQUARE_PX[order] + np.reshape(pixels, (4, 2))
+    off = 0.059 * np.array([np.cos(angle), np.sin(angle)])
+
+    def on_the_square(offset_px, scale=2):
+        return solver.on_the_square(forward_model((5, 7), scale, offset_px))
+
+    assert on_the_square(offset_px)
+    assert on_the_square(offset_px + np.outer([1, 0, 0, 0], off))
+    assert not on_the_square(offset_px + np.outer([1, 0, 0, 0], 3 * off))
+    assert not on_the_square(offset_px[[0, 1, 2, 2]])  # a corner twice
+    assert not on_the_square(offset_px, scale=3)
+    assert not on_the_square(offset_px[:3])
+
+
 def test_rounding_does_not_show(monkeypatch):
     burst = mosaic_burst(4, snr=2000.0)
     fast = solved(burst)
@@ -345,7 +367,7 @@ def _trained(name):
     from network import Solver
     from phasor_network import PhasorSolver
 
-    chain = Solver() if name == "brightness" else PhasorSolver()
+    chain = PhasorSolver() if name == "phasor" else Solver()
     load_exported(chain, *network.learned_weights(name))
     return chain.eval()
 
@@ -370,16 +392,21 @@ def unturned(monkeypatch):
     monkeypatch.setattr(solver, "turn_of", lambda offset_px: Turn(False, False, False))
 
 
-def test_it_is_the_chain_that_was_trained(unturned):
-    chain = _trained("brightness")
+@pytest.mark.parametrize("name", ["brightness", "square"])
+def test_it_is_the_chain_that_was_trained(unturned, name):
+    chain = _trained(name)
     rng = np.random.default_rng(0)
-    model = forward_model((13, 18), 3, rng.uniform(-0.5, 0.5, (5, 2)), blur=GaussianBlur(0.3))
-    y = model.operator(rng.random(model.hr_shape)) + 0.02 * rng.standard_normal((5, 13, 18))
+    scale, offset_px = (3, rng.uniform(-0.5, 0.5, (5, 2))) if name == "brightness" else (
+        2, SQUARE_PX + rng.uniform(-0.05, 0.05, (4, 2))
+    )  # fmt: skip
+    model = forward_model((13, 18), scale, offset_px, blur=GaussianBlur(0.3))
+    y = model.operator(rng.random(model.hr_shape))
+    y += 0.02 * rng.standard_normal(y.shape)
     sigma = 0.02 * rng.uniform(0.8, 1.2, y.shape)
     found = solver.solve(model, y, sigma, blur_px=0.3)
-    image, std = _run(chain, model, y - np.median(y), sigma, 0.9)
+    image, std = _run(chain, model, y - np.median(y), sigma, 0.3 * scale)
     np.testing.assert_allclose(image + np.median(y), found.image, atol=2e-5)
-    np.testing.assert_allclose(solver.STD_SCALE * std, found.std, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(solver.STD_SCALE[name] * std, found.std, rtol=1e-3, atol=1e-6)
 
 
 def test_phasors_run_through_the_chain_that_was_trained(unturned):

@@ -23,7 +23,8 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
-    "brightness": "ee73f7834f6ff1ecc1d8d95a48cb0d43df900e452b82e9eafcac50d0ba0f91ad",
+    "square": "0a3eced3304e7054649f741c9f4a1918d7b47c852175181c2695a798cebcdd95",
+    "brightness": "c4340614a636dc92cd8591f159ad157faf5d1decb1753e813e2243a4bc610903",
     "phasor": "cefa804fee062bd98f15d6137c9b504578781aeab2c71067798f57bde1272576",
 }
 
@@ -95,7 +96,19 @@ def learned_weights(name: str) -> tuple[tuple[Network, ...], dict[str, NDArray[n
     if digest != WEIGHTS_SHA256[name]:
         raise OSError(f"{file.name} is damaged (sha256 {digest[:12]}...); install lensshift again")
     with np.load(io.BytesIO(content)) as stored:
-        return _networks_of(dict(stored))
+        arrays = dict(stored)
+    if name != "phasor":
+        _forget_level(arrays)
+    return _networks_of(arrays)
+
+
+def _forget_level(stored: dict[str, NDArray[Any]]) -> None:
+    """Take off the first layers what half precision left of their answer to an even picture."""
+    for name in [one for one in stored if one.startswith("layer_") and one.endswith("_0")]:
+        taps = stored[name].astype(np.float64)
+        own = taps.reshape(9, -1, taps.shape[1])[:, :4]
+        own -= own.mean(axis=(0, 1))
+        stored[name] = taps
 
 
 def _networks_of(

@@ -27,10 +27,14 @@ from lensshift.reconstruction.learned.turn import turn_of
 
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --calibrate); the likelihood alone makes std too wide, by tails.
-STD_SCALE = 0.86
+STD_SCALE = {"brightness": 0.80, "square": 0.90}
 # Larger pictures are solved in tiles, so that memory is bounded. Nothing reaches farther than the
 # halo but what is far below the noise (tests/reconstruction/test_learned.py).
 TILE_HR_PX, HALO_HR_PX = 640, 32
+
+# How far real frames may be from the places of the plan for the weights of the square, LR pixels;
+# training draws them so (training/bursts.py).
+SQUARE_REACH_PX = 0.06
 
 Region = tuple[slice, slice]
 OnStage = Callable[[int, float], None]
@@ -71,6 +75,7 @@ class Asked:
     blur_px : standard deviation of the pixel response in LR pixels
     on_stage : called with the number of the stage and the misfit in units of the noise
     held : of an earlier solution, in the units of y: only the last stage is done
+    general : take the weights of all geometries, also where there are some for this one alone
     """
 
     model: ForwardModel
@@ -79,6 +84,7 @@ class Asked:
     blur_px: float
     on_stage: OnStage | None = None
     held: tuple[Held, ...] | None = None
+    general: bool = False
 
     @property
     def of_phasors(self) -> bool:
@@ -86,12 +92,20 @@ class Asked:
         return self.y.dtype.kind == "c"
 
     @property
+    def weights(self) -> str:
+        """Which weights are for it."""
+        if self.of_phasors:
+            return "phasor"
+        return "brightness" if self.general or not on_the_square(self.model) else "square"
+
+    @property
     def geometry(self) -> tuple[Any, ...]:
         """What bursts have to share to be solved together; what begins with `held` is alone."""
         model, held = self.model, self.held and id(self.held)
         places = [taps.position_hr_px.tobytes() for taps in (model.rows, model.cols)]
         places += [] if model.spot_px2 is None else [model.spot_px2.tobytes()]
-        return (self.y.shape, self.of_phasors, held, self.blur_px, model.scale, model.blur, *places)
+        kinds = (self.of_phasors, self.general, held, self.blur_px, model.scale, model.blur)
+        return (self.y.shape, *kinds, *places)
 
     def unit(self) -> tuple[float, complex | float, float]:
         """Return the mean noise; by what and after what is taken off y is in units of it.
@@ -117,10 +131,11 @@ def solve(
     sigma: NDArray[np.float64],
     *,
     blur_px: float,
+    general: bool = False,
     on: Kernels = COMPILED,
 ) -> Solution:
     """Return the picture that explains the frames y = A x + n; see `Asked`."""
-    return solve_together([Asked(model, y, sigma, blur_px)], on)[0]
+    return solve_together([Asked(model, y, sigma, blur_px, general=general)], on)[0]
 
 
 def solve_together(asked: Sequence[Asked], on: Kernels = COMPILED) -> list[Solution]:
@@ -152,17 +167,20 @@ def _solved(asked: Sequence[Asked], on: Kernels) -> list[Solution]:
                 one.on_stage(number, float(misfit))
 
     found = _in_tiles(
-        _phasor_prior() if first.of_phasors else _brightness_prior(), first.model, np.stack(y),
-        np.stack(sigma), first.blur_px, on_stage, held, on,
+        _prior(first.weights), first.model, np.stack(y), np.stack(sigma), first.blur_px,
+        on_stage, held, on,
     )  # fmt: skip
-    return [_in_units(found, n, *unit) for n, unit in enumerate(units)]
+    scale = STD_SCALE.get(first.weights, 1.0)
+    return [_in_units(found, n, scale, *unit) for n, unit in enumerate(units)]
 
 
-def _in_units(found: Solution, n: int, unit: float, factor: Any, level: float) -> Solution:
+def _in_units(
+    found: Solution, n: int, scale: float, unit: float, factor: Any, level: float
+) -> Solution:
     """Return the solution of burst n in the units of its frames."""
     of_phasors = found.image.dtype.kind == "c"
     std = found.std[n] * np.array([unit, unit, 1.0])[:, None, None] if of_phasors else (
-        found.std[n, 0] * (STD_SCALE * unit)
+        found.std[n, 0] * (scale * unit)
     )  # fmt: skip
     kind = np.complex128 if of_phasors else np.float64
     return Solution(
@@ -174,14 +192,25 @@ def _in_units(found: Solution, n: int, unit: float, factor: Any, level: float) -
     )
 
 
-@lru_cache(maxsize=1)
-def _brightness_prior() -> BrightnessPrior:
-    return BrightnessPrior(*learned_weights("brightness"))
+def on_the_square(model: ForwardModel) -> bool:
+    """Tell whether four frames see a quarter of a pixel around the middle, at twice the resolution.
+
+    That is what lenses that shift are moved for, and has weights of its own. Whole pixels more make
+    no difference.
+    """
+    if model.scale != 2 or model.frames != 4:
+        return False
+    away = (model.mean_offset_px + 0.25) % 0.5
+    away = np.minimum(away, 0.5 - away)
+    corners = {tuple(corner) for corner in np.round(2 * (model.mean_offset_px + 0.25)) % 2}
+    spread = model.shift_spread_px
+    return len(corners) == 4 and bool(np.max(away) + spread <= SQUARE_REACH_PX)
 
 
-@lru_cache(maxsize=1)
-def _phasor_prior() -> PhasorPrior:
-    return PhasorPrior(*learned_weights("phasor"))
+@lru_cache
+def _prior(weights: str) -> LearnedPrior:
+    kind = PhasorPrior if weights.startswith("phasor") else BrightnessPrior
+    return kind(*learned_weights(weights))
 
 
 def _in_tiles(
