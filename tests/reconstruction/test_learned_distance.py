@@ -187,3 +187,32 @@ def test_distances_of_hardly_any_light_spoil_nothing() -> None:
     truth = np.mod(np.angle(z), 2 * np.pi) / PER_M
     clean, spoilt = (np.sqrt(np.mean((d - truth) ** 2)) for d in found)
     assert spoilt < 1.3 * clean
+
+
+def test_std_of_wide_surfaces_is_that_of_their_errors() -> None:
+    """Amplitude and distance of even surfaces, of noise that follows the light, without a bias."""
+
+    def scene(rows: Array, cols: Array) -> tuple[Array, Array]:
+        left = cols < 13.4
+        return np.where(left, 0.25, 0.6), np.where(left, 3.4, 4.1)
+
+    z = means(scene, np.zeros(2), 2)
+    inside = np.zeros((32, 56), bool)
+    inside[4:-4, 4:20] = inside[4:-4, 36:-4] = True
+    for snr in (15.0, 40.0):
+        off = []
+        for seed in range(40, 52):
+            found = reconstruct(taken([scene] * 4, snr, seed), 2, channel="phasor")
+            amplitude, distance = found.amplitude, found.distance_m
+            assert amplitude is not None
+            assert distance is not None
+            off.append([
+                (amplitude.image - np.abs(z[0])) / amplitude.std,
+                (distance.image - truth_m(scene)) / distance.std,
+            ])  # fmt: skip
+        sizes = np.array(off)[:, :, inside]
+        # Means of some 30 pixels of frames are independent in so few places of each burst.
+        assert np.all(np.abs(sizes.mean(axis=(0, 2))) < 3 / np.sqrt(12 * 8))
+        share = np.mean(np.abs(sizes) < 2, axis=(0, 2))
+        assert share[0] == pytest.approx(0.9545, abs=0.04)
+        assert 0.93 < share[1] <= 1.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mosaic import canvas, observe, square
 from pixel_camera import SQUARE_PX, edge_scene, photograph, smooth_scene
+from scipy.ndimage import median_filter
 
 from lensshift import Burst, reconstruct
 from lensshift.reconstruction.noise_law import light_of, noise_law
@@ -145,3 +146,14 @@ def test_what_was_found_of_the_noise_is_told() -> None:
     assert law["b"] == pytest.approx(1e-3 * 100.0, rel=0.4)
     told = reconstruct(burst, noise_sigma=2.0).amplitude.notes["noise_law"]
     assert told == pytest.approx({"a": 4.0, "b": 0.0})
+
+
+def test_light_is_the_median_of_a_cross() -> None:
+    y = np.random.default_rng(3).random((3, 7, 12))
+    cross = np.array([[[0, 1, 0], [1, 1, 1], [0, 1, 0]]], bool)
+    expected = median_filter(y, footprint=cross, mode="nearest")
+    np.testing.assert_allclose(light_of(y, np.ones(y.shape, bool)), expected, rtol=1e-6)
+    used = np.ones(y.shape, bool)
+    used[:, 3, 4] = False
+    wild = np.where(used, y, 1e6)
+    assert light_of(wild, used)[used].max() <= 1.0

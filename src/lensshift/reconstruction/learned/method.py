@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,8 +38,9 @@ EVEN_SHIFT_PX = 0.05
 # What calibrated actuators leave, LR pixels: taken for granted of every phasor burst, as it was in
 # training. Beside a surface twenty times as bright it is more than the noise.
 USUAL_SHIFT_ERROR_PX = 0.02
-# Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each.
-LOW_PASS_PX = 1.5
+# Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each. The noise of white
+# frames through 2 g - g * g, g a Gaussian of width s, is this over 4 pi s^2.
+LOW_PASS_PX, OF_TWO_PASSES = 1.5, 11 / 6
 # Nearer than this, LR pixels, samples lie on the pixels of a grid; the finest that there is; and
 # how much around a doubted part is looked at, the reach of the solver.
 NODE_PX, MOST_SCALE, AROUND_PX = 0.05, 8, 16
@@ -82,7 +84,8 @@ def solved(
     Returns
     -------
     Estimate, std
-        in units of the problem; std as in `Solution`, wider where the frames disagree
+        in units of the problem; std as in `Solution`, wider where the frames disagree; of phasors
+        the third is what both have from the means of the frames
         Its notes may hold a "contradiction", in words.
     """
     noise = with_shift_errors(noise, problem)
@@ -100,7 +103,9 @@ def solved(
     def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
         # Of the pixel: the networks have seen few responses that are much wider.
         width_px = blur_width_px(problem.model.blur)
-        asked = Asked(problem.model, problem.y, noise, width_px, on_stage, held)
+        # Distances are no light that pixels average, on which those of the square were trained.
+        general = not problem.even_noise
+        asked = Asked(problem.model, problem.y, noise, width_px, on_stage, held, general)
         return _solved_once(problem, asked, request, rested)
 
     found, misfit = run(noise)
@@ -136,7 +141,7 @@ def solved(
         misfit=misfit.chi_square,
     )
     std = found.std.copy()
-    sizes = std if std.ndim == 2 else std[:2]  # the third is a correlation
+    sizes = std if std.ndim == 2 else std[:2]
     sizes[...] = np.hypot(sizes, left.unexplained)
     return _judged(estimate, wrong, used, request), std
 
@@ -184,7 +189,9 @@ def _solved_once(
     if asked.of_phasors:
         weight = found.weight / np.where(np.isfinite(noise), noise, np.inf) ** 2
         low_hr_px = LOW_PASS_PX * problem.scale
-        found = replace(found, image=with_means_of(A, found.image, problem.y, weight, low_hr_px))
+        image, of_means = with_means_of(A, found.image, problem.y, weight, low_hr_px)
+        std = np.stack([*np.hypot(found.std[:2], of_means), of_means])
+        found = replace(found, image=image, std=std)
     if rested is not None:
         return found, rested
     return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
@@ -224,10 +231,11 @@ def _seen_otherwise(
 
 def with_means_of(
     A: LinearOperator, image: Array, y: Array, weight: Array, low_hr_px: float
-) -> NDArray[np.complex128]:
-    """Return phasors whose local means agree with the frames.
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Return phasors whose local means agree with the frames, and the std that those leave.
 
-        x <- x + G A^T W (y - A x) / G A^T W 1,   twice;   G a Gaussian low pass
+        x <- x + G A^T W (y - A x) / G A^T W 1,   twice;   G a Gaussian low pass of width s
+        std^2 = 11/6 / (4 pi s^2  G A^T W 1)
 
     The prior has the last word of a phasor, and draws a dark surface a little to the bright ones
     around it. Over many pixels the frames know better, whatever the errors of the shifts.
@@ -241,11 +249,18 @@ def with_means_of(
 
     y, weight = single(y), single(weight)
     known = gaussian_filter(A.adjoint(weight), low_hr_px)
-    known = np.maximum(known, 1e-9 * float(known.max()))
+    least = 1e-9 * float(known.max())
+    seen, known = known > least, np.maximum(known, least)
     for _ in range(2):
         rest = A.adjoint(weight * (y - A.forward(single(image))))
         image = image + gaussian_filter(rest, low_hr_px) / known
-    return np.asarray(image)
+    of_noise = OF_TWO_PASSES / (4 * math.pi * low_hr_px**2)
+    return np.asarray(image), np.where(seen, np.sqrt(of_noise / known), 0.0)
+
+
+def mean_hr_px(scale: int) -> float:
+    """Return how many HR pixels of white noise a mean of `with_means_of` is as good as."""
+    return 4 * math.pi * (LOW_PASS_PX * scale) ** 2 / OF_TWO_PASSES
 
 
 def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
-from lensshift.reconstruction.learned.method import LEAST_SIGMA, noise_of, solved
+from lensshift.reconstruction.learned.method import LEAST_SIGMA, mean_hr_px, noise_of, solved
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
@@ -34,7 +34,7 @@ TURNED_LIMIT = 0.01
 NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --phasor --calibrate); that of the phase would be 0.8 and is left wider.
-AMPLITUDE_STD_SCALE = 0.79
+AMPLITUDE_STD_SCALE = 0.74
 # A pixel between two surfaces keeps this share of their step to both of them.
 FLYING_SHARE = 0.2
 FLYING_STEP = 0.05  # of the distance: smaller steps are no edges
@@ -186,8 +186,12 @@ def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> 
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
     amplitude = np.abs(found.image)
-    own_rad = np.minimum(std[1] / np.maximum(amplitude, 1e-12), NO_PHASE_RAD)
-    phase_rad, of_phase_rad = pooled_phase(found.image, std[0], own_rad)
+    own_rad, of_means_rad = (
+        np.minimum(part / np.maximum(amplitude, 1e-12), NO_PHASE_RAD) for part in std[1:]
+    )
+    phase_rad, of_phase_rad = pooled_phase(
+        found.image, std[0], own_rad, of_means_rad, mean_hr_px(problem.scale)
+    )
     spread = np.stack([AMPLITUDE_STD_SCALE * std[0], of_phase_rad])
     return replace(
         found,

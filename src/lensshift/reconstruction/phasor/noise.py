@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.reconstruction.noise_law import light_of
 from lensshift.reconstruction.quantiles import ENOUGH
 
 Array = NDArray[Any]
@@ -36,7 +37,7 @@ def relative_variance(phasor: Array, weight: Array) -> NDArray[np.float64]:
 
     known = weight > 0
     filled = np.where(known, phasor, 0.0)
-    amplitude = np.abs(filled)
+    amplitude = light_of(phasor, known)
     usable = known
     for axis in (1, 2):
         usable = _inner(usable, 0, axis) & _inner(usable, 1, axis) & _inner(usable, 2, axis)

@@ -14,43 +14,56 @@ REACH_HR_PX = 6  # with 8 surfaces are 5 % smoother and edges as good, for twice
 
 
 def pooled_phase(
-    image: NDArray[np.complex128], amplitude_std: Array, phase_std_rad: Array
+    image: NDArray[np.complex128],
+    amplitude_std: Array,
+    phase_std_rad: Array,
+    shared_rad: Array | float = 0.0,
+    shared_hr_px: float = 1.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the phase [row col] of phasors with what alike ones around know, and its std.
 
         w_j = exp(-(phi_j - phi)^2 / 2 S_j - (a_j - a)^2 / 2 (t_j^2 + t^2)) / S_j
         S_j = s_j^2 + s^2
         phi' = phi + sum_j w_j (phi_j - phi) / sum_j w_j
-        s'^2 = sum_j w_j (s_j^2 + (phi_j - phi')^2) / sum_j w_j
+        s'^2 = max(sum_j w_j s_j^2, sum_j w_j (phi_j - phi')^2) / sum_j w_j
+               (1 - (m / s)^2 n / (n + N))
 
     Each neighbour is a guess at the surface that a pixel sees: as good as both their amplitudes and
     phases agree within their errors, and as much worth as the difference of both phases is known. A
     dark pixel beside a bright surface takes its distance from the dark ones behind it, and what is
     measured well stays as it is. One that knows little is not swayed by a few that know much and
-    see something else.
+    see something else. Guesses differ by their errors or, if by more, by what they see. What
+    neighbours are off by together is not less for many of them, but for the part m that is noise
+    of the frames in a mean over N pixels: over n = 2 s^2 sum_j w_j of them, it is one over N + n.
 
     Parameters
     ----------
     image : [row col] a exp(i phi)
     amplitude_std, phase_std_rad : [row col] t and s
+    shared_rad : [row col] m, which s holds
+    shared_hr_px : N
 
     Source: the bilateral filter (Tomasi and Manduchi, ICCV 1998), its widths the errors themselves.
     """
     phase = np.angle(image)
     t2, s2 = (np.square(a, dtype=np.float32) for a in (amplitude_std, phase_std_rad))
     # Each pixel is one of its guesses.
-    total, moved, square = 0.5 / s2, np.zeros_like(s2), np.full_like(s2, 0.5)
+    total, own = 0.5 / s2, np.full_like(s2, 0.5)
+    moved, spread = np.zeros_like(s2), np.zeros_like(s2)
     amplitude = np.abs(image).astype(np.float32)
-    _pool(phase.astype(np.float32), amplitude, t2, s2, total, moved, square)
-    off = moved / total
-    return phase + off, np.sqrt(np.maximum(square / total - off**2, 0.0), dtype=np.float64)
+    _pool(phase.astype(np.float32), amplitude, t2, s2, total, own, moved, spread)
+    off, pixels = moved / total, 2.0 * s2 * total
+    left = 1.0 - np.square(shared_rad) / s2 * pixels / (pixels + shared_hr_px)
+    variance = left * np.maximum(own / total, spread / total - off**2)
+    return phase + off, np.sqrt(variance, dtype=np.float64)
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _pool(
-    phase: Array, amplitude: Array, t2: Array, s2: Array, total: Array, moved: Array, square: Array
-) -> None:
-    """Add w, w off and w (s^2 + off^2) of all pairs to total, moved and square.
+    phase: Array, amplitude: Array, t2: Array, s2: Array,
+    total: Array, own: Array, moved: Array, spread: Array,
+) -> None:  # fmt: skip
+    """Add w, w s^2, w off and w off^2 of all pairs to total, own, moved and spread.
 
     What two pixels are worth to each other is the same: each pair is looked at once, a row of pairs
     after the other, in loops that a compiler turns into vectors. exp(-x / 2) = (1 - x / 128)^64.
@@ -78,14 +91,18 @@ def _pool(
                     for _ in range(6):
                         e *= e
                     w[j], off[j] = e * known, apart
-                sum_w, sum_off, sum_2 = total[i, here], moved[i, here], square[i, here]
+                sum_w, sum_s = total[i, here], own[i, here]
+                sum_off, sum_2 = moved[i, here], spread[i, here]
                 for j in range(n):
                     sum_w[j] += w[j]
+                    sum_s[j] += w[j] * s_q[j]
                     sum_off[j] += w[j] * off[j]
-                    sum_2[j] += w[j] * (s_q[j] + off[j] * off[j])
+                    sum_2[j] += w[j] * off[j] * off[j]
                 i_2 = i + down
-                sum_w, sum_off, sum_2 = total[i_2, there], moved[i_2, there], square[i_2, there]
+                sum_w, sum_s = total[i_2, there], own[i_2, there]
+                sum_off, sum_2 = moved[i_2, there], spread[i_2, there]
                 for j in range(n):
                     sum_w[j] += w[j]
+                    sum_s[j] += w[j] * s_p[j]
                     sum_off[j] -= w[j] * off[j]
-                    sum_2[j] += w[j] * (s_p[j] + off[j] * off[j])
+                    sum_2[j] += w[j] * off[j] * off[j]
