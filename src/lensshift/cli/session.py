@@ -47,12 +47,16 @@ class Session:
     Parameters
     ----------
     as_json : print only the result, as JSON
+    debug : show where an error comes from
     result : what JSON output holds beside "warnings"
+    failed : whether the verb ends with 1 although it could be carried out
     """
 
     as_json: bool = False
+    debug: bool = False
     result: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    failed: bool = False
     waiting: Waiting | None = None
 
     def say(self, text: str) -> None:
@@ -94,7 +98,7 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
     as_json, debug : the options of every verb
     doing : what is said, with the seconds so far, while it lasts and nothing else was printed
     """
-    current = Session(as_json)
+    current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
     with ended_by_signals(), warnings.catch_warnings():
         warnings.simplefilter("always", QualityWarning)
@@ -107,19 +111,21 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         except typer.Exit:  # a RuntimeError in the eyes of Python
             raise
         except _FAILURES as error:
-            _report(error, current, debug=debug)
+            _report(error, current)
             raise typer.Exit(1) from error
         finally:
             if current.waiting is not None:
                 current.waiting.close()
     if as_json:
         typer.echo(to_json(current.result | {"warnings": current.warnings}))
+    if current.failed:
+        raise typer.Exit(1)
 
 
-def _report(error: Exception, current: Session, *, debug: bool) -> None:
+def _report(error: Exception, current: Session) -> None:
     if current.waiting is not None:
         current.waiting.close()
-    if debug:
+    if current.debug:
         traceback.print_exception(error)
     text = printable(" ".join(str(error).split())) or type(error).__name__
     extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
