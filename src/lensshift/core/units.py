@@ -15,16 +15,6 @@ LEAST_MODULATION_HZ = 1e3
 _MOST_RANGES = 25.0
 
 
-def px_to_mm(length_px: ArrayLike, pitch_mm: ArrayLike) -> NDArray[np.float64]:
-    """Convert a length on the sensor from LR pixels to millimetres."""
-    return np.asarray(length_px, dtype=np.float64) * np.asarray(pitch_mm, dtype=np.float64)
-
-
-def mm_to_px(length_mm: ArrayLike, pitch_mm: ArrayLike) -> NDArray[np.float64]:
-    """Convert a length on the sensor from millimetres to LR pixels."""
-    return np.asarray(length_mm, dtype=np.float64) / np.asarray(pitch_mm, dtype=np.float64)
-
-
 def unambiguous_range_m(modulation_hz: float) -> float:
     """Return the distance at which the phase has gone once round, c / (2 f)."""
     if not np.isfinite(modulation_hz) or modulation_hz <= 0:
