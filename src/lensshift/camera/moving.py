@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.camera.cells import World
 from lensshift.camera.channels import Seen, Tones
@@ -14,9 +12,8 @@ from lensshift.camera.readout import harmonic_shares, read
 from lensshift.camera.settings import PlainOptics, TofCamera
 from lensshift.camera.simulate import rates_of, true_images
 from lensshift.camera.view import View
+from lensshift.core.arrays import Array
 from lensshift.scene import Scene
-
-Array = NDArray[Any]
 
 
 class RunningCamera:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +10,7 @@ from numpy.typing import NDArray
 from lensshift.camera.demodulate import demodulate, unwrap
 from lensshift.camera.readout import Reading
 from lensshift.camera.settings import TofCamera
-
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
 
 # Bits of the confidence of an O3M pixel.
 INVALID, LONG_EXPOSURE, HIGH_GAIN, LOW_SIGNAL = 1, 2, 4, 4096

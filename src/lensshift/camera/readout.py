@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera.settings import Pixels, Readout
-
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
 
 PHASES = 4
 

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
+from lensshift.core.arrays import Array
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
 from lensshift.optics.lens import Lens
-
-Array = NDArray[Any]
 
 _RINGS = 4  # of rays in the spots, 64 of them
 _DENSE = np.linspace(0.0, 400.0, 40_001)  # pi times radii of the Airy disc

@@ -11,12 +11,10 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
-
-Array = NDArray[Any]
 
 _CURVE_POINTS = 51
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import PlainOptics, RunningCamera, TofCamera
 from lensshift.camera.view import intrinsics_of
@@ -19,6 +18,7 @@ from lensshift.capture.acquire import check_travel
 from lensshift.capture.drivers.replay import ReplayCamera
 from lensshift.capture.opening import Rig
 from lensshift.capture.plan import named_plan
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError, DeviceTimeout
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
@@ -26,8 +26,6 @@ from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst, Frame
 from lensshift.io.capture_file import FrameRecord
 from lensshift.scene import Scene
-
-Array = NDArray[Any]
 
 REACH_PX = 1.25  # of a simulated camera, along each axis
 _WAIT_S = 1.0  # for a frame of a recording with gaps

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
+
 Shifts = NDArray[np.float64]
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
 Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.registration.likelihood import ShiftFit
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
 # Below this low pass the aliases of square pixels pull the shifts towards whole pixels.

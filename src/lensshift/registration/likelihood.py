@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.registration.curvature import Curvature, inverse
 from lensshift.registration.spectrum import Frequencies, Spectrum, first_spectrum
 from lensshift.registration.taper import Tapered, taper_frames
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
 MAX_STEP_PX = 0.2

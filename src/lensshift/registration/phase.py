@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.registration.spectrum import Frequencies
 from lensshift.registration.taper import taper_frames
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
 # Aliases share the high frequencies with the scene; what lies below this is mostly scene.

@@ -6,11 +6,12 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.registration.blocks import scatter_over_blocks
@@ -18,7 +19,6 @@ from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts, rival_shifts
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 Method = Literal["auto", "gradient", "phase"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")

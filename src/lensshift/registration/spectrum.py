@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
+
 Shifts = NDArray[np.float64]
 
 # The blur of a square pixel that fills its cell; the power law takes up what differs.

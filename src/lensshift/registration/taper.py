@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
+
 if TYPE_CHECKING:
     from lensshift.registration.spectrum import Spectrum
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
 # Share of the common length over which the taper rises at each end: enough that borders leak

@@ -6,15 +6,14 @@ equally many triangles; some triangles are in two leaves to make it so.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.scene.kernels import NEAREST_M, Vector, local_ray
-
-Array = NDArray[Any]
 
 _IN_A_LEAF = 4
 _DEEPEST = 64  # levels of the tree: for 2^64 triangles

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.acquire import Progress, acquire_at, check_travel
 from lensshift.capture.opening import RigFile, read_rig
 from lensshift.capture.rig import Camera, OnHoming, Stage
+from lensshift.core.arrays import Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError, QualityWarning
 from lensshift.core.motion import StageMap
@@ -46,8 +46,6 @@ from lensshift.pipeline.doctor.view import (
 from lensshift.pipeline.run import made_folder, writable_folder
 from lensshift.registration import calibration_scan_mm
 from lensshift.registration.calibrate import BUDGET_PX
-
-Array = NDArray[np.float64]
 
 _SCAN_PX, _SCAN_STEPS = 1.7, 4  # as `pipeline.rig`: 35 positions
 _BYTES_PER_PIXEL = 64  # of a record of a journal, raw data of the camera and all; rather more
@@ -272,7 +270,7 @@ def _calibrated(
     done.findings += _budget_findings(done.calibration, done.budget)
 
 
-def _averages(view: View, reading_mm: Array, calibration: Calibration) -> int:
+def _averages(view: View, reading_mm: Floats, calibration: Calibration) -> int:
     """Return the frames at a position that camera and encoder need."""
     per_mm = calibration.stage_map.px_per_mm
     encoder_px = float(np.sqrt(np.max((per_mm**2) @ reading_mm**2)))

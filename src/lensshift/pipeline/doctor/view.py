@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.capture.rig import Camera, CameraFrame
+from lensshift.core.arrays import Floats
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.gradient import texture_covariance
-
-Array = NDArray[np.float64]
 
 LOOKED_S, LEAST_FRAMES, MOST_FRAMES = 2.0, 16, 64
 # The mean of frames at a position shall tell its shift to this: a fifth of what is wanted of a
@@ -44,12 +43,12 @@ class View:
     settings_share : of the pixels whose amplitude depends on the exposure that they chose
     """
 
-    amplitude: Array
+    amplitude: Floats
     valid: NDArray[np.bool_]
     rate_hz: float
     lost_share: float
     snr: float
-    sigma_px: Array
+    sigma_px: Floats
     brightness_jump: float
     settings_share: float
 
@@ -128,7 +127,7 @@ def _view(frames: list[CameraFrame]) -> View:
 
 
 def _settings_share(
-    raw: list[Mapping[str, NDArray[Any]]], amplitude: Array, always: NDArray[np.bool_]
+    raw: list[Mapping[str, NDArray[Any]]], amplitude: Floats, always: NDArray[np.bool_]
 ) -> float:
     """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
     if not all({"confidence", "normalization"} <= set(one) for one in raw):

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import named_pattern_px, simulate_tof
 from lensshift.evaluation import fidelity
@@ -33,7 +32,6 @@ from lensshift.pipeline.paper.measure import (
 )
 from lensshift.scene import Plane, Scene, ZonePlate, four_boxes, slanted_edge_card
 
-Floats = NDArray[np.float64]
 Row = dict[str, Any]
 
 # pattern, scale

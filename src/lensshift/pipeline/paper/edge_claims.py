@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult
@@ -23,8 +24,6 @@ from lensshift.pipeline.paper.gratings import (
 )
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, measured_edge
 from lensshift.scene import slanted_edge_card
-
-Floats = NDArray[np.float64]
 
 FREQUENCY_LPMM = np.linspace(0.0, 8.0, 81)
 KINDS = ("one frame", "bicubic", *SOLVERS)

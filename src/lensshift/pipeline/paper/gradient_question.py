@@ -10,17 +10,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, paper_camera, px_to_m
 from lensshift.pipeline.paper.box_claims import BRANCHES, SHARES, steepness
 from lensshift.pipeline.paper.claims import Pair, mean_interval
 from lensshift.pipeline.paper.measure import PUBLISHED, Response, reconstructed
 from lensshift.scene import Plane, Rectangle, Scene
-
-Floats = NDArray[np.float64]
 
 PHASES = 64
 NEAR_M, FAR_M = 3.4, 3.7

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, TofCapture, named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Burst
 from lensshift.pipeline.paper.bench import (
     CARD_LIGHT,
@@ -20,8 +20,6 @@ from lensshift.pipeline.paper.bench import (
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, solved
 from lensshift.scene import Plane, Scene
 from lensshift.scene.targets import SLANT_RAD
-
-Floats = NDArray[np.float64]
 
 GRATINGS_LPMM = (1.0, 2.0, 3.0, 4.0, 5.0, 5.5, 6.0)
 # Kind -> method and whether the assumed pixel is the paper's: lens shift, then sensor shift.
