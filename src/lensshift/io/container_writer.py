@@ -122,6 +122,12 @@ def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
     }
 
 
+def flag_attributes(meaning: str) -> dict[str, Any]:
+    """Return the attributes of flags (CF) whose bit 0 has a meaning."""
+    masks = np.asarray([1], dtype=np.uint8)
+    return {"long_name": "quality flags", "flag_masks": masks, "flag_meanings": meaning}
+
+
 def to_json(value: Mapping[str, Any], field_name: str) -> str:
     """Return text and numbers as JSON; NumPy values become plain ones."""
     try:
