@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lensshift.core.point_cloud import PointCloud
 from lensshift.report.style import new_figure, styled
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _MOST_PERCENT = (0.5, 99.5)  # of points and colours: stray ones shall not shrink the rest
 _MOST_POINTS = 60_000  # more cover each other

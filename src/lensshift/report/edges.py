@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
-from lensshift.evaluation.gain import ratio_of
-from lensshift.evaluation.slanted_edge.result import Interval
+from lensshift.core.arrays import Floats
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.gain import ResolutionGain, ratio_of
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Region
 from lensshift.report import curves, images
 from lensshift.report.style import (
     BAND_ALPHA,
@@ -21,26 +24,16 @@ from lensshift.report.style import (
     SMALL_PT,
     colour_of,
     new_figure,
+    note,
     outlined,
     styled,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from lensshift.core.optical import MtfCurve
-    from lensshift.evaluation.gain import ResolutionGain
-    from lensshift.evaluation.slanted_edge.result import EdgeResult, Region
-
-Floats = NDArray[np.float64]
 
 _WIDTH_IN, _CURVES_IN, _IMAGE_IN, _LABELS_IN = 9.0, 3.6, 4.0, 0.8
 _CURVE_WIDTHS = (1.9, 1.0)
 _WIDE, _TALL = 2.6, 2.0  # columns per row, rows per column
 _RESIDUAL_SIGMAS = 4.0
 _MOST_NYQUISTS = 4.0  # where half a pixel lets nothing through
-_INTERVAL_SIGMAS = 1.96
 _PROFILE_PX = 4.0  # shown on either side of an edge, at least
 _PROFILE_WIDTHS = 2.0  # or so many 10-90 widths
 _LEAST_MODULATION = 0.05  # below it a ratio of two curves says nothing
@@ -241,15 +234,9 @@ def _draw_profiles(axes: Axes, results: Sequence[EdgeResult]) -> None:
         place_px, value, std = result.esf.normal_px, result.esf.value, result.esf.std
         colour = colour_of(number)
         if std is not None:
-            half = _INTERVAL_SIGMAS * std
-            axes.fill_between(
-                place_px,
-                value - half,
-                value + half,
-                color=colour,
-                alpha=BAND_ALPHA,
-                linewidth=0.0,
-            )
+            half = curves.INTERVAL_SIGMAS * std
+            ends = (value - half, value + half)
+            axes.fill_between(place_px, *ends, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
         axes.plot(place_px, value, color=colour, linewidth=1.4)
         width_px = result.rise_mm.value / result.pitch_mm
         if np.isfinite(width_px):
@@ -363,14 +350,7 @@ def _draw_gains(axes: Axes, gain: ResolutionGain) -> None:
         if np.isfinite(ratio.low) and np.isfinite(ratio.high):
             axes.plot([ratio.low, ratio.high], [place, place], color=colour, linewidth=1.4)
         axes.plot(ratio.value, place, "o", color=colour, markersize=5.5)
-        axes.annotate(
-            _three_digits(ratio),
-            (ratio.value, place),
-            xytext=(0.0, 7.0),
-            textcoords="offset points",
-            ha="center",
-            fontsize=SMALL_PT,
-        )
+        note(axes, _three_digits(ratio), (ratio.value, place), (0.0, 7.0), ha="center")
     axes.axvline(1.0, color=GREY, linewidth=0.9, zorder=1.0)
     axes.set_yticks(range(len(rows)), list(rows))
     axes.set_ylim(len(rows) - 0.4, -0.6)

@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
+from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.limits import pitch_pair_mm
+from lensshift.evaluation.siemens import SiemensResult
+from lensshift.evaluation.zone_plate import ZonePlateResult
 from lensshift.report import curves, images
-from lensshift.report.style import (
-    BLUE,
-    GREY,
-    RED,
-    colour_of,
-    new_figure,
-    outlined,
-    styled,
-)
+from lensshift.report.style import BLUE, GREY, RED, colour_of, new_figure, note, outlined, styled
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from lensshift.core.optical import MtfCurve
-    from lensshift.evaluation.siemens import SiemensResult
-    from lensshift.evaluation.zone_plate import ZonePlateResult
-
-Floats = NDArray[np.float64]
 Pitch = float | tuple[float, float]
 
 _WIDTH_IN = 9.0
@@ -185,17 +173,8 @@ def _mark_ring(axes: Axes, frequency: float, modulation: float, letter: str) -> 
 
 
 def _write(axes: Axes, text: str, x: float, y: float, away_pt: tuple[float, float]) -> None:
-    axes.annotate(
-        text,
-        (x, y),
-        xytext=away_pt,
-        textcoords="offset points",
-        ha="center",
-        va="center",
-        color=RED,
-        fontweight="bold",
-        path_effects=outlined(1.0),
-    )
+    how = {"ha": "center", "va": "center", "color": RED, "fontweight": "bold"}
+    note(axes, text, (x, y), away_pt, fontsize=None, **how)
 
 
 def _draw_wedge(

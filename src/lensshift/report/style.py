@@ -9,6 +9,7 @@ from typing import Any
 
 import matplotlib as mpl
 from cycler import cycler
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
@@ -85,6 +86,19 @@ def colour_of(number: int) -> str:
 def outlined(line_pt: float) -> list[withStroke]:
     """Return effects that keep a line so many points wide, or a text, visible on any image."""
     return [withStroke(linewidth=line_pt + 1.8, foreground="white", alpha=0.8)]
+
+
+def note(
+    axes: Axes, text: str, place: tuple[float, float], away_pt: tuple[float, float], **how: Any
+) -> None:
+    """Write small words so many points away from a place, visible on any image.
+
+    Parameters
+    ----------
+    how : what `Axes.annotate` takes besides
+    """
+    usual = {"textcoords": "offset points", "fontsize": SMALL_PT, "path_effects": outlined(1.0)}
+    axes.annotate(text, place, xytext=away_pt, **(usual | how))
 
 
 def round_number(value: float) -> float:
