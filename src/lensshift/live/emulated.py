@@ -58,11 +58,11 @@ def _emulate(theirs: Any, seed: int) -> None:
     """Emulate until the other end of the pipe is closed, also by the death of its process."""
     # Ctrl-C reaches all processes of a terminal; the stages must still take the lens to rest.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from lensshift.capture.emulators.listener import free_udp_port
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
-    from lensshift.pipeline.rig import free_port
 
     settings = RigSettings(speed=SPEED, rate_hz=RATE_HZ, seed=seed)
-    with EmulatedRig(settings, camera_port=free_port()) as rig:
+    with EmulatedRig(settings, camera_port=free_udp_port()) as rig:
         theirs.send(rig.rig_file())
         try:
             theirs.recv()
