@@ -7,7 +7,6 @@ import select
 import socket
 import threading
 from contextlib import ExitStack, suppress
-from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
@@ -110,12 +109,7 @@ class Served:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -185,10 +179,5 @@ class EmulatedStagePair:
         self.urls = row.url, col.url
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._served.close()

@@ -5,20 +5,17 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import RunningCamera, TofCamera, camera_preset
 from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
+from lensshift.core.arrays import Array
 from lensshift.core.types import Frame
 from lensshift.scene import Scene, four_boxes
-
-Array = NDArray[Any]
 
 REACH_PX = 1.25
 _INSTANTS = 4  # of the lens during an exposure
@@ -169,12 +166,7 @@ class EmulatedRig:
             self._open = opening.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.close()
 
     def true_offset_px(self, lens_mm: Array) -> Array:
