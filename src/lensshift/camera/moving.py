@@ -15,6 +15,8 @@ from lensshift.camera.view import View
 from lensshift.core.arrays import Array
 from lensshift.scene import Scene
 
+REACH_PX = 1.25  # all patterns and the play of a stage
+
 
 class RunningCamera:
     """A time-of-flight camera before a scene that stands still, for a stream of frames.
@@ -35,7 +37,7 @@ class RunningCamera:
     """
 
     def __init__(
-        self, scene: Scene, camera: TofCamera, *, reach_px: float = 1.0, samples: int = 16
+        self, scene: Scene, camera: TofCamera, *, reach_px: float = REACH_PX, samples: int = 16
     ) -> None:
         from scipy.ndimage import gaussian_filter
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from lensshift.core.motion import ShiftPlan
     from lensshift.core.types import Burst
 
-_SCAN_STEPS = 4  # 35 positions
-
 
 @dataclass(frozen=True, slots=True)
 class CaptureOptions:
@@ -165,10 +163,10 @@ def _adjust(rig: Rig, asked: CaptureOptions) -> None:
 def _take(rig: Rig, plan: ShiftPlan | None, asked: CaptureOptions, show: Show) -> Burst:
     if plan is not None:
         return rig.capture(plan, asked.out, resume=asked.resume, on_step=show)
-    from lensshift.registration import calibration_scan_mm
+    from lensshift.registration.scan import USUAL_STEPS, calibration_scan_mm
 
     span_mm = 1e-3 * asked.span_um
-    places = calibration_scan_mm(rig.calibration.rest_mm, span_mm, steps=_SCAN_STEPS)
+    places = calibration_scan_mm(rig.calibration.rest_mm, span_mm, steps=USUAL_STEPS)
     return rig.scan(places, asked.out, resume=asked.resume, on_step=show)
 
 

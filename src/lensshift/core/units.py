@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SPEED_OF_LIGHT_MPS = 299_792_458.0
+SPEED_OF_LIGHT_MPS = 299_792_458.0  # by definition
+MILLIMETRE_M = 1e-3
 # c / 2f is 150 km here, which no camera lights: a smaller number is meant in kHz or MHz.
 LEAST_MODULATION_HZ = 1e3
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a

@@ -27,7 +27,6 @@ from lensshift.core.types import Burst, Frame
 from lensshift.io.capture_file import FrameRecord
 from lensshift.scene import Scene
 
-REACH_PX = 1.25  # of a simulated camera, along each axis
 _WAIT_S = 1.0  # for a frame of a recording with gaps
 
 
@@ -160,7 +159,7 @@ class SimulatedSource(_AnyPlan):
         shift_error_px: float = 0.02,
         seed: int = 0,
     ) -> None:
-        self._running = RunningCamera(scene, camera, reach_px=REACH_PX)
+        self._running = RunningCamera(scene, camera)
         self._camera, self._rate_hz = camera, rate_hz
         self._error_px, self._rng = shift_error_px, np.random.default_rng(seed)
         super().__init__("simulated camera", pattern)

@@ -30,9 +30,9 @@ from lensshift.pipeline.run import made_folder, writable_folder
 from lensshift.reconstruction.methods import find_method
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.registration import calibration_scan_mm
+from lensshift.registration.scan import USUAL_STEPS
 
 SCAN_SPAN_MM = 0.3  # 1.7 px: the longer, the better the map is known
-_SCAN_STEPS = 4  # along each axis, from both sides: 35 positions
 _SCAN_FRAMES = 6
 _FRAMES = 8
 _PATIENCE_S = 20.0
@@ -209,7 +209,7 @@ def _take(
     told["calibration"]["px_per_mm"] = NOMINAL_PX_PER_MM
     with open_rig(told) as rig:
         rig.acquisition = Acquisition(_SCAN_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
-        places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=_SCAN_STEPS)
+        places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=USUAL_STEPS)
         scan = rig.scan(places, files["scan"], on_step=scanned)
         found = calibrate_rig(scan, report=folder / "calibration.html")
         rig.calibration = found.calibration

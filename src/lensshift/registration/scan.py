@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
 
+USUAL_STEPS = 4  # along each axis, from both sides: 35 positions
+
 
 def calibration_scan_mm(
     centre_mm: ArrayLike, span_mm: float | tuple[float, float], *, steps: int = 5

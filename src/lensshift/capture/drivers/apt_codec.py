@@ -21,8 +21,9 @@ from typing import ClassVar, Self
 
 HOST, CONTROLLER = 0x01, 0x50  # a cube on its own USB port
 CHANNEL = 1  # the only one of a cube
-LONG = 0x80
-HEADER_BYTES = 6
+LONG = 0x80  # in the destination of a message with data
+_SHORT, _LONG = struct.Struct("<HBBBB"), struct.Struct("<HHBB")
+HEADER_BYTES = _SHORT.size
 SAMPLE_S = 2048 / 6e6  # servo cycle of TDC001 and KDC101: the unit of time of their speeds
 
 
@@ -62,7 +63,7 @@ class Id(IntEnum):
     STATUS = 0x0491
 
 
-STOP_AT_ONCE, STOP_PROFILED = 1, 2
+STOP_AT_ONCE, STOP_PROFILED = 1, 2  # first parameter of MOVE_STOP
 
 # Bytes of data by message; 0 is the short form. Other messages count as damaged.
 TO_HOST: Mapping[int, tuple[int, ...]] = {
@@ -102,8 +103,8 @@ class Message:
     def to_bytes(self, destination: int = CONTROLLER, source: int = HOST) -> bytes:
         """Return the bytes for the wire, from the host to a controller unless told."""
         if not self.data:
-            return struct.pack("<HBBBB", self.id, *self.parameters, destination, source)
-        header = struct.pack("<HHBB", self.id, len(self.data), destination | LONG, source)
+            return _SHORT.pack(self.id, *self.parameters, destination, source)
+        header = _LONG.pack(self.id, len(self.data), destination | LONG, source)
         return header + self.data
 
 

@@ -19,6 +19,7 @@ from lensshift.capture.drivers.pcic_directions import (
     sent_directions,
 )
 from lensshift.core.errors import DataError
+from lensshift.core.units import MILLIMETRE_M
 
 MAX_MESSAGE_BYTES = 4 << 20  # an O3R result with everything is a tenth of it
 RESULT_TICKET = b"0000"
@@ -50,7 +51,6 @@ _IMAGES = {
     300: "confidence",
 }
 _INVALID = 1  # bit of the confidence
-_MILLIMETRE_M = 1e-3
 
 
 class ChunkKind(IntEnum):
@@ -383,4 +383,4 @@ def _distance_m(chunk: Chunk, counts: NDArray[Any], info: TofInfo | None) -> NDA
     told = chunk.metadata.get("DistanceResolution")
     if isinstance(told, float):
         return counts * told
-    return counts * (_MILLIMETRE_M if info is None else info.distance_resolution_m)
+    return counts * (MILLIMETRE_M if info is None else info.distance_resolution_m)

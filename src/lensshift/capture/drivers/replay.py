@@ -19,10 +19,10 @@ from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
+from lensshift.core.units import MILLIMETRE_M
 from lensshift.io.recordings import BagImage, is_udp_recording, read_bag, read_udp
 
 _TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the same stamp
-_MILLIMETRE_M = 1e-3
 
 
 class ReplayCamera(ReceivingCamera):
@@ -221,7 +221,7 @@ def _frame(amplitude: BagImage, distance: BagImage | None) -> Frame:
                 f"expected images of one size, got {amplitude.image.shape} and "
                 f"{distance.image.shape}"
             )
-        step_m = 1.0 if distance.image.dtype.kind == "f" else _MILLIMETRE_M
+        step_m = 1.0 if distance.image.dtype.kind == "f" else MILLIMETRE_M
         distance_m = distance.image.astype(np.float64) * step_m
         valid &= np.isfinite(distance_m) & (distance_m > 0)
     return Frame(amplitude.image, distance_m, valid, amplitude.time_s)

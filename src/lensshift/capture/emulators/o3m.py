@@ -38,7 +38,6 @@ _FULL_COUNT = 60000  # above it a pixel takes the next weaker setting
 _HALF_FIELD_RAD = (math.radians(1.6), math.radians(6.5))  # (row, col)
 _CAMERA_M = (1.5, 0.2, 0.8)  # where it stands in the coordinates of the vehicle
 _FIRST_CYCLE = 1000  # it has been running for a while
-_LOOK_S = 0.05
 
 
 def packetise(

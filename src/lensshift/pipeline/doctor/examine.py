@@ -46,8 +46,9 @@ from lensshift.pipeline.doctor.view import (
 from lensshift.pipeline.run import made_folder, writable_folder
 from lensshift.registration import calibration_scan_mm
 from lensshift.registration.calibrate import BUDGET_PX
+from lensshift.registration.scan import USUAL_STEPS
 
-_SCAN_PX, _SCAN_STEPS = 1.7, 4  # as `pipeline.rig`: 35 positions
+_SCAN_PX = 1.7  # as `pipeline.rig`
 _BYTES_PER_PIXEL = 64  # of a record of a journal, raw data of the camera and all; rather more
 _WARM_CELSIUS = 0.5
 _TOLD_DRIFT_SIGMAS = 4.0
@@ -249,7 +250,7 @@ def _calibrated(
         return
     rough = Calibration(StageMap(done.axes.px_per_mm), told.calibration.rest_mm)
     row_mm, col_mm = _SCAN_PX / done.axes.gain_px_per_mm
-    places = calibration_scan_mm(rough.rest_mm, (row_mm, col_mm), steps=_SCAN_STEPS)
+    places = calibration_scan_mm(rough.rest_mm, (row_mm, col_mm), steps=USUAL_STEPS)
     check_travel(stage, places)
     scan = acquire_at(
         stage, camera, places, rough, scan_file, settings, direct=True, plan_name="scan",
@@ -281,7 +282,7 @@ def _averages(view: View, reading_mm: Floats, calibration: Calibration) -> int:
 def _room_for(path: Path, averages: int, camera: Camera) -> None:
     """Refuse a disk that is too full for a scan, before anything moves."""
     rows, cols = camera.grid.shape
-    wanted = _BYTES_PER_PIXEL * rows * cols * len(calibration_scan_mm((0, 0), 1, steps=_SCAN_STEPS))
+    wanted = _BYTES_PER_PIXEL * rows * cols * len(calibration_scan_mm((0, 0), 1, steps=USUAL_STEPS))
     wanted *= 2  # the journal, and the burst that takes its place
     free = shutil.disk_usage(path.parent).free
     if free < wanted:
