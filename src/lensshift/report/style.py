@@ -18,8 +18,9 @@ BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
 SKY, RED = "#56B4E9", "#D55E00"
 COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, PURPLE)
 INK, GREY, LIGHT, FAINT = "#222222", "#6E6E6E", "#A8A8A8", "#E2E2E2"
-SMALL_PT, TITLE_PT = 8.0, 9.5
-BAND_ALPHA = 0.22
+WIDTH_IN = 9.0  # of a page
+SMALL_PT, TITLE_PT = 8.0, 9.5  # as in print
+BAND_ALPHA = 0.22  # two bands and what lies below stay visible
 
 # Settings of the user that would show in a figure; they are put back to the defaults first.
 _FAMILIES = (
@@ -89,16 +90,16 @@ def outlined(line_pt: float) -> list[withStroke]:
 
 
 def note(
-    axes: Axes, text: str, place: tuple[float, float], away_pt: tuple[float, float], **how: Any
+    axes: Axes, text: str, at: tuple[float, float], away_pt: tuple[float, float], **how: Any
 ) -> None:
-    """Write small words so many points away from a place, visible on any image.
+    """Write small words so many points away from `at`, visible on any image.
 
     Parameters
     ----------
     how : what `Axes.annotate` takes besides
     """
     usual = {"textcoords": "offset points", "fontsize": SMALL_PT, "path_effects": outlined(1.0)}
-    axes.annotate(text, place, xytext=away_pt, **(usual | how))
+    axes.annotate(text, at, xytext=away_pt, **(usual | how))
 
 
 def round_number(value: float) -> float:
