@@ -27,10 +27,10 @@ from lensshift.scene import slanted_edge_card
 
 FREQUENCY_LPMM = np.linspace(0.0, 8.0, 81)
 KINDS = ("one frame", "bicubic", *SOLVERS)
-BITS = (12, 8, 6, 5)
+BITS = (12, 8, 6, 5)  # the camera's first
 NEAR = 0.05  # modulation: two curves agree
-_TO_LPMM = 6.0
-_AT_LPMM = 5.5
+_TO_LPMM = 6.0  # just below the Nyquist frequency of the result
+_AT_LPMM = 5.5  # where edge and grating are compared in words
 _LEAVES_LPMM = 4.0  # where the paper's frame leaves the limit
 # Whose shift, with the default and with the linear yardstick.
 _BOTH = (("", "lens shift"), (", tikhonov", "lens shift, tikhonov"))

@@ -16,7 +16,7 @@ from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.scene import slanted_edge_card
 
-SNR = 50.0
+SNR = 50.0  # of one frame, as in the paper
 # What the reconstruction assumes of a pixel: the fill factor of a square one, None for a Gaussian,
 # and the width of the spot, or of the Gaussian. The paper's, and the bench's once it is measured.
 Response = tuple[float | None, float]

@@ -17,7 +17,7 @@ from lensshift.pipeline.paper.claims import Claim, exactly, span
 
 FIELDS_DEG = ((0.0, 0.0), (1.6, 6.5))  # (row, col), as in the paper
 _ZERO_LPMM = 1.0 / PITCH_MM  # first zero of a full pixel
-_SHIFT_PX = 0.25
+_SHIFT_PX = 0.25  # of the square pattern
 
 
 @dataclass(frozen=True, slots=True, eq=False)
