@@ -12,8 +12,8 @@ from lensshift.report.curves import legend_above
 from lensshift.report.page import Page
 from lensshift.report.style import BLUE, GREY, INK, RED, SMALL_PT, new_figure, round_number, styled
 
-_MOVE_PX = 0.25
-_MOST_ARROWS = 17
+_MOVE_PX = 0.25  # that of the square pattern
+_MOST_ARROWS = 17  # along an axis
 _NAMES = ("row", "col")
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lensshift.report.style import COLOURS, GREY, INK, SMALL_PT, colour_of, new_figure, styled
 
 _DASHES = ("-", "--", ":", "-.")
-_MOST_GAIN = 6.0
+_MOST_GAIN = 6.0  # on the axis: twice the largest claim
 
 
 def curves_figure(

@@ -14,7 +14,7 @@ from lensshift.evaluation.slanted_edge.result import Interval
 from lensshift.report.style import BAND_ALPHA, FAINT, GREY, INK, LIGHT, TITLE_PT, note
 
 INTERVAL_SIGMAS = 1.96  # half a 95 % interval of a normal distribution
-_LIMIT_POINTS = 301
+_LIMIT_POINTS = 301  # smooth in print
 _DIRECTIONS_RAD = np.linspace(0.0, 0.5 * np.pi, 46)
 _MOST = 1.9  # sharpened curves are shown up to here
 _DASHES = ("--", ":", "-.", (0, (4, 1.2, 1, 1.2, 1, 1.2)))

@@ -13,9 +13,9 @@ from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation.depth import depth_error, near_edges
 from lensshift.evaluation.surface import flying_pixel_fraction
 from lensshift.report import images
-from lensshift.report.style import BLUE, INK, RED, new_figure, styled
+from lensshift.report.style import BLUE, INK, RED, WIDTH_IN, new_figure, styled
 
-_WIDTH_IN, _LABELS_IN, _HISTOGRAM_IN = 9.0, 0.9, 2.6
+_LABELS_IN, _HISTOGRAM_IN = 0.9, 2.6  # heights
 _WIDE = 2.6  # columns per row from which images lie above each other
 _BINS = 61  # odd: one is centred on 0
 _SHOWN_PERCENT = 98.0  # of the errors lie on the scale
@@ -81,12 +81,12 @@ def depth_figure(
 def _panels(shape: tuple[int, ...], *, with_truth: bool) -> tuple[Figure, list[Axes]]:
     rows, cols = shape
     stacked = not with_truth or cols > _WIDE * rows
-    each_in = _LABELS_IN + min((0.8 if stacked else 0.38) * _WIDTH_IN * rows / cols, 5.0)
+    each_in = _LABELS_IN + min((0.8 if stacked else 0.38) * WIDTH_IN * rows / cols, 5.0)
     if not with_truth:
-        figure = new_figure(_WIDTH_IN, each_in)
+        figure = new_figure(WIDTH_IN, each_in)
         return figure, [figure.subplots()]
     images_in = 2 * each_in if stacked else each_in
-    figure = new_figure(_WIDTH_IN, images_in + _HISTOGRAM_IN)
+    figure = new_figure(WIDTH_IN, images_in + _HISTOGRAM_IN)
     heights = (images_in, _HISTOGRAM_IN)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     grid = above.subplots(2, 1) if stacked else above.subplots(1, 2)

@@ -22,6 +22,7 @@ from lensshift.report.style import (
     PURPLE,
     RED,
     SMALL_PT,
+    WIDTH_IN,
     colour_of,
     new_figure,
     note,
@@ -29,15 +30,15 @@ from lensshift.report.style import (
     styled,
 )
 
-_WIDTH_IN, _CURVES_IN, _IMAGE_IN, _LABELS_IN = 9.0, 3.6, 4.0, 0.8
-_CURVE_WIDTHS = (1.9, 1.0)
+_CURVES_IN, _IMAGE_IN, _LABELS_IN = 3.6, 4.0, 0.8  # heights
+_CURVE_WIDTHS = (1.9, 1.0)  # of the curve and of the edge beside it
 _WIDE, _TALL = 2.6, 2.0  # columns per row, rows per column
-_RESIDUAL_SIGMAS = 4.0
+_RESIDUAL_SIGMAS = 4.0  # at the ends of the colour scale
 _MOST_NYQUISTS = 4.0  # where half a pixel lets nothing through
 _PROFILE_PX = 4.0  # shown on either side of an edge, at least
 _PROFILE_WIDTHS = 2.0  # or so many 10-90 widths
 _LEAST_MODULATION = 0.05  # below it a ratio of two curves says nothing
-_MOST_RATIO = 6.0
+_MOST_RATIO = 6.0  # on the axis
 _SAME_NYQUIST = 1.2  # of the pixels over that of LR pixels; the slant alone makes up to 1.1
 
 
@@ -111,7 +112,7 @@ def gain_figure(
     pitch_mm : side of an LR pixel for its limits, as in `edge_figure`
     """
     with styled():
-        figure = new_figure(_WIDTH_IN, 5.2)
+        figure = new_figure(WIDTH_IN, 5.2)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=_CURVE_WIDTHS)[0]
         above, below = left.subplots(2, 1, height_ratios=(2.0, 1.0), sharex=True)
         for result, name, colour in zip((fine, coarse), names, (BLUE, RED), strict=True):
@@ -154,19 +155,19 @@ def _panels(shapes: list[tuple[int, ...]]) -> tuple[Figure, list[Axes]]:
     Wide images lie above each other, others side by side, tall ones right of the curves.
     """
     if not shapes:
-        figure = new_figure(_WIDTH_IN, _CURVES_IN)
+        figure = new_figure(WIDTH_IN, _CURVES_IN)
         return figure, list(figure.subplots(1, 2, width_ratios=_CURVE_WIDTHS))
     rows, cols = shapes[0]
     if rows > _TALL * cols:
-        figure = new_figure(_WIDTH_IN, 2.0 * _CURVES_IN)
+        figure = new_figure(WIDTH_IN, 2.0 * _CURVES_IN)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1.25, 1.0))[0]
         below = right.subplots(1, len(shapes), squeeze=False)
         return figure, [*left.subplots(2, 1), *below.ravel()]
     stacked = len(shapes) == 1 or cols > _WIDE * rows
-    each_in = (0.84 if stacked else 0.4) * _WIDTH_IN
+    each_in = (0.84 if stacked else 0.4) * WIDTH_IN
     heights_in = [_LABELS_IN + min(each_in * rows / cols, _IMAGE_IN) for rows, cols in shapes]
     below_in = sum(heights_in) if stacked else max(heights_in)
-    figure = new_figure(_WIDTH_IN, _CURVES_IN + below_in)
+    figure = new_figure(WIDTH_IN, _CURVES_IN + below_in)
     heights = (_CURVES_IN, below_in)
     top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     below = (

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-_WIDE_IN, _HIGH_IN = 9.0, 4.0
-_SCREEN_DPI = 80
+_WIDE_IN, _HIGH_IN = 9.0, 4.0  # as `style.WIDTH_IN`, which would load matplotlib
+_SCREEN_DPI = 80  # a page of 9 in is 720 px wide
 _PAIRS = ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm")
 
 

@@ -13,10 +13,10 @@ from lensshift.io.atomic import written_whole
 
 Shots = Mapping[str, Mapping[str, NDArray[Any]]]
 
-_WIDE_PX, _LINE_PX, _GAP_PX = 520, 16, 6
-_OUTSIDE = (0.5, 99.5)  # percentiles: stray pixels shall not set a scale
+_WIDE_PX, _LINE_PX, _GAP_PX = 520, 16, 6  # of an image, a line of text, between them
+OUTSIDE = (0.5, 99.5)  # percentiles: stray pixels shall not set a scale
 _UNITS = {"amplitude": "", "distance": " m"}
-_INK, _PAPER = (34, 34, 34), (255, 255, 255)
+_INK, _PAPER = (34, 34, 34), (255, 255, 255)  # as in `style`
 # Matplotlib's viridis (CC0) at places equally far apart.
 _VIRIDIS = np.array(
     [
@@ -91,7 +91,7 @@ def shown_range(image: NDArray[Any]) -> tuple[float, float]:
     finite = image[np.isfinite(image)]
     if not finite.size:
         return 0.0, 1.0
-    low, high = np.percentile(finite, _OUTSIDE).tolist()
+    low, high = np.percentile(finite, OUTSIDE).tolist()
     return low, high if high > low else low + 1.0
 
 

@@ -21,7 +21,7 @@ from lensshift.report.style import SMALL_PT, new_figure, styled
 _UNITS = {"amplitude": "", "distance": " (m)"}
 _COLOURS = {"amplitude": "gray", "distance": "viridis"}
 _MOST_MISFIT = 10.0  # ten times the variance that was expected
-_TITLE_IN, _CLOUD_IN = 0.32, 6.0
+_TITLE_IN, _CLOUD_IN = 0.32, 6.0  # heights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
