@@ -20,10 +20,10 @@ from lensshift.scene import Target
 # Four frames that encircle the centred position, as (row, col).
 QUARTER_SQUARE_PX = named_pattern_px("square")
 QUARTER_SQUARE_PX.setflags(write=False)
-_SAMPLES_PER_HR_PX = 10
+_SAMPLES_PER_HR_PX = 10  # along an axis: midpoints, whose error falls with their square
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples spread evenly over [0, 1)
 _SAMPLES_AT_ONCE = 2_000_000  # a few hundred MB at most
-_KERNEL_SIGMAS = 4.0
+_KERNEL_SIGMAS = 4.0  # 6e-5 of a Gaussian lies beyond
 
 
 @dataclass(frozen=True, slots=True)

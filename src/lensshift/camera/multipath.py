@@ -11,7 +11,7 @@ from lensshift.core.arrays import Array
 from lensshift.core.grid import Grid
 from lensshift.scene import Scene, cast, visible
 
-_PAIRS_AT_ONCE = 200_000
+_PAIRS_AT_ONCE = 200_000  # some 20 MB of work
 
 
 class IndirectLight:

@@ -14,7 +14,7 @@ from lensshift.core.arrays import Array
 
 # Bits of the confidence of an O3M pixel.
 _INVALID, _LOW_SIGNAL = 1, 4096  # between them: exposure (2) and gain (4)
-_INVALID_CM, _FARTHEST_CM = 1, 15_000
+_INVALID_CM, _FARTHEST_CM = 1, 15_000  # as an O3M sends them
 
 
 @dataclass(frozen=True, slots=True, eq=False)

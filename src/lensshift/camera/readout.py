@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lensshift.camera.settings import Pixels, Readout
 from lensshift.core.arrays import Array
 
-PHASES = 4
+PHASES = 4  # of the correlation, a quarter turn apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)

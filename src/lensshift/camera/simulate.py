@@ -22,7 +22,7 @@ from lensshift.core.types import Burst
 from lensshift.core.units import unambiguous_range_m
 from lensshift.scene import Scene
 
-_SAMPLES_PER_HR_PX = 8
+_SAMPLES_PER_HR_PX = 8  # along an axis
 _FEWEST_SAMPLES = 16  # of an LR pixel
 
 

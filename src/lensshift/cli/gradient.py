@@ -54,7 +54,7 @@ class Axis(StrEnum):
     ROW = "row"
 
 
-_DISTANCE_SHARE, _SHARE = 0.05, 0.10
+_DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,7 @@ LevelsOption = Annotated[
     str | None, typer.Option(help="Values of large black and white areas, as black,white.")
 ]
 
-_LEVELS = (0.5, 0.3, 0.1)
+_LEVELS = (0.5, 0.3, 0.1)  # of contrast, where curves are read off by custom
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,8 +19,9 @@ from lensshift.core.types import Burst
 Motion = Literal["decentre", "tilt", "sensor"]
 MOTIONS: tuple[Motion, ...] = ("decentre", "tilt", "sensor")
 
+# At most, of an iteration that converges fast: the map of a lens is nearly linear.
 _INVERSE_STEPS = 20
-_INVERSE_PX = 1e-9
+_INVERSE_PX = 1e-9  # rounding
 # Beyond the fitted range by rounding, and by the error of a shift that was planned at its end.
 _BEYOND = 1.02
 # Stage and image go together: 0.1 px is far beyond play, and less than two places are apart.

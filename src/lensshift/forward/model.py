@@ -22,7 +22,7 @@ from lensshift.forward.sampling import (
 from lensshift.forward.smooth_field import adjoint_smooth, forward_smooth, smooth_field
 from lensshift.forward.warp import Positions, field_positions, frame_positions
 
-MAX_SCALE = 8
+MAX_SCALE = 8  # memory goes with its square
 
 
 @dataclass(frozen=True, slots=True, eq=False)

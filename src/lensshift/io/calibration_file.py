@@ -18,8 +18,8 @@ SCHEMA = "lensshift-calibration/1"
 _PAIRS = ("rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s")
 _NUMBERS = ("psf_sigma_px", "psf_sigma_sigma_px")
 # Field -> its axes; a field is there, or may be null or missing.
-_NEEDED = {"px_per_mm": 2, "sigma_px": 0} | dict.fromkeys(_PAIRS, 1)
-_OPTIONAL = {"px_per_mm_sigma": 2, "field_px_per_mm": 4} | dict.fromkeys(_NUMBERS, 0)
+_NEEDED = {"px_per_mm": 2, "sigma_px": 0, **dict.fromkeys(_PAIRS, 1)}
+_OPTIONAL = {"px_per_mm_sigma": 2, "field_px_per_mm": 4, **dict.fromkeys(_NUMBERS, 0)}
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:

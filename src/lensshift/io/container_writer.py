@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from lensshift.core.errors import DataError
 from lensshift.io.atomic import written_whole
 
-CHUNK_BYTES = 1_000_000
+CHUNK_BYTES = 1_000_000  # what HDF5 caches by default
 _LIBVER = ("v110", "v110")
 _STORABLE = frozenset(["u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8", "c8", "c16"])
 

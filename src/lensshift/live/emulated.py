@@ -18,7 +18,7 @@ from lensshift.core.errors import DeviceError
 # faster camera would give more, and take from the pictures the time that it is emulated in.
 RATE_HZ, SPEED, FRAMES = 70.0, 100.0, 3
 _READY_S = 120.0  # the first start after an installation compiles
-_PATIENCE_S = 20.0
+_PATIENCE_S = 20.0  # for the end of the process
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 
-_CURVE_POINTS = 51
+_CURVE_POINTS = 51  # of the curve that the page draws
 
 
 def beside() -> ProcessPoolExecutor:

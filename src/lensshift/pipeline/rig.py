@@ -33,9 +33,9 @@ from lensshift.registration import calibration_scan_mm
 from lensshift.registration.scan import USUAL_STEPS
 
 SCAN_SPAN_MM = 0.3  # 1.7 px: the longer, the better the map is known
-_SCAN_FRAMES = 6
-_FRAMES = 8
-_PATIENCE_S = 20.0
+_SCAN_FRAMES = 6  # averaged at a position of the scan
+_FRAMES = 8  # and at one of the burst
+_PATIENCE_S = 20.0  # for a frame: the emulated rig shares this computer
 NOMINAL_BLUR_PX = 0.3  # of a square pixel behind a fair lens
 # What the rig file of a run says: 5.63 px per mm and 10 %, turned by 5 degrees, mirrored.
 # Calibration is what makes the run work.

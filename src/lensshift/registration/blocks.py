@@ -13,8 +13,8 @@ Shifts = NDArray[np.float64]
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
 Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]
 
-LEAST_BLOCK_PX = 12
-_LEAST_VALID = 0.5
+LEAST_BLOCK_PX = 12  # along an axis, for a shift of its own
+_LEAST_VALID = 0.5  # of the pixels of a block
 
 
 def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:

@@ -20,10 +20,10 @@ from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts
 from lensshift.registration.register import filled, frames_of, with_given
 
-HUBER_SIGMAS = 1.345
-_PASSES = 20
-_LEAST_FRAMES = 9
-BUDGET_PX = 0.02
+HUBER_SIGMAS = 1.345  # keeps 95 % of the efficiency where errors are normal
+_PASSES = 20  # of reweighting, at most
+_LEAST_FRAMES = 9  # map, play, drift and constant, and some over
+BUDGET_PX = 0.02  # what reconstruction allows for in any case (benchmarks/shift_budget.py)
 _BLIND_SHARE = 0.05  # of the map: 0.02 px of a move by half a pixel, with two standard errors
 
 

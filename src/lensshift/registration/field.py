@@ -10,10 +10,10 @@ from lensshift.core.types import Burst
 from lensshift.registration.reference_image import reference_image
 from lensshift.registration.taper import taper_frames
 
-MAX_ORDER = 2
-_PASSES = 3
-_BORDER_PX = 1
-_OUTLIER_SIGMAS = 4.0
+MAX_ORDER = 2  # of the polynomial over the sensor
+_PASSES = 3  # of leaving outliers out
+_BORDER_PX = 1  # where the slope is one-sided
+_OUTLIER_SIGMAS = 4.0  # one in 16 000 by chance
 # By how much of itself (rms) the map of a lens differs over the sensor where nobody knows. Of the
 # paper's optic a moved first lens differs by 6 % at the worst corner (`lensshift lens which
 # petzval_a`), a moved sensor not at all.

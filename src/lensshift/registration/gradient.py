@@ -14,9 +14,9 @@ Shifts = NDArray[np.float64]
 LOW_PASS_SIGMA_PX = 0.8
 # The low pass is one-sided at the border of a frame.
 BORDER_PX = 2
-CONVERGED_PX = 1e-3
-MAX_STEP_PX = 0.5
-_LEAST_PIXELS = 16
+CONVERGED_PX = 1e-3  # a twentieth of the budget
+MAX_STEP_PX = 0.5  # beyond it the slope of a frame says nothing
+_LEAST_PIXELS = 16  # for two numbers of each frame
 
 
 def gradient_shifts(

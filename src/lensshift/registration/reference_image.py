@@ -13,8 +13,8 @@ from lensshift.core.arrays import Floats
 # Knots per pixel, and how stiff the spline is where no pixel says anything. Two hold no edge of a
 # half-filled pixel behind a sharp lens, whose misfit reads as a shift that varies; three do.
 KNOTS_PER_PX = 3
-_STIFFNESS = 1e-3
-_PASSES = 60
+_STIFFNESS = 1e-3  # of the spline, over the weight of what it is fitted to
+_PASSES = 60  # of conjugate gradients
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,14 +25,14 @@ METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
 Channel = Literal["amplitude", "distance"]
 Run = Callable[..., ShiftFit]
 
-POOR_SIGMA_PX = 0.05
+POOR_SIGMA_PX = 0.05  # more than twice the budget of a calibration
 # The least error that phase correlation is believed to have.
 PHASE_SIGMA_PX = 0.005
 # A burst moves by some pixels; where the frames tell nothing, this is what is known of a shift.
 USUAL_SHIFT_PX = 2.0
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 AGREES_PX = 0.5
-_CLEARLY_BETTER = 0.7
+_CLEARLY_BETTER = 0.7  # noise that one fit leaves over that of the other
 
 
 def register(

@@ -18,7 +18,7 @@ Shifts = NDArray[np.float64]
 # Share of the common length over which the taper rises at each end: enough that borders leak
 # little, and short enough that 16 rows keep their weight.
 TAPER_SHARE = 0.25
-LEAST_COMMON_PX = 4.0
+LEAST_COMMON_PX = 4.0  # less has no spectrum
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lensshift.core.arrays import Array
 from lensshift.scene.kernels import NEAREST_M, Vector, local_ray
 
-_IN_A_LEAF = 4
+_IN_A_LEAF = 4  # triangles
 _DEEPEST = 64  # levels of the tree: for 2^64 triangles
 _FLAT = 1e-12  # sine of the angle between the edges of a triangle without area
 _EDGE = 1e-12  # of an edge: rays through the edge of two triangles meet at least one of them

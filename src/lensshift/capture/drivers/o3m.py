@@ -16,8 +16,8 @@ from lensshift.core.errors import DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import PixelDirections
 
-DATA_PORT = 42000
-PITCH_MM = 0.155
+DATA_PORT = 42000  # where a camera sends unless set otherwise
+PITCH_MM = 0.155  # of the sensor, from the paper
 _SOCKET_BYTES = 4 << 20  # about four seconds at 50 Hz, if the system grants it
 _LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
 

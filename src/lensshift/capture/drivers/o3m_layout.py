@@ -28,7 +28,7 @@ MODES = {
     0x22: "run",
     0x31: "emergency",
 }
-RUN_MODE = 0x22
+RUN_MODE = 0x22  # the only one in which it measures
 
 _MAGIC = b"O3M!"
 _MAGIC_BYTES = 12  # magic, name, major, minor, two bytes of padding

@@ -25,9 +25,9 @@ from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import PixelDirections
 from lensshift.core.types import Frame
 
-RESULT_PORT = 50010
-_LOOK_S = 0.2
-_RECEIVE_BYTES = 1 << 16
+RESULT_PORT = 50010  # of an O3D and O3R unless set otherwise
+_LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
+_RECEIVE_BYTES = 1 << 16  # at once
 _FRAME_COUNT_AT = 4 + 32  # in a result: after `star`, in the first chunk
 
 

@@ -25,8 +25,8 @@ MAX_MESSAGE_BYTES = 4 << 20  # an O3R result with everything is a tenth of it
 RESULT_TICKET = b"0000"
 
 _HEAD = re.compile(rb"(\d{4})L(\d{9})\r\n")
-_HEAD_BYTES = 16
-_TICKET_BYTES = 4
+_HEAD_BYTES = 16  # of `_HEAD`
+_TICKET_BYTES = 4  # repeated before the content
 _CHUNK = struct.Struct("<9I")
 _CHUNK_TIME = struct.Struct("<3I")  # from header version 2 on
 _METADATA_AT = 48  # from header version 3 on

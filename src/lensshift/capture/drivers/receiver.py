@@ -15,7 +15,7 @@ from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
 
-QUEUE_FRAMES = 64
+QUEUE_FRAMES = 64  # more than a second at 50 Hz
 _JOIN_S = 10.0  # loops look at their stop event several times a second
 
 

@@ -18,7 +18,7 @@ from lensshift.capture.emulators.listener import listen
 __all__ = ["AptController", "EmulatedStagePair", "Served", "serve_pty", "serve_tcp"]
 
 _LOOK_S = 0.02  # how soon it notices a pulled cable or the end
-_BLOCK_BYTES = 4096
+_BLOCK_BYTES = 4096  # at once; a message has 90 at most
 
 
 class _Tcp:

@@ -12,7 +12,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 _TYPES = {"O3D": "1:2", "O3R": "1:1000"}
 _FIRMWARE = {"O3D": "1.30.4123", "O3R": "1.4.30"}
 _MOST_BYTES = 1 << 16  # of a request
-_LOOK_S = 0.05
+_LOOK_S = 0.05  # how soon it notices the end
 _REQUEST_S = 2.0  # that a client may take over one
 
 

@@ -18,7 +18,7 @@ from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
 
-ROWS, COLS = 16, 64
+ROWS, COLS = 16, 64  # of the only sensor there is
 LAYOUTS: Mapping[str, int] = {
     "1.0": 18900,
     "1.1": 19036,

@@ -22,9 +22,9 @@ from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
 
-_HEAD_BYTES = 16
+_HEAD_BYTES = 16  # of `_COMMAND`
 _COMMAND = re.compile(rb"(\d{4})L(\d{9})\r\n")
-_LONGEST_COMMAND = 1 << 16
+_LONGEST_COMMAND = 1 << 16  # a schema has a few thousand bytes
 _SEND_S = 2.0  # a client that takes nothing for so long is dropped
 
 

@@ -19,7 +19,7 @@ from lensshift.core.types import Frame
 from lensshift.scene import Scene, four_boxes
 
 _INSTANTS = 4  # of the lens during an exposure
-_STILL_MM = 1e-6
+_STILL_MM = 1e-6  # less is rounding
 _HOMING_S = 12.0  # the longest move of a real stage: 7.3 mm at 1 mm/s, and its ramps
 
 

@@ -20,8 +20,8 @@ from lensshift.io.capture_file import FrameRecord
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.register import register
 
-NUDGE_MM = 0.05
-_UNSEEN_PX, _UNSEEN_SIGMAS = 0.03, 3.0
+NUDGE_MM = 0.05  # about a quarter pixel, several times the play
+_UNSEEN_PX, _UNSEEN_SIGMAS = 0.03, 3.0  # an axis that moves the image by less is taken to be stuck
 _READINGS = 25  # of the position of a lens at rest
 _NAMES = ("row", "col")
 _PARALLEL = 0.5  # sine of the angle between the ways of the image: 30 degrees

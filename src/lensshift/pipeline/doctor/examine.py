@@ -50,8 +50,8 @@ from lensshift.registration.scan import USUAL_STEPS
 
 _SCAN_PX = 1.7  # as `pipeline.rig`
 _BYTES_PER_PIXEL = 64  # of a record of a journal, raw data of the camera and all; rather more
-_WARM_CELSIUS = 0.5
-_TOLD_DRIFT_SIGMAS = 4.0
+_WARM_CELSIUS = 0.5  # worth a word
+_TOLD_DRIFT_SIGMAS = 4.0  # drift by less may be chance
 OnStep = Callable[[str, Progress | None], None]
 
 

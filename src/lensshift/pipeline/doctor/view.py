@@ -15,7 +15,7 @@ from lensshift.core.arrays import Floats
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.gradient import texture_covariance
 
-LOOKED_S, LEAST_FRAMES, MOST_FRAMES = 2.0, 16, 64
+LOOKED_S, LEAST_FRAMES, MOST_FRAMES = 2.0, 16, 64  # enough to tell noise to a fifth
 # The mean of frames at a position shall tell its shift to this: a fifth of what is wanted of a
 # calibration, so that 35 positions leave its model room.
 WANTED_PX = 0.004
@@ -25,7 +25,7 @@ _FAIR_SNR = 50.0
 # Brightness may change by the noise that `calibrate_rig` assumes of a pixel.
 _JUMP = 0.005
 _MOST_LOST = 1 / 3  # then everything takes half as long again
-_MOST_INVALID = 0.5
+_MOST_INVALID = 0.5  # half of the pixels see nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
