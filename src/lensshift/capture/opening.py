@@ -20,15 +20,7 @@ from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.motion import ShiftPlan, StageMap
-from lensshift.core.settings import (
-    built,
-    fit,
-    only,
-    parse_toml,
-    read_text,
-    settings_of,
-    table_of,
-)
+from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of, table_of
 from lensshift.core.types import Burst
 from lensshift.core.units import doubt_about_units
 from lensshift.io.capture_file import FrameRecord

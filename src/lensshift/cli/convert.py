@@ -9,13 +9,7 @@ from pathlib import Path
 
 import typer
 
-from lensshift.cli.inputs import (
-    Kind,
-    StackOptions,
-    kind_of,
-    load_input_burst,
-    refuse_overwriting,
-)
+from lensshift.cli.inputs import Kind, StackOptions, kind_of, load_input_burst, refuse_overwriting
 from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb

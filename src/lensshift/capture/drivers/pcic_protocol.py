@@ -13,11 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.capture.drivers.pcic_directions import (
-    BOUGUET,
-    bouguet_directions,
-    sent_directions,
-)
+from lensshift.capture.drivers.pcic_directions import BOUGUET, bouguet_directions, sent_directions
 from lensshift.core.errors import DataError
 from lensshift.core.units import MILLIMETRE_M
 

@@ -12,12 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from lensshift.capture.emulators.listener import listen
-from lensshift.capture.emulators.pcic_result import (
-    MODELS,
-    result_content,
-    schema_text,
-    wanted_by,
-)
+from lensshift.capture.emulators.pcic_result import MODELS, result_content, schema_text, wanted_by
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]

@@ -7,14 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from lensshift.camera import (
-    Illumination,
-    LensOptics,
-    Readout,
-    TofCamera,
-    Validity,
-    camera_preset,
-)
+from lensshift.camera import Illumination, LensOptics, Readout, TofCamera, Validity, camera_preset
 from lensshift.camera.radiometry import active_electrons_per_s
 from lensshift.core.grid import Grid
 from lensshift.optics.lens_file import load_lens
