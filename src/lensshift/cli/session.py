@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 import threading
 import time
@@ -12,13 +10,13 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
 from lensshift.core.ending import ended_by_signals
 from lensshift.core.errors import QualityWarning, printable
+from lensshift.core.settings import to_json
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to stdout.")
@@ -69,7 +67,7 @@ class Session:
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
         if self.as_json:
-            typer.echo(json.dumps(_plain(self.result)))
+            typer.echo(to_json(self.result, indent=None))
 
     def warn(
         self,
@@ -219,24 +217,3 @@ class Waiting:
             self._over.set()
             self._thread.join()
             self._progress.close()
-
-
-def to_json(value: Any) -> str:
-    """Return JSON; numbers that JSON does not know (NaN, infinity) become null."""
-    return json.dumps(_plain(value), indent=2)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    return str(value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import socket
 import struct
@@ -14,6 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.capture.emulators.listener import check_own
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
@@ -202,8 +202,8 @@ class O3MSender:
         seed: int = 0,
         allow_remote: bool = False,
     ) -> None:
-        if not allow_remote and host != "localhost" and not ipaddress.ip_address(host).is_loopback:
-            raise ValueError(f"expected an address of this computer, got {host}")
+        if not allow_remote:
+            check_own(host)
         if not 0 < port <= 65535:
             raise ValueError(f"expected the UDP port of the receiver, got {port}")
         if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz and delay_s >= 0):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import re
 import select
 import socket
@@ -11,7 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
-from lensshift.capture.emulators.listener import listen
+from lensshift.capture.emulators.listener import check_own, listen
 from lensshift.capture.emulators.pcic_result import MODELS, result_content, schema_text, wanted_by
 from lensshift.core.types import Frame
 
@@ -52,8 +51,8 @@ class PcicServer:
         first_count: int = 100,
         allow_remote: bool = False,
     ) -> None:
-        if not allow_remote and host != "localhost" and not ipaddress.ip_address(host).is_loopback:
-            raise ValueError(f"expected an address of this computer, got {host}")
+        if not allow_remote:
+            check_own(host)
         if model not in MODELS:
             raise ValueError(f"expected a model of {', '.join(MODELS)}, got {model!r}")
         if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz):
