@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.grid import hr_to_lr
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
-from lensshift.forward.operator import Array, LinearOperator, by_parts
+from lensshift.forward.operator import LinearOperator, by_parts
 from lensshift.forward.sampling import (
     adjoint_field,
     adjoint_separable,

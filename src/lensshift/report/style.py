@@ -98,7 +98,11 @@ def note(
     ----------
     how : what `Axes.annotate` takes besides
     """
-    usual = {"textcoords": "offset points", "fontsize": SMALL_PT, "path_effects": outlined(1.0)}
+    usual: dict[str, Any] = {
+        "textcoords": "offset points",
+        "fontsize": SMALL_PT,
+        "path_effects": outlined(1.0),
+    }
     axes.annotate(text, at, xytext=away_pt, **(usual | how))
 
 
