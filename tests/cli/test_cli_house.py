@@ -15,7 +15,8 @@ from stand_in import Call
 from lensshift import Burst, load_image_stack, save_burst
 from lensshift.cli import _one_line, main, session
 from lensshift.cli.reconstruct import _WIDTH_SOURCES
-from lensshift.cli.session import Progress, to_json
+from lensshift.cli.session import Progress
+from lensshift.core.settings import to_json
 from lensshift.io import memory_limit
 from lensshift.reconstruction.reconstruct import WidthSource
 

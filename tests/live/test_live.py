@@ -328,6 +328,7 @@ def test_a_socket_that_does_not_ask_slows_nobody(burst: Burst, tmp_path: Path) -
     from websockets.sync.client import connect
 
     with served(source_of(burst), tmp_path) as (address, live):
+        until(lambda: live.picture is not None)
         socket = address.replace("http", "ws") + "pictures"
         with connect(socket, max_size=None) as asking, connect(socket) as silent:
             silent.send("next")

@@ -4,13 +4,7 @@ Two cameras that share no code with `lensshift.forward`: `simulate_burst` takes 
 plain pixels, `simulate_tof` a scene in the world with a time-of-flight camera, effect by effect.
 """
 
-from lensshift.camera.flat import (
-    QUARTER_SQUARE_PX,
-    Sensor,
-    Truth,
-    pixel_means,
-    simulate_burst,
-)
+from lensshift.camera.flat import QUARTER_SQUARE_PX, Sensor, Truth, pixel_means, simulate_burst
 from lensshift.camera.moving import RunningCamera
 from lensshift.camera.output import O3mImages
 from lensshift.camera.presets import camera_preset, preset_names

@@ -7,17 +7,14 @@ cell, so that an edge lies right to about 1/500 of a pixel with 16 cells across 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera.channels import Tones
 from lensshift.camera.multipath import IndirectLight
 from lensshift.camera.view import View
+from lensshift.core.arrays import Array
 from lensshift.scene import Hits, Scene, cast
-
-Array = NDArray[Any]
 
 _CELLS_AT_ONCE = 1024  # of those that are cast again
 _UNEVEN = 0.1  # of the light: what a weaker edge gets wrong is lost in noise

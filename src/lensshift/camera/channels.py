@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.units import distance_to_phase
 from lensshift.scene import Hits
-
-Array = NDArray[Any]
 
 _PLAIN = 4  # light, reflectance, light x distance, light x distance^2
 

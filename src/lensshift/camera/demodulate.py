@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, phase_to_distance, unambiguous_range_m
-
-Array = NDArray[Any]
 
 _LONGEST_M = 200.0  # nobody looks for farther distances among several frequencies
 

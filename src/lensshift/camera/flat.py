@@ -20,10 +20,10 @@ from lensshift.scene import Target
 # Four frames that encircle the centred position, as (row, col).
 QUARTER_SQUARE_PX = named_pattern_px("square")
 QUARTER_SQUARE_PX.setflags(write=False)
-_SAMPLES_PER_HR_PX = 10
-_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+_SAMPLES_PER_HR_PX = 10  # along an axis: midpoints, whose error falls with their square
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples spread evenly over [0, 1)
 _SAMPLES_AT_ONCE = 2_000_000  # a few hundred MB at most
-_KERNEL_SIGMAS = 4.0
+_KERNEL_SIGMAS = 4.0  # 6e-5 of a Gaussian lies beyond
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +181,8 @@ def _sample_places(
         np.arange(-margin * samples, (grid.shape[1] + margin) * samples),
         indexing="ij",
     )
-    row_px = (row + np.mod(col * _GOLDEN, 1.0)) / samples - 0.5 * grid.shape[0] - moved_px[0]
-    col_px = (col + np.mod(row * _GOLDEN, 1.0)) / samples - 0.5 * grid.shape[1] - moved_px[1]
+    row_px = (row + np.mod(col * GOLDEN, 1.0)) / samples - 0.5 * grid.shape[0] - moved_px[0]
+    col_px = (col + np.mod(row * GOLDEN, 1.0)) / samples - 0.5 * grid.shape[1] - moved_px[1]
     return row_px * grid.pitch_mm[0], col_px * grid.pitch_mm[1]
 
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera.cells import World
 from lensshift.camera.channels import Seen, Tones
 from lensshift.camera.multipath import IndirectLight
 from lensshift.camera.settings import TofCamera
 from lensshift.camera.view import SpotBlur, View
+from lensshift.core.arrays import Array
 from lensshift.scene import Scene
-
-Array = NDArray[Any]
 
 _CELLS_AT_ONCE = 1_000_000  # some 100 MB
 _REACH_SIGMAS = 5.0  # of a Gaussian

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.camera.cells import World
 from lensshift.camera.channels import Seen, Tones
@@ -14,9 +12,10 @@ from lensshift.camera.readout import harmonic_shares, read
 from lensshift.camera.settings import PlainOptics, TofCamera
 from lensshift.camera.simulate import rates_of, true_images
 from lensshift.camera.view import View
+from lensshift.core.arrays import Array
 from lensshift.scene import Scene
 
-Array = NDArray[Any]
+REACH_PX = 1.25  # all patterns and the play of a stage
 
 
 class RunningCamera:
@@ -38,7 +37,7 @@ class RunningCamera:
     """
 
     def __init__(
-        self, scene: Scene, camera: TofCamera, *, reach_px: float = 1.0, samples: int = 16
+        self, scene: Scene, camera: TofCamera, *, reach_px: float = REACH_PX, samples: int = 16
     ) -> None:
         from scipy.ndimage import gaussian_filter
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera.channels import Tones
 from lensshift.camera.settings import Multipath
 from lensshift.camera.view import View
+from lensshift.core.arrays import Array
 from lensshift.core.grid import Grid
 from lensshift.scene import Scene, cast, visible
 
-Array = NDArray[Any]
-
-_PAIRS_AT_ONCE = 200_000
+_PAIRS_AT_ONCE = 200_000  # some 20 MB of work
 
 
 class IndirectLight:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera.demodulate import demodulate, unwrap
 from lensshift.camera.readout import Reading
-from lensshift.camera.settings import TofCamera
-
-Array = NDArray[Any]
+from lensshift.camera.settings import MOST_BITS, TofCamera
+from lensshift.core.arrays import Array
 
 # Bits of the confidence of an O3M pixel.
-INVALID, LONG_EXPOSURE, HIGH_GAIN, LOW_SIGNAL = 1, 2, 4, 4096
-_INVALID_CM, _FARTHEST_CM = 1, 15_000
-_WORD_BITS = 16
+_INVALID, _LOW_SIGNAL = 1, 4096  # between them: exposure (2) and gain (4)
+_INVALID_CM, _FARTHEST_CM = 1, 15_000  # as an O3M sends them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,14 +80,14 @@ def _o3m_image(
     weak: NDArray[np.bool_],
 ) -> Image:
     readout = camera.readout
-    fraction = 2 ** (_WORD_BITS - (readout.bits or _WORD_BITS))
-    words = np.minimum(np.rint(counts * fraction), 2**_WORD_BITS - 1).astype(np.uint16)
+    fraction = 2 ** (MOST_BITS - (readout.bits or MOST_BITS))
+    words = np.minimum(np.rint(counts * fraction), 2**MOST_BITS - 1).astype(np.uint16)
     distance_cm = np.clip(np.rint(100.0 * distance_m), 0, _FARTHEST_CM).astype(np.uint16)
     distance_cm[~valid] = _INVALID_CM
     state = reading.exposure + 2 * reading.gain
     confidence = 2 * state.astype(np.uint16)
-    confidence[~valid] |= INVALID
-    confidence[weak] |= LOW_SIGNAL
+    confidence[~valid] |= _INVALID
+    confidence[weak] |= _LOW_SIGNAL
     factors = _normalization(camera) / fraction
     amplitude = words * factors[state]
     o3m = O3mImages(distance_cm, words, confidence, factors)
@@ -102,5 +99,5 @@ def _normalization(camera: TofCamera) -> NDArray[np.float64]:
     readout = camera.readout
     exposure = np.resize(readout.exposure_s[-1] / np.asarray(readout.exposure_s), 2)
     gain = np.resize(np.asarray(readout.gain), 2)
-    per_count = 1.0 / 2 ** ((readout.bits or _WORD_BITS) - 1)
+    per_count = 1.0 / 2 ** ((readout.bits or MOST_BITS) - 1)
     return np.asarray(per_count * (exposure[None, :] / gain[:, None]).ravel())

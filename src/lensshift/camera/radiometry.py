@@ -11,7 +11,7 @@ from lensshift.camera.settings import PlainOptics, TofCamera
 from lensshift.core.grid import Grid
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, unambiguous_range_m
 
-_PLANCK_J_S = 6.626_070_15e-34
+_PLANCK_J_S = 6.626_070_15e-34  # by definition
 # Of sunlight at 850 nm, in W / (m2 nm klx): about 0.9 W / (m2 nm) at 110 klx.
 _SUN_PER_KLX = 0.9 / 110.0
 

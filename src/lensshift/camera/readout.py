@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera.settings import Pixels, Readout
+from lensshift.core.arrays import Array
 
-Array = NDArray[Any]
-
-PHASES = 4
+PHASES = 4  # of the correlation, a quarter turn apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)

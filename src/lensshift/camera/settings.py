@@ -16,7 +16,7 @@ from lensshift.scene.checks import number, positive, positives, share
 
 OutputStyle = Literal["float", "o3m"]
 OUTPUT_STYLES: tuple[OutputStyle, ...] = ("float", "o3m")
-_MOST_BITS = 16
+MOST_BITS = 16  # of a converter, whose numbers go into words
 
 
 def _not_negative(name: str, value: object) -> None:
@@ -237,8 +237,8 @@ class Readout:
         positive("full_well_electrons", self.full_well_electrons)
         _not_negative("read_noise_electrons", self.read_noise_electrons)
         _not_negative("background_electrons", self.background_electrons)
-        if self.bits is not None and not 2 <= self.bits <= _MOST_BITS:
-            raise ValueError(f"expected 2 to {_MOST_BITS} bits, or None, got {self.bits}")
+        if self.bits is not None and not 2 <= self.bits <= MOST_BITS:
+            raise ValueError(f"expected 2 to {MOST_BITS} bits, or None, got {self.bits}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,14 +16,13 @@ from lensshift.camera.radiometry import active_electrons_per_s, ambient_electron
 from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
 from lensshift.camera.settings import LensOptics, Scatter, TofCamera
 from lensshift.camera.view import intrinsics_of, motions, response_width_px
+from lensshift.core.arrays import Array
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
 from lensshift.core.units import unambiguous_range_m
 from lensshift.scene import Scene
 
-Array = NDArray[Any]
-
-_SAMPLES_PER_HR_PX = 8
+_SAMPLES_PER_HR_PX = 8  # along an axis
 _FEWEST_SAMPLES = 16  # of an LR pixel
 
 

@@ -8,18 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.camera.flat import GOLDEN
 from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
+from lensshift.core.arrays import Array
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
 from lensshift.optics.lens import Lens
 
-Array = NDArray[Any]
-
 _RINGS = 4  # of rays in the spots, 64 of them
 _DENSE = np.linspace(0.0, 400.0, 40_001)  # pi times radii of the Airy disc
-_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +220,7 @@ def airy_points(count: int) -> Array:
 
     light = 1.0 - j0(_DENSE) ** 2 - j1(_DENSE) ** 2
     number = np.arange(count)
-    share = (np.argsort(np.argsort(np.mod(number * _GOLDEN, 1.0))) + 0.5) / count
+    share = (np.argsort(np.argsort(np.mod(number * GOLDEN, 1.0))) + 0.5) / count
     radius = np.interp(share, light, _DENSE) / np.pi
     angle = 2.0 * np.pi * np.mod(number * 2.0**0.5, 1.0)
     return np.asarray(radius[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1))

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.capture.journal import capture_header, finished, opened
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, CameraFrame, Stage
+from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
 from lensshift.core.ending import Ending, ended_by_signals
 from lensshift.core.errors import DeviceError, DeviceTimeout
@@ -22,8 +23,6 @@ from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
 from lensshift.io.capture_file import FrameRecord, burst_of_capture
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

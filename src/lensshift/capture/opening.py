@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,14 +20,20 @@ from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.motion import ShiftPlan, StageMap
-from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of
+from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of, table_of
 from lensshift.core.types import Burst
 from lensshift.core.units import doubt_about_units
 from lensshift.io.capture_file import FrameRecord
 
 # Lens travel of a quarter pixel of 0.155 mm, with the first lens of the reference design.
 QUARTER_PIXEL_MM = 0.0444
-CAMERAS = ("o3m", "pcic", "replay", "genicam", "python")
+# Kind of camera -> its module beside the drivers, and its class there.
+_CAMERAS = {
+    "o3m": ("o3m", "O3MCamera"),
+    "pcic": ("pcic", "PcicCamera"),
+    "replay": ("replay", "ReplayCamera"),
+    "genicam": ("genicam", "GenicamCamera"),
+}
 EXAMPLE = """\
 # A rig: two Thorlabs actuators that move the lens, and a camera.
 
@@ -55,7 +61,6 @@ discard = 2                     # frames that may have begun before the stage ha
 """
 
 _Table = Mapping[str, Any]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +154,7 @@ class Rig:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -219,7 +219,8 @@ class RigFile:
         DeviceError
             If it cannot be had.
         """
-        camera = _camera(self.camera, self.source, self.folder)
+        with settings_of(self.source):
+            camera = _camera(self.camera, self.folder)
         with ExitStack() as opening:
             opening.callback(camera.close)
             camera.open()
@@ -231,7 +232,8 @@ class RigFile:
 
     def open_stage(self, home: str | None = None, on_homing: OnHoming | None = None) -> Stage:
         """Return the stage, homed if it has leave; `home` and `on_homing` as in `open_rig`."""
-        return _stage(self.stage, self.source, self.folder, home, on_homing)
+        with settings_of(self.source):
+            return _stage(self.stage, self.folder, home, on_homing)
 
 
 def read_rig(config: str | Path | _Table) -> RigFile:
@@ -250,13 +252,15 @@ def read_rig(config: str | Path | _Table) -> RigFile:
     parts = ("stage", "camera", "calibration", "acquisition")
     with settings_of(source):
         only(table, parts)
-    for name in parts:
-        if not isinstance(table.get(name, {}), Mapping):
-            raise DataError("expected a table", field=name, source=source)
-    calibration, lens_field = _calibration(table.get("calibration", {}), source, folder)
-    acquisition = _build(Acquisition, table.get("acquisition", {}), "acquisition", source)
-    stage, camera = table.get("stage", {}), table.get("camera", {})
-    return RigFile(stage, camera, calibration, lens_field, acquisition, source, folder)
+        stage, camera, calibration, acquisition = (table_of(table, name) for name in parts)
+        return RigFile(
+            stage,
+            camera,
+            *_calibration(calibration, folder),
+            built(Acquisition, acquisition, "acquisition"),
+            source,
+            folder,
+        )
 
 
 def nominal_calibration(
@@ -280,98 +284,68 @@ def nominal_calibration(
     return Calibration(StageMap(square, sigma_px=sigma_px), np.asarray(rest_mm), notes=notes)
 
 
-def _stage(
-    table: _Table, source: str, folder: Path, home: str | None, on_homing: OnHoming | None
-) -> Stage:
+def _stage(table: _Table, folder: Path, home: str | None, on_homing: OnHoming | None) -> Stage:
     kind = table.get("kind", "apt")
     if kind == "python":
         from lensshift.capture.drivers.from_python import python_stage
 
-        with settings_of(source):
-            return python_stage(table, folder, home=home, on_homing=on_homing)
+        return python_stage(table, folder, home=home, on_homing=on_homing)
     if kind != "apt":
-        raise DataError(f"expected apt or python, got {kind!r}", field="stage.kind", source=source)
+        raise DataError(f"expected apt or python, got {kind!r}", field="stage.kind")
     from lensshift.capture.drivers.apt import AptSettings, open_apt_stage
 
     if home is not None:
         table = {**table, "home": home}
     missing = [axis for axis in ("row", "col") if axis not in table]
     if missing:
-        raise DataError(
-            "expected a port or serial number", field=f"stage.{missing[0]}", source=source
-        )
+        raise DataError("expected a port or serial number", field=f"stage.{missing[0]}")
     rest = {name: value for name, value in table.items() if name not in ("row", "col", "kind")}
-    settings = _build(AptSettings, rest, "stage", source)
-    row, col = (_fit(table[axis], str | int, f"stage.{axis}", source) for axis in ("row", "col"))
-    return open_apt_stage(str(row), str(col), settings, on_homing)
+    settings = built(AptSettings, rest, "stage")
+    row, col = (str(fit(table[axis], str | int, f"stage.{axis}")) for axis in ("row", "col"))
+    return open_apt_stage(row, col, settings, on_homing)
 
 
-def _camera(table: _Table, source: str, folder: Path) -> Camera:
+def _camera(table: _Table, folder: Path) -> Camera:
     kind = table.get("kind", "o3m")
     rest = {name: value for name, value in table.items() if name != "kind"}
-    frequency_hz = _fit(rest.get("modulation_hz"), float | None, "camera.modulation_hz", source)
+    frequency_hz = fit(rest.get("modulation_hz"), float | None, "camera.modulation_hz")
     doubt = "" if frequency_hz is None else doubt_about_units(frequency_hz, None)
     if doubt:
-        raise DataError(doubt, field="camera", source=source)
-    if kind == "o3m":
-        from lensshift.capture.drivers.o3m import O3MCamera
-
-        return _build(O3MCamera, rest, "camera", source)
-    if kind == "pcic":
-        from lensshift.capture.drivers.pcic import PcicCamera
-
-        return _build(PcicCamera, rest, "camera", source)
-    if kind == "replay":
-        from lensshift.capture.drivers.replay import ReplayCamera
-
-        if "path" in rest:
-            rest["path"] = folder / _fit(rest["path"], str, "camera.path", source)
-        return _build(ReplayCamera, rest, "camera", source)
-    if kind == "genicam":
-        from lensshift.capture.drivers.genicam import GenicamCamera
-
-        return _build(GenicamCamera, rest, "camera", source)
+        raise DataError(doubt, field="camera")
     if kind == "python":
         from lensshift.capture.drivers.from_python import python_camera
 
-        with settings_of(source):
-            return python_camera(table, folder)
-    expected = ", ".join(CAMERAS)
-    raise DataError(f"expected {expected}, got {kind!r}", field="camera.kind", source=source)
+        return python_camera(table, folder)
+    if kind not in _CAMERAS:
+        expected = ", ".join((*_CAMERAS, "python"))
+        raise DataError(f"expected {expected}, got {kind!r}", field="camera.kind")
+    if kind == "replay" and "path" in rest:
+        rest["path"] = folder / fit(rest["path"], str, "camera.path")
+    module, name = _CAMERAS[kind]
+    make = getattr(import_module(f"lensshift.capture.drivers.{module}"), name)
+    camera: Camera = built(make, rest, "camera")
+    return camera
 
 
-def _calibration(table: _Table, source: str, folder: Path) -> tuple[Calibration, LensField | None]:
+def _calibration(table: _Table, folder: Path) -> tuple[Calibration, LensField | None]:
     """Return the calibration of a rig file, and the lens field that it is from."""
     if "file" in table:
         from lensshift.io.calibration_file import load_calibration
 
-        file = folder / _fit(table["file"], str, "calibration.file", source)
-        return load_calibration(file), None
+        return load_calibration(folder / fit(table["file"], str, "calibration.file")), None
     if "lens_field" not in table:
-        nominal = _build(_Nominal, table, "calibration", source)
-        with settings_of(source):
-            return nominal_calibration(**asdict(nominal)), None
+        return nominal_calibration(**asdict(built(_Nominal, table, "calibration"))), None
     from lensshift.io import load_lens_field
 
     rest = {name: value for name, value in table.items() if name != "lens_field"}
     name = "calibration.lens_field"
     if "px_per_mm" in rest:
         problem = "px_per_mm and lens_field both say how far the image moves; give one of them"
-        raise DataError(problem, field=name, source=source)
-    nominal = _build(_Nominal, rest, "calibration", source)
-    field = load_lens_field(folder / _fit(table["lens_field"], str, name, source))
+        raise DataError(problem, field=name)
+    nominal = built(_Nominal, rest, "calibration")
+    field = load_lens_field(folder / fit(table["lens_field"], str, name))
     if field.unit != "mm":
         problem = "the stages of a rig move in mm, in this lens field an element tilts"
-        raise DataError(problem, field=name, source=source)
+        raise DataError(problem, field=name)
     told = asdict(nominal) | {"px_per_mm": field.px_per_unit, "optics": field.optics}
     return nominal_calibration(**told), field
-
-
-def _build(make: Callable[..., T], table: _Table, name: str, source: str) -> T:
-    with settings_of(source):
-        return built(make, table, name)
-
-
-def _fit(value: Any, kind: Any, name: str, source: str) -> Any:
-    with settings_of(source):
-        return fit(value, kind, name)

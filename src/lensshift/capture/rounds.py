@@ -6,9 +6,6 @@ from collections.abc import Iterator
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
-
-from numpy.typing import NDArray
 
 from lensshift.capture.acquire import (
     Acquisition,
@@ -21,12 +18,11 @@ from lensshift.capture.acquire import (
 from lensshift.capture.journal import capture_header
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, Stage
+from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
 from lensshift.io.capture_file import FrameRecord, burst_of_capture
-
-Array = NDArray[Any]
 
 
 def bursts(

@@ -2,53 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from lensshift.cli.inputs import refuse_overwriting
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.calibration import Calibration
     from lensshift.pipeline.calibrate import RigCalibration
 
-ScanArgument = Annotated[
-    Path, typer.Argument(metavar="SCAN", help="Burst file of a scan, with stage positions.")
-]
-OutOption = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", help="Calibration; default: SCAN_calibration.json beside it."),
-]
-ReportOption = Annotated[Path | None, typer.Option("--report", help="Also write an HTML page.")]
-LensFieldOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--lens-field",
-        help="From `lens field`: what the scan adds to it goes to SCAN_lens_field.nc beside OUT.",
-    ),
-]
-PhotometricOption = Annotated[
-    bool, typer.Option("--photometric", help="Allow frames to differ by a factor and a constant.")
-]
-NoPsfOption = Annotated[bool, typer.Option("--no-psf", help="Do not measure the blur.")]
-NoiseOption = Annotated[
-    float, typer.Option(min=1e-6, help="Noise of a pixel / full scale, for the loss in dB.")
-]
+
+@dataclass(frozen=True, slots=True)
+class CalibrateOptions:
+    """Options of `lensshift calibrate`."""
+
+    scan: Path = argument("Burst file of a scan, with stage positions.", metavar="SCAN")
+    out: Path | None = option(None, "Calibration; default: SCAN_calibration.json beside it.", "-o")
+    lens_field: Path | None = option(
+        None, "From `lens field`: what the scan adds to it goes to SCAN_lens_field.nc beside OUT."
+    )
+    report: Path | None = option(None, "Also write an HTML page.")
+    photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
+    no_psf: bool = option(False, "Do not measure the blur.")
+    noise: float = option(0.005, "Noise of a pixel / full scale, for the loss in dB.", min=1e-6)
 
 
-def calibrate(
-    scan: ScanArgument,
-    out: OutOption = None,
-    lens_field: LensFieldOption = None,
-    report: ReportOption = None,
-    photometric: PhotometricOption = False,
-    no_psf: NoPsfOption = False,
-    noise: NoiseOption = 0.005,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("calibrating")
+def calibrate(current: Session, asked: CalibrateOptions) -> None:
     """Find image shift per stage travel, play, drift and blur from a scan.
 
     \b
@@ -59,36 +42,36 @@ def calibrate(
       lensshift reconstruct burst.nc --calibration scan_calibration.json \\
         --lens-field scan_lens_field.nc
     """
-    with session(as_json=as_json, debug=debug, doing="calibrating") as current:
-        target = out if out is not None else scan.with_name(f"{scan.stem}_calibration.json")
-        files = [target] if report is None else [target, report]
-        refined = target.with_name(f"{scan.stem}_lens_field.nc")
-        files += [] if lens_field is None else [refined]
-        refuse_overwriting((scan, lens_field), files)
-        from lensshift.io import load_burst, load_lens_field, save_lens_field
-        from lensshift.io.atomic import writable_target
-        from lensshift.io.calibration_file import save_calibration
-        from lensshift.pipeline.calibrate import calibrate_rig
+    scan, lens_field, report = asked.scan, asked.lens_field, asked.report
+    target = asked.out or scan.with_name(f"{scan.stem}_calibration.json")
+    files = [target] if report is None else [target, report]
+    refined = target.with_name(f"{scan.stem}_lens_field.nc")
+    files += [] if lens_field is None else [refined]
+    refuse_overwriting((scan, lens_field), files)
+    from lensshift.io import load_burst, load_lens_field, save_lens_field
+    from lensshift.io.atomic import writable_target
+    from lensshift.io.calibration_file import save_calibration
+    from lensshift.pipeline.calibrate import calibrate_rig
 
-        for path in files:
-            writable_target(path)
-        done = calibrate_rig(
-            load_burst(scan),
-            photometric=photometric,
-            lens_field=None if lens_field is None else load_lens_field(lens_field),
-            psf=not no_psf,
-            noise=noise,
-            report=report,
-        )
-        save_calibration(done.calibration, target)
-        if done.fit.lens_field is not None:
-            save_lens_field(done.fit.lens_field, refined)
-        current.result |= {"input": scan, "files": files, **_described(done)}
-        _say(current, done, told=lens_field is not None)
-        if not no_psf and done.calibration.psf_sigma_px is None:
-            current.say("blur       not measured: no straight edge between even areas")
-        for path in files:
-            current.say(f"wrote {path}")
+    for path in files:
+        writable_target(path)
+    done = calibrate_rig(
+        load_burst(scan),
+        photometric=asked.photometric,
+        lens_field=None if lens_field is None else load_lens_field(lens_field),
+        psf=not asked.no_psf,
+        noise=asked.noise,
+        report=report,
+    )
+    save_calibration(done.calibration, target)
+    if done.fit.lens_field is not None:
+        save_lens_field(done.fit.lens_field, refined)
+    current.result |= {"input": scan, "files": files, **_described(done)}
+    _say(current, done, told=lens_field is not None)
+    if not asked.no_psf and done.calibration.psf_sigma_px is None:
+        current.say("blur       not measured: no straight edge between even areas")
+    for path in files:
+        current.say(f"wrote {path}")
 
 
 def _described(done: RigCalibration) -> dict[str, Any]:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import sys
 import time
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.errors import DataError, printable
 
 if TYPE_CHECKING:
@@ -20,64 +23,36 @@ if TYPE_CHECKING:
     from lensshift.core.motion import ShiftPlan
     from lensshift.core.types import Burst
 
-RigArgument = Annotated[
-    Path | None, typer.Argument(help="Rig file (TOML); --print-rig shows one to begin with.")
-]
-OutOption = Annotated[
-    Path, typer.Option("--out", "-o", help="Burst file; readable from the first frame on.")
-]
-PlanOption = Annotated[
-    str, typer.Option("--plan", help="square, 3x3, 4x4, quincunx, spiral, still, or a CSV/JSON.")
-]
-FramesOption = Annotated[
-    int | None, typer.Option("--frames", min=1, help="Frames at each position, else the rig's.")
-]
-AverageOption = Annotated[
-    bool | None, typer.Option("--average/--keep", help="Keep their mean, or each of them.")
-]
-DiscardOption = Annotated[
-    int | None, typer.Option(min=0, help="Frames that may have begun before the stage settled.")
-]
-CalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", help="From `calibrate`; instead of the rig file's.")
-]
-ScanOption = Annotated[
-    bool, typer.Option("--scan", help="Scan the stage range for `calibrate` instead of a plan.")
-]
-SpanOption = Annotated[float, typer.Option("--span-um", min=1.0, help="Width of the scan.")]
-ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with an unfinished capture.")]
-RestartOption = Annotated[
-    bool, typer.Option("--restart", help="Begin anew; an unfinished capture is set aside.")
-]
-ContinuousOption = Annotated[
-    bool, typer.Option("--continuous", help="One burst after another, OUT-0001.nc and so on.")
-]
-CountOption = Annotated[
-    int | None, typer.Option("--bursts", min=1, help="End --continuous after so many bursts.")
-]
-_SCAN_STEPS = 4  # 35 positions
-PrintOption = Annotated[bool, typer.Option("--print-rig", help="Print a rig file and stop.")]
+
+@dataclass(frozen=True, slots=True)
+class CaptureOptions:
+    """Options of `lensshift capture`."""
+
+    rig: Path | None = argument(
+        "Rig file (TOML); --print-rig shows one to begin with.", default=None
+    )
+    out: Path = option(Path("burst.nc"), "Burst file; readable from the first frame on.", "-o")
+    plan: str = option("square", "square, 3x3, 4x4, quincunx, spiral, still, or a CSV/JSON.")
+    frames: int | None = option(None, "Frames at each position, else the rig's.", min=1)
+    average: bool | None = option(None, "Keep their mean, or each of them.", "--average/--keep")
+    discard: int | None = option(
+        None, "Frames that may have begun before the stage settled.", min=0
+    )
+    calibration: Path | None = option(None, "From `calibrate`; instead of the rig file's.")
+    scan: bool = option(False, "Scan the stage range for `calibrate` instead of a plan.")
+    span_um: float = option(300.0, "Width of the scan.", min=1.0)
+    resume: bool = option(False, "Go on with an unfinished capture.")
+    restart: bool = option(False, "Begin anew; an unfinished capture is set aside.")
+    continuous: bool = option(False, "One burst after another, OUT-0001.nc and so on.")
+    burst_count: int | None = option(
+        None, "End --continuous after so many bursts.", "--bursts", min=1
+    )
+    print_rig: bool = option(False, "Print a rig file and stop.")
+    yes: YesOption = False
 
 
-def capture(
-    rig: RigArgument = None,
-    out: OutOption = Path("burst.nc"),
-    plan: PlanOption = "square",
-    frames: FramesOption = None,
-    average: AverageOption = None,
-    discard: DiscardOption = None,
-    calibration: CalibrationOption = None,
-    scan: ScanOption = False,
-    span_um: SpanOption = 300.0,
-    resume: ResumeOption = False,
-    restart: RestartOption = False,
-    continuous: ContinuousOption = False,
-    burst_count: CountOption = None,
-    print_rig: PrintOption = False,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def capture(current: Session, asked: CaptureOptions) -> None:
     """Take a burst with a rig: every frame is in the file as soon as it is taken.
 
     The lens returns to its rest position however this ends. After Ctrl-C, a pulled cable or a
@@ -90,44 +65,37 @@ def capture(
       lensshift capture rig.toml --scan --frames 4 --average -o scan.nc
       lensshift capture rig.toml -o burst.nc --resume
     """
-    with session(as_json=as_json, debug=debug) as current:
-        if print_rig:
-            from lensshift.capture.opening import EXAMPLE
+    if asked.print_rig:
+        from lensshift.capture.opening import EXAMPLE
 
-            typer.echo(EXAMPLE, nl=False)
-            raise typer.Exit
-        if rig is None:
-            raise typer.BadParameter("expected a rig file; --print-rig shows one")
-        if continuous and (scan or resume or restart):
-            raise typer.BadParameter(
-                "--continuous goes with neither --scan nor --resume nor --restart"
-            )
-        if resume and restart:
-            raise typer.BadParameter("expected --resume or --restart, not both")
-        if restart:
-            _set_aside(current, out)
-        from lensshift.capture.opening import open_rig
+        typer.echo(EXAMPLE, nl=False)
+        raise typer.Exit
+    if asked.rig is None:
+        raise typer.BadParameter("expected a rig file; --print-rig shows one")
+    if asked.continuous and (asked.scan or asked.resume or asked.restart):
+        raise typer.BadParameter("--continuous goes with neither --scan nor --resume nor --restart")
+    if asked.resume and asked.restart:
+        raise typer.BadParameter("expected --resume or --restart, not both")
+    if asked.restart:
+        _set_aside(current, asked.out)
+    from lensshift.capture.opening import open_rig
 
-        wanted = None if scan else _plan(plan)
-        if _nothing_to_do(current, out, wanted, resume=resume, continuous=continuous):
+    wanted = None if asked.scan else _plan(asked.plan)
+    if _nothing_to_do(current, asked, wanted):
+        return
+    with open_rig(asked.rig, on_homing=homing_asked(yes=asked.yes)) as opened:
+        _adjust(opened, asked)
+        if asked.continuous and wanted is not None:
+            _stream(current, opened, wanted, asked)
             return
-        given = {"frames": frames, "average": average, "discard": discard}
-        with open_rig(rig, on_homing=homing_asked(yes=yes)) as opened:
-            _adjust(opened, given, calibration)
-            if continuous and wanted is not None:
-                _stream(current, opened, wanted, out, burst_count)
-                return
-            show = Show(current)
-            start_s = time.monotonic()
-            try:
-                burst = _take(opened, wanted, out, span_um, resume=resume, show=show)
-            finally:
-                show.close()
-            counts = dict(opened.camera.counts())
-        seconds = time.monotonic() - start_s
-        current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
-        current.say(f"wrote {out}")
-        current.result |= _summary(burst, counts) | {"seconds": seconds, "files": [out]}
+        start_s = time.monotonic()
+        with closing(Show(current)) as show:
+            burst = _take(opened, wanted, asked, show)
+        counts = dict(opened.camera.counts())
+    seconds = time.monotonic() - start_s
+    current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
+    current.say(f"wrote {asked.out}")
+    current.result |= _summary(burst, counts) | {"seconds": seconds, "files": [asked.out]}
 
 
 def _set_aside(current: Session, out: Path) -> None:
@@ -138,18 +106,17 @@ def _set_aside(current: Session, out: Path) -> None:
         current.say(f"the unfinished capture is now {aside}")
 
 
-def _nothing_to_do(
-    current: Session, out: Path, plan: ShiftPlan | None, *, resume: bool, continuous: bool
-) -> bool:
+def _nothing_to_do(current: Session, asked: CaptureOptions, plan: ShiftPlan | None) -> bool:
     """Look at the files before anything moves; tell whether the capture is complete already."""
     from lensshift.capture.journal import check_target, finished
 
-    if continuous:
+    out = asked.out
+    if asked.continuous:
         _refuse_earlier(out)
         return False
-    done = finished(out, "scan" if plan is None else plan.name) if resume else None
+    done = finished(out, "scan" if plan is None else plan.name) if asked.resume else None
     if done is None:
-        check_target(out, resume=resume)
+        check_target(out, resume=asked.resume)
         return False
     current.say(f"nothing to do: {out} is complete, {done.frame_count} frames")
     current.result |= _summary(done, {}) | {"files": [out]}
@@ -183,42 +150,38 @@ def _plan(text: str) -> ShiftPlan:
     return load_plan(text)
 
 
-def _adjust(rig: Rig, given: dict[str, Any], calibration: Path | None) -> None:
-    from dataclasses import replace
-
+def _adjust(rig: Rig, asked: CaptureOptions) -> None:
+    given = {name: getattr(asked, name) for name in ("frames", "average", "discard")}
     changes = {name: value for name, value in given.items() if value is not None}
     rig.acquisition = replace(rig.acquisition, **changes)
-    if calibration is not None:
+    if asked.calibration is not None:
         from lensshift.io.calibration_file import load_calibration
 
-        rig.calibration = load_calibration(calibration)
+        rig.calibration = load_calibration(asked.calibration)
 
 
-def _take(
-    rig: Rig, plan: ShiftPlan | None, out: Path, span_um: float, *, resume: bool, show: Show
-) -> Burst:
+def _take(rig: Rig, plan: ShiftPlan | None, asked: CaptureOptions, show: Show) -> Burst:
     if plan is not None:
-        return rig.capture(plan, out, resume=resume, on_step=show)
-    from lensshift.registration import calibration_scan_mm
+        return rig.capture(plan, asked.out, resume=asked.resume, on_step=show)
+    from lensshift.registration.scan import USUAL_STEPS, calibration_scan_mm
 
-    places = calibration_scan_mm(rig.calibration.rest_mm, 1e-3 * span_um, steps=_SCAN_STEPS)
-    return rig.scan(places, out, resume=resume, on_step=show)
+    span_mm = 1e-3 * asked.span_um
+    places = calibration_scan_mm(rig.calibration.rest_mm, span_mm, steps=USUAL_STEPS)
+    return rig.scan(places, asked.out, resume=asked.resume, on_step=show)
 
 
-def _stream(
-    current: Session, rig: Rig, plan: ShiftPlan, out: Path, burst_count: int | None
-) -> None:
+def _stream(current: Session, rig: Rig, plan: ShiftPlan, asked: CaptureOptions) -> None:
     from lensshift.io import save_burst
 
     files: list[Path] = []
     stream = rig.bursts(plan)
     try:
         for number, burst in enumerate(stream, start=1):
-            file = _numbered(out, number)
+            file = _numbered(asked.out, number)
             save_burst(burst, file)
             files.append(file)
             current.say(f"wrote {file}: {burst.frame_count} frames")
-            if number == burst_count:
+            if number == asked.burst_count:
                 break
     finally:
         stream.close()  # type: ignore[attr-defined]  # it is a generator: the lens returns

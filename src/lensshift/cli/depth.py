@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -23,7 +23,8 @@ from lensshift.cli.measured import (
     write_plot,
     write_table,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,69 +37,39 @@ class Along(StrEnum):
     ROW = "row"
 
 
-TruthArgument = Annotated[
-    Path | None, typer.Argument(help="True distances in m, an image of the same shape.")
-]
-KeyOption = Annotated[
-    str | None,
-    typer.Option("--key", help="Array of an NPZ file; distance for burst and reconstruction."),
-]
-TruthKeyOption = Annotated[str | None, typer.Option("--truth-key", help="The same for TRUTH.")]
-ScaleOption = Annotated[
-    int | None,
-    typer.Option(min=1, help="Pixels of IMAGE per LR pixel; a reconstruction knows it."),
-]
-WidthOption = Annotated[
-    float, typer.Option("--edge-width-px", min=0.0, help="Half width of edges, in LR pixels.")
-]
-NoiseOption = Annotated[
-    float, typer.Option("--noise-m", min=0.0, help="Standard deviation of the distances.")
-]
-StepOption = Annotated[
-    float | None,
-    typer.Option("--min-step-m", min=0.0, help="Smallest step that is an edge; 5 % if not given."),
-]
-PlaneOption = Annotated[
-    str | None,
-    typer.Option("--plane", help="Fit a plane in row start,stop,col start,stop."),
-]
-FocalOption = Annotated[
-    float | None,
-    typer.Option(
-        "--focal-length-mm", min=0.0, help="Of the lens, to turn radial distances into points."
-    ),
-]
-EdgeOption = Annotated[
-    Along | None,
-    typer.Option("--edge", help="Compare the place of one edge that this axis crosses."),
-]
-RepeatedOption = Annotated[
-    bool, typer.Option("--repeated", help="The frames repeat one view: give their noise.")
-]
-
 _SOURCE = "distance"
 
 
-def depth(
-    image: ImageArgument,
-    truth: TruthArgument = None,
-    pitch_mm: PitchOption = None,
-    scale: ScaleOption = None,
-    edge_width_px: WidthOption = 2.0,
-    noise_m: NoiseOption = 0.0,
-    min_step_m: StepOption = None,
-    edge: EdgeOption = None,
-    plane: PlaneOption = None,
-    focal_length_mm: FocalOption = None,
-    repeated: RepeatedOption = False,
-    frame: FrameOption = 0,
-    key: KeyOption = None,
-    truth_key: TruthKeyOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class DepthOptions:
+    """Options of `lensshift evaluate depth`."""
+
+    image: ImageArgument
+    truth: Path | None = argument("True distances in m, an image of the same shape.", default=None)
+    pitch_mm: PitchOption = None
+    scale: int | None = option(
+        None, "Pixels of IMAGE per LR pixel; a reconstruction knows it.", min=1
+    )
+    edge_width_px: float = option(2.0, "Half width of edges, in LR pixels.", min=0.0)
+    noise_m: float = option(0.0, "Standard deviation of the distances.", min=0.0)
+    min_step_m: float | None = option(
+        None, "Smallest step that is an edge; 5 % if not given.", min=0.0
+    )
+    edge: Along | None = option(None, "Compare the place of one edge that this axis crosses.")
+    plane: str | None = option(None, "Fit a plane in row start,stop,col start,stop.")
+    focal_length_mm: float | None = option(
+        None, "Of the lens, to turn radial distances into points.", min=0.0
+    )
+    repeated: bool = option(False, "The frames repeat one view: give their noise.")
+    frame: FrameOption = 0
+    key: str | None = option(None, "Array of an NPZ file; distance for burst and reconstruction.")
+    truth_key: str | None = option(None, "The same for TRUTH.")
+    csv: CsvOption = None
+    plot: PlotOption = None
+
+
+@verb("measuring distances")
+def depth(current: Session, asked: DepthOptions) -> None:
     """Judge a distance image: errors against the truth, flying pixels, fill rate, planes, noise.
 
     \b
@@ -107,28 +78,30 @@ def depth(
       lensshift evaluate depth frames.nc --plane 2,14,20,44 --focal-length-mm 42.7
       lensshift evaluate depth frames.nc --repeated
     """
-    with session(as_json=as_json, debug=debug, doing="measuring distances") as current:
-        place = parse_region(plane)
-        check_outputs([image, truth], csv, plot)
-        measured = _distance_image(image, pitch_mm, key, frame)
-        options: dict[str, Any] = {"scale": scale or measured.scale, "noise_m": noise_m}
-        options |= {"edge_width_px": edge_width_px, "min_step_m": min_step_m or None}
-        current.result |= {"image": image, "truth": truth, **options}
-        true_m = None if truth is None else _distance_image(truth, None, truth_key, 0).values
-        if true_m is not None:
-            _errors(current, measured, true_m, options)
-            if edge is not None:
-                _edge_place(current, measured, true_m, edge, options)
-        elif edge is not None:
-            raise typer.BadParameter("--edge needs the truth")
-        _surfaces(current, measured, true_m, options)
-        if place is not None:
-            _plane(current, measured, place, focal_length_mm)
-        if repeated:
-            _noise(current, image)
-        numbers = {name: value for name, value in current.result.items() if _is_number(value)}
-        write_table(current, csv, {"name": list(numbers), "value": list(numbers.values())})
-        write_plot(current, plot, lambda: _figure(measured, true_m, options))
+    image, truth = asked.image, asked.truth
+    place = parse_region(asked.plane)
+    check_outputs([image, truth], asked.csv, asked.plot)
+    measured = _distance_image(image, asked.pitch_mm, asked.key, asked.frame)
+    options: dict[str, Any] = {
+        "scale": asked.scale or measured.scale, "noise_m": asked.noise_m,
+        "edge_width_px": asked.edge_width_px, "min_step_m": asked.min_step_m or None,
+    }  # fmt: skip
+    current.result |= {"image": image, "truth": truth, **options}
+    true_m = None if truth is None else _distance_image(truth, None, asked.truth_key, 0).values
+    if true_m is not None:
+        _errors(current, measured, true_m, options)
+        if asked.edge is not None:
+            _edge_place(current, measured, true_m, asked.edge, options)
+    elif asked.edge is not None:
+        raise typer.BadParameter("--edge needs the truth")
+    _surfaces(current, measured, true_m, options)
+    if place is not None:
+        _plane(current, measured, place, asked.focal_length_mm)
+    if asked.repeated:
+        _noise(current, image)
+    numbers = {name: value for name, value in current.result.items() if _is_number(value)}
+    write_table(current, asked.csv, {"name": list(numbers), "value": list(numbers.values())})
+    write_plot(current, asked.plot, lambda: _figure(measured, true_m, options))
 
 
 def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: int) -> Measured:

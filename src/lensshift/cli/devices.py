@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 YesOption = Annotated[
     bool, typer.Option("--yes", help="Home the axes without asking, if the rig file says to ask.")
 ]
-_FIRST_FRAME_S = 5.0
+_FIRST_FRAME_S = 5.0  # patience: a camera that runs sends at once
 _COUNTED = 10  # frames, for the rate
 
 

@@ -3,52 +3,39 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from lensshift.cli.capture import Show
 from lensshift.cli.devices import YesOption, homing_asked, on_terminal
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.errors import printable
 
 if TYPE_CHECKING:
     from lensshift.capture.acquire import Progress
     from lensshift.pipeline.doctor import Diagnosis
 
-RigArgument = Annotated[
-    Path | None, typer.Argument(help="Rig file (TOML); without one, one is written.")
-]
-OutOption = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", help="Folder of page, scan, calibration; default: by date."),
-]
-NewOption = Annotated[
-    Path, typer.Option("--file", help="Without a rig file: the one that is written.")
-]
-RowOption = Annotated[
-    str | None, typer.Option("--row", help="For it: port of the axis that moves up and down.")
-]
-ColOption = Annotated[
-    str | None, typer.Option("--col", help="For it: port of the axis that moves sideways.")
-]
-PortOption = Annotated[
-    int, typer.Option("--port", min=1, max=65535, help="For it: UDP port of the camera (O3M).")
-]
+
+@dataclass(frozen=True, slots=True)
+class DoctorOptions:
+    """Options of `lensshift doctor`."""
+
+    rig: Path | None = argument("Rig file (TOML); without one, one is written.", default=None)
+    out: Path | None = option(None, "Folder of page, scan, calibration; default: by date.", "-o")
+    file: Path = option(Path("rig.toml"), "Without a rig file: the one that is written.")
+    row: str | None = option(None, "For it: port of the axis that moves up and down.")
+    col: str | None = option(None, "For it: port of the axis that moves sideways.")
+    port: int = option(42000, "For it: UDP port of the camera (O3M).", min=1, max=65535)
+    yes: YesOption = False
 
 
-def doctor(
-    rig: RigArgument = None,
-    out: OutOption = None,
-    file: NewOption = Path("rig.toml"),
-    row: RowOption = None,
-    col: ColOption = None,
-    port: PortOption = 42000,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def doctor(current: Session, asked: DoctorOptions) -> None:
     """Examine a rig, name what is wrong, calibrate it, and write a page about it.
 
     The first line is the verdict. Axes are homed only with leave, nothing moves while there is a
@@ -60,29 +47,24 @@ def doctor(
       lensshift doctor rig.toml --yes --json > health.json
       lensshift doctor --row 83000001 --col 83000002
     """
-    with session(as_json=as_json, debug=debug) as current:
-        from lensshift.pipeline.doctor import Level, examine_rig
-        from lensshift.pipeline.doctor.start import begin, with_calibration
+    from lensshift.pipeline.doctor import Level, examine_rig
+    from lensshift.pipeline.doctor.start import begin, with_calibration
 
-        if rig is None:
-            begin(file, row, col, port, _ask if on_terminal() else None)
-            current.say(f"wrote {file}: look whether it is right, rest_mm above all")
-        folder = out or Path(time.strftime("doctor-%Y-%m-%d-%H%M%S"))
-        show = Show(current)
-        try:
-            done = examine_rig(
-                rig or file,
-                folder,
-                on_homing=homing_asked(yes=yes),
-                on_step=lambda what, now: _step(show, current, what, now),
-            )
-        finally:
-            show.close()
-        if rig is None and done.calibration is not None:
-            with_calibration(file, folder / "calibration.json")
-        _say(current, done)
-    if done.level is Level.FAULT:
-        raise typer.Exit(1)
+    if asked.rig is None:
+        begin(asked.file, asked.row, asked.col, asked.port, _ask if on_terminal() else None)
+        current.say(f"wrote {asked.file}: look whether it is right, rest_mm above all")
+    folder = asked.out or Path(time.strftime("doctor-%Y-%m-%d-%H%M%S"))
+    with closing(Show(current)) as show:
+        done = examine_rig(
+            asked.rig or asked.file,
+            folder,
+            on_homing=homing_asked(yes=asked.yes),
+            on_step=lambda what, now: _step(show, current, what, now),
+        )
+    if asked.rig is None and done.calibration is not None:
+        with_calibration(asked.file, folder / "calibration.json")
+    _say(current, done)
+    current.failed = done.level is Level.FAULT
 
 
 def _ask(question: str, likely: str) -> str:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from lensshift.cli.measured import (
     CsvOption,
@@ -23,7 +21,8 @@ from lensshift.cli.measured import (
     write_table,
 )
 from lensshift.cli.mtf import edge_row
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,34 +30,26 @@ if TYPE_CHECKING:
     from lensshift.evaluation.gain import ResolutionGain
     from lensshift.evaluation.slanted_edge import EdgeResult
 
-FineArgument = Annotated[Path, typer.Argument(help="The finer image, such as a reconstruction.")]
-CoarseArgument = Annotated[Path, typer.Argument(help="The coarser image, such as a burst file.")]
-PitchOption = Annotated[
-    str | None, typer.Option("--pitch-mm", help="Pixel pitch of COARSE, if it is a plain image.")
-]
-RegionOfCoarse = Annotated[
-    str | None,
-    typer.Option("--region", help="Region in pixels of COARSE: row start,stop,col start,stop."),
-]
-FrameOption = Annotated[int, typer.Option(min=0, help="Frame of COARSE, if it holds several.")]
-JointOption = Annotated[bool, typer.Option("--joint", help="Measure all frames of COARSE jointly.")]
-
 _RATIOS = (("mtf50", "MTF50"), ("mtf10", "MTF10"), ("width", "10-90 width"))
 
 
-def gain(
-    fine: FineArgument,
-    coarse: CoarseArgument,
-    pitch_mm: PitchOption = None,
-    region: RegionOfCoarse = None,
-    joint: JointOption = False,
-    frame: FrameOption = 0,
-    key: KeyOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class GainOptions:
+    """Options of `lensshift evaluate gain`."""
+
+    fine: Path = argument("The finer image, such as a reconstruction.")
+    coarse: Path = argument("The coarser image, such as a burst file.")
+    pitch_mm: str | None = option(None, "Pixel pitch of COARSE, if it is a plain image.")
+    region: str | None = option(None, "Region in pixels of COARSE: row start,stop,col start,stop.")
+    joint: bool = option(False, "Measure all frames of COARSE jointly.")
+    frame: int = option(0, "Frame of COARSE, if it holds several.", min=0)
+    key: KeyOption = None
+    csv: CsvOption = None
+    plot: PlotOption = None
+
+
+@verb("measuring edges")
+def gain(current: Session, asked: GainOptions) -> None:
     """Compare the resolution of two images of one target, and their noise.
 
     Ratios above 1 mean that FINE resolves more; the noise is that of a pixel over the contrast of
@@ -69,33 +60,34 @@ def gain(
       lensshift evaluate gain sharp.nc burst.nc --region 0,16,4,30
       lensshift evaluate gain sharp.tif frame.tif --pitch-mm 0.155 --plot gain.png
     """
-    with session(as_json=as_json, debug=debug, doing="measuring edges") as current:
-        from lensshift.evaluation.gain import average_gain, pair_edges, resolution_gain
+    from lensshift.evaluation.gain import average_gain, pair_edges, resolution_gain
 
-        place = parse_region(region)
-        check_outputs([fine, coarse], csv, plot)
-        below = (
-            measured_frames(coarse, key=key)
-            if joint
-            else measured_image(coarse, pitch_mm, key=key, frame=frame)
-        )
-        above, scale = finer(measured_image(fine, None, key=key), below)
-        pairs = pair_edges(_edges(above, place, scale), _edges(below, place, 1), scale)
-        if not pairs:
-            raise ValueError("expected an edge that both images show, got none; give --region")
-        gains = [resolution_gain(first, second) for first, second in pairs]
-        for (_, second), one in zip(pairs, gains, strict=True):
-            current.say(f"edge in {second.region} of {coarse}")
-            _say(current, one)
-        mean = average_gain(gains)
-        if len(gains) > 1:
-            current.say(f"mean of {len(gains)} edges")
-            _say(current, mean)
-        unit = Unit("LP/mm" if below.has_pitch else "cycles/px")
-        current.result |= {"fine": fine, "coarse": coarse, "scale": scale, "unit": unit.name}
-        current.result |= {"gain": asdict(mean), "edges": [_row(*pair, unit) for pair in pairs]}
-        write_table(current, csv, _table(gains))
-        write_plot(current, plot, lambda: _figure(pairs[0], gains[0], unit))
+    fine, coarse, key = asked.fine, asked.coarse, asked.key
+    place = parse_region(asked.region)
+    check_outputs([fine, coarse], asked.csv, asked.plot)
+    below = (
+        measured_frames(coarse, key=key)
+        if asked.joint
+        else measured_image(coarse, asked.pitch_mm, key=key, frame=asked.frame)
+    )
+    above, scale = finer(measured_image(fine, None, key=key), below)
+    pairs = pair_edges(_edges(above, place, scale), _edges(below, place, 1), scale)
+    if not pairs:
+        raise ValueError("expected an edge that both images show, got none; give --region")
+    gains = [resolution_gain(first, second) for first, second in pairs]
+    for (_, second), one in zip(pairs, gains, strict=True):
+        current.say(f"edge in {second.region} of {coarse}")
+        _say(current, one)
+    mean = average_gain(gains)
+    if len(gains) > 1:
+        current.say(f"mean of {len(gains)} edges")
+        _say(current, mean)
+    unit = Unit("LP/mm" if below.has_pitch else "cycles/px")
+    current.result |= {"fine": fine, "coarse": coarse, "scale": scale, "unit": unit.name}
+    edges = [_row(one, *pair, unit) for pair, one in zip(pairs, gains, strict=True)]
+    current.result |= {"gain": asdict(mean), "edges": edges}
+    write_table(current, asked.csv, _table(gains))
+    write_plot(current, asked.plot, lambda: _figure(pairs[0], gains[0], unit))
 
 
 def _edges(
@@ -119,11 +111,9 @@ def _say(current: Session, found: ResolutionGain) -> None:
     current.say(f"  {'gain in noise':<23}{found.noise:.4g}")
 
 
-def _row(fine: EdgeResult, coarse: EdgeResult, unit: Unit) -> dict[str, Any]:
-    from lensshift.evaluation.gain import resolution_gain
-
+def _row(found: ResolutionGain, fine: EdgeResult, coarse: EdgeResult, unit: Unit) -> dict[str, Any]:
     return {
-        "gain": asdict(resolution_gain(fine, coarse)),
+        "gain": asdict(found),
         "fine": edge_row(fine, unit),
         "coarse": edge_row(coarse, unit),
     }

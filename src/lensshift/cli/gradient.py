@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from lensshift.cli.measured import (
     CsvOption,
@@ -25,7 +24,8 @@ from lensshift.cli.measured import (
     write_plot,
     write_table,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,47 +54,38 @@ class Axis(StrEnum):
     ROW = "row"
 
 
-ShareOption = Annotated[
-    float | None,
-    typer.Option(help="Share cut off at both ends; 0.10, for distances 0.05 unless given."),
-]
-LimitsOption = Annotated[
-    LimitKind, typer.Option(help="Share of the step, or of the plateaus as the paper words it.")
-]
-PlateausOption = Annotated[
-    PlateauKind, typer.Option(help="Medians beside the edge, or the extremes as the paper takes.")
-]
-AlongOption = Annotated[
-    Axis, typer.Option(help="Axis of the lines: col crosses an upright edge, row a level one.")
-]
-LineOption = Annotated[
-    int | None, typer.Option("--line", min=0, help="One line of the region; all of them if not.")
-]
-AgainstOption = Annotated[
-    Path | None,
-    typer.Option("--against", help="A coarser image of the same scene; gives the ratio."),
-]
-
-_DISTANCE_SHARE, _SHARE = 0.05, 0.10
+_DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
 
 
-def gradient(
-    image: ImageArgument,
-    against: AgainstOption = None,
-    pitch_mm: PitchOption = None,
-    region: RegionOption = None,
-    line: LineOption = None,
-    along: AlongOption = Axis.COL,
-    share: ShareOption = None,
-    limits: LimitsOption = LimitKind.RANGE,
-    plateaus: PlateausOption = PlateauKind.MEDIAN,
-    frame: FrameOption = 0,
-    key: KeyOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class GradientOptions:
+    """Options of `lensshift evaluate gradient`."""
+
+    image: ImageArgument
+    against: Path | None = option(None, "A coarser image of the same scene; gives the ratio.")
+    pitch_mm: PitchOption = None
+    region: RegionOption = None
+    line: int | None = option(None, "One line of the region; all of them if not.", min=0)
+    along: Axis = option(
+        Axis.COL, "Axis of the lines: col crosses an upright edge, row a level one."
+    )
+    share: float | None = option(
+        None, "Share cut off at both ends; 0.10, for distances 0.05 unless given."
+    )
+    limits: LimitKind = option(
+        LimitKind.RANGE, "Share of the step, or of the plateaus as the paper words it."
+    )
+    plateaus: PlateauKind = option(
+        PlateauKind.MEDIAN, "Medians beside the edge, or the extremes as the paper takes."
+    )
+    frame: FrameOption = 0
+    key: KeyOption = None
+    csv: CsvOption = None
+    plot: PlotOption = None
+
+
+@verb("measuring gradients")
+def gradient(current: Session, asked: GradientOptions) -> None:
     """Measure the gradient of an edge, line by line and averaged over the phases.
 
     The number to trust is that of the averaged profile: the slope of one line depends on where
@@ -106,32 +97,32 @@ def gradient(
       lensshift evaluate gradient edge.tif --pitch-mm 0.155 --region 0,16,20,44
       lensshift evaluate gradient sharp.nc --against burst.nc --key distance --region 2,14,20,44
     """
-    with session(as_json=as_json, debug=debug, doing="measuring gradients") as current:
-        place = parse_region(region)
-        check_outputs([image, against], csv, plot)
-        fine = measured_image(image, None if against else pitch_mm, key=key, frame=frame)
-        coarse = None if against is None else measured_image(against, pitch_mm, key=key)
-        fine, scale = (fine, 1) if coarse is None else finer(fine, coarse)
-        cut = share or (_DISTANCE_SHARE if key == "distance" else _SHARE)
-        options: dict[str, Any] = {"share": cut, "limits": limits.value, "plateaus": plateaus.value}
-        lines, step_mm = _lines(fine, place, line, along, scale)
-        found = _gradient(lines, step_mm, options)
-        _say(current, found, fine.length)
-        current.result |= {"image": image, "length_unit": fine.length, **options}
-        current.result["gradient"] = _row(found)
-        if coarse is not None:
-            _compare(current, found, _gradient(*_lines(coarse, place, line, along, 1), options))
-        columns = {"line": list(range(len(found.lines))), "slope": found.slope_per_mm}
-        columns |= {"normalised": found.normalised_per_mm, "width": found.width_mm}
-        write_table(current, csv, columns)
-        write_plot(current, plot, lambda: _figure(found, lines, step_mm, fine.length))
+    image, against, pitch_mm, key = asked.image, asked.against, asked.pitch_mm, asked.key
+    place = parse_region(asked.region)
+    check_outputs([image, against], asked.csv, asked.plot)
+    fine = measured_image(image, None if against else pitch_mm, key=key, frame=asked.frame)
+    coarse = None if against is None else measured_image(against, pitch_mm, key=key)
+    fine, scale = (fine, 1) if coarse is None else finer(fine, coarse)
+    cut = asked.share or (_DISTANCE_SHARE if key == "distance" else _SHARE)
+    options: dict[str, Any] = {"share": cut, "limits": asked.limits.value}
+    options |= {"plateaus": asked.plateaus.value}
+    lines, step_mm = _lines(fine, place, asked, scale)
+    found = _gradient(lines, step_mm, options)
+    _say(current, found, fine.length)
+    current.result |= {"image": image, "length_unit": fine.length, **options}
+    current.result["gradient"] = _row(found)
+    if coarse is not None:
+        _compare(current, found, _gradient(*_lines(coarse, place, asked, 1), options))
+    columns = {"line": list(range(len(found.lines))), "slope": found.slope_per_mm}
+    columns |= {"normalised": found.normalised_per_mm, "width": found.width_mm}
+    write_table(current, asked.csv, columns)
+    write_plot(current, asked.plot, lambda: _figure(found, lines, step_mm, fine.length))
 
 
 def _lines(
     measured: Measured,
     region: tuple[int, int, int, int] | None,
-    line: int | None,
-    along: Axis,
+    asked: GradientOptions,
     scale: int,
 ) -> tuple[NDArray[Any], float]:
     """Return the lines [line n] and the distance of their samples."""
@@ -141,13 +132,14 @@ def _lines(
     if region is not None:
         place = (scale * region[0], scale * region[1], scale * region[2], scale * region[3])
     part = np.asarray(measured.values[slices_of(place, measured.values.shape)])
-    lines = part if along is Axis.COL else part.T
+    upright, line = asked.along is Axis.COL, asked.line
+    lines = part if upright else part.T
     if line is not None:
         first = line * scale
         if first + scale > len(lines):
             raise ValueError(f"expected a line from 0 to {len(lines) // scale - 1}, got {line}")
         lines = lines[first : first + scale]
-    return lines, measured.pitch_mm[1 if along is Axis.COL else 0]
+    return lines, measured.pitch_mm[1 if upright else 0]
 
 
 def _gradient(lines: NDArray[Any], step_mm: float, options: dict[str, Any]) -> EdgeGradient:

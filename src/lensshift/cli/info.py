@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import (
-    FrameAxis,
-    FrameAxisOption,
-    KeyOption,
-    Kind,
-    ModulationOption,
-    OffsetsOption,
-    PitchOption,
-    StackOptions,
-    kind_of,
-    load_input_burst,
-)
+from lensshift.cli.inputs import Kind, StackOptions, kind_of, load_input_burst
 from lensshift.cli.points import view_of, view_text
 from lensshift.cli.reconstruct import describe, say_channels
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,22 +20,19 @@ if TYPE_CHECKING:
     from lensshift.core.types import Burst, Reconstruction
 
 
-def info(
-    file: Annotated[
-        Path | None,
-        typer.Argument(help="Burst, reconstruction, lens field, image stack, or rig file (.toml)."),
-    ] = None,
-    offsets: OffsetsOption = None,
-    pitch_mm: PitchOption = None,
-    key: KeyOption = None,
-    frame_axis: FrameAxisOption = FrameAxis.FIRST,
-    modulation_hz: ModulationOption = None,
-    devices: Annotated[
-        bool, typer.Option("--devices", help="List the serial ports of this computer.")
-    ] = False,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class InfoOptions:
+    """Options of `lensshift info`."""
+
+    file: Path | None = argument(
+        "Burst, reconstruction, lens field, image stack, or rig file (.toml).", default=None
+    )
+    stack: StackOptions = field(default_factory=StackOptions)
+    devices: bool = option(False, "List the serial ports of this computer.")
+
+
+@verb()
+def info(current: Session, asked: InfoOptions) -> None:
     """Say what is in a file, what a rig answers, or which devices there are.
 
     \b
@@ -56,45 +44,44 @@ def info(
     from lensshift.io import load_reconstruction
     from lensshift.io.container_reader import read_schema
 
-    stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
-    with session(as_json=as_json, debug=debug) as current:
-        if devices:
-            from lensshift.cli.devices import say_ports
+    if asked.devices:
+        from lensshift.cli.devices import say_ports
 
-            say_ports(current)
-        if file is None:
-            if not devices:
-                raise typer.BadParameter("Missing argument: a file, or --devices")
-            return
-        if file.suffix.lower() == ".toml":
-            from lensshift.cli.devices import say_rig
+        say_ports(current)
+    file = asked.file
+    if file is None:
+        if not asked.devices:
+            raise typer.BadParameter("Missing argument: a file, or --devices")
+        return
+    if file.suffix.lower() == ".toml":
+        from lensshift.cli.devices import say_rig
 
-            say_rig(current, file)
-            return
-        if _is_lens_field(file):
-            from lensshift.cli.lens_field import say_field
-            from lensshift.io import load_lens_field
+        say_rig(current, file)
+        return
+    if _is_lens_field(file):
+        from lensshift.cli.lens_field import say_field
+        from lensshift.io import load_lens_field
 
-            current.result |= {"file": file, "kind": "lens field"}
-            say_field(current, load_lens_field(file))
-            return
-        kind = kind_of(file)
-        schema = None if kind is Kind.STACK else read_schema(file)
-        current.result |= {"file": file, "kind": kind.value, "schema": schema}
-        heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
-        if kind is Kind.RECONSTRUCTION:
-            result = load_reconstruction(file)  # before a word is said: it may be damaged
-            current.say(heading)
-            _say_result(current, result)
-        elif kind is Kind.SEQUENCE:
-            current.say(heading)
-            _say_sequence(current, file)
-        elif kind is Kind.STACK:
-            _say_stack(current, file, stack, heading)
-        else:
-            burst = load_input_burst(file, stack)
-            current.say(heading)
-            _say_burst(current, burst)
+        current.result |= {"file": file, "kind": "lens field"}
+        say_field(current, load_lens_field(file))
+        return
+    kind = kind_of(file)
+    schema = None if kind is Kind.STACK else read_schema(file)
+    current.result |= {"file": file, "kind": kind.value, "schema": schema}
+    heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
+    if kind is Kind.RECONSTRUCTION:
+        result = load_reconstruction(file)  # before a word is said: it may be damaged
+        current.say(heading)
+        _say_result(current, result)
+    elif kind is Kind.SEQUENCE:
+        current.say(heading)
+        _say_sequence(current, file)
+    elif kind is Kind.STACK:
+        _say_stack(current, file, asked.stack, heading)
+    else:
+        burst = load_input_burst(file, asked.stack)
+        current.say(heading)
+        _say_burst(current, burst)
 
 
 def _is_lens_field(file: Path) -> bool:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensshift.cli.verbs import option
 from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -40,37 +41,25 @@ class Pattern(StrEnum):
     STILL = "still"
 
 
+BurstArgument = Annotated[
+    Path, typer.Argument(help="A burst file, or an image stack (TIFF, NPY, NPZ, folder of images).")
+]
 PatternOption = Annotated[Pattern, typer.Option("--pattern", help="Where the image is sent.")]
-OffsetsOption = Annotated[
-    Path | None,
-    typer.Option("--offsets", help="Shifts of an image stack: CSV (row,col) or JSON, in LR px."),
-]
-PitchOption = Annotated[
-    str | None,
-    typer.Option("--pitch-mm", help="Pixel pitch of an image stack: one number, or row,col."),
-]
-KeyOption = Annotated[str | None, typer.Option("--key", help="Name of the frames in an NPZ file.")]
-FrameAxisOption = Annotated[
-    FrameAxis, typer.Option("--frame-axis", help="Where the frames lie in an NPY or NPZ array.")
-]
-ModulationOption = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--modulation-hz",
-        help="Modulation frequency of an image stack; again for each further one.",
-    ),
-]
 
 
 @dataclass(frozen=True, slots=True)
 class StackOptions:
     """What an image stack does not say itself."""
 
-    offsets: Path | None = None
-    pitch_mm: str | None = None
-    key: str | None = None
-    frame_axis: FrameAxis = FrameAxis.FIRST
-    modulation_hz: list[float] | None = None
+    offsets: Path | None = option(
+        None, "Shifts of an image stack: CSV (row,col) or JSON, in LR px."
+    )
+    pitch_mm: str | None = option(None, "Pixel pitch of an image stack: one number, or row,col.")
+    key: str | None = option(None, "Name of the frames in an NPZ file.")
+    frame_axis: FrameAxis = option(FrameAxis.FIRST, "Where the frames lie in an NPY or NPZ array.")
+    modulation_hz: list[float] | None = option(
+        None, "Modulation frequency of an image stack; again for each further one."
+    )
 
 
 class Kind(Enum):
@@ -174,6 +163,13 @@ def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -
         if place in taken:
             raise typer.BadParameter(f"{output} {taken[place]}; choose another name")
         taken[place] = "is written twice"
+
+
+def beside(source: Path, ending: str) -> Path:
+    """Return a name beside a file or folder: its own with another ending."""
+    whole = source.resolve()
+    name = whole.name if whole.is_dir() else whole.stem
+    return (source.parent if source.name else whole.parent) / f"{name}{ending}"
 
 
 def burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[Any]:

@@ -5,88 +5,55 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.inputs import parse_pitch_mm
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
-    from lensshift.capture.drivers.replay import ReplayCamera
+    from socket import socket
+
+    from lensshift.live.picture import Settings
     from lensshift.live.sources import Source
 
-RigOption = Annotated[str | None, typer.Option("--rig", help="Rig file (TOML), or: emulated.")]
-ReplayOption = Annotated[
-    Path | None, typer.Option("--replay", help="Burst file, capture, pcap, pcapng or ROS bag.")
-]
-SimulateOption = Annotated[
-    str | None, typer.Option("--simulate", help="Scene by name, scene or experiment file (TOML).")
-]
-PatternOption = Annotated[
-    str, typer.Option("--pattern", help="square, 3x3, 4x4, quincunx, spiral or still.")
-]
-ScaleOption = Annotated[int, typer.Option("--scale", min=1, max=8, help="HR pixels per pixel.")]
-MethodOption = Annotated[str, typer.Option("--method", help="As of `reconstruct`.")]
-BlurOption = Annotated[
-    float | None,
-    typer.Option("--blur-px", min=0.0, help="Width of the pixel response; else what is known."),
-]
-RateOption = Annotated[
-    float, typer.Option("--rate-hz", min=0.1, help="Frames a second of --simulate and bursts.")
-]
-CalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", help="From `calibrate`; instead of the rig file's.")
-]
-PitchOption = Annotated[
-    str, typer.Option("--pitch-mm", help="Pixel pitch of a pcap or bag: one number, or row,col.")
-]
-ModulationOption = Annotated[
-    float | None, typer.Option("--modulation-hz", help="Modulation frequency of a pcap or bag.")
-]
-AmplitudeOption = Annotated[str, typer.Option("--amplitude-topic", help="Of a bag.")]
-DistanceOption = Annotated[str | None, typer.Option("--distance-topic", help="Of a bag.")]
-OutOption = Annotated[
-    Path, typer.Option("--out", "-o", help="Folder for recordings and snapshots.")
-]
-HostOption = Annotated[str, typer.Option("--host", help="Address to listen at.")]
-PortOption = Annotated[
-    int, typer.Option("--port", min=0, max=65535, help="Port to listen at; 0: a free one.")
-]
-RemoteOption = Annotated[
-    bool, typer.Option("--allow-remote", help="Let other computers in, without encryption.")
-]
-OpenOption = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")]
-SecondsOption = Annotated[float | None, typer.Option("--seconds", min=0.0, help="End by itself.")]
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Options of `lensshift live`."""
+
+    rig: str | None = option(None, "Rig file (TOML), or: emulated.")
+    replay: Path | None = option(None, "Burst file, capture, pcap, pcapng or ROS bag.")
+    simulate: str | None = option(None, "Scene by name, scene or experiment file (TOML).")
+    pattern: str = option("square", "square, 3x3, 4x4, quincunx, spiral or still.")
+    scale: int = option(2, "HR pixels per pixel.", min=1, max=8)
+    method: str = option("auto", "As of `reconstruct`.")
+    blur_px: float | None = option(
+        None, "Width of the pixel response; else what is known.", min=0.0
+    )
+    rate_hz: float = option(25.0, "Frames a second of --simulate and bursts.", min=0.1)
+    calibration: Path | None = option(None, "From `calibrate`; instead of the rig file's.")
+    pitch_mm: str = option("0.155", "Pixel pitch of a pcap or bag: one number, or row,col.")
+    modulation_hz: float | None = option(None, "Modulation frequency of a pcap or bag.")
+    amplitude_topic: str = option("", "Of a bag.")
+    distance_topic: str | None = option(None, "Of a bag.")
+    out: Path = option(Path("live"), "Folder for recordings and snapshots.", "-o")
+    host: str = option("127.0.0.1", "Address to listen at.")
+    port: int = option(8765, "Port to listen at; 0: a free one.", min=0, max=65535)
+    allow_remote: bool = option(False, "Let other computers in, without encryption.")
+    open_page: bool = option(True, "Open the page in a browser.", "--open/--no-open")
+    seconds: float | None = option(None, "End by itself.", min=0.0)
+    yes: YesOption = False
 
 
-def live(
-    rig: RigOption = None,
-    replay: ReplayOption = None,
-    simulate: SimulateOption = None,
-    pattern: PatternOption = "square",
-    scale: ScaleOption = 2,
-    method: MethodOption = "auto",
-    blur_px: BlurOption = None,
-    rate_hz: RateOption = 25.0,
-    calibration: CalibrationOption = None,
-    pitch_mm: PitchOption = "0.155",
-    modulation_hz: ModulationOption = None,
-    amplitude_topic: AmplitudeOption = "",
-    distance_topic: DistanceOption = None,
-    out: OutOption = Path("live"),
-    host: HostOption = "127.0.0.1",
-    port: PortOption = 8765,
-    allow_remote: RemoteOption = False,
-    open_page: OpenOption = True,
-    seconds: SecondsOption = None,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def live(current: Session, asked: LiveOptions) -> None:
     """Show a picture after each frame in a browser, with the point cloud and the MTF of an edge.
 
     Only this computer can open the page, and only by the whole address that is printed. Ctrl-C
@@ -100,52 +67,37 @@ def live(
       lensshift live --replay recording.pcap --modulation-hz 15e6
       lensshift live --simulate slanted_edge --pattern 3x3
     """
-    with session(as_json=as_json, debug=debug) as current:
-        from lensshift.live.controls import checked
-        from lensshift.live.picture import Settings
-        from lensshift.live.serve import is_loopback, listening, require_web
+    from lensshift.live.controls import checked
+    from lensshift.live.picture import Settings
+    from lensshift.live.serve import is_loopback, listening, require_web
 
-        given = [one for one in (rig, replay, simulate) if one is not None]
-        if len(given) != 1:
-            raise typer.BadParameter("expected one of --rig, --replay and --simulate")
-        if not (is_loopback(host) or allow_remote):
-            raise typer.BadParameter(
-                f"other computers could reach {host}; --allow-remote says that they may"
-            )
-        require_web()
-        _check_pattern(pattern)
-        settings = checked(Settings(scale, method, blur_px))
-        if rig is not None:
-            source = _rig(rig, pattern, calibration, yes=yes)
-        elif replay is not None:
-            camera = {
-                "pitch_mm": parse_pitch_mm(pitch_mm),
-                "modulation_hz": modulation_hz,
-                "amplitude_topic": amplitude_topic,
-                "distance_topic": distance_topic,
-            }
-            source = _replay(replay, pattern, rate_hz, camera)
-        else:
-            source = _simulated(str(simulate), pattern, rate_hz)
-        with listening(host, port) as listener, source as frames:
-            _show(current, frames, settings, (listener, out, seconds, debug), open_page=open_page)
+    given = [one for one in (asked.rig, asked.replay, asked.simulate) if one is not None]
+    if len(given) != 1:
+        raise typer.BadParameter("expected one of --rig, --replay and --simulate")
+    if not (is_loopback(asked.host) or asked.allow_remote):
+        raise typer.BadParameter(
+            f"other computers could reach {asked.host}; --allow-remote says that they may"
+        )
+    require_web()
+    _check_pattern(asked.pattern)
+    settings = checked(Settings(asked.scale, asked.method, asked.blur_px))
+    with listening(asked.host, asked.port) as listener, _source(asked) as frames:
+        _show(current, asked, frames, settings, listener)
 
 
 def _show(
-    current: Session, frames: Source, settings: Any, where: tuple[Any, ...], *, open_page: bool
+    current: Session, asked: LiveOptions, frames: Source, settings: Settings, listener: socket
 ) -> None:
     from lensshift.core.errors import DeviceError
     from lensshift.live.serve import serve
     from lensshift.live.sources import RigSource
     from lensshift.live.worker import Live
 
-    listener, out, seconds, debug = where
-
     def ready(address: str) -> None:
         current.result |= {"address": address, "source": frames.name}
         current.ready()
         current.say(f"{frames.name}\nopen {address}\nCtrl-C ends it.")
-        if open_page:
+        if asked.open_page:
             import webbrowser
 
             webbrowser.open(address)
@@ -154,7 +106,10 @@ def _show(
         # One a picture is too many for a terminal: the page shows the latest.
         warnings.showwarning = lambda message, *_, **__: running.warn(str(message))
         try:
-            serve(running, listener, out, seconds=seconds, debug=debug, on_ready=ready)
+            serve(
+                running, listener, asked.out, seconds=asked.seconds, debug=current.debug,
+                on_ready=ready,
+            )  # fmt: skip
         except KeyboardInterrupt:  # the way out, not a failure
             current.say("ending; the lens goes to rest")
     pictures = 0 if running.picture is None else running.picture.number
@@ -171,8 +126,16 @@ def _check_pattern(pattern: str) -> None:
         raise typer.BadParameter(f"expected a plan of {', '.join(PLANS)}, got {pattern!r}")
 
 
+def _source(asked: LiveOptions) -> AbstractContextManager[Source]:
+    if asked.rig is not None:
+        return _rig(asked.rig, asked)
+    if asked.replay is not None:
+        return nullcontext(_replay(asked.replay, asked))
+    return nullcontext(_simulated(str(asked.simulate), asked))
+
+
 @contextmanager
-def _rig(rig: str, pattern: str, calibration: Path | None, *, yes: bool) -> Iterator[Source]:
+def _rig(rig: str, asked: LiveOptions) -> Iterator[Source]:
     from lensshift.live.sources import RigSource
 
     if rig == "emulated":
@@ -182,38 +145,38 @@ def _rig(rig: str, pattern: str, calibration: Path | None, *, yes: bool) -> Iter
     else:
         from lensshift.capture.opening import open_rig
 
-        opening = open_rig(rig, on_homing=homing_asked(yes=yes))  # type: ignore[assignment]
+        opening = open_rig(rig, on_homing=homing_asked(yes=asked.yes))  # type: ignore[assignment]
     with opening as opened:
-        if calibration is not None:
+        if asked.calibration is not None:
             from lensshift.io.calibration_file import load_calibration
 
-            opened.calibration = load_calibration(calibration)
-        yield RigSource(opened, pattern)
+            opened.calibration = load_calibration(asked.calibration)
+        yield RigSource(opened, asked.pattern)
 
 
-@contextmanager
-def _replay(path: Path, pattern: str, rate_hz: float, camera: dict[str, Any]) -> Iterator[Source]:
+def _replay(path: Path, asked: LiveOptions) -> Source:
+    from lensshift.capture.drivers.replay import ReplayCamera
     from lensshift.io import load_burst
     from lensshift.io.capture_file import is_capture
     from lensshift.io.container_reader import is_hdf5
     from lensshift.live.sources import BurstSource, CameraSource
 
+    pitch_mm = parse_pitch_mm(asked.pitch_mm)
     if not path.exists():
         raise typer.BadParameter(f"there is no {path}")
     if path.is_file() and (is_hdf5(path) or is_capture(path)):
-        yield BurstSource(load_burst(path), path.name, rate_hz=rate_hz)
-        return
-    yield CameraSource(_camera(path, camera), pattern)
+        return BurstSource(load_burst(path), path.name, rate_hz=asked.rate_hz)
+    camera = ReplayCamera(
+        path,
+        pitch_mm=pitch_mm,
+        modulation_hz=asked.modulation_hz,
+        amplitude_topic=asked.amplitude_topic,
+        distance_topic=asked.distance_topic,
+    )
+    return CameraSource(camera, asked.pattern)
 
 
-def _camera(path: Path, settings: dict[str, Any]) -> ReplayCamera:
-    from lensshift.capture.drivers.replay import ReplayCamera
-
-    return ReplayCamera(path, **settings)
-
-
-@contextmanager
-def _simulated(name: str, pattern: str, rate_hz: float) -> Iterator[Source]:
+def _simulated(name: str, asked: LiveOptions) -> Source:
     from lensshift.live.sources import SimulatedSource
     from lensshift.pipeline.experiment_file import SCENES, default_experiment, load_experiment
 
@@ -222,13 +185,13 @@ def _simulated(name: str, pattern: str, rate_hz: float) -> Iterator[Source]:
     else:
         experiment = load_experiment(name)
         scene = experiment.scene
-    if not math.isfinite(rate_hz):
+    if not math.isfinite(asked.rate_hz):
         raise typer.BadParameter("expected a finite --rate-hz")
-    yield SimulatedSource(
+    return SimulatedSource(
         scene,
         experiment.camera,
-        pattern,
-        rate_hz=rate_hz,
+        asked.pattern,
+        rate_hz=asked.rate_hz,
         shift_error_px=experiment.shift_error_px,
         seed=experiment.seed,
     )

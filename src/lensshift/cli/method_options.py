@@ -20,13 +20,6 @@ MethodOption = Annotated[
 WeightOption = Annotated[
     str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
 ]
-MethodOptionsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--option", metavar="NAME=VALUE",
-        help="Option of the method, as in iterations=30; repeatable; see `lensshift methods`.",
-    ),
-]  # fmt: skip
 
 
 def check_method(method: str) -> None:

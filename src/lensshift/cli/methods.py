@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from lensshift.cli.session import DebugOption, JsonOption, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, verb
 
 if TYPE_CHECKING:
     from lensshift.reconstruction.method import Method
 
-NameArgument = Annotated[str | None, typer.Argument(metavar="METHOD", help="Only this one.")]
+
+@dataclass(frozen=True, slots=True)
+class MethodsOptions:
+    """Options of `lensshift methods`."""
+
+    method: str | None = argument("Only this one.", default=None, metavar="METHOD")
 
 
-def methods(
-    name: NameArgument = None, as_json: JsonOption = False, debug: DebugOption = False
-) -> None:
+@verb()
+def methods(current: Session, asked: MethodsOptions) -> None:
     """List the methods of reconstruction with their options.
 
     \b
@@ -25,29 +29,26 @@ def methods(
       lensshift methods tv
       lensshift reconstruct burst.nc --method tv --option iterations=30
     """
-    with session(as_json=as_json, debug=debug) as current:
-        from lensshift.cli.method_options import check_method
-        from lensshift.reconstruction.methods import METHODS
+    from lensshift.cli.method_options import check_method
+    from lensshift.reconstruction.methods import METHODS
 
-        if name is not None:
-            check_method(name)
-        chosen = {key: one for key, one in METHODS.items() if name in (None, key)}
-        width = max(map(len, chosen))
-        for key, one in chosen.items():
-            current.say(f"{key:<{width}}  {one.summary}")
-            for option in described_options(one):
-                default = "found or chosen" if option["default"] is None else option["default"]
-                current.say(f"{'':<{width}}    {option['name']}={default}  ({option['expected']})")
-        current.result |= {
-            key: {"summary": one.summary, "options": described_options(one)}
-            for key, one in chosen.items()
-        }
+    if asked.method is not None:
+        check_method(asked.method)
+    chosen = {key: one for key, one in METHODS.items() if asked.method in (None, key)}
+    width = max(map(len, chosen))
+    for key, one in chosen.items():
+        current.say(f"{key:<{width}}  {one.summary}")
+        for option in described_options(one):
+            default = "found or chosen" if option["default"] is None else option["default"]
+            current.say(f"{'':<{width}}    {option['name']}={default}  ({option['expected']})")
+    current.result |= {
+        key: {"summary": one.summary, "options": described_options(one)}
+        for key, one in chosen.items()
+    }
 
 
 def described_options(method: type[Method]) -> list[dict[str, Any]]:
     """Return name, default and allowed values of each option of a method."""
-    from dataclasses import fields
-
     return [
         {
             "name": one.name,

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from lensshift.cli.verbs import option
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
@@ -15,33 +17,17 @@ if TYPE_CHECKING:
 
 CLOUD_SUFFIXES = (".ply", ".pcd")
 
-FieldOption = Annotated[
-    str | None,
-    typer.Option("--fov-deg", help="Field of view in degrees, border to border: 60, or 60x45."),
-]
-FocalPxOption = Annotated[
-    float | None, typer.Option("--focal-length-px", help="Focal length in pixels of the camera.")
-]
-FocalMmOption = Annotated[float | None, typer.Option("--focal-length-mm", help="Focal length.")]
-LensOption = Annotated[
-    str | None, typer.Option("--lens", help="Trace this lens (a name or a file) for directions.")
-]
-NormalsOption = Annotated[bool, typer.Option("--normals", help="Normals in .ply and .pcd.")]
-FlyingOption = Annotated[
-    bool, typer.Option("--keep-flying", help="Keep pixels between surfaces in .ply and .pcd.")
-]
-
 
 @dataclass(frozen=True, slots=True)
 class PointOptions:
     """Where the pixels look, if the burst does not say or says it wrong, and what is written."""
 
-    fov_deg: str | None = None
-    focal_length_px: float | None = None
-    focal_length_mm: float | None = None
-    lens: str | None = None
-    normals: bool = False
-    keep_flying: bool = False
+    fov_deg: str | None = option(None, "Field of view in degrees, border to border: 60, or 60x45.")
+    focal_length_px: float | None = option(None, "Focal length in pixels of the camera.")
+    focal_length_mm: float | None = option(None, "Focal length.")
+    lens: str | None = option(None, "Trace this lens (a name or a file) for directions.")
+    normals: bool = option(False, "Normals in .ply and .pcd.")
+    keep_flying: bool = option(False, "Keep pixels between surfaces in .ply and .pcd.")
 
     def intrinsics(self, grid: Grid, known: Intrinsics | None) -> Intrinsics | None:
         """Return where the pixels of a camera look: as told here, else what is known."""

@@ -3,73 +3,21 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import (
-    FrameAxis,
-    FrameAxisOption,
-    KeyOption,
-    ModulationOption,
-    OffsetsOption,
-    PitchOption,
-    StackOptions,
-    load_input_burst,
-    refuse_overwriting,
-)
-from lensshift.cli.method_options import (
-    MethodOption,
-    MethodOptionsOption,
-    WeightOption,
-    check_method,
-    parse_frames,
-    parse_options,
-    parse_weight,
-)
-from lensshift.cli.points import (
-    CLOUD_SUFFIXES,
-    FieldOption,
-    FlyingOption,
-    FocalMmOption,
-    FocalPxOption,
-    LensOption,
-    NormalsOption,
-    PointOptions,
-    refuse_points,
-)
-from lensshift.cli.reconstruct_options import (
-    BurstArgument,
-    CalibrationOption,
-    Channel,
-    ChannelOption,
-    DeviceOption,
-    ExportOption,
-    FillOption,
-    FramesOption,
-    LensFieldOption,
-    NoiseOption,
-    NonNegativeOption,
-    OutOption,
-    PhotometricOption,
-    PsfOption,
-    ScaleOption,
-    SeedOption,
-)
-from lensshift.cli.recording import (
-    EveryOption,
-    PaceName,
-    PaceOption,
-    SchedulerOption,
-    Split,
-    WindowOption,
-    WorkersOption,
-    reconstruct_windows,
-)
+from lensshift.cli.inputs import beside, load_input_burst, refuse_overwriting
+from lensshift.cli.method_options import check_method, parse_frames, parse_options, parse_weight
+from lensshift.cli.points import CLOUD_SUFFIXES, refuse_points
+from lensshift.cli.reconstruct_options import Channel, ReconstructOptions
+from lensshift.cli.recording import is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
-from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
+from lensshift.cli.session import Progress, Session
+from lensshift.cli.verbs import verb
 from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -84,44 +32,8 @@ _WIDTH_SOURCES = {
 EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".png", ".npz", *CLOUD_SUFFIXES)
 
 
-def reconstruct(
-    burst: BurstArgument,
-    out: OutOption = None,
-    scale: ScaleOption = 2,
-    method: MethodOption = "auto",
-    channel: ChannelOption = Channel.AUTO,
-    psf_sigma_px: PsfOption = None,
-    prior_weight: WeightOption = "auto",
-    option: MethodOptionsOption = None,
-    frames: FramesOption = None,
-    noise_sigma: NoiseOption = None,
-    fill_factor: FillOption = None,
-    non_negative: NonNegativeOption = False,
-    photometric: PhotometricOption = False,
-    seed: SeedOption = 0,
-    lens_field: LensFieldOption = None,
-    calibration: CalibrationOption = None,
-    device: DeviceOption = None,
-    export: ExportOption = None,
-    fov_deg: FieldOption = None,
-    focal_length_px: FocalPxOption = None,
-    focal_length_mm: FocalMmOption = None,
-    lens: LensOption = None,
-    normals: NormalsOption = False,
-    keep_flying: FlyingOption = False,
-    offsets: OffsetsOption = None,
-    pitch_mm: PitchOption = None,
-    key: KeyOption = None,
-    frame_axis: FrameAxisOption = FrameAxis.FIRST,
-    modulation_hz: ModulationOption = None,
-    window: WindowOption = None,
-    every: EveryOption = None,
-    pace: PaceOption = PaceName.AUTO,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     """Reconstruct a super-resolved image from a burst.
 
     Writes the result file and a PNG preview beside a bicubic of the same burst, with the points in
@@ -138,50 +50,44 @@ def reconstruct(
       lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
     """
     settings: dict[str, Any] = {
-        "scale": scale, "method": method, "channel": channel.value,
-        "prior_weight": parse_weight(prior_weight), "frames": parse_frames(frames),
-        "noise_sigma": noise_sigma, "fill_factor": fill_factor, "non_negative": non_negative,
-        "photometric": photometric, "seed": seed, "device": device,
+        "scale": asked.scale, "method": asked.method, "channel": asked.channel.value,
+        "prior_weight": parse_weight(asked.prior_weight), "frames": parse_frames(asked.frames),
+        "noise_sigma": asked.noise_sigma, "fill_factor": asked.fill_factor,
+        "non_negative": asked.non_negative, "photometric": asked.photometric,
+        "seed": asked.seed, "device": asked.device,
     }  # fmt: skip
-    stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
-    points = PointOptions(fov_deg, focal_length_px, focal_length_mm, lens, normals, keep_flying)
-    with session(as_json=as_json, debug=debug) as current:
-        check_method(method)
-        settings |= parse_options(method, option or [])
-        split = Split(window, every, pace, workers, scheduler)
-        if split.asked(stack, points, frames, lens_field, calibration, export):
-            reconstruct_windows(current, burst, out, split, settings, psf_sigma_px)
-            return
-        files = _plan(burst, offsets, out, export or [], scale)
-        frames_in = load_input_burst(burst, stack, to_register=True)
-        frames_in, known = _located(current, frames_in, lens_field, calibration)
-        frames_in = _looking(frames_in, points, channel, files)
-        known |= _told_width(psf_sigma_px, fill_factor)
-        _reconstruct(current, burst, frames_in, settings | known, files, points)
+    check_method(asked.method)
+    settings |= parse_options(asked.method, asked.method_options or [])
+    if is_recording(asked):
+        reconstruct_windows(current, asked, settings)
+        return
+    files = _plan(asked)
+    burst = load_input_burst(asked.burst, asked.stack, to_register=True)
+    burst, known = _located(current, burst, asked)
+    burst = _looking(burst, asked, files)
+    if asked.psf_sigma_px is not None or asked.fill_factor is not None:
+        # That of a calibration would hold the pixel as well.
+        known["psf_sigma_px"] = asked.psf_sigma_px
+    _reconstruct(current, asked, burst, settings | known, files)
 
 
-def _told_width(psf_sigma_px: float | None, fill_factor: float | None) -> dict[str, Any]:
-    """Return the width of the blur as an option of `reconstruct`, if it is told."""
-    if psf_sigma_px is None and fill_factor is None:
-        return {}
-    return {"psf_sigma_px": psf_sigma_px}  # that of a calibration would hold the pixel as well
-
-
-def _looking(burst: Burst, points: PointOptions, channel: Channel, files: _Files) -> Burst:
+def _looking(burst: Burst, asked: ReconstructOptions, files: _Files) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
-    intrinsics = points.intrinsics(burst.grid, burst.intrinsics)
+    intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
     complex_frames = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
     phasors = complex_frames or burst.phasors is not None
-    distances = (burst.distance_m is not None or phasors) and channel is not Channel.AMPLITUDE
+    distances = burst.distance_m is not None or phasors
+    distances = distances and asked.channel is not Channel.AMPLITUDE
     refuse_points(files.exports, intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)
 
 
 def _located(
-    current: Session, burst: Burst, lens_field: Path | None, calibration: Path | None
+    current: Session, burst: Burst, asked: ReconstructOptions
 ) -> tuple[Burst, dict[str, Any]]:
     """Return the burst and settings with what is known of its shifts, its lens and the rig."""
     known: dict[str, Any] = {}
+    lens_field, calibration = asked.lens_field, asked.calibration
     if burst.offset_source == "unknown" and calibration is None:
         burst = with_shifts(current, burst)
     if calibration is not None:
@@ -238,25 +144,21 @@ def say_channels(current: Session, result: Reconstruction) -> None:
 
 def _reconstruct(
     current: Session,
-    source: Path,
+    asked: ReconstructOptions,
     burst: Burst,
     settings: dict[str, Any],
     files: _Files,
-    points: PointOptions,
 ) -> None:
     import lensshift
     from lensshift.io import export_reconstruction, save_reconstruction
     from lensshift.reconstruction.problem import blur_width_px
 
     rows, cols = burst.grid.shape
-    count = burst.frame_count
+    source, points, count = asked.burst, asked.points, burst.frame_count
     current.say(f"{source}: {count} frames of {rows} x {cols} px, offsets {burst.offset_source}")
-    progress = Progress(f"reconstructing with {settings['method']}", preparing=True)
     start_s = time.perf_counter()
-    try:
+    with closing(Progress(f"reconstructing with {settings['method']}", preparing=True)) as progress:
         result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
-    finally:
-        progress.close()
     seconds = time.perf_counter() - start_s
     save_reconstruction(result, files.result)
     for path in files.exports:
@@ -318,16 +220,11 @@ def _points(result: Reconstruction) -> PointCloud | None:
     return cloud if len(cloud) else None
 
 
-def _plan(
-    source: Path, offsets: Path | None, out: Path | None, exports: list[Path], scale: int
-) -> _Files:
+def _plan(asked: ReconstructOptions) -> _Files:
     """Decide all names, and complain before the work rather than after it."""
     from lensshift.io.atomic import writable_target
 
-    whole = source.resolve()
-    name = whole.name if whole.is_dir() else whole.stem
-    folder = source.parent if source.name else whole.parent
-    result = out if out is not None else folder / f"{name}_x{scale}.nc"
+    result, exports = asked.out or beside(asked.burst, f"_x{asked.scale}.nc"), asked.export or []
     if result.suffix.lower() in EXPORT_SUFFIXES:
         raise typer.BadParameter(
             f"{result}: the result is a netCDF file (.nc); use --export for {result.suffix}"
@@ -338,7 +235,7 @@ def _plan(
                 f"{path}: expected a name that ends in {', '.join(EXPORT_SUFFIXES)}"
             )
     files = _Files(result, result.with_name(f"{result.stem}_preview.png"), tuple(exports))
-    refuse_overwriting((source, offsets), files.all)
+    refuse_overwriting((asked.burst, asked.stack.offsets), files.all)
     for path in files.all:
         writable_target(path)
     return files

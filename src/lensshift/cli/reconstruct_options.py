@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
 import typer
+
+from lensshift.cli.inputs import BurstArgument, StackOptions
+from lensshift.cli.method_options import MethodOption, WeightOption
+from lensshift.cli.points import PointOptions
+from lensshift.cli.recording import Split
+from lensshift.cli.verbs import option
 
 
 class Channel(StrEnum):
@@ -16,17 +22,6 @@ class Channel(StrEnum):
     AMPLITUDE = "amplitude"
     DISTANCE = "distance"
     PHASOR = "phasor"
-
-
-BurstArgument = Annotated[
-    Path, typer.Argument(help="A burst file, or an image stack (TIFF, NPY, NPZ, folder of images).")
-]
-OutOption = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", help="Result file; default: BURST_xSCALE.nc beside it."),
-]
-ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Upscaling factor.")]
-ChannelOption = Annotated[Channel, typer.Option(help="What to reconstruct.")]
 
 
 def width_px(text: str) -> float | None:
@@ -42,50 +37,52 @@ def width_px(text: str) -> float | None:
     return told_px
 
 
-PsfOption = Annotated[
-    float | None,
-    typer.Option(
-        "--psf-sigma-px", parser=width_px, metavar="PX|auto",
-        help="Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
+@dataclass(frozen=True, slots=True)
+class ReconstructOptions:
+    """Options of `lensshift reconstruct`."""
+
+    burst: BurstArgument
+    out: Path | None = option(None, "Result file; default: BURST_xSCALE.nc beside it.", "-o")
+    scale: int = option(2, "Upscaling factor.", min=1, max=8)
+    method: MethodOption = "auto"
+    channel: Channel = option(Channel.AUTO, "What to reconstruct.")
+    psf_sigma_px: float | None = option(
+        None,
+        "Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
         "px; auto, the default: from --calibration or the burst, or a square pixel (with "
         "--fill-factor: 0).",
-    ),
-]  # fmt: skip
-FramesOption = Annotated[
-    str | None, typer.Option(help="Frames to use, as in 0,2,8,10; default: all.")
-]
-NoiseOption = Annotated[
-    float | None, typer.Option(min=0.0, help="Noise of one LR pixel; default: estimated.")
-]
-FillOption = Annotated[
-    float | None, typer.Option(min=0.0, max=1.0, help="Light-sensitive linear share of a pixel.")
-]
-NonNegativeOption = Annotated[bool, typer.Option("--non-negative", help="Forbid negative values.")]
-PhotometricOption = Annotated[
-    bool, typer.Option("--photometric", help="Estimate gain and offset of each frame.")
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of whatever is random.")]
-LensFieldOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--lens-field",
-        help="From `lensshift lens field`: how shift and blur vary over the sensor.",
-    ),
-]
-CalibrationOption = Annotated[
-    Path | None,
-    typer.Option("--calibration", help="From `lensshift calibrate`: shifts from stage positions."),
-]
-DeviceOption = Annotated[
-    str | None,
-    typer.Option(
+        parser=width_px,
+        metavar="PX|auto",
+    )
+    prior_weight: WeightOption = "auto"
+    method_options: list[str] | None = option(
+        None,
+        "Option of the method, as in iterations=30; repeatable; see `lensshift methods`.",
+        "--option",
+        metavar="NAME=VALUE",
+    )
+    frames: str | None = option(None, "Frames to use, as in 0,2,8,10; default: all.")
+    noise_sigma: float | None = option(None, "Noise of one LR pixel; default: estimated.", min=0.0)
+    fill_factor: float | None = option(
+        None, "Light-sensitive linear share of a pixel.", min=0.0, max=1.0
+    )
+    non_negative: bool = option(False, "Forbid negative values.")
+    photometric: bool = option(False, "Estimate gain and offset of each frame.")
+    seed: int = option(0, "Seed of whatever is random.", min=0)
+    lens_field: Path | None = option(
+        None, "From `lensshift lens field`: how shift and blur vary over the sensor."
+    )
+    calibration: Path | None = option(
+        None, "From `lensshift calibrate`: shifts from stage positions."
+    )
+    device: str | None = option(
+        None,
+        "Where the method auto is computed, by PyTorch; default: compiled for this processor.",
         metavar="cpu|cuda|cuda:N|numpy",
-        help="Where the method auto is computed, by PyTorch; default: compiled for this processor.",
-    ),
-]
-ExportOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--export", help="Also write .tif, .ome.tif, .fits, .png, .npz, .ply or .pcd; repeatable."
-    ),
-]
+    )
+    export: list[Path] | None = option(
+        None, "Also write .tif, .ome.tif, .fits, .png, .npz, .ply or .pcd; repeatable."
+    )
+    points: PointOptions = field(default_factory=PointOptions)
+    stack: StackOptions = field(default_factory=StackOptions)
+    split: Split = field(default_factory=Split)

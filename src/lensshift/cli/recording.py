@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from lensshift.cli.inputs import StackOptions, refuse_overwriting
 from lensshift.cli.points import PointOptions
 from lensshift.cli.session import Progress, Session
+from lensshift.cli.verbs import option
+
+if TYPE_CHECKING:
+    from lensshift.cli.reconstruct_options import ReconstructOptions
 
 
 class PaceName(StrEnum):
@@ -22,96 +26,71 @@ class PaceName(StrEnum):
     REFINED = "refined"
 
 
-WindowOption = Annotated[
-    int | None,
-    typer.Option(min=1, help="A picture of each window of this many frames."),
-]  # fmt: skip
-EveryOption = Annotated[
-    int | None,
-    typer.Option(min=1, help="Frames from one picture to the next; default: the window."),
-]  # fmt: skip
-PaceOption = Annotated[
-    PaceName,
-    typer.Option(help="live: the last stage of the solver while the scene rests; refined: all; "
-                 "auto: all at each fourth picture or so."),
-]  # fmt: skip
-WorkersOption = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes to work with (pip install 'lensshift[cluster]')."),
-]  # fmt: skip
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(help="Address of a dask scheduler whose workers can read the recording."),
-]  # fmt: skip
-
-
 @dataclass(frozen=True, slots=True)
 class Split:
     """How a recording is split, and who works on it."""
 
-    window: int | None
-    every: int | None
-    pace: PaceName
-    workers: int | None
-    scheduler: str | None
+    window: int | None = option(None, "A picture of each window of this many frames.", min=1)
+    every: int | None = option(
+        None, "Frames from one picture to the next; default: the window.", min=1
+    )
+    pace: PaceName = option(
+        PaceName.AUTO,
+        "live: the last stage of the solver while the scene rests; refined: all; "
+        "auto: all at each fourth picture or so.",
+    )
+    workers: int | None = option(
+        None, "Processes to work with (pip install 'lensshift[cluster]').", min=1
+    )
+    scheduler: str | None = option(
+        None, "Address of a dask scheduler whose workers can read the recording."
+    )
 
-    def asked(self, stack: StackOptions, points: PointOptions, *others: object) -> bool:
-        """Tell whether a recording is meant.
 
-        A usage error if only half of it is said, or what a recording does not take.
+def is_recording(asked: ReconstructOptions) -> bool:
+    """Tell whether a recording is meant.
 
-        Parameters
-        ----------
-        others : --frames, --lens-field, --calibration and --export
-        """
-        if self.window is None:
-            said = (self.every, self.workers, self.scheduler)
-            if any(one is not None for one in said) or self.pace is not PaceName.AUTO:
-                raise typer.BadParameter(
-                    "--every, --pace, --workers and --scheduler are for recordings; give --window, "
-                    "the frames of a picture, as well"
-                )
-            return False
-        names = ("--frames", "--lens-field", "--calibration", "--export")
-        told = [name for name, value in zip(names, others, strict=True) if value]
-        told += ["options of image stacks (convert it first)"] * (stack != StackOptions())
-        told += ["options of points (convert the sequence)"] * (points != PointOptions())
-        if told:
-            raise typer.BadParameter(f"{', '.join(told)}: not together with --window")
-        if self.workers is not None and self.scheduler is not None:
-            raise typer.BadParameter("give --workers or --scheduler, not both")
-        return True
+    A usage error if only half of it is said, or what a recording does not take.
+    """
+    if asked.split.window is None:
+        if asked.split != Split():
+            raise typer.BadParameter(
+                "--every, --pace, --workers and --scheduler are for recordings; give --window, "
+                "the frames of a picture, as well"
+            )
+        return False
+    names = ("frames", "lens_field", "calibration", "export")
+    told = [f"--{name.replace('_', '-')}" for name in names if getattr(asked, name)]
+    told += ["options of image stacks (convert it first)"] * (asked.stack != StackOptions())
+    told += ["options of points (convert the sequence)"] * (asked.points != PointOptions())
+    if told:
+        raise typer.BadParameter(f"{', '.join(told)}: not together with --window")
+    if asked.split.workers is not None and asked.split.scheduler is not None:
+        raise typer.BadParameter("give --workers or --scheduler, not both")
+    return True
 
 
 def reconstruct_windows(
-    current: Session,
-    source: Path,
-    out: Path | None,
-    split: Split,
-    settings: dict[str, Any],
-    psf_sigma_px: float | None,
+    current: Session, asked: ReconstructOptions, settings: dict[str, Any]
 ) -> None:
     """Make the sequence of a recording and say what became of it."""
     from lensshift.core.errors import QualityWarning
     from lensshift.pipeline.recording import reconstruct_recording
 
-    scale = settings["scale"]
-    target = out if out is not None else source.with_name(f"{source.stem}_x{scale}_windows.nc")
+    source, split = asked.burst, asked.split
+    target = asked.out or source.with_name(f"{source.stem}_x{asked.scale}_windows.nc")
     if target.suffix.lower() != ".nc":
         raise typer.BadParameter(f"{target}: a sequence is a netCDF file (.nc)")
     refuse_overwriting((source,), (target,))
     if target.exists():
         raise typer.BadParameter(f"{target} exists; choose another name or remove it")
-    progress = Progress("reconstructing windows", preparing=True)
     kept = {name: value for name, value in settings.items() if name != "frames"}
-    kept |= {} if psf_sigma_px is None else {"psf_sigma_px": psf_sigma_px}
-    try:
+    kept |= {} if asked.psf_sigma_px is None else {"psf_sigma_px": asked.psf_sigma_px}
+    with closing(Progress("reconstructing windows", preparing=True)) as progress:
         found = reconstruct_recording(
             source, target, window=split.window or 1, every=split.every, pace=split.pace.value,
             workers=split.workers, scheduler=split.scheduler, on_progress=progress.count, **kept,
         )  # fmt: skip
-    finally:
-        progress.close()
     made = found.windows - found.resumed
     current.say(
         f"{source}: {found.windows} pictures of {split.window} frames, {made} made in "

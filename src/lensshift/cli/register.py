@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from lensshift.cli.inputs import (
-    FrameAxis,
-    FrameAxisOption,
-    KeyOption,
-    ModulationOption,
-    OffsetsOption,
-    PitchOption,
+    BurstArgument,
     StackOptions,
+    beside,
     load_input_burst,
     refuse_overwriting,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Session, Waiting, session
+from lensshift.cli.session import Session, Waiting
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst
@@ -40,44 +37,23 @@ class Channel(StrEnum):
     DISTANCE = "distance"
 
 
-BurstArgument = Annotated[
-    Path, typer.Argument(help="A burst file, or an image stack (TIFF, NPY, NPZ, folder of images).")
-]
-OutOption = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", help="Burst file; default: BURST_registered.nc beside it."),
-]
-MethodOption = Annotated[Method, typer.Option(help="How the shifts are found.")]
-ChannelOption = Annotated[Channel, typer.Option(help="What the shifts are found from.")]
-ReferenceOption = Annotated[int, typer.Option(min=0, help="Frame whose offset is kept.")]
-PhotometricOption = Annotated[
-    bool, typer.Option("--photometric", help="Allow frames to differ by a factor and a constant.")
-]
-UseGivenOption = Annotated[
-    bool, typer.Option("--use-given", help="Weigh the burst's own offsets by their errors.")
-]
-RefineOption = Annotated[
-    bool, typer.Option("--refine", help="Refine through the forward model of a reconstruction.")
-]
+@dataclass(frozen=True, slots=True)
+class RegisterOptions:
+    """Options of `lensshift register`."""
+
+    burst: BurstArgument
+    out: Path | None = option(None, "Burst file; default: BURST_registered.nc beside it.", "-o")
+    method: Method = option(Method.AUTO, "How the shifts are found.")
+    channel: Channel = option(Channel.AMPLITUDE, "What the shifts are found from.")
+    reference: int = option(0, "Frame whose offset is kept.", min=0)
+    photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
+    use_given: bool = option(False, "Weigh the burst's own offsets by their errors.")
+    refine: bool = option(False, "Refine through the forward model of a reconstruction.")
+    stack: StackOptions = field(default_factory=StackOptions)
 
 
-def register(
-    burst: BurstArgument,
-    out: OutOption = None,
-    method: MethodOption = Method.AUTO,
-    channel: ChannelOption = Channel.AMPLITUDE,
-    reference: ReferenceOption = 0,
-    photometric: PhotometricOption = False,
-    use_given: UseGivenOption = False,
-    refine: RefineOption = False,
-    offsets: OffsetsOption = None,
-    pitch_mm: PitchOption = None,
-    key: KeyOption = None,
-    frame_axis: FrameAxisOption = FrameAxis.FIRST,
-    modulation_hz: ModulationOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("finding the shifts")
+def register(current: Session, asked: RegisterOptions) -> None:
     """Find the shifts of a burst from its own frames.
 
     \b
@@ -86,54 +62,41 @@ def register(
       lensshift register frames.tif --pitch-mm 0.015
       lensshift register frames/ --offsets planned.csv --pitch-mm 0.015 --photometric
     """
-    stack = StackOptions(offsets, pitch_mm, key, frame_axis, modulation_hz)
-    with session(as_json=as_json, debug=debug, doing="finding the shifts") as current:
-        target = _target(burst, out)
-        refuse_overwriting((burst, offsets), (target,))
-        from lensshift.io import save_burst
-        from lensshift.io.atomic import writable_target
-        from lensshift.registration import register as find_shifts
+    target = asked.out or beside(asked.burst, "_registered.nc")
+    refuse_overwriting((asked.burst, asked.stack.offsets), (target,))
+    from lensshift.io import save_burst
+    from lensshift.io.atomic import writable_target
+    from lensshift.registration import register as find_shifts
 
-        writable_target(target)
-        found = find_shifts(
-            load_input_burst(burst, stack, to_register=True),
-            method=method.value,
-            channel=channel.value,
-            reference=reference,
-            photometric=photometric,
-            use_given=use_given,
-        )
-        if refine:
-            from lensshift.reconstruction.shift_refinement import refine_shifts
+    writable_target(target)
+    found = find_shifts(
+        load_input_burst(asked.burst, asked.stack, to_register=True),
+        method=asked.method.value,
+        channel=asked.channel.value,
+        reference=asked.reference,
+        photometric=asked.photometric,
+        use_given=asked.use_given,
+    )
+    if asked.refine:
+        from lensshift.reconstruction.shift_refinement import refine_shifts
 
-            found = refine_shifts(found)
-        save_burst(found, target)
-        current.result |= {"input": burst, "files": [target], **_described(found)}
-        _say(current, found)
-        current.say(f"wrote {target}")
+        found = refine_shifts(found)
+    save_burst(found, target)
+    current.result |= {"input": asked.burst, "files": [target], **_described(found)}
+    _say(current, found)
+    current.say(f"wrote {target}")
 
 
 def with_shifts(current: Session, burst: Burst) -> Burst:
     """Return a burst of unknown shifts with those that its frames tell, and say them."""
     from lensshift.registration import register as find_shifts
 
-    waiting = Waiting("finding the shifts")
-    try:
+    with closing(Waiting("finding the shifts")):
         found = find_shifts(burst)
-    finally:
-        waiting.close()
     current.say("no shifts are given; the frames say:")
     _say(current, found)
     current.result |= _described(found)
     return found
-
-
-def _target(source: Path, out: Path | None) -> Path:
-    if out is not None:
-        return out
-    whole = source.resolve()
-    name = whole.name if whole.is_dir() else whole.stem
-    return (source.parent if source.name else whole.parent) / f"{name}_registered.nc"
 
 
 def _described(burst: Burst) -> dict[str, Any]:

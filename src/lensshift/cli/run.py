@@ -2,51 +2,41 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from lensshift.cli.devices import YesOption
 from lensshift.cli.method_options import check_method
 from lensshift.cli.reconstruct import describe, say_channels
-from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
+from lensshift.cli.session import Progress, Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from lensshift.pipeline.run import RunSummary
 
-ConfigArgument = Annotated[
-    Path | None, typer.Argument(help="Experiment in TOML; the built-in four boxes if not given.")
-]
-FolderOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the files it writes.")]
-ScaleOption = Annotated[
-    int | None, typer.Option(min=1, max=8, help="Upscaling factor instead of CONFIG's.")
-]
-MethodOption = Annotated[
-    str | None, typer.Option(help="Method instead of CONFIG's; `lensshift methods` lists them.")
-]
-SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed instead of CONFIG's.")]
-RigOption = Annotated[
-    str,
-    typer.Option("--rig", help="simulated, emulated (real protocols), or a rig file (TOML)."),
-]
-PrintOption = Annotated[
-    bool, typer.Option("--print-config", help="Print the built-in experiment and stop.")
-]
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """Options of `lensshift run`."""
+
+    config: Path | None = argument(
+        "Experiment in TOML; the built-in four boxes if not given.", default=None
+    )
+    out: Path = option(Path("lensshift-run"), "Folder for the files it writes.", "-o")
+    scale: int | None = option(None, "Upscaling factor instead of CONFIG's.", min=1, max=8)
+    method: str | None = option(None, "Method instead of CONFIG's; `lensshift methods` lists them.")
+    seed: int | None = option(None, "Seed instead of CONFIG's.", min=0)
+    rig: str = option("simulated", "simulated, emulated (real protocols), or a rig file (TOML).")
+    print_config: bool = option(False, "Print the built-in experiment and stop.")
+    yes: YesOption = False
 
 
-def run(
-    config: ConfigArgument = None,
-    out: FolderOption = Path("lensshift-run"),
-    scale: ScaleOption = None,
-    method: MethodOption = None,
-    seed: SeedOption = None,
-    rig: RigOption = "simulated",
-    print_config: PrintOption = False,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def run(current: Session, asked: RunOptions) -> None:
     """Simulate one experiment, reconstruct its burst, and compare with the truth.
 
     With --rig emulated: start emulated stages and an emulated camera, calibrate them, capture over
@@ -59,34 +49,32 @@ def run(
       lensshift run mine.toml --out second-run
       lensshift run --rig emulated --out rig-run
     """
-    with session(as_json=as_json, debug=debug) as current:
-        if print_config:
-            from lensshift.pipeline.experiment_file import default_text
+    if asked.print_config:
+        from lensshift.pipeline.experiment_file import default_text
 
-            typer.echo(default_text(), nl=False)
-            raise typer.Exit
-        if method is not None:
-            check_method(method)
-        if rig != "simulated":
-            if config is not None:
-                raise typer.BadParameter("CONFIG is for the simulated rig; leave it or --rig out")
-            from lensshift.cli.run_rig import run_rig
+        typer.echo(default_text(), nl=False)
+        raise typer.Exit
+    if asked.method is not None:
+        check_method(asked.method)
+    if asked.rig != "simulated":
+        if asked.config is not None:
+            raise typer.BadParameter("CONFIG is for the simulated rig; leave it or --rig out")
+        from lensshift.cli.run_rig import run_rig
 
-            run_rig(
-                current, rig, out,
-                scale=scale or 2, method=method or "auto", seed=seed or 0, yes=yes,
-            )  # fmt: skip
-            return
-        from lensshift.pipeline import run as run_pipeline
+        run_rig(current, asked)
+        return
+    from lensshift.pipeline import run as run_pipeline
 
-        progress = Progress("reconstructing", preparing=True)
-        try:
-            summary = run_pipeline(
-                out, config=config, scale=scale, method=method, seed=seed, on_iteration=progress
-            )
-        finally:
-            progress.close()
-        _say(current, summary)
+    with closing(Progress("reconstructing", preparing=True)) as progress:
+        summary = run_pipeline(
+            asked.out,
+            config=asked.config,
+            scale=asked.scale,
+            method=asked.method,
+            seed=asked.seed,
+            on_iteration=progress,
+        )
+    _say(current, summary)
 
 
 def _say(current: Session, summary: RunSummary) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -11,30 +13,29 @@ from lensshift.cli.devices import homing_asked
 from lensshift.cli.reconstruct import describe, say_channels
 from lensshift.cli.session import Session
 
+if TYPE_CHECKING:
+    from lensshift.cli.run import RunOptions
 
-def run_rig(
-    current: Session, rig: str, out: Path, *, scale: int, method: str, seed: int, yes: bool
-) -> None:
+
+def run_rig(current: Session, asked: RunOptions) -> None:
     """Carry out the verb and say what it gave."""
-    if rig == "emulated":
-        _emulated(current, out, scale, method, seed)
+    scale, method = asked.scale or 2, asked.method or "auto"
+    if asked.rig == "emulated":
+        _emulated(current, asked, scale, method)
         return
-    if not Path(rig).exists():
-        raise typer.BadParameter(f"expected simulated, emulated or a rig file, got {rig!r}")
+    if not Path(asked.rig).exists():
+        raise typer.BadParameter(f"expected simulated, emulated or a rig file, got {asked.rig!r}")
     from lensshift.pipeline.rig import run_bench
 
-    show = Show(current)
-    try:
+    with closing(Show(current)) as show:
         result, files = run_bench(
-            rig,
-            out,
+            asked.rig,
+            asked.out,
             scale=scale,
             method=method,
             on_step=lambda _, now: show(now),
-            on_homing=homing_asked(yes=yes),
+            on_homing=homing_asked(yes=asked.yes),
         )
-    finally:
-        show.close()
     say_channels(current, result)
     current.say("wrote " + ", ".join(str(path) for path in files))
     current.result |= {
@@ -44,21 +45,13 @@ def run_rig(
     }
 
 
-def _emulated(current: Session, out: Path, scale: int, method: str, seed: int) -> None:
+def _emulated(current: Session, asked: RunOptions, scale: int, method: str) -> None:
     from lensshift.capture.emulators.rig import RigSettings
     from lensshift.pipeline.rig import EMULATED_SPEED, run_emulated
 
-    show = Show(current)
-    try:
-        summary = run_emulated(
-            out,
-            RigSettings(speed=EMULATED_SPEED, seed=seed),
-            scale=scale,
-            method=method,
-            on_step=show.named,
-        )
-    finally:
-        show.close()
+    settings = RigSettings(speed=EMULATED_SPEED, seed=asked.seed or 0)
+    with closing(Show(current)) as show:
+        summary = run_emulated(asked.out, settings, scale=scale, method=method, on_step=show.named)
     current.say(f"emulated rig, {method} x{scale}: all in {summary.seconds:.1f} s")
     for name, error in summary.shift_rms_px.items():
         current.say(f"shift error  {error:.4f} px rms, {name}")

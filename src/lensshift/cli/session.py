@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 import threading
 import time
@@ -12,13 +10,13 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
 from lensshift.core.ending import ended_by_signals
 from lensshift.core.errors import QualityWarning, printable
+from lensshift.core.settings import to_json
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to stdout.")
@@ -34,10 +32,10 @@ _EXTRAS = {
     "matplotlib": "plot", "skimage": "deconvolution", "xarray": "notebook", "pandas": "notebook",
     "astropy": "fits", "torch": "torch", "distributed": "cluster", "starlette": "live",
 }  # fmt: skip
-_QUIET_S = 1.0
+_QUIET_S = 1.0  # what is over sooner needs no word
 _PREPARING = "preparing (the first call after an installation compiles its inner loops)"
-_TERMINAL_EVERY_S = 0.1
-_FILE_EVERY_S = 5.0
+_TERMINAL_EVERY_S = 0.1  # smooth to the eye
+_FILE_EVERY_S = 5.0  # a line of a log
 
 
 @dataclass
@@ -47,12 +45,16 @@ class Session:
     Parameters
     ----------
     as_json : print only the result, as JSON
+    debug : show where an error comes from
     result : what JSON output holds beside "warnings"
+    failed : whether the verb ends with 1 although it could be carried out
     """
 
     as_json: bool = False
+    debug: bool = False
     result: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    failed: bool = False
     waiting: Waiting | None = None
 
     def say(self, text: str) -> None:
@@ -65,7 +67,7 @@ class Session:
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
         if self.as_json:
-            typer.echo(json.dumps(_plain(self.result)))
+            typer.echo(to_json(self.result, indent=None))
 
     def warn(
         self,
@@ -94,7 +96,7 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
     as_json, debug : the options of every verb
     doing : what is said, with the seconds so far, while it lasts and nothing else was printed
     """
-    current = Session(as_json)
+    current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
     with ended_by_signals(), warnings.catch_warnings():
         warnings.simplefilter("always", QualityWarning)
@@ -107,19 +109,21 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         except typer.Exit:  # a RuntimeError in the eyes of Python
             raise
         except _FAILURES as error:
-            _report(error, current, debug=debug)
+            _report(error, current)
             raise typer.Exit(1) from error
         finally:
             if current.waiting is not None:
                 current.waiting.close()
     if as_json:
         typer.echo(to_json(current.result | {"warnings": current.warnings}))
+    if current.failed:
+        raise typer.Exit(1)
 
 
-def _report(error: Exception, current: Session, *, debug: bool) -> None:
+def _report(error: Exception, current: Session) -> None:
     if current.waiting is not None:
         current.waiting.close()
-    if debug:
+    if current.debug:
         traceback.print_exception(error)
     text = printable(" ".join(str(error).split())) or type(error).__name__
     extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
@@ -213,24 +217,3 @@ class Waiting:
             self._over.set()
             self._thread.join()
             self._progress.close()
-
-
-def to_json(value: Any) -> str:
-    """Return JSON; numbers that JSON does not know (NaN, infinity) become null."""
-    return json.dumps(_plain(value), indent=2)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    return str(value)

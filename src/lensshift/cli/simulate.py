@@ -2,70 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from lensshift.cli.inputs import Pattern, PatternOption, refuse_overwriting
-from lensshift.cli.session import DebugOption, JsonOption, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from lensshift.camera import TofCamera, TofCapture
 
 
-SceneArgument = Annotated[
-    str,
-    typer.Argument(
-        help="four_boxes, slanted_edge, depth_step, siemens_star, zone_plate, or a TOML file."
-    ),
-]
-OutOption = Annotated[
-    Path, typer.Option("--out", "-o", help="Burst file; the truth goes beside it as .truth.npz.")
-]
-CameraOption = Annotated[
-    str, typer.Option("--camera", help="o3m151, pmd_176x132, vga, or an experiment file (TOML).")
-]
-LensOption = Annotated[
-    str | None, typer.Option("--lens", help="Trace this lens (a name or a file) for the image.")
-]
-ElementOption = Annotated[
-    int, typer.Option("--element", min=0, help="Element that moves, from 1; 0: the sensor moves.")
-]
-ScaleOption = Annotated[int, typer.Option(min=1, max=8, help="Truth pixels per pixel.")]
-ErrorOption = Annotated[
-    float, typer.Option("--shift-error-px", min=0.0, help="Rms error of each shift, unknown.")
-]
-AmbientOption = Annotated[
-    float | None, typer.Option("--ambient-klx", min=0.0, help="Sunlight on the scene.")
-]
-IdealOption = Annotated[bool, typer.Option("--ideal", help="No noise, no errors of the camera.")]
-FloatOption = Annotated[
-    bool, typer.Option("--float", help="Distances as computed, not as the camera rounds them.")
-]
-PhasesOption = Annotated[
-    Path | None, typer.Option("--phases", help="Also write the raw phase frames (.npz).")
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of noise and errors.")]
+@dataclass(frozen=True, slots=True)
+class SimulateOptions:
+    """Options of `lensshift simulate`."""
+
+    scene: str = argument(
+        "four_boxes, slanted_edge, depth_step, siemens_star, zone_plate, or a TOML file.",
+        default="four_boxes",
+    )
+    out: Path = option(
+        Path("burst.nc"), "Burst file; the truth goes beside it as .truth.npz.", "-o"
+    )
+    camera: str = option("o3m151", "o3m151, pmd_176x132, vga, or an experiment file (TOML).")
+    lens: str | None = option(None, "Trace this lens (a name or a file) for the image.")
+    element: int = option(1, "Element that moves, from 1; 0: the sensor moves.", min=0)
+    pattern: PatternOption = Pattern.SQUARE
+    scale: int = option(2, "Truth pixels per pixel.", min=1, max=8)
+    shift_error_px: float = option(0.02, "Rms error of each shift, unknown.", min=0.0)
+    ambient_klx: float | None = option(None, "Sunlight on the scene.", min=0.0)
+    ideal: bool = option(False, "No noise, no errors of the camera.")
+    as_float: bool = option(
+        False, "Distances as computed, not as the camera rounds them.", "--float"
+    )
+    phases: Path | None = option(None, "Also write the raw phase frames (.npz).")
+    seed: int = option(0, "Seed of noise and errors.", min=0)
 
 
-def simulate(
-    scene: SceneArgument = "four_boxes",
-    out: OutOption = Path("burst.nc"),
-    camera: CameraOption = "o3m151",
-    lens: LensOption = None,
-    element: ElementOption = 1,
-    pattern: PatternOption = Pattern.SQUARE,
-    scale: ScaleOption = 2,
-    shift_error_px: ErrorOption = 0.02,
-    ambient_klx: AmbientOption = None,
-    ideal: IdealOption = False,
-    as_float: FloatOption = False,
-    phases: PhasesOption = None,
-    seed: SeedOption = 0,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("simulating")
+def simulate(current: Session, asked: SimulateOptions) -> None:
     """Simulate a burst of a time-of-flight camera whose lens moves.
 
     Writes the burst and, as NPZ beside it, what an experimenter never knows.
@@ -76,82 +54,71 @@ def simulate(
       lensshift simulate slanted_edge --lens petzval_a --element 1 --seed 3 -o edge.nc
       lensshift simulate my_scene.toml --camera vga --pattern 3x3 --scale 3 -o room.nc
     """
-    with session(as_json=as_json, debug=debug, doing="simulating") as current:
-        truth_file = out.with_suffix(".truth.npz")
-        _check_outputs(scene, camera, out, truth_file, phases)
-        from lensshift.camera import named_pattern_px, simulate_tof
-        from lensshift.io import save_burst
-        from lensshift.pipeline.experiment_file import named_scene
-        from lensshift.pipeline.run import save_truth
+    out, phases, truth_file = asked.out, asked.phases, asked.out.with_suffix(".truth.npz")
+    _check_outputs(asked, truth_file)
+    from lensshift.camera import named_pattern_px, simulate_tof
+    from lensshift.io import save_burst
+    from lensshift.pipeline.experiment_file import named_scene
+    from lensshift.pipeline.run import save_truth
 
-        settings = _camera(camera, lens, element, ambient_klx, ideal=ideal, as_float=as_float)
-        capture = simulate_tof(
-            named_scene(scene),
-            settings,
-            named_pattern_px(pattern.value),
-            scale=scale,
-            shift_error_px=shift_error_px,
-            seed=seed,
-        )
-        save_burst(capture.burst, out)
-        save_truth(capture.truth, truth_file)
-        if phases is not None:
-            _save_phases(capture, phases)
-        burst = capture.burst
-        rows, cols = burst.grid.shape
-        valid = float(burst.valid.mean()) if burst.valid is not None else 1.0
-        files = [out, truth_file, *([phases] if phases is not None else [])]
-        current.say(f"{burst.frame_count} frames of {rows} x {cols} px, {100 * valid:.1f} % valid")
-        current.say("wrote " + ", ".join(str(path) for path in files))
-        current.result |= {
-            "frame_count": burst.frame_count,
-            "shape": burst.grid.shape,
-            "valid_share": valid,
-            "offset_px": burst.offset_px,
-            "files": files,
-        }
+    settings = _camera(asked)
+    capture = simulate_tof(
+        named_scene(asked.scene),
+        settings,
+        named_pattern_px(asked.pattern.value),
+        scale=asked.scale,
+        shift_error_px=asked.shift_error_px,
+        seed=asked.seed,
+    )
+    save_burst(capture.burst, out)
+    save_truth(capture.truth, truth_file)
+    if phases is not None:
+        _save_phases(capture, phases)
+    burst = capture.burst
+    rows, cols = burst.grid.shape
+    valid = float(burst.valid.mean()) if burst.valid is not None else 1.0
+    files = [out, truth_file, *([phases] if phases is not None else [])]
+    current.say(f"{burst.frame_count} frames of {rows} x {cols} px, {100 * valid:.1f} % valid")
+    current.say("wrote " + ", ".join(str(path) for path in files))
+    current.result |= {
+        "frame_count": burst.frame_count,
+        "shape": burst.grid.shape,
+        "valid_share": valid,
+        "offset_px": burst.offset_px,
+        "files": files,
+    }
 
 
-def _check_outputs(
-    scene: str, camera: str, out: Path, truth_file: Path, phases: Path | None
-) -> None:
+def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
     """Complain before the work about names that cannot be written."""
     from lensshift.io.atomic import writable_target
 
+    out, phases = asked.out, asked.phases
     if out.suffix.lower() != ".nc":
         raise typer.BadParameter(f"expected a burst file that ends in .nc, got {out}")
     if phases is not None and phases.suffix.lower() != ".npz":
         raise typer.BadParameter(f"expected phases that end in .npz, got {phases}")
     files = [path for path in (out, truth_file, phases) if path is not None]
-    refuse_overwriting((Path(scene), Path(camera)), files)
+    refuse_overwriting((Path(asked.scene), Path(asked.camera)), files)
     for path in files:
         writable_target(path)
 
 
-def _camera(
-    name: str,
-    lens: str | None,
-    element: int,
-    ambient_klx: float | None,
-    *,
-    ideal: bool,
-    as_float: bool,
-) -> TofCamera:
-    from dataclasses import replace
-
+def _camera(asked: SimulateOptions) -> TofCamera:
     from lensshift.camera import Ambient, camera_preset
     from lensshift.pipeline.experiment_file import load_experiment, named_optics
 
+    name = asked.camera
     camera = load_experiment(name).camera if name.endswith(".toml") else camera_preset(name)
     changes: dict[str, Any] = {}
-    if lens is not None:
-        changes["optics"] = named_optics(lens, element)
-    if ambient_klx is not None:
-        changes["ambient"] = Ambient(ambient_klx)
-    if as_float:
+    if asked.lens is not None:
+        changes["optics"] = named_optics(asked.lens, asked.element)
+    if asked.ambient_klx is not None:
+        changes["ambient"] = Ambient(asked.ambient_klx)
+    if asked.as_float:
         changes["output"] = "float"
     camera = replace(camera, **changes)
-    return camera.ideal() if ideal else camera
+    return camera.ideal() if asked.ideal else camera
 
 
 def _save_phases(capture: TofCapture, path: Path) -> None:

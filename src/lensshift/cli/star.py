@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import MISSING, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,7 +26,8 @@ from lensshift.cli.measured import (
     write_plot,
     write_table,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb
 
 
 class StarProfile(StrEnum):
@@ -35,44 +37,37 @@ class StarProfile(StrEnum):
     SQUARE = "square"
 
 
-CyclesOption = Annotated[int, typer.Option(min=1, help="Bright spokes of the star.")]
 CenterOption = Annotated[
     str | None, typer.Option("--center-px", help="Centre as row,col; found if not given.")
-]
-RadiusOption = Annotated[
-    str | None,
-    typer.Option("--radius", help="Rings used, from,to, in the unit of the pitch."),
 ]
 LevelsOption = Annotated[
     str | None, typer.Option(help="Values of large black and white areas, as black,white.")
 ]
-ProfileOption = Annotated[StarProfile, typer.Option(help="How the star was printed.")]
-SectorsOption = Annotated[int, typer.Option(min=0, help="Directions measured apart.")]
-ChirpOption = Annotated[
-    float,
-    typer.Option("--chirp", help="Growth of the frequency with the radius, in LP/mm per mm."),
-]
 
-_LEVELS = (0.5, 0.3, 0.1)
+_LEVELS = (0.5, 0.3, 0.1)  # of contrast, where curves are read off by custom
 
 
-def star(
-    image: ImageArgument,
-    cycles: CyclesOption,
-    pitch_mm: PitchOption = None,
-    center_px: CenterOption = None,
-    radius: RadiusOption = None,
-    profile: ProfileOption = StarProfile.SINE,
-    levels: LevelsOption = None,
-    sectors: SectorsOption = 0,
-    focal_length_mm: FocalOption = None,
-    frame: FrameOption = 0,
-    key: KeyOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class StarOptions:
+    """Options of `lensshift evaluate star`."""
+
+    image: ImageArgument
+    cycles: int = option(MISSING, "Bright spokes of the star.", min=1)
+    pitch_mm: PitchOption = None
+    center_px: CenterOption = None
+    radius: str | None = option(None, "Rings used, from,to, in the unit of the pitch.")
+    profile: StarProfile = option(StarProfile.SINE, "How the star was printed.")
+    levels: LevelsOption = None
+    sectors: int = option(0, "Directions measured apart.", min=0)
+    focal_length_mm: FocalOption = None
+    frame: FrameOption = 0
+    key: KeyOption = None
+    csv: CsvOption = None
+    plot: PlotOption = None
+
+
+@verb("measuring the star")
+def star(current: Session, asked: StarOptions) -> None:
     """Measure the MTF with a Siemens star: a harmonic fit in every ring.
 
     \b
@@ -80,116 +75,124 @@ def star(
       lensshift evaluate star star.tif --cycles 36 --profile square --pitch-mm 0.155
       lensshift evaluate star sharp.nc --cycles 12 --radius 0.4,1.2 --plot star.png
     """
-    with session(as_json=as_json, debug=debug, doing="measuring the star") as current:
-        from lensshift.evaluation.siemens import siemens_star_mtf
+    from lensshift.evaluation.siemens import siemens_star_mtf
 
-        check_outputs([image], csv, plot)
-        measured = measured_image(image, pitch_mm, key=key, frame=frame)
-        unit = frequency_unit(measured, focal_length_mm)
-        found = siemens_star_mtf(
-            measured.values,
-            cycles=cycles,
-            pitch_mm=measured.pitch_mm,
-            center_px=_pair(center_px, "a centre like 7.5,31.5"),
-            radius_range_mm=_pair(radius, "radii like 0.4,1.2"),
-            profile=profile.value,
-            levels=_pair(levels, "levels like 100,3000"),
-            sectors=sectors,
-            valid=measured.valid,
-        )
-        row, col = found.center_px
-        current.say(f"star of {cycles} cycles, centre at row {row:.2f}, column {col:.2f}")
-        current.result |= {"image": image, "center_px": found.center_px, "cycles": cycles}
-        _say_curve(current, found.mtf, unit, "over all directions")
-        for k, curve in enumerate(found.sectors):
-            _say_curve(current, curve, unit, f"sector {k}")
-        columns = _columns(found.mtf, unit) | {"radius": found.radius_mm, "pixels": found.count}
-        write_table(current, csv, columns)
-        write_plot(current, plot, lambda: _star_figure(found, measured, unit))
+    measured, unit = _to_measure(asked)
+    found = siemens_star_mtf(
+        measured.values,
+        cycles=asked.cycles,
+        pitch_mm=measured.pitch_mm,
+        center_px=_pair(asked.center_px, "a centre like 7.5,31.5"),
+        radius_range_mm=_pair(asked.radius, "radii like 0.4,1.2"),
+        profile=asked.profile.value,
+        levels=_pair(asked.levels, "levels like 100,3000"),
+        sectors=asked.sectors,
+        valid=measured.valid,
+    )
+    row, col = found.center_px
+    current.say(f"star of {asked.cycles} cycles, centre at row {row:.2f}, column {col:.2f}")
+    current.result |= {"image": asked.image, "center_px": found.center_px}
+    current.result["cycles"] = asked.cycles
+    _say_curve(current, found.mtf, unit, "over all directions")
+    for k, curve in enumerate(found.sectors):
+        _say_curve(current, curve, unit, f"sector {k}")
+    columns = _columns(found.mtf, unit) | {"radius": found.radius_mm, "pixels": found.count}
+    write_table(current, asked.csv, columns)
+    write_plot(current, asked.plot, lambda: _figure("star_figure", found, measured, unit))
 
 
-def zone(
-    image: ImageArgument,
-    chirp: ChirpOption,
-    pitch_mm: PitchOption = None,
-    center_px: CenterOption = None,
-    levels: LevelsOption = None,
-    focal_length_mm: FocalOption = None,
-    frame: FrameOption = 0,
-    key: KeyOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class ZoneOptions:
+    """Options of `lensshift evaluate zone`."""
+
+    image: ImageArgument
+    chirp: float = option(MISSING, "Growth of the frequency with the radius, in LP/mm per mm.")
+    pitch_mm: PitchOption = None
+    center_px: CenterOption = None
+    levels: LevelsOption = None
+    focal_length_mm: FocalOption = None
+    frame: FrameOption = 0
+    key: KeyOption = None
+    csv: CsvOption = None
+    plot: PlotOption = None
+
+
+@verb("measuring the zone plate")
+def zone(current: Session, asked: ZoneOptions) -> None:
     """Measure the response to a zone plate, cos(pi k r^2), along rows, columns and radii.
 
     \b
     Example:
       lensshift evaluate zone plate.tif --chirp 2.5 --pitch-mm 0.155 --csv zone.csv
     """
-    with session(as_json=as_json, debug=debug, doing="measuring the zone plate") as current:
-        from lensshift.evaluation.zone_plate import zone_plate_response
+    from lensshift.evaluation.zone_plate import zone_plate_response
 
-        check_outputs([image], csv, plot)
-        measured = measured_image(image, pitch_mm, key=key, frame=frame)
-        unit = frequency_unit(measured, focal_length_mm)
-        lr_pitch = tuple(measured.scale * pitch for pitch in measured.pitch_mm)
-        found = zone_plate_response(
-            measured.values,
-            pitch_mm=measured.pitch_mm,
-            chirp_lpmm_per_mm=chirp,
-            center_px=_pair(center_px, "a centre like 7.5,31.5"),
-            lr_pitch_mm=(lr_pitch[0], lr_pitch[1]) if measured.scale > 1 else None,
-            levels=_pair(levels, "levels like 100,3000"),
-            valid=measured.valid,
-        )
-        row, col = found.center_px
-        current.say(f"zone plate, centre at row {row:.2f}, column {col:.2f}")
-        current.result |= {"image": image, "center_px": found.center_px}
-        for name in ("radial", "row", "col"):
-            _say_curve(current, getattr(found, name), unit, name)
-        write_table(current, csv, _columns(found.radial, unit))
-        write_plot(current, plot, lambda: _zone_figure(found, measured, unit))
+    measured, unit = _to_measure(asked)
+    lr_pitch = tuple(measured.scale * pitch for pitch in measured.pitch_mm)
+    found = zone_plate_response(
+        measured.values,
+        pitch_mm=measured.pitch_mm,
+        chirp_lpmm_per_mm=asked.chirp,
+        center_px=_pair(asked.center_px, "a centre like 7.5,31.5"),
+        lr_pitch_mm=(lr_pitch[0], lr_pitch[1]) if measured.scale > 1 else None,
+        levels=_pair(asked.levels, "levels like 100,3000"),
+        valid=measured.valid,
+    )
+    row, col = found.center_px
+    current.say(f"zone plate, centre at row {row:.2f}, column {col:.2f}")
+    current.result |= {"image": asked.image, "center_px": found.center_px}
+    for name in ("radial", "row", "col"):
+        _say_curve(current, getattr(found, name), unit, name)
+    write_table(current, asked.csv, _columns(found.radial, unit))
+    write_plot(current, asked.plot, lambda: _figure("zone_plate_figure", found, measured, unit))
 
 
-def frc(
-    first: Annotated[Path, typer.Argument(help="One result.")],
-    second: Annotated[Path, typer.Argument(help="One from other frames of the same scene.")],
-    pitch_mm: PitchOption = None,
-    key: KeyOption = None,
-    csv: CsvOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class FrcOptions:
+    """Options of `lensshift evaluate frc`."""
+
+    first: Path = argument("One result.")
+    second: Path = argument("One from other frames of the same scene.")
+    pitch_mm: PitchOption = None
+    key: KeyOption = None
+    csv: CsvOption = None
+
+
+@verb("correlating")
+def frc(current: Session, asked: FrcOptions) -> None:
     """Correlate two independent results ring by ring in frequency.
 
     \b
     Example:
       lensshift evaluate frc sharp_even.nc sharp_odd.nc --csv frc.csv
     """
-    with session(as_json=as_json, debug=debug, doing="correlating") as current:
-        from lensshift.evaluation.ring_correlation import fourier_ring_correlation
+    from lensshift.evaluation.ring_correlation import fourier_ring_correlation
 
-        check_outputs([first, second], csv, None)
-        one = measured_image(first, pitch_mm, key=key)
-        other = measured_image(second, pitch_mm, key=key)
-        found = fourier_ring_correlation(one.values, other.values, pitch_mm=one.pitch_mm)
-        unit = frequency_unit(one, None)
-        for label, cutoff in (
-            ("half-bit threshold", found.cutoff_lpmm),
-            ("threshold of 1/7", found.fixed_cutoff_lpmm),
-        ):
-            place = "never crossed" if cutoff is None else f"crossed at {cutoff:.4g} {unit.name}"
-            current.say(f"{label:<20}{place}")
-        columns = {
-            "frequency_lpmm": found.frequency_lpmm,
-            "correlation": found.correlation,
-            "half_bit": found.half_bit,
-        }
-        current.result |= {"unit": unit.name, "cutoff_lpmm": found.cutoff_lpmm}
-        current.result |= {"fixed_cutoff_lpmm": found.fixed_cutoff_lpmm, **columns}
-        write_table(current, csv, columns)
+    check_outputs([asked.first, asked.second], asked.csv, None)
+    one = measured_image(asked.first, asked.pitch_mm, key=asked.key)
+    other = measured_image(asked.second, asked.pitch_mm, key=asked.key)
+    found = fourier_ring_correlation(one.values, other.values, pitch_mm=one.pitch_mm)
+    unit = frequency_unit(one, None)
+    for label, cutoff in (
+        ("half-bit threshold", found.cutoff_lpmm),
+        ("threshold of 1/7", found.fixed_cutoff_lpmm),
+    ):
+        place = "never crossed" if cutoff is None else f"crossed at {cutoff:.4g} {unit.name}"
+        current.say(f"{label:<20}{place}")
+    columns = {
+        "frequency_lpmm": found.frequency_lpmm,
+        "correlation": found.correlation,
+        "half_bit": found.half_bit,
+    }
+    current.result |= {"unit": unit.name, "cutoff_lpmm": found.cutoff_lpmm}
+    current.result |= {"fixed_cutoff_lpmm": found.fixed_cutoff_lpmm, **columns}
+    write_table(current, asked.csv, columns)
+
+
+def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[Measured, Unit]:
+    check_outputs([asked.image], asked.csv, asked.plot)
+    measured = measured_image(asked.image, asked.pitch_mm, key=asked.key, frame=asked.frame)
+    return measured, frequency_unit(measured, asked.focal_length_mm)
 
 
 def _pair(text: str | None, expected: str) -> tuple[float, float] | None:
@@ -219,17 +222,8 @@ def _columns(curve: Any, unit: Unit) -> dict[str, Any]:
     return columns if curve.std is None else columns | {"std": curve.std}
 
 
-def _star_figure(found: Any, measured: Measured, unit: Unit) -> Any:
-    from lensshift.report.stars import star_figure
+def _figure(name: str, found: Any, measured: Measured, unit: Unit) -> Any:
+    from lensshift.report import stars
 
-    return star_figure(
-        found, measured.values, measured.pitch_mm, unit=unit.name, factor=unit.factor
-    )
-
-
-def _zone_figure(found: Any, measured: Measured, unit: Unit) -> Any:
-    from lensshift.report.stars import zone_plate_figure
-
-    return zone_plate_figure(
-        found, measured.values, measured.pitch_mm, unit=unit.name, factor=unit.factor
-    )
+    draw = getattr(stars, name)
+    return draw(found, measured.values, measured.pitch_mm, unit=unit.name, factor=unit.factor)

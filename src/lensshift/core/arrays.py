@@ -1,4 +1,4 @@
-"""Arrays that frozen data may hold."""
+"""Arrays: what they are called in annotations, and those that frozen data may hold."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[Any]
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def frozen(values: ArrayLike) -> NDArray[Any]:

@@ -9,14 +9,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.arrays import frozen
+from lensshift.core.arrays import Floats, frozen
 from lensshift.core.motion import ShiftField, StageMap
 from lensshift.core.types import Burst
 
-Array = NDArray[np.float64]
 
-
-def _zeros() -> Array:
+def _zeros() -> Floats:
     return np.zeros(2)
 
 
@@ -39,15 +37,15 @@ class Calibration:
     """
 
     stage_map: StageMap
-    rest_mm: Array
+    rest_mm: Floats
     source: Literal["nominal", "measured"] = "nominal"
-    px_per_mm_sigma: Array | None = None
-    play_mm: Array = field(default_factory=_zeros)
-    play_sigma_mm: Array = field(default_factory=_zeros)
+    px_per_mm_sigma: Floats | None = None
+    play_mm: Floats = field(default_factory=_zeros)
+    play_sigma_mm: Floats = field(default_factory=_zeros)
     psf_sigma_px: float | None = None
     psf_sigma_sigma_px: float | None = None
-    drift_px_per_s: Array = field(default_factory=_zeros)
-    drift_sigma_px_per_s: Array = field(default_factory=_zeros)
+    drift_px_per_s: Floats = field(default_factory=_zeros)
+    drift_sigma_px_per_s: Floats = field(default_factory=_zeros)
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -76,7 +74,7 @@ class Calibration:
         return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
 
     @property
-    def cross_talk(self) -> Array:
+    def cross_talk(self) -> Floats:
         """[2] shift across over shift along, for a move of the row and of the col axis."""
         m = self.stage_map.px_per_mm
         return np.array([m[1, 0] / m[0, 0], m[0, 1] / m[1, 1]])
@@ -89,11 +87,11 @@ class Calibration:
         return None if found is None else float(found[0])
 
     @property
-    def cross_talk_sigma(self) -> Array | None:
+    def cross_talk_sigma(self) -> Floats | None:
         """[2] standard errors of the cross-talk, None if those of the map are not known."""
         return self._spread(lambda one: one.cross_talk)
 
-    def _spread(self, value: Callable[[Calibration], NDArray[Any]]) -> Array | None:
+    def _spread(self, value: Callable[[Calibration], NDArray[Any]]) -> Floats | None:
         """Propagate the errors of the map: sqrt(sum over i, j of (d value / d M_ij sigma_ij)^2)."""
         if self.px_per_mm_sigma is None:
             return None
@@ -107,12 +105,12 @@ class Calibration:
             total += np.abs(ends[1] - ends[0]) ** 2
         return np.asarray(np.sqrt(total))
 
-    def offset_px(self, stage_mm: ArrayLike) -> Array:
+    def offset_px(self, stage_mm: ArrayLike) -> Floats:
         """Return image offsets [... 2] in the middle of the sensor for positions [... 2]."""
         away_mm = np.asarray(stage_mm, dtype=np.float64) - self.rest_mm
         return np.asarray(away_mm @ self.stage_map.px_per_mm.T)
 
-    def stage_mm(self, offset_px: ArrayLike) -> Array:
+    def stage_mm(self, offset_px: ArrayLike) -> Floats:
         """Return the stage positions [... 2] that make image offsets [... 2]."""
         wanted = np.asarray(offset_px, dtype=np.float64)
         return np.asarray(wanted @ np.linalg.inv(self.stage_map.px_per_mm).T + self.rest_mm)

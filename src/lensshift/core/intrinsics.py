@@ -10,13 +10,11 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import frozen
+from lensshift.core.arrays import Floats, frozen
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
-
-Array = NDArray[np.float64]
 
 _STEPS = 30  # of Newton's method: distortion that needs more is none of a lens
 _CONVERGED = 1e-12  # of a tangent: 1e-12 of the distance
@@ -93,7 +91,7 @@ class Pinhole:
         ]
         return cls.centred(grid, *focal_px)
 
-    def directions(self, shape: tuple[int, int]) -> Array:
+    def directions(self, shape: tuple[int, int]) -> Floats:
         """Return the unit direction [row col 3] of every pixel of an image.
 
         Raises
@@ -114,7 +112,7 @@ class Pinhole:
                 )
         return _unit(np.stack([x, y, np.ones_like(x)], axis=-1))
 
-    def _undistort(self, place: Array, wanted: Array) -> bool:
+    def _undistort(self, place: Floats, wanted: Floats) -> bool:
         """Change tangents [2 ...] into those that are distorted to the wanted ones."""
         x, y = place
         k1, k2, p1, p2, k3 = self.k1, self.k2, self.p1, self.p2, self.k3
@@ -167,7 +165,7 @@ class PixelDirections:
         If the shape is another, or a direction is not finite or has no length.
     """
 
-    direction: Array
+    direction: Floats
 
     def __post_init__(self) -> None:
         direction = np.asarray(self.direction, dtype=np.float64)
@@ -177,7 +175,7 @@ class PixelDirections:
             raise ValueError("expected finite directions with a length for every pixel")
         object.__setattr__(self, "direction", frozen(_unit(direction)))
 
-    def directions(self, shape: tuple[int, int]) -> Array:
+    def directions(self, shape: tuple[int, int]) -> Floats:
         """Return the unit direction [row col 3] of every pixel of an image.
 
         Raises
@@ -233,7 +231,7 @@ class PixelDirections:
 Intrinsics = Pinhole | PixelDirections
 
 
-def points_m(distance_m: ArrayLike, intrinsics: Intrinsics) -> Array:
+def points_m(distance_m: ArrayLike, intrinsics: Intrinsics) -> Floats:
     """Return the points [row col 3] (x right, y down, z forward) of radial distances [row col].
 
         point = distance * unit direction
@@ -247,7 +245,7 @@ def points_m(distance_m: ArrayLike, intrinsics: Intrinsics) -> Array:
     return np.asarray(distance[..., None] * intrinsics.directions((rows, cols)))
 
 
-def _unit(direction: Array) -> Array:
+def _unit(direction: Floats) -> Floats:
     return np.asarray(direction / np.linalg.norm(direction, axis=-1, keepdims=True))
 
 

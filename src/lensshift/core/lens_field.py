@@ -10,18 +10,18 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.arrays import frozen
+from lensshift.core.arrays import Floats, frozen
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
 
-Array = NDArray[np.float64]
 Motion = Literal["decentre", "tilt", "sensor"]
 MOTIONS: tuple[Motion, ...] = ("decentre", "tilt", "sensor")
 
+# At most, of an iteration that converges fast: the map of a lens is nearly linear.
 _INVERSE_STEPS = 20
-_INVERSE_PX = 1e-9
+_INVERSE_PX = 1e-9  # rounding
 # Beyond the fitted range by rounding, and by the error of a shift that was planned at its end.
 _BEYOND = 1.02
 # Stage and image go together: 0.1 px is far beyond play, and less than two places are apart.
@@ -54,8 +54,8 @@ class LensField:
     """
 
     grid: Grid
-    shift_px: Array
-    spot_px2: Array
+    shift_px: Floats
+    spot_px2: Floats
     reach: tuple[float, float]
     motion: Motion = "decentre"
     element: int | None = 0
@@ -107,7 +107,7 @@ class LensField:
         """
         return self._at(self._scaled(np.atleast_2d(np.asarray(state, dtype=np.float64))))
 
-    def states(self, offset_px: ArrayLike) -> Array:
+    def states(self, offset_px: ArrayLike) -> Floats:
         """Return the states [frame 2] in mm or rad that move the middle of the image as told.
 
         Raises
@@ -133,11 +133,11 @@ class LensField:
         return self._at(self._states_of(burst.offset_px))
 
     @property
-    def px_per_unit(self) -> Array:
+    def px_per_unit(self) -> Floats:
         """Shift of the middle of the image over the state about rest, [2 2], px per mm or rad."""
         return np.asarray(self._middle_slope() / np.asarray(self.reach))
 
-    def corrected(self, px_per_px: Array) -> LensField:
+    def corrected(self, px_per_px: Floats) -> LensField:
         """Return the field with what a scan found: how much more each pixel shifts.
 
         Parameters
@@ -161,22 +161,22 @@ class LensField:
         """Return the places of the rows and of the columns, in -1 .. 1."""
         return [(np.arange(count) - 0.5 * (count - 1)) / (0.5 * count) for count in self.grid.shape]
 
-    def _centre_px(self, s: Array) -> Array:
+    def _centre_px(self, s: Floats) -> Floats:
         """Return the offset [state 2] of the middle for scaled states."""
         return _evaluated(self.shift_px, [np.zeros(1), np.zeros(1)], s)[:, 0, 0]
 
-    def _middle_slope(self) -> Array:
+    def _middle_slope(self) -> Floats:
         """Return [2 2] how the middle moves with the scaled state about rest."""
         step = 1e-4
         there = self._centre_px(step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]], np.float64))
         return np.stack([there[0] - there[1], there[2] - there[3]], axis=-1) / (2.0 * step)
 
-    def _at(self, s: Array) -> ShiftField:
+    def _at(self, s: Floats) -> ShiftField:
         u = self._places()
         offset_px, spot_px2 = (_evaluated(c, u, s) for c in (self.shift_px, self.spot_px2))
         return ShiftField(offset_px, self.grid.pitch_mm, np.maximum(spot_px2, 0.0))
 
-    def _states_of(self, offset_px: ArrayLike) -> Array:
+    def _states_of(self, offset_px: ArrayLike) -> Floats:
         """Return scaled states by Newton's method on the polynomial in the middle."""
         wanted = np.atleast_2d(np.asarray(offset_px, dtype=np.float64))
         if wanted.ndim != 2 or wanted.shape[1] != 2 or not np.all(np.isfinite(wanted)):
@@ -198,7 +198,7 @@ class LensField:
                 break
         return s
 
-    def _scaled(self, state: Array) -> Array:
+    def _scaled(self, state: Floats) -> Floats:
         """Return states over the reach, after a check that they are within it."""
         if state.ndim != 2 or state.shape[1] != 2 or not np.all(np.isfinite(state)):
             raise DataError(f"expected finite states [frame 2], got shape {state.shape}")
@@ -281,7 +281,7 @@ class LensField:
             )
 
 
-def _evaluated(coefficients: Array, u: Sequence[NDArray[Any]], s: Array) -> Array:
+def _evaluated(coefficients: Floats, u: Sequence[NDArray[Any]], s: Floats) -> Floats:
     """Return [frame row col 2] at places u (row, col) and states s [frame 2]."""
     rows, cols, first, second = coefficients.shape[:4]
     t_a, t_b = chebvander(s[:, 0], first - 1), chebvander(s[:, 1], second - 1)

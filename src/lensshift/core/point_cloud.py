@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.arrays import frozen
+from lensshift.core.arrays import Array, frozen
 from lensshift.core.intrinsics import Intrinsics, points_m
 from lensshift.core.showing import Shown
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

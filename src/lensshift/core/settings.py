@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -70,6 +71,23 @@ def parse_json(text: str | bytes, source: str | Path = "", field: str = "") -> d
     if not isinstance(content, dict):
         raise DataError("expected {...}, a JSON object", field=field, source=source)
     return content
+
+
+def to_json(value: Any, *, indent: int | None = 2) -> str:
+    """Return JSON; numbers that JSON does not know (NaN, infinity) become null."""
+    return json.dumps(_plain(value), indent=indent)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _ABOVE = "lensshift.report.notebook"
-_MOST_CHARACTERS = 76
+_MOST_CHARACTERS = 76  # of a line on a terminal of 80
 
 
 class Shown:

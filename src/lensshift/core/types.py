@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from typing import Any, Literal
 
@@ -29,7 +29,6 @@ from lensshift.core.motion import ShiftField as ShiftField
 from lensshift.core.motion import ShiftPlan as ShiftPlan
 from lensshift.core.motion import StageMap as StageMap
 from lensshift.core.optical import MtfCurve as MtfCurve
-from lensshift.core.optical import Psf as Psf
 from lensshift.core.point_cloud import PointCloud, make_cloud
 from lensshift.core.showing import AsDataset, AsTable, Shown
 from lensshift.core.units import doubt_about_units
@@ -47,6 +46,16 @@ class Status(Enum):
     DIRECT = "computed directly, without iterations"
     CONTRADICTED = "the frames contradict the picture"
     NOT_FINITE = "the estimate is not finite"
+
+
+_OPTIONAL_OF_FRAMES = (
+    "distance_m",
+    "valid",
+    "offset_sigma_px",
+    "stage_mm",
+    "stage_commanded_mm",
+    "time_s",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -222,22 +231,14 @@ class Burst(Shown, AsDataset, AsTable):
         def pick(values: NDArray[Any] | None) -> Any:
             return None if values is None else values[index]
 
-        return Burst(
+        optional = {name: pick(getattr(self, name)) for name in _OPTIONAL_OF_FRAMES}
+        return replace(
+            self,
             amplitude=self.amplitude[index],
             offset_px=self.offset_px[index],
-            grid=self.grid,
-            distance_m=pick(self.distance_m),
-            valid=pick(self.valid),
-            offset_sigma_px=pick(self.offset_sigma_px),
-            offset_source=self.offset_source,
-            stage_mm=pick(self.stage_mm),
-            stage_commanded_mm=pick(self.stage_commanded_mm),
-            time_s=pick(self.time_s),
-            modulation_hz=self.modulation_hz,
-            intrinsics=self.intrinsics,
             phasors=None if self.phasors is None else self.phasors[:, index],
             raw={name: values[index] for name, values in self.raw.items()},
-            meta=self.meta,
+            **optional,
         )
 
 

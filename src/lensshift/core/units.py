@@ -7,22 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SPEED_OF_LIGHT_MPS = 299_792_458.0
+SPEED_OF_LIGHT_MPS = 299_792_458.0  # by definition
+MILLIMETRE_M = 1e-3
 # c / 2f is 150 km here, which no camera lights: a smaller number is meant in kHz or MHz.
 LEAST_MODULATION_HZ = 1e3
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
 # thousand times too large: even a scene at a twentieth of the range shows.
 _MOST_RANGES = 25.0
-
-
-def px_to_mm(length_px: ArrayLike, pitch_mm: ArrayLike) -> NDArray[np.float64]:
-    """Convert a length on the sensor from LR pixels to millimetres."""
-    return np.asarray(length_px, dtype=np.float64) * np.asarray(pitch_mm, dtype=np.float64)
-
-
-def mm_to_px(length_mm: ArrayLike, pitch_mm: ArrayLike) -> NDArray[np.float64]:
-    """Convert a length on the sensor from millimetres to LR pixels."""
-    return np.asarray(length_mm, dtype=np.float64) / np.asarray(pitch_mm, dtype=np.float64)
 
 
 def unambiguous_range_m(modulation_hz: float) -> float:

@@ -15,8 +15,8 @@ Positions = NDArray[np.float64]
 Starts = NDArray[np.int64]
 Weights = NDArray[np.float64]
 
-GAUSSIAN_TAIL = 2e-4
-APERTURE_TAIL = 1e-5
+GAUSSIAN_TAIL = 2e-4  # a tap of less weight is left out
+APERTURE_TAIL = 1e-5  # the same of a square pixel behind a spot
 # Below this distance (HR px^2) from the smallest possible variance, linear interpolation is exact.
 _NO_EXCESS = 1e-12
 # More positions than this are looked up in a table of so many phases, linear in between: that

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.grid import hr_to_lr
 from lensshift.forward.bands import adjoint_banded, forward_banded
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
-from lensshift.forward.operator import Array, LinearOperator, by_parts
+from lensshift.forward.operator import LinearOperator, by_parts
 from lensshift.forward.sampling import (
     adjoint_field,
     forward_field,
@@ -21,7 +22,7 @@ from lensshift.forward.sampling import (
 from lensshift.forward.smooth_field import adjoint_smooth, forward_smooth, smooth_field
 from lensshift.forward.warp import Positions, field_positions, frame_positions
 
-MAX_SCALE = 8
+MAX_SCALE = 8  # memory goes with its square
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import Blur
 from lensshift.forward.model import forward_model
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,13 +7,12 @@ them: tap t of a pixel lies on HR index start + t, inside the image.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
+
 Starts = NDArray[np.int64]
 
 # Only the contraction of a * b + c is allowed to differ from strict arithmetic.

@@ -8,15 +8,14 @@ pixels that lie beside each other in memory; the few at the border are done as i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.forward.sampling import merge_line, split_line
 
-Array = NDArray[Any]
 Starts = NDArray[np.int64]
 
 _FAST = {"contract"}

@@ -31,6 +31,7 @@ from lensshift.io.container_reader import Container, open_container
 from lensshift.io.container_writer import (
     Allocated,
     Variable,
+    flag_attributes,
     pixel_centres,
     sealed_text,
     to_json,
@@ -246,7 +247,7 @@ def _variables(burst: Burst) -> dict[str, Variable]:
     if burst.phasors is not None:
         described = {"units": "1", "long_name": "phasor of each modulation frequency"}
         variables["phasors"] = Variable(("frequency", *_AXES), burst.phasors, described)
-    variables["flags"] = Variable(_AXES, _flags(burst), _flag_attributes())
+    variables["flags"] = Variable(_AXES, _flags(burst), flag_attributes("invalid"))
     for field, (name, units, label) in _PAIRS.items():
         pairs = getattr(burst, field)
         for index, axis in enumerate(("row", "col") if pairs is not None else ()):
@@ -275,14 +276,6 @@ def _flags(burst: Burst) -> NDArray[np.uint8]:
     if burst.valid is None:
         return np.zeros(burst.amplitude.shape, dtype=np.uint8)
     return np.where(burst.valid, np.uint8(0), _INVALID)
-
-
-def _flag_attributes() -> dict[str, Any]:
-    return {
-        "long_name": "quality flags",
-        "flag_masks": np.asarray([_INVALID]),
-        "flag_meanings": "invalid",
-    }
 
 
 def _frequencies(burst: Burst) -> Any:

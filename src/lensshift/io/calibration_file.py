@@ -17,6 +17,9 @@ from lensshift.io.atomic import written_whole
 SCHEMA = "lensshift-calibration/1"
 _PAIRS = ("rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s")
 _NUMBERS = ("psf_sigma_px", "psf_sigma_sigma_px")
+# Field -> its axes; a field is there, or may be null or missing.
+_NEEDED = {"px_per_mm": 2, "sigma_px": 0, **dict.fromkeys(_PAIRS, 1)}
+_OPTIONAL = {"px_per_mm_sigma": 2, "field_px_per_mm": 4, **dict.fromkeys(_NUMBERS, 0)}
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
@@ -57,74 +60,39 @@ def load_calibration(path: str | Path) -> Calibration:
     DataError
         If the file is missing, is no calibration, or a field is missing or wrong.
     """
-    content = _content(path)
-    matrix = _array(content, "px_per_mm", 2, path)
-    if content.get("field_px_per_mm") is None:
-        field = None
-    else:
-        field = _array(content, "field_px_per_mm", 4, path)
-    sigma = content.get("px_per_mm_sigma")
-    others: dict[str, Any] = {name: _array(content, name, 1, path) for name in _PAIRS}
-    others |= {name: _number(content, name, path) for name in _NUMBERS}
-    try:
-        return Calibration(
-            stage_map=StageMap(matrix, field, float(_array(content, "sigma_px", 0, path))),
-            px_per_mm_sigma=None if sigma is None else _array(content, "px_per_mm_sigma", 2, path),
-            source=_source(content, path),
-            **others,
-            notes=_notes(content, path),
-        )
-    except DataError:
-        raise
-    except (ValueError, TypeError) as error:
-        raise DataError(str(error), source=path) from error
-
-
-def _content(path: str | Path) -> dict[str, Any]:
     content = parse_json(read_text(path), path)
     if content.get("schema") != SCHEMA:
-        found = content.get("schema")
-        raise DataError(f"expected {SCHEMA}, got {found!r:.60}", field="schema", source=path)
-    return content
+        problem = f"expected {SCHEMA}, got {content.get('schema')!r:.60}"
+        raise DataError(problem, field="schema", source=path)
+    with settings_of(path):
+        source, notes = content.get("source"), content.get("notes", {})
+        if source not in ("nominal", "measured"):
+            raise DataError(f"expected nominal or measured, got {source!r:.60}", field="source")
+        if not isinstance(notes, dict):
+            raise DataError("expected names and values", field="notes")
+        known: dict[str, Any] = {name: _array(content, name, n) for name, n in _NEEDED.items()}
+        known |= {
+            name: None if content.get(name) is None else _array(content, name, axes)
+            for name, axes in _OPTIONAL.items()
+        }
+        stage_map = [known.pop(name) for name in ("px_per_mm", "field_px_per_mm", "sigma_px")]
+        return Calibration(StageMap(*stage_map), source=source, notes=notes, **known)
 
 
-def _array(content: dict[str, Any], name: str, axes: int, path: str | Path) -> Any:
+def _array(content: dict[str, Any], name: str, axes: int) -> Any:
     if name not in content:
-        raise DataError("this field is missing", field=name, source=path)
+        raise DataError("this field is missing", field=name)
     kind: Any = float
     for _ in range(axes):
         kind = tuple[kind, ...]
-    with settings_of(path):
-        values = fit(content[name], kind, name)
-        try:
-            numbers = np.asarray(values, dtype=np.float64)
-        except ValueError as error:
-            raise DataError("expected rows of the same length", field=name) from error
-        if not np.all(np.isfinite(numbers)):
-            raise DataError("expected finite numbers", field=name)
-    return numbers
-
-
-def _number(content: dict[str, Any], name: str, path: str | Path) -> float | None:
-    if content.get(name) is None:
-        return None
-    return float(_array(content, name, 0, path))
-
-
-def _source(content: dict[str, Any], path: str | Path) -> Any:
-    source = content.get("source")
-    if source not in ("nominal", "measured"):
-        raise DataError(
-            f"expected nominal or measured, got {source!r:.60}", field="source", source=path
-        )
-    return source
-
-
-def _notes(content: dict[str, Any], path: str | Path) -> dict[str, Any]:
-    notes = content.get("notes", {})
-    if not isinstance(notes, dict):
-        raise DataError("expected names and values", field="notes", source=path)
-    return notes
+    values = fit(content[name], kind, name)
+    try:
+        numbers = np.asarray(values, dtype=np.float64)
+    except ValueError as error:
+        raise DataError("expected rows of the same length", field=name) from error
+    if not np.all(np.isfinite(numbers)):
+        raise DataError("expected finite numbers", field=name)
+    return numbers if axes else float(numbers)
 
 
 def _listed(values: Any) -> Any:

@@ -19,20 +19,17 @@ from contextlib import ExitStack
 from dataclasses import MISSING, dataclass, field, fields
 from io import BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst
 from lensshift.io.atomic import writable_target
 from lensshift.io.container_writer import to_json
 from lensshift.io.reading import reading, require_file, unpacked_bytes
-
-Array = NDArray[Any]
 
 _MARK = b"LSCAPTR1"
 _HEAD = struct.Struct("<8sQI")
@@ -183,12 +180,7 @@ class CaptureWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _write(self, payload: bytes | memoryview) -> None:

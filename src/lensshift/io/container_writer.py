@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from lensshift.core.errors import DataError
 from lensshift.io.atomic import written_whole
 
-CHUNK_BYTES = 1_000_000
+CHUNK_BYTES = 1_000_000  # what HDF5 caches by default
 _LIBVER = ("v110", "v110")
 _STORABLE = frozenset(["u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8", "c8", "c16"])
 
@@ -120,6 +120,12 @@ def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
         )
         for axis, length in zip(("row", "col"), shape, strict=True)
     }
+
+
+def flag_attributes(meaning: str) -> dict[str, Any]:
+    """Return the attributes of flags (CF) whose bit 0 has a meaning."""
+    masks = np.asarray([1], dtype=np.uint8)
+    return {"long_name": "quality flags", "flag_masks": masks, "flag_meanings": meaning}
 
 
 def to_json(value: Mapping[str, Any], field_name: str) -> str:

@@ -18,7 +18,6 @@ from lensshift.io.intrinsics_fields import intrinsics_fields
 from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
 from lensshift.io.tiff_scale import SOFTWARE
 
-_CHANNELS = ("amplitude", "distance_m")
 _BURST_ARRAYS = (
     "amplitude",
     "distance_m",
@@ -158,11 +157,7 @@ def export_reconstruction(
     DataError
         If the file cannot be written.
     """
-    channels = {
-        name: estimate
-        for name in _CHANNELS
-        if (estimate := getattr(reconstruction, name)) is not None
-    }
+    channels = reconstruction.channels
     if Path(path).suffix.lower() in CLOUD_SUFFIXES:
         cloud = reconstruction.point_cloud(keep_flying=keep_flying, normals=normals)
         save_point_cloud(cloud, path)
@@ -183,7 +178,7 @@ def export_reconstruction(
         "flying": reconstruction.flying,
     }
     for name, estimate in channels.items():
-        fields |= _estimate_fields(name, estimate)
+        fields |= _estimate_fields("distance_m" if name == "distance" else name, estimate)
     if reconstruction.intrinsics is not None:
         fields |= intrinsics_fields(reconstruction.intrinsics)
         if reconstruction.distance_m is not None:

@@ -21,7 +21,6 @@ _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
 _CHANNEL_MODES = ("LA", "RGB", "RGBA")
 _PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
 TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
-_MIN_IS_BLACK, _RGB = 1, 2
 _ADVICE = "save it as greyscale of 8 or 16 bits first"
 
 
@@ -92,7 +91,7 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
         if len(series) != 1:
             raise DataError(f"expected pages of one size, got {len(series)} kinds of pages")
         page = file.pages.first
-        if page.photometric not in (_MIN_IS_BLACK, _RGB):
+        if page.photometric not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
         if page.compression not in TIFFFILE_COMPRESSIONS:
             return _load_pillow(path)

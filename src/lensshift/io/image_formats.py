@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 OME_ENDINGS = (".ome.tif", ".ome.tiff")
 FITS_ENDINGS = (".fits", ".fit")
-_UM_PER_MM = 1e3
 
 
 def is_ome(path: str | Path) -> bool:
@@ -46,9 +45,9 @@ def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
     told = {
         "axes": "TCYX" if stack.ndim == 4 else "CYX",
         "Channel": {"Name": [_label(one) for one in layers]},
-        "PhysicalSizeY": row_mm * _UM_PER_MM,
+        "PhysicalSizeY": 1e3 * row_mm,
         "PhysicalSizeYUnit": "\u00b5m",
-        "PhysicalSizeX": col_mm * _UM_PER_MM,
+        "PhysicalSizeX": 1e3 * col_mm,
         "PhysicalSizeXUnit": "\u00b5m",
     }
     with written_whole(path) as part:

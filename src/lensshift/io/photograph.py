@@ -22,8 +22,7 @@ from lensshift.io.reading import check_unpacked, reading, require_file
 
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 PHOTOGRAPH_SUFFIXES = (*JPEG_SUFFIXES, ".png", *TIFF_SUFFIXES)
-_COLOURS = 3
-_RGB = 2
+_COLOURS = 3  # red, green, blue
 
 
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
@@ -88,7 +87,7 @@ def _colour_tiff(path: str | Path) -> NDArray[Any] | None:
 
     with strict_tifffile(), tifffile.TiffFile(path) as file:
         page = file.pages.first
-        if page.photometric != _RGB or len(file.pages) != 1:
+        if page.photometric != tifffile.PHOTOMETRIC.RGB or len(file.pages) != 1:
             return None
         if page.compression not in TIFFFILE_COMPRESSIONS:
             return _colour_pillow(path)

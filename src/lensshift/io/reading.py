@@ -44,7 +44,7 @@ _READ_ERRORS = (
 _DEFLATE_LIMIT = 1100  # zlib cannot shrink data by more than a factor of 1032
 # Measured frames shrink by 10 at most, flags and other constants by 1000, but beside frames.
 _UNPACKED_LIMIT = 100
-_ALWAYS_UNPACKED_BYTES = 1 << 28
+_ALWAYS_UNPACKED_BYTES = 1 << 28  # 256 MiB, which every computer has
 _allowed_bytes: ContextVar[int | None] = ContextVar("allowed_bytes", default=None)
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 import struct
 from typing import NamedTuple
 
 from lensshift.io.recordings_pcap import Packet
 
-_ETHERNET, _LINUX_COOKED, _LINUX_COOKED_2 = 1, 113, 276
-_LOOPBACKS = (0, 108)
-_RAW = (12, 14, 101, 228)
-_IPV4 = 0x0800
-_VLAN_TAGS = (0x8100, 0x88A8, 0x9100)
-_UDP = 17
+_ETHERNET, _LINUX_COOKED, _LINUX_COOKED_2 = 1, 113, 276  # link types of tcpdump.org
+_LOOPBACKS = (0, 108)  # BSD, OpenBSD
+_RAW = (12, 14, 101, 228)  # IP without a link
+_IPV4 = 0x0800  # EtherType
+_VLAN_TAGS = (0x8100, 0x88A8, 0x9100)  # EtherTypes
 _MAX_OPEN = 64  # datagrams of which fragments are missing
 _MAX_BYTES = 65535  # of an IPv4 packet
 
@@ -77,7 +77,7 @@ class UdpReader:
             return None
         header = 4 * (ip[0] & 15)
         total, identity, flags = struct.unpack_from(">HHH", ip, 2)
-        if ip[9] != _UDP or header < 20 or total < header:
+        if ip[9] != socket.IPPROTO_UDP or header < 20 or total < header:
             return None
         if len(ip) < total:
             self.cut += 1

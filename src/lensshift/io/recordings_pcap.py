@@ -18,10 +18,10 @@ _PCAP = {  # magic as it lies in the file -> byte order, seconds of a tick
 }
 _SECTION = b"\x0a\x0d\x0d\x0a"  # first block of a pcapng file, the same in both byte orders
 _ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
-_INTERFACE, _PACKET, _SIMPLE, _ENHANCED = 1, 2, 3, 6
-_TICK_OPTION, _START_OPTION = 9, 14
+_INTERFACE, _PACKET, _SIMPLE, _ENHANCED = 1, 2, 3, 6  # blocks of pcapng
+_TICK_OPTION, _START_OPTION = 9, 14  # of an interface: if_tsresol, if_tsoffset
 _MAX_BYTES = 1 << 20  # of a packet or block; a datagram has 64 KiB at most
-_MAX_INTERFACES = 1024
+_MAX_INTERFACES = 1024  # more is damage
 
 
 class Packet(NamedTuple):

@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
 from lensshift.io.container_reader import Container, open_container
 from lensshift.io.container_writer import (
     Variable,
+    flag_attributes,
     pixel_centres,
     sealed_text,
     to_json,
@@ -44,11 +46,8 @@ from lensshift.io.intrinsics_fields import (
 
 SCHEMA = "lensshift-reconstruction/1"
 _AXES = ("row", "col")
-# Field of `Reconstruction` -> (name in the file, unit, what it is)
-_CHANNELS = {
-    "amplitude": ("amplitude", "1", "amplitude"),
-    "distance_m": ("distance", "m", "radial distance, camera frame"),
-}
+# Channel -> unit, what it is
+CHANNELS = {"amplitude": ("1", "amplitude"), "distance": ("m", "radial distance, camera frame")}
 _FLYING = np.uint8(1)
 _KEPT = ("prior_weight", "noise_sigma")
 _NUMBERS = (*_KEPT, "noise_gain")
@@ -64,16 +63,13 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
     """
     from lensshift.io.prediction_fields import prediction_variables
 
-    found = {field: getattr(reconstruction, field) for field in _CHANNELS}
-    channels = {field: estimate for field, estimate in found.items() if estimate is not None}
     variables: dict[str, Variable] = {}
-    for field, estimate in channels.items():
-        variables |= _channel_variables(field, estimate)
-    variables |= prediction_variables(
-        {_CHANNELS[field][0]: estimate for field, estimate in channels.items()}
-    )
+    for name, estimate in reconstruction.channels.items():
+        variables |= _channel_variables(name, estimate)
+    variables |= prediction_variables(reconstruction.channels)
     if reconstruction.flying is not None:
-        variables["flags"] = _flags(reconstruction.flying)
+        flags = np.where(reconstruction.flying, _FLYING, np.uint8(0))
+        variables["flags"] = Variable(_AXES, flags, flag_attributes("flying"))
     try:
         if not variables:
             raise DataError("there is neither an amplitude nor a distance channel")
@@ -87,14 +83,27 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
         variables=variables
         | intrinsics_variables(reconstruction.intrinsics)
         | pixel_centres(reconstruction.grid.shape),
-        attributes={
-            "pitch_mm": np.asarray(reconstruction.grid.pitch_mm, dtype=np.float64),
-            "scale": np.int64(reconstruction.scale),
-            "method": sealed_text(reconstruction.method),
-            "settings": sealed_text(settings),
-            **intrinsics_attributes(reconstruction.intrinsics),
-        },
+        attributes=picture_attributes(
+            reconstruction.grid,
+            reconstruction.intrinsics,
+            scale=reconstruction.scale,
+            method=reconstruction.method,
+            settings=settings,
+        ),
     )
+
+
+def picture_attributes(
+    grid: Grid, intrinsics: Intrinsics | None, *, scale: int, method: str, settings: str
+) -> dict[str, Any]:
+    """Return the attributes of a file of pictures; `settings` as JSON."""
+    return {
+        "pitch_mm": np.asarray(grid.pitch_mm, dtype=np.float64),
+        "scale": np.int64(scale),
+        "method": sealed_text(method),
+        "settings": sealed_text(settings),
+        **intrinsics_attributes(intrinsics),
+    }
 
 
 def load_reconstruction(path: str | Path) -> Reconstruction:
@@ -110,9 +119,7 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
 
     with open_container(path, SCHEMA) as container:
         channels = {
-            name: _read_channel(container, field)
-            for field, (name, _, _) in _CHANNELS.items()
-            if container.has(name)
+            name: _read_channel(container, name) for name in CHANNELS if container.has(name)
         }
         images = [channel.image for channel in channels.values()]
         if not images:
@@ -130,7 +137,7 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
         return Reconstruction(
             amplitude=channels.get("amplitude"),
             distance_m=channels.get("distance"),
-            grid=_grid(container, images[0].shape),
+            grid=picture_grid(container, images[0].shape),
             scale=int(scale),
             method=container.text("method"),
             settings=settings,
@@ -139,10 +146,10 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
         )
 
 
-def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
+def _channel_variables(name: str, estimate: Estimate) -> dict[str, Variable]:
     from lensshift.io.prediction_fields import phase_attributes
 
-    name, units, label = _CHANNELS[field]
+    units, label = CHANNELS[name]
     described: dict[str, Any] = {
         "units": units,
         "long_name": label,
@@ -177,15 +184,6 @@ def _channel_variables(field: str, estimate: Estimate) -> dict[str, Variable]:
     return variables
 
 
-def _flags(flying: NDArray[np.bool_]) -> Variable:
-    attributes = {
-        "long_name": "quality flags",
-        "flag_masks": np.asarray([_FLYING]),
-        "flag_meanings": "flying",
-    }
-    return Variable(_AXES, np.where(flying, _FLYING, np.uint8(0)), attributes)
-
-
 def _read_flying(container: Container, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
     if not container.has("flags"):
         return None
@@ -195,8 +193,7 @@ def _read_flying(container: Container, shape: tuple[int, ...]) -> NDArray[np.boo
     return np.asarray((flags & _FLYING) != 0)
 
 
-def _read_channel(container: Container, field: str) -> Estimate:
-    name, _, _ = _CHANNELS[field]
+def _read_channel(container: Container, name: str) -> Estimate:
     image = container.array(name)
     if image.ndim != 2:
         raise DataError(f"expected [row col], got shape {image.shape}", field=name)
@@ -231,7 +228,8 @@ def _status(container: Container, name: str) -> Status:
     return names[text]
 
 
-def _grid(container: Container, shape: tuple[int, ...]) -> Grid:
+def picture_grid(container: Container, shape: tuple[int, ...]) -> Grid:
+    """Return the HR grid of a file of pictures."""
     pitch_mm = container.number_pair("pitch_mm")
     try:
         return Grid((int(shape[0]), int(shape[1])), pitch_mm)

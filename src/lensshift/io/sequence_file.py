@@ -29,25 +29,16 @@ from lensshift.io.container_reader import open_container
 from lensshift.io.container_writer import (
     Allocated,
     Variable,
+    flag_attributes,
     pixel_centres,
-    sealed_text,
     to_json,
 )
-from lensshift.io.intrinsics_fields import (
-    NAMES,
-    intrinsics_attributes,
-    intrinsics_of_fields,
-    intrinsics_variables,
-)
+from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields, intrinsics_variables
 from lensshift.io.piecewise_file import PiecewiseFile
+from lensshift.io.result_file import CHANNELS, picture_attributes, picture_grid
 
 SCHEMA = "lensshift-sequence/1"
 _AXES = ("window", "row", "col")
-# Channel -> (name in the file, unit, what it is)
-_CHANNELS = {
-    "amplitude": ("amplitude", "1", "amplitude"),
-    "distance": ("distance", "m", "radial distance, camera frame"),
-}
 _NUMBERS = {
     "misfit": ("<f4", "1", "mean square residual in units of the noise"),
     "first_frame": ("<i8", "1", "number of the first frame in the recording"),
@@ -84,17 +75,12 @@ def begin_sequence(
     """
     variables: dict[str, Variable] = {}
     for channel in channels:
-        name, units, label = _CHANNELS[channel]
+        units, label = CHANNELS[channel]
         for part, meaning in (("", label), ("_std", f"standard deviation of {label}")):
             described: dict[str, Any] = {"units": units, "long_name": meaning}
-            variables[name + part] = _space((windows, *grid.shape), "<f4", described)
+            variables[channel + part] = _space((windows, *grid.shape), "<f4", described)
     if flying:
-        described = {
-            "long_name": "quality flags",
-            "flag_masks": np.asarray([np.uint8(1)]),
-            "flag_meanings": "flying",
-        }
-        variables["flags"] = _space((windows, *grid.shape), "<u1", described)
+        variables["flags"] = _space((windows, *grid.shape), "<u1", flag_attributes("flying"))
     for name, (dtype, units, meaning) in _NUMBERS.items():
         variables[name] = _space((windows,), dtype, {"units": units, "long_name": meaning})
     said = to_json(settings, "settings")
@@ -103,13 +89,7 @@ def begin_sequence(
         schema=SCHEMA,
         axes=_AXES,
         variables=variables | intrinsics_variables(intrinsics) | pixel_centres(grid.shape),
-        attributes={
-            "pitch_mm": np.asarray(grid.pitch_mm, dtype=np.float64),
-            "scale": np.int64(scale),
-            "method": sealed_text(method),
-            "settings": sealed_text(said),
-            **intrinsics_attributes(intrinsics),
-        },
+        attributes=picture_attributes(grid, intrinsics, scale=scale, method=method, settings=said),
         begun=said,
     )
 
@@ -117,8 +97,7 @@ def begin_sequence(
 def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
     """Return the fields of one window of a sequence that a reconstruction knows itself."""
     fields: dict[str, NDArray[Any]] = {}
-    for channel, estimate in found.channels.items():
-        name, _, _ = _CHANNELS[channel]
+    for name, estimate in found.channels.items():
         fields[name] = np.asarray(estimate.image, np.float32)
         std = np.full(estimate.image.shape, np.nan) if estimate.std is None else estimate.std
         fields[f"{name}_std"] = np.asarray(std, np.float32)
@@ -157,10 +136,10 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
             raise DataError(f"expected a window from 0 to {count - 1}, got {number}")
         one = (slice(number, number + 1),)
         channels = {}
-        for channel, (name, _, _) in _CHANNELS.items():
+        for name in CHANNELS:
             if container.has(name):
                 values, std = (container.array(n, part=one)[0] for n in (name, f"{name}_std"))
-                channels[channel] = Estimate(values, std, status=Status.COMPLETE)
+                channels[name] = Estimate(values, std, status=Status.COMPLETE)
         if not channels:
             raise DataError("there is neither an amplitude nor a distance channel")
         flying = container.array("flags", part=one)[0] != 0 if container.has("flags") else None
@@ -168,7 +147,7 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
         return Reconstruction(
             amplitude=channels.get("amplitude"),
             distance_m=channels.get("distance"),
-            grid=Grid((int(shape[0]), int(shape[1])), container.number_pair("pitch_mm")),
+            grid=picture_grid(container, shape),
             scale=int(container.number("scale") or 1),
             method=container.text("method"),
             settings=container.mapping("settings") | {"window": number},

@@ -11,7 +11,6 @@ _MM = {
     "nm": 1e-6, "um": 1e-3, "micron": 1e-3, "microns": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3,
     "mm": 1.0, "cm": 10.0, "inch": 25.4, "in": 25.4, "m": 1e3,
 }  # fmt: skip
-_CENTIMETRE = 3  # of the tag ResolutionUnit
 
 
 def pixel_size_mm(path: str | Path) -> tuple[float, float] | None:
@@ -31,7 +30,8 @@ def pixel_size_mm(path: str | Path) -> tuple[float, float] | None:
             unit = str(told).encode().decode("unicode_escape") if "\\u" in str(told) else str(told)
             tags = file.pages.first.tags
             if tags.valueof("Software") == SOFTWARE and not unit:
-                unit = "cm" if tags.valueof("ResolutionUnit") == _CENTIMETRE else ""
+                in_cm = tags.valueof("ResolutionUnit") == tifffile.RESUNIT.CENTIMETER
+                unit = "cm" if in_cm else ""
             found = _of_tags(tags, _MM.get(unit.strip().lower()))
     return found if found and all(0 < size < 1e6 for size in found) else None
 

@@ -16,7 +16,7 @@ from lensshift.live.worker import Live
 from lensshift.reconstruction.methods import find_method, method_names
 
 _KNOWN = ("pattern", "scale", "method", "blur_px", "record")
-MOST_BLUR_PX = 2.0
+MOST_BLUR_PX = 2.0  # a lens far out of focus
 
 
 def choices(live: Live) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from lensshift.core.errors import DeviceError
 # faster camera would give more, and take from the pictures the time that it is emulated in.
 RATE_HZ, SPEED, FRAMES = 70.0, 100.0, 3
 _READY_S = 120.0  # the first start after an installation compiles
-_PATIENCE_S = 20.0
+_PATIENCE_S = 20.0  # for the end of the process
 
 
 @contextmanager
@@ -58,11 +58,11 @@ def _emulate(theirs: Any, seed: int) -> None:
     """Emulate until the other end of the pipe is closed, also by the death of its process."""
     # Ctrl-C reaches all processes of a terminal; the stages must still take the lens to rest.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from lensshift.capture.emulators.listener import free_udp_port
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
-    from lensshift.pipeline.rig import free_port
 
     settings = RigSettings(speed=SPEED, rate_hz=RATE_HZ, seed=seed)
-    with EmulatedRig(settings, camera_port=free_port()) as rig:
+    with EmulatedRig(settings, camera_port=free_udp_port()) as rig:
         theirs.send(rig.rig_file())
         try:
             theirs.recv()

@@ -11,14 +11,12 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 
-Array = NDArray[Any]
-
-_CURVE_POINTS = 51
+_CURVE_POINTS = 51  # of the curve that the page draws
 
 
 def beside() -> ProcessPoolExecutor:

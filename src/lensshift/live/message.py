@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.live.picture import Picture
-
-Array = NDArray[Any]
 
 _LEVELS = 65534  # 0 is kept for what is not known
 _HEAD = struct.Struct("<I")

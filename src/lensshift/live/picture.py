@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.live.sources import Shot
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

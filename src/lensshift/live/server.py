@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.003  # between two looks for a new picture
 _ALIVE_S = 0.5  # without a picture, the page hears at least so often that there is none
-_SHIFTS_EVERY_S = 2.0
+_SHIFTS_EVERY_S = 2.0  # at most so often
 _SHIFTS_SHARE = 0.1  # of one core, at most
 _ASSUMED_FIELD_RAD = math.radians(40.0)  # across, where nobody says where pixels look
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import PlainOptics, RunningCamera, TofCamera
 from lensshift.camera.view import intrinsics_of
@@ -19,6 +18,7 @@ from lensshift.capture.acquire import check_travel
 from lensshift.capture.drivers.replay import ReplayCamera
 from lensshift.capture.opening import Rig
 from lensshift.capture.plan import named_plan
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError, DeviceTimeout
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
@@ -27,9 +27,6 @@ from lensshift.core.types import Burst, Frame
 from lensshift.io.capture_file import FrameRecord
 from lensshift.scene import Scene
 
-Array = NDArray[Any]
-
-REACH_PX = 1.25  # of a simulated camera, along each axis
 _WAIT_S = 1.0  # for a frame of a recording with gaps
 
 
@@ -87,12 +84,11 @@ class Source(Protocol):
         ...
 
 
-class RigSource:
-    """Frames of an open rig; each began after the stage had settled."""
+class _AnyPlan:
+    """A source whose plan may change between two frames."""
 
-    def __init__(self, rig: Rig, pattern: str = "square") -> None:
-        self._rig = rig
-        self.name = f"{rig.stage.name}, {rig.camera.name}"
+    def __init__(self, name: str, pattern: str) -> None:
+        self.name = name
         self._plan = self._checked(pattern)
 
     @property
@@ -101,11 +97,22 @@ class RigSource:
         return self._plan.name
 
     def choose(self, pattern: str) -> None:
-        """Go round another plan, if the stage reaches all of it."""
+        """Go round another plan from the next frame on."""
         self._plan = self._checked(pattern)
 
     def _checked(self, pattern: str) -> ShiftPlan:
-        plan = named_plan(pattern)
+        return named_plan(pattern)
+
+
+class RigSource(_AnyPlan):
+    """Frames of an open rig; each began after the stage had settled."""
+
+    def __init__(self, rig: Rig, pattern: str = "square") -> None:
+        self._rig = rig
+        super().__init__(f"{rig.stage.name}, {rig.camera.name}", pattern)
+
+    def _checked(self, pattern: str) -> ShiftPlan:
+        plan = super()._checked(pattern)
         check_travel(self._rig.stage, self._rig.calibration.stage_mm(plan.target_px))
         return plan
 
@@ -133,7 +140,7 @@ class RigSource:
         )
 
 
-class SimulatedSource:
+class SimulatedSource(_AnyPlan):
     """Frames of a simulated camera whose image moves by the plan, and a little beside it.
 
     Parameters
@@ -152,20 +159,10 @@ class SimulatedSource:
         shift_error_px: float = 0.02,
         seed: int = 0,
     ) -> None:
-        self._running = RunningCamera(scene, camera, reach_px=REACH_PX)
+        self._running = RunningCamera(scene, camera)
         self._camera, self._rate_hz = camera, rate_hz
         self._error_px, self._rng = shift_error_px, np.random.default_rng(seed)
-        self.name = "simulated camera"
-        self._plan = named_plan(pattern)
-
-    @property
-    def pattern(self) -> str:
-        """Name of the plan that the image goes round."""
-        return self._plan.name
-
-    def choose(self, pattern: str) -> None:
-        """Go round another plan."""
-        self._plan = named_plan(pattern)
+        super().__init__("simulated camera", pattern)
 
     def shots(self) -> Iterator[Shot]:
         """Yield frames at their rate; what is late is not caught up with."""
@@ -255,22 +252,12 @@ class BurstSource:
             yield Shot(frame, place, now_s, self.plan, burst.offset_px[number], stage, sent)
 
 
-class CameraSource:
+class CameraSource(_AnyPlan):
     """Frames of a recording of a camera, which says nothing of the lens: it went round a plan."""
 
     def __init__(self, camera: ReplayCamera, pattern: str = "square") -> None:
         self._camera = camera
-        self.name = camera.name
-        self._plan = named_plan(pattern)
-
-    @property
-    def pattern(self) -> str:
-        """Name of the plan that the lens is taken to have gone round."""
-        return self._plan.name
-
-    def choose(self, pattern: str) -> None:
-        """Take the lens to have gone round another plan."""
-        self._plan = named_plan(pattern)
+        super().__init__(camera.name, pattern)
 
     def shots(self) -> Iterator[Shot | None]:
         """Yield frames as recorded; a lost frame still counts as a place of the plan."""

@@ -14,7 +14,7 @@ from lensshift.live.recording import Recording
 from lensshift.live.sources import Shot, Source
 from lensshift.reconstruction.stream import Stream, stream
 
-_RATE_OVER_S = 3.0
+_RATE_OVER_S = 3.0  # long enough to be steady, short enough to follow
 _WARNED_S = 5.0  # how long a warning stands
 _LOOK_S = 0.2  # how soon the solver notices the end
 # What a device, a file or a setting can do to a thread.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lensshift.report.page import Page
 
 _FINER = 3  # times the pixels of a frame: of the picture in which edges are looked for
-_MOST_FRAMES = 12
+_MOST_FRAMES = 12  # that measure an edge jointly; time goes with them
 _LEAST_ERROR_PX = 0.005  # errors of the shifts, edges of few pixels: 0.007 px on the emulated rig
 _LEAST_PX = 4  # lines and columns of an edge
 _MOST_ASYMMETRY = 0.05  # over the contrast; what stands beside an edge makes it asymmetric

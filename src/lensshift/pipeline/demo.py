@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from lensshift.camera import Sensor, Truth, simulate_burst
+from lensshift.camera import Sensor, Truth, camera_preset, simulate_burst
 from lensshift.core.grid import Grid
 from lensshift.core.types import Burst
 from lensshift.scene import demo_target
 
-# A ToF sensor of 64 x 16 pixels, as (rows, cols).
-DEMO_GRID = Grid((16, 64), (0.155, 0.155))
+DEMO_GRID = camera_preset("o3m151").grid  # 16 x 64 pixels
 
 
 def demo_burst(grid: Grid = DEMO_GRID, *, scale: int = 2, seed: int = 0) -> tuple[Burst, Truth]:

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.io.burst_file import Recording, open_recording
@@ -23,8 +23,6 @@ from lensshift.io.piecewise_file import PiecewiseFile
 from lensshift.io.sequence_file import begin_sequence, of_sequence
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.stream import Pace, stream
-
-Array = NDArray[Any]
 
 # What one task returns is at most of this size, so that memory is bounded; a task is also what is
 # lost with a worker, and where nothing is known of what was before.

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import socket
 import time
 import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.acquire import Acquisition, Progress
+from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 from lensshift.capture.opening import nominal_calibration, open_rig
 from lensshift.capture.plan import named_plan
 from lensshift.capture.rig import OnHoming
+from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import fidelity
@@ -31,14 +30,12 @@ from lensshift.pipeline.run import made_folder, writable_folder
 from lensshift.reconstruction.methods import find_method
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.registration import calibration_scan_mm
-
-Array = NDArray[Any]
+from lensshift.registration.scan import USUAL_STEPS
 
 SCAN_SPAN_MM = 0.3  # 1.7 px: the longer, the better the map is known
-_SCAN_STEPS = 4  # along each axis, from both sides: 35 positions
-_SCAN_FRAMES = 6
-_FRAMES = 8
-_PATIENCE_S = 20.0
+_SCAN_FRAMES = 6  # averaged at a position of the scan
+_FRAMES = 8  # and at one of the burst
+_PATIENCE_S = 20.0  # for a frame: the emulated rig shares this computer
 NOMINAL_BLUR_PX = 0.3  # of a square pixel behind a fair lens
 # What the rig file of a run says: 5.63 px per mm and 10 %, turned by 5 degrees, mirrored.
 # Calibration is what makes the run work.
@@ -117,7 +114,7 @@ def run_emulated(
     named_plan(plan)
     folder = made_folder(writable_folder(out_dir))
     settings = settings or RigSettings(speed=EMULATED_SPEED)
-    with EmulatedRig(settings, camera_port=free_port()) as emulated:
+    with EmulatedRig(settings, camera_port=free_udp_port()) as emulated:
         taken = _take(emulated, folder, plan, on_step)
         # The origin of the image is where the calibration says that the offset is zero.
         assumed_px = _assumed(taken)
@@ -212,20 +209,13 @@ def _take(
     told["calibration"]["px_per_mm"] = NOMINAL_PX_PER_MM
     with open_rig(told) as rig:
         rig.acquisition = Acquisition(_SCAN_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
-        places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=_SCAN_STEPS)
+        places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=USUAL_STEPS)
         scan = rig.scan(places, files["scan"], on_step=scanned)
         found = calibrate_rig(scan, report=folder / "calibration.html")
         rig.calibration = found.calibration
         rig.acquisition = Acquisition(_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
         burst = rig.capture(plan, files["burst"], on_step=taken)
         return _Taken(burst, rig.calibration, np.stack(true), dict(rig.camera.counts()))
-
-
-def free_port() -> int:
-    """Return a UDP port of this computer that nobody listens on."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return int(udp.getsockname()[1])
 
 
 def _assumed(taken: _Taken) -> Array:

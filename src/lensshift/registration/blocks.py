@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
+
 Shifts = NDArray[np.float64]
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
 Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]
 
-LEAST_BLOCK_PX = 12
-_LEAST_VALID = 0.5
+LEAST_BLOCK_PX = 12  # along an axis, for a shift of its own
+_LEAST_VALID = 0.5  # of the pixels of a block
 
 
 def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
 from lensshift.core.lens_field import LensField
@@ -19,12 +20,10 @@ from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts
 from lensshift.registration.register import filled, frames_of, with_given
 
-Array = NDArray[np.float64]
-
-HUBER_SIGMAS = 1.345
-_PASSES = 20
-_LEAST_FRAMES = 9
-BUDGET_PX = 0.02
+HUBER_SIGMAS = 1.345  # keeps 95 % of the efficiency where errors are normal
+_PASSES = 20  # of reweighting, at most
+_LEAST_FRAMES = 9  # map, play, drift and constant, and some over
+BUDGET_PX = 0.02  # what reconstruction allows for in any case (benchmarks/shift_budget.py)
 _BLIND_SHARE = 0.05  # of the map: 0.02 px of a move by half a pixel, with two standard errors
 
 
@@ -45,8 +44,8 @@ class ScanFit:
 
     calibration: Calibration
     burst: Burst
-    residual_px: Array
-    direction: Array
+    residual_px: Floats
+    direction: Floats
     field_order: int
     lens_field: LensField | None = None
 
@@ -59,7 +58,7 @@ def calibrate(burst: Burst, **options: Any) -> Calibration:
 def fit_scan(
     burst: Burst,
     *,
-    rest_mm: Array | None = None,
+    rest_mm: Floats | None = None,
     photometric: bool = False,
     registered: bool = False,
     over_sensor: bool = True,
@@ -98,7 +97,7 @@ def fit_scan(
     stage_mm = _stage(burst)
     if lens_field is not None:
         lens_field.check_camera(burst)
-    known_px2: Array = np.zeros((2 * burst.frame_count, 2 * burst.frame_count))
+    known_px2: Floats = np.zeros((2 * burst.frame_count, 2 * burst.frame_count))
     if not registered:
         burst, known_px2 = _registered(burst, photometric=photometric)
     rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
@@ -156,7 +155,7 @@ def _notes(burst: Burst, order: int, lens_field: LensField | None) -> dict[str, 
     } | ({} if lens_field is None else {"optics": lens_field.optics})
 
 
-def _slip_px(lens_field: LensField | None, offset_px: Array) -> Array | float:
+def _slip_px(lens_field: LensField | None, offset_px: Floats) -> Floats | float:
     """Return how much more each pixel shifts than the middle, [axis frame row col]."""
     if lens_field is None:
         return 0.0
@@ -164,7 +163,7 @@ def _slip_px(lens_field: LensField | None, offset_px: Array) -> Array | float:
     return np.moveaxis(shown_px - offset_px[:, None, None], -1, 0)
 
 
-def _refined(field: LensField, bent: Array, matrix: Array) -> tuple[LensField, Array]:
+def _refined(field: LensField, bent: Floats, matrix: Floats) -> tuple[LensField, Floats]:
     """Return the field with what a scan adds to it per mm, and the map in the middle."""
     rows, cols = (slice((n - 1) // 2, n // 2 + 1) for n in bent.shape[:2])
     middle = bent[rows, cols].mean(axis=(0, 1))
@@ -172,7 +171,7 @@ def _refined(field: LensField, bent: Array, matrix: Array) -> tuple[LensField, A
     return field.corrected((bent - middle) @ np.linalg.inv(whole)), whole
 
 
-def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Array]:
+def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
     """Return the scan with registered offsets and their covariance [2 frame, 2 frame]."""
     frames = frames_of(burst, "amplitude")
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
@@ -194,7 +193,7 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Array]:
     return burst, found.covariance_px2
 
 
-def _starts(burst: Burst, phase_px: Array) -> list[Array]:
+def _starts(burst: Burst, phase_px: Floats) -> list[Floats]:
     """Return where registration may begin, relative to the first frame, the best first.
 
     Phase correlation of each frame is rough where content is aliased; what stage and play make of
@@ -209,22 +208,22 @@ def _starts(burst: Burst, phase_px: Array) -> list[Array]:
     return starts
 
 
-def _unexplained_px(burst: Burst, offset_px: Array) -> float:
+def _unexplained_px(burst: Burst, offset_px: Floats) -> float:
     """Return the rms of what stage and play do not explain of offsets."""
     design = _stage_and_play(burst)
     left = offset_px - design @ (np.linalg.pinv(design) @ offset_px)
     return float(np.sqrt(np.mean(left**2)))
 
 
-def _stage_and_play(burst: Burst) -> Array:
+def _stage_and_play(burst: Burst) -> Floats:
     return _design(_stage(burst), _directions(_commanded(burst)), None)
 
 
-def _commanded(burst: Burst) -> Array:
+def _commanded(burst: Burst) -> Floats:
     return _stage(burst) if burst.stage_commanded_mm is None else burst.stage_commanded_mm
 
 
-def _stage(burst: Burst) -> Array:
+def _stage(burst: Burst) -> Floats:
     if burst.stage_mm is None:
         raise ValueError("the burst has no stage_mm, the positions read back while it was taken")
     if burst.frame_count < _LEAST_FRAMES:
@@ -237,7 +236,7 @@ def _stage(burst: Burst) -> Array:
     return burst.stage_mm
 
 
-def _directions(commanded_mm: Array) -> Array:
+def _directions(commanded_mm: Floats) -> Floats:
     """Return the sign of the last motion of each axis at each frame; 0 before it has moved."""
     direction = np.zeros_like(commanded_mm)
     least = 1e-3 * np.ptp(commanded_mm, axis=0)
@@ -247,12 +246,12 @@ def _directions(commanded_mm: Array) -> Array:
     return direction
 
 
-def _turns(direction: Array) -> NDArray[np.bool_]:
+def _turns(direction: Floats) -> NDArray[np.bool_]:
     """Tell which axes were approached from both sides; the play of the others is not known."""
     return np.asarray((direction.max(axis=0) > 0) & (direction.min(axis=0) < 0))
 
 
-def _design(away_mm: Array, direction: Array, time_s: Array | None) -> Array:
+def _design(away_mm: Floats, direction: Floats, time_s: Floats | None) -> Floats:
     """Return the columns: stage, play of axes that turn, drift, constant."""
     columns = [*away_mm.T, *(direction.T[_turns(direction)])]
     if time_s is not None:
@@ -261,15 +260,15 @@ def _design(away_mm: Array, direction: Array, time_s: Array | None) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def _robust(design: Array, offset_px: Array, known_px2: Array) -> tuple[Array, Array, Array]:
+def _robust(design: Floats, offset_px: Floats, known_px2: Floats) -> tuple[Floats, Floats, Floats]:
     """Return parameters [column axis], covariance [axis column column], residual [frame axis].
 
     What frames share of the errors of registration leaves no residual: it counts by its
     covariance `known_px2`, and what is left beside it as errors of the stage, one by one.
     """
     weight = np.ones(len(design))
-    found: Array = np.zeros((design.shape[1], 2))
-    residual: Array = offset_px
+    found: Floats = np.zeros((design.shape[1], 2))
+    residual: Floats = offset_px
     for _ in range(_PASSES):
         root = np.sqrt(weight)[:, None]
         found = np.linalg.pinv(root * design) @ (root * offset_px)
@@ -294,7 +293,7 @@ def _robust(design: Array, offset_px: Array, known_px2: Array) -> tuple[Array, A
     return found, covariance, residual
 
 
-def _play(found: Array, covariance: Array, turns: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _play(found: Floats, covariance: Floats, turns: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Return play and its standard error of each axis from the shift between the approaches.
 
     The column of direction holds - M[:, axis] play / 2.
@@ -309,7 +308,7 @@ def _play(found: Array, covariance: Array, turns: NDArray[np.bool_]) -> tuple[Ar
     return play, play_sigma
 
 
-def _warn(sigma_px: float, matrix: Array, matrix_sigma: Array) -> None:
+def _warn(sigma_px: float, matrix: Floats, matrix_sigma: Floats) -> None:
     if sigma_px > BUDGET_PX:
         warnings.warn(
             f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); does "

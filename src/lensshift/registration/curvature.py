@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
 Square = NDArray[np.float64]
 
 # Where less of the information is left, the taper tells of the shift, not the scene: random cards

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Burst
 from lensshift.registration.reference_image import reference_image
 from lensshift.registration.taper import taper_frames
 
-Array = NDArray[np.float64]
-
-MAX_ORDER = 2
-_PASSES = 3
-_BORDER_PX = 1
-_OUTLIER_SIGMAS = 4.0
+MAX_ORDER = 2  # of the polynomial over the sensor
+_PASSES = 3  # of leaving outliers out
+_BORDER_PX = 1  # where the slope is one-sided
+_OUTLIER_SIGMAS = 4.0  # one in 16 000 by chance
 # By how much of itself (rms) the map of a lens differs over the sensor where nobody knows. Of the
 # paper's optic a moved first lens differs by 6 % at the worst corner (`lensshift lens which
 # petzval_a`), a moved sensor not at all.
@@ -22,8 +21,8 @@ USUAL_SHARE = 0.01
 
 
 def fit_field(
-    burst: Burst, offset_px: Array, away_mm: Array, known_px: Array | float = 0.0
-) -> tuple[Array | None, int, Array, Array]:
+    burst: Burst, offset_px: Floats, away_mm: Floats, known_px: Floats | float = 0.0
+) -> tuple[Floats | None, int, Floats, Floats]:
     """Return how the map differs at every pixel [row col 2 2], its order, and what textures add.
 
     None and 0 where the map is the same everywhere.
@@ -50,7 +49,7 @@ def fit_field(
     weight = np.ones(frames.shape) if burst.valid is None else burst.valid.astype(np.float64)
     frames = np.where(weight > 0, frames, 0.0)
     known_px = np.broadcast_to(known_px, (2, *frames.shape))
-    best: Array | None = None
+    best: Floats | None = None
     order, slip_px = 0, known_px
     for trial in range(1, MAX_ORDER + 1):
         basis = _basis(burst.grid.shape, trial)
@@ -77,7 +76,7 @@ def fit_field(
     return best, order, _of_texture(slope, seen, slip_px), doubt_px2
 
 
-def _agree(first: Array, second: Array) -> bool:
+def _agree(first: Floats, second: Floats) -> bool:
     """Tell whether the mean of two independent findings is nearer to the truth than nothing.
 
     Their product is the square of what is true; a quarter of the squared difference is that of
@@ -86,14 +85,14 @@ def _agree(first: Array, second: Array) -> bool:
     return bool(np.mean(first * second) > 0.25 * np.mean((first - second) ** 2))
 
 
-def _of_texture(slope: Array, weight: Array, slip_px: Array) -> Array:
+def _of_texture(slope: Floats, weight: Floats, slip_px: Floats) -> Floats:
     """Return the shift [frame 2] that tapered frames show where each pixel slips by its own."""
     moves = np.einsum("ifrc,jfrc,frc->fij", slope, slope, weight)
     asked = np.einsum("ifrc,jfrc,jfrc,frc->fi", slope, slope, slip_px, weight)
     return np.asarray(np.linalg.solve(moves, asked[..., None])[..., 0])
 
 
-def _doubt(slope: Array, weight: Array, offset_px: Array, basis: Array) -> Array:
+def _doubt(slope: Floats, weight: Floats, offset_px: Floats, basis: Floats) -> Floats:
     """Return the covariance of what texture adds, for a field of usual size and any shape."""
     size = USUAL_SHARE / np.sqrt(np.sum(basis.var(axis=(1, 2))))
     adds_px = [
@@ -106,7 +105,7 @@ def _doubt(slope: Array, weight: Array, offset_px: Array, basis: Array) -> Array
     return np.asarray(whole.T @ whole)
 
 
-def _basis(shape: tuple[int, int], order: int) -> Array:
+def _basis(shape: tuple[int, int], order: int) -> Floats:
     """Return polynomials [term row col] up to an order, without the constant, of zero mean."""
     row, col = np.meshgrid(*(np.linspace(-1, 1, size) for size in shape), indexing="ij")
     terms = [row, col]
@@ -116,13 +115,13 @@ def _basis(shape: tuple[int, int], order: int) -> Array:
 
 
 def _coefficients(
-    frames: Array,
-    weight: Array,
-    offset_px: Array,
-    away_mm: Array,
-    basis: Array,
-    known_px: Array,
-) -> Array:
+    frames: Floats,
+    weight: Floats,
+    offset_px: Floats,
+    away_mm: Floats,
+    basis: Floats,
+    known_px: Floats,
+) -> Floats:
     """Return dM [term 2 2]."""
     found = np.zeros((len(basis), 2, 2))
     moved_px = offset_px
@@ -153,7 +152,7 @@ def _coefficients(
     return found
 
 
-def _free_shifts(slope: Array, here: NDArray[np.bool_]) -> list[tuple[slice, Array, Array]]:
+def _free_shifts(slope: Floats, here: NDArray[np.bool_]) -> list[tuple[slice, Floats, Floats]]:
     """Return for each frame its pixels, what a shift does to them [pixel 2], and the inverse."""
     edges = np.concatenate([[0], np.cumsum(here.sum(axis=(1, 2)))])
     shifts = []
@@ -165,8 +164,8 @@ def _free_shifts(slope: Array, here: NDArray[np.bool_]) -> list[tuple[slice, Arr
 
 
 def _without_shifts(
-    design: Array, rest: Array, shifts: list[tuple[slice, Array, Array]]
-) -> tuple[Array, Array]:
+    design: Floats, rest: Floats, shifts: list[tuple[slice, Floats, Floats]]
+) -> tuple[Floats, Floats]:
     """Return normal matrix and right side with a free shift of each frame projected out."""
     normal, target = design.T @ design, design.T @ rest
     for part, moves, solved in shifts:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.registration.likelihood import ShiftFit
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
 # Below this low pass the aliases of square pixels pull the shifts towards whole pixels.
 LOW_PASS_SIGMA_PX = 0.8
 # The low pass is one-sided at the border of a frame.
 BORDER_PX = 2
-CONVERGED_PX = 1e-3
-MAX_STEP_PX = 0.5
-_LEAST_PIXELS = 16
+CONVERGED_PX = 1e-3  # a twentieth of the budget
+MAX_STEP_PX = 0.5  # beyond it the slope of a frame says nothing
+_LEAST_PIXELS = 16  # for two numbers of each frame
 
 
 def gradient_shifts(

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.registration.curvature import Curvature, inverse
 from lensshift.registration.spectrum import Frequencies, Spectrum, first_spectrum
 from lensshift.registration.taper import Tapered, taper_frames
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
-MAX_STEP_PX = 0.2
+MAX_STEP_PX = 0.2  # the likelihood is a parabola nearby only
 CONVERGED_PX, CONVERGED_SIGMAS = 1e-3, 0.03
-_SPECTRUM_PASSES = 6
+_SPECTRUM_PASSES = 6  # for the first spectrum; later ones begin at the last
 # The image power is freed from the power law in this many rounds, once the shifts are near.
 _FREE_ROUNDS = 6
 _FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0

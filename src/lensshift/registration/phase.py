@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.registration.spectrum import Frequencies
 from lensshift.registration.taper import taper_frames
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
 # Aliases share the high frequencies with the scene; what lies below this is mostly scene.
 LOW_PASS_CYCLES_PER_PX = 0.18
 # Bins weaker than this part of the strongest one hold more noise than scene.
 _LEAST_POWER = 1e-4
-_PLANE_PASSES = 6
+_PLANE_PASSES = 6  # of fitting the phase
 # Above this the frames have structure along one direction only.
 _WORST_CONDITION = 1e8
-_REACH_OF_PEAK_PX = 0.5
+_REACH_OF_PEAK_PX = 0.5  # the fit may not leave the pixel of the peak
 # Another peak of so much of the height may be the true one (scenes that repeat have 0.5 and more
 # beside it, cards and textures up to 0.3), and one that is lower by less than so much noise.
 _RIVAL_SHARE, _RIVAL_SIGMAS = 0.5, 4.0

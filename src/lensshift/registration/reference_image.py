@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lensshift.core.arrays import Floats
 
 # Knots per pixel, and how stiff the spline is where no pixel says anything. Two hold no edge of a
 # half-filled pixel behind a sharp lens, whose misfit reads as a shift that varies; three do.
 KNOTS_PER_PX = 3
-_STIFFNESS = 1e-3
-_PASSES = 60
+_STIFFNESS = 1e-3  # of the spline, over the weight of what it is fitted to
+_PASSES = 60  # of conjugate gradients
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,12 +27,12 @@ class ReferenceImage:
     slope : [axis frame row col] its derivative by the place in the scene, per pixel
     """
 
-    seen: Array
-    slope: Array
+    seen: Floats
+    slope: Floats
 
 
 def reference_image(
-    frames: Array, weight: Array, offset_px: NDArray[np.float64], slip_px: Array | None = None
+    frames: Floats, weight: Floats, offset_px: NDArray[np.float64], slip_px: Floats | None = None
 ) -> ReferenceImage:
     """Fit one cubic spline to all frames.
 
@@ -87,22 +87,22 @@ def _splines(size: int, offset_px: float, all_px: NDArray[np.float64]) -> tuple[
     )
 
 
-def _seen(knots: Array, row: Any, col: Any) -> Array:
+def _seen(knots: Floats, row: Any, col: Any) -> Floats:
     return np.asarray((col @ (row @ knots).T).T)
 
 
-def _slopes(knots: Array, rows: list[Any], cols: list[Any]) -> Array:
+def _slopes(knots: Floats, rows: list[Any], cols: list[Any]) -> Floats:
     pairs = list(zip(rows, cols, strict=True))
     down = np.stack([_seen(knots, r[1], c[0]) for r, c in pairs])
     right = np.stack([_seen(knots, r[0], c[1]) for r, c in pairs])
     return np.stack([down, right])
 
 
-def _fitted(frames: Array, weight: Array, operators: list[Any], start: Array) -> Array:
+def _fitted(frames: Floats, weight: Floats, operators: list[Any], start: Floats) -> Floats:
     """Return the knots of the penalised least-squares spline (conjugate gradients)."""
     stiffness = _STIFFNESS * len(frames) * float(weight.mean())
 
-    def normal(knots: Array) -> Array:
+    def normal(knots: Floats) -> Floats:
         total = stiffness * _stiff(knots)
         for w, (row, col) in zip(weight, operators, strict=True):
             total += _seen(w * _seen(knots, row, col), row.T, col.T)
@@ -126,7 +126,7 @@ def _fitted(frames: Array, weight: Array, operators: list[Any], start: Array) ->
     return knots
 
 
-def _stiff(knots: Array) -> Array:
+def _stiff(knots: Floats) -> Floats:
     """Return the gradient of half the sum of squared second differences along both axes."""
     total = np.zeros_like(knots)
     for axis in (0, 1):

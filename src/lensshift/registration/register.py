@@ -6,11 +6,12 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.registration.blocks import scatter_over_blocks
@@ -18,21 +19,20 @@ from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts, rival_shifts
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 Method = Literal["auto", "gradient", "phase"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
 Channel = Literal["amplitude", "distance"]
 Run = Callable[..., ShiftFit]
 
-POOR_SIGMA_PX = 0.05
+POOR_SIGMA_PX = 0.05  # more than twice the budget of a calibration
 # The least error that phase correlation is believed to have.
 PHASE_SIGMA_PX = 0.005
 # A burst moves by some pixels; where the frames tell nothing, this is what is known of a shift.
 USUAL_SHIFT_PX = 2.0
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 AGREES_PX = 0.5
-_CLEARLY_BETTER = 0.7
+_CLEARLY_BETTER = 0.7  # noise that one fit leaves over that of the other
 
 
 def register(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from lensshift.core.arrays import Floats
+
+USUAL_STEPS = 4  # along each axis, from both sides: 35 positions
 
 
 def calibration_scan_mm(
     centre_mm: ArrayLike, span_mm: float | tuple[float, float], *, steps: int = 5
-) -> Array:
+) -> Floats:
     """Return the positions [n 2] of a calibration scan, in order; take a frame at each.
 
     A slanted raster of steps x steps positions, lines there and back, then backwards, so that

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
+
 Shifts = NDArray[np.float64]
 
 # The blur of a square pixel that fills its cell; the power law takes up what differs.
@@ -18,8 +18,8 @@ PIXEL_SIGMA_PX = 0.3
 _FURTHEST_ALIAS = 3  # of sharp edges behind half-filled pixels 1e-5 of the power lies beyond
 # The freed power leans towards the power law as if it had seen that many bins of it.
 _LEANING_BINS = 0.3
-_LEAST_FREEDOM = 1e-6
-_NEIGHBOURS = 3
+_LEAST_FREEDOM = 1e-6  # so that roots and logarithms exist
+_NEIGHBOURS = 3  # bins along each axis that are averaged
 _NUMBERS_AT_ONCE = 200_000  # a few MB at a time, which stay in the cache
 
 

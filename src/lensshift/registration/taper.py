@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
+
 if TYPE_CHECKING:
     from lensshift.registration.spectrum import Spectrum
 
-Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 
 # Share of the common length over which the taper rises at each end: enough that borders leak
 # little, and short enough that 16 rows keep their weight.
 TAPER_SHARE = 0.25
-LEAST_COMMON_PX = 4.0
+LEAST_COMMON_PX = 4.0  # less has no spectrum
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lensshift.core.arrays import Floats
+from lensshift.registration.calibrate import BUDGET_PX, ScanFit
 from lensshift.report.curves import legend_above
 from lensshift.report.page import Page
 from lensshift.report.style import BLUE, GREY, INK, RED, SMALL_PT, new_figure, round_number, styled
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from lensshift.registration.calibrate import ScanFit
-
-Array = NDArray[np.float64]
-
-BUDGET_PX = 0.02
-_MOVE_PX = 0.25
-_MOST_ARROWS = 17
+_MOVE_PX = 0.25  # that of the square pattern
+_MOST_ARROWS = 17  # along an axis
 _NAMES = ("row", "col")
 
 
@@ -175,7 +167,7 @@ def _draw_arrows(axes: Axes, fit: ScanFit) -> None:
     axes.set_title("residual")
 
 
-def _draw_spread(axes: Axes, residual_px: Array) -> None:
+def _draw_spread(axes: Axes, residual_px: Floats) -> None:
     """Draw the histogram of the residuals along both axes, and the budget."""
     reach_px = max(float(np.abs(residual_px).max()), 1.3 * BUDGET_PX)
     bins = np.linspace(-reach_px, reach_px, 2 * max(5, round(len(residual_px) ** 0.5)) + 2)

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from lensshift.report.style import COLOURS, GREY, INK, SMALL_PT, colour_of, new_figure, styled
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 _DASHES = ("-", "--", ":", "-.")
-_MOST_GAIN = 6.0
+_MOST_GAIN = 6.0  # on the axis: twice the largest claim
 
 
 def curves_figure(

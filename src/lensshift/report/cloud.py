@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lensshift.core.point_cloud import PointCloud
+from lensshift.report.preview import OUTSIDE
 from lensshift.report.style import new_figure, styled
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_MOST_PERCENT = (0.5, 99.5)  # of points and colours: stray ones shall not shrink the rest
 _MOST_POINTS = 60_000  # more cover each other
-_SIDE_IN = 6.4
+_SIDE_IN = 6.4  # wide
 _POINTS_PT2 = 1.6e5  # area of all points together: twice that of the drawing
-_TICKS = 5
+_TICKS = 5  # on the longest side
 _THINNEST = 0.25  # of the longest side: room for the numbers along it
-_ABOVE_DEG, _BESIDE_DEG = 22.0, -62.0
+_ABOVE_DEG, _BESIDE_DEG = 22.0, -62.0  # of the eye
 
 
 def cloud_figure(cloud: PointCloud, title: str = "") -> Figure:
@@ -44,7 +42,7 @@ def cloud_figure(cloud: PointCloud, title: str = "") -> Figure:
     label, colour = "distance (m)", np.linalg.norm(cloud.point_m, axis=1)
     if cloud.amplitude is not None:
         label, colour = "amplitude", cloud.amplitude
-    darkest, brightest = np.percentile(colour[shown], _MOST_PERCENT)
+    darkest, brightest = np.percentile(colour[shown], OUTSIDE)
     with styled():
         figure = new_figure(_SIDE_IN, 0.75 * _SIDE_IN)
         axes: Any = figure.add_subplot(projection="3d")
@@ -68,7 +66,7 @@ def cloud_figure(cloud: PointCloud, title: str = "") -> Figure:
 
 def _limits_m(place_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest places [3] shown: all points but those far from most."""
-    low_m, high_m = np.percentile(place_m, _MOST_PERCENT, axis=1)
+    low_m, high_m = np.percentile(place_m, OUTSIDE, axis=1)
     far_m = np.max(high_m - low_m)
     return np.maximum(low_m - far_m, place_m.min(axis=1)), np.minimum(
         high_m + far_m, place_m.max(axis=1)

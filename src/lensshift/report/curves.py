@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.limits import pitch_pair_mm, pixel_aperture_mtf
-from lensshift.report.style import BAND_ALPHA, FAINT, GREY, INK, LIGHT, SMALL_PT, TITLE_PT, outlined
+from lensshift.evaluation.slanted_edge.result import Interval
+from lensshift.report.style import BAND_ALPHA, FAINT, GREY, INK, LIGHT, TITLE_PT, note
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from lensshift.evaluation.slanted_edge.result import Interval
-
-_SIGMAS = 1.96  # half a 95 % interval of a normal distribution
-_LIMIT_POINTS = 301
+INTERVAL_SIGMAS = 1.96  # half a 95 % interval of a normal distribution
+_LIMIT_POINTS = 301  # smooth in print
 _DIRECTIONS_RAD = np.linspace(0.0, 0.5 * np.pi, 46)
 _MOST = 1.9  # sharpened curves are shown up to here
 _DASHES = ("--", ":", "-.", (0, (4, 1.2, 1, 1.2, 1, 1.2)))
@@ -45,8 +41,8 @@ def draw_curve(
     """
     frequency = curve.frequency_lpmm * factor
     if low is None and high is None and curve.std is not None:
-        low = np.maximum(curve.modulation - _SIGMAS * curve.std, 0.0)
-        high = curve.modulation + _SIGMAS * curve.std
+        low = np.maximum(curve.modulation - INTERVAL_SIGMAS * curve.std, 0.0)
+        high = curve.modulation + INTERVAL_SIGMAS * curve.std
     if low is not None and high is not None:
         axes.fill_between(frequency, low, high, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
     axes.plot(frequency, curve.modulation, color=colour, label=label)
@@ -106,19 +102,10 @@ def draw_limits(
 def mark_frequency(axes: Axes, at: float, text: str) -> None:
     """Draw a vertical line at a frequency in the unit of the axes, with its name along it."""
     axes.axvline(at, color=LIGHT, linewidth=1.2, zorder=1.0)
-    axes.annotate(
-        text,
-        (at, 0.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(-2.0, 3.0),
-        textcoords="offset points",
-        rotation=90,
-        ha="right",
-        va="bottom",
-        fontsize=SMALL_PT,
-        color=GREY,
-        path_effects=outlined(1.0),
-    )
+    note(
+        axes, text, (at, 0.0), (-2.0, 3.0), xycoords=("data", "axes fraction"), rotation=90,
+        ha="right", va="bottom", color=GREY,
+    )  # fmt: skip
 
 
 def mark_crossing(

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation.depth import depth_error, near_edges
 from lensshift.evaluation.surface import flying_pixel_fraction
 from lensshift.report import images
-from lensshift.report.style import BLUE, INK, RED, new_figure, styled
+from lensshift.report.style import BLUE, INK, RED, WIDTH_IN, new_figure, styled
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-_WIDTH_IN, _LABELS_IN, _HISTOGRAM_IN = 9.0, 0.9, 2.6
+_LABELS_IN, _HISTOGRAM_IN = 0.9, 2.6  # heights
 _WIDE = 2.6  # columns per row from which images lie above each other
 _BINS = 61  # odd: one is centred on 0
 _SHOWN_PERCENT = 98.0  # of the errors lie on the scale
@@ -53,15 +49,11 @@ def depth_figure(
     """
     distance = images.plain_image(distance_m)
     shown = distance if valid is None else np.where(np.asarray(valid, dtype=bool), distance, np.nan)
-    flying = flying_pixel_fraction(
-        distance,
-        truth_m,
-        valid=valid,
-        scale=scale,
-        edge_width_px=edge_width_px,
-        noise_m=noise_m,
-        min_step_m=min_step_m,
-    )
+    edges: dict[str, Any] = {
+        "scale": scale, "edge_width_px": edge_width_px, "noise_m": noise_m,
+        "min_step_m": min_step_m,
+    }  # fmt: skip
+    flying = flying_pixel_fraction(distance, truth_m, valid=valid, **edges)
     share = f"{100 * flying.fraction:.1f} % of the pixels at edges fly (crosses)"
     title = share if np.isfinite(flying.fraction) else "no edge was found"
     with styled():
@@ -69,22 +61,8 @@ def depth_figure(
         _draw_distance(panels[0], shown, flying.flying, f"distance: {title}")
         if truth_m is None:
             return figure
-        found = depth_error(
-            distance,
-            truth_m,
-            valid=valid,
-            scale=scale,
-            edge_width_px=edge_width_px,
-            noise_m=noise_m,
-            min_step_m=min_step_m,
-        )
-        near = near_edges(
-            truth_m,
-            scale=scale,
-            edge_width_px=edge_width_px,
-            noise_m=noise_m,
-            min_step_m=min_step_m,
-        )
+        found = depth_error(distance, truth_m, valid=valid, **edges)
+        near = near_edges(truth_m, **edges)
         error_mm = 1e3 * (shown - np.asarray(truth_m, dtype=np.float64))
         reach_mm = _reach_mm(error_mm)
         _draw_error(panels[1], error_mm, near, reach_mm)
@@ -103,12 +81,12 @@ def depth_figure(
 def _panels(shape: tuple[int, ...], *, with_truth: bool) -> tuple[Figure, list[Axes]]:
     rows, cols = shape
     stacked = not with_truth or cols > _WIDE * rows
-    each_in = _LABELS_IN + min((0.8 if stacked else 0.38) * _WIDTH_IN * rows / cols, 5.0)
+    each_in = _LABELS_IN + min((0.8 if stacked else 0.38) * WIDTH_IN * rows / cols, 5.0)
     if not with_truth:
-        figure = new_figure(_WIDTH_IN, each_in)
+        figure = new_figure(WIDTH_IN, each_in)
         return figure, [figure.subplots()]
     images_in = 2 * each_in if stacked else each_in
-    figure = new_figure(_WIDTH_IN, images_in + _HISTOGRAM_IN)
+    figure = new_figure(WIDTH_IN, images_in + _HISTOGRAM_IN)
     heights = (images_in, _HISTOGRAM_IN)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     grid = above.subplots(2, 1) if stacked else above.subplots(1, 2)

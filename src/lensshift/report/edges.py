@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
-from lensshift.evaluation.gain import ratio_of
-from lensshift.evaluation.slanted_edge.result import Interval
+from lensshift.core.arrays import Floats
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.gain import ResolutionGain, ratio_of
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Region
 from lensshift.report import curves, images
 from lensshift.report.style import (
     BAND_ALPHA,
@@ -19,32 +22,23 @@ from lensshift.report.style import (
     PURPLE,
     RED,
     SMALL_PT,
+    WIDTH_IN,
     colour_of,
     new_figure,
+    note,
     outlined,
     styled,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from lensshift.core.optical import MtfCurve
-    from lensshift.evaluation.gain import ResolutionGain
-    from lensshift.evaluation.slanted_edge.result import EdgeResult, Region
-
-Floats = NDArray[np.float64]
-
-_WIDTH_IN, _CURVES_IN, _IMAGE_IN, _LABELS_IN = 9.0, 3.6, 4.0, 0.8
-_CURVE_WIDTHS = (1.9, 1.0)
+_CURVES_IN, _IMAGE_IN, _LABELS_IN = 3.6, 4.0, 0.8  # heights
+_CURVE_WIDTHS = (1.9, 1.0)  # of the curve and of the edge beside it
 _WIDE, _TALL = 2.6, 2.0  # columns per row, rows per column
-_RESIDUAL_SIGMAS = 4.0
+_RESIDUAL_SIGMAS = 4.0  # at the ends of the colour scale
 _MOST_NYQUISTS = 4.0  # where half a pixel lets nothing through
-_INTERVAL_SIGMAS = 1.96
 _PROFILE_PX = 4.0  # shown on either side of an edge, at least
 _PROFILE_WIDTHS = 2.0  # or so many 10-90 widths
 _LEAST_MODULATION = 0.05  # below it a ratio of two curves says nothing
-_MOST_RATIO = 6.0
+_MOST_RATIO = 6.0  # on the axis
 _SAME_NYQUIST = 1.2  # of the pixels over that of LR pixels; the slant alone makes up to 1.1
 
 
@@ -118,7 +112,7 @@ def gain_figure(
     pitch_mm : side of an LR pixel for its limits, as in `edge_figure`
     """
     with styled():
-        figure = new_figure(_WIDTH_IN, 5.2)
+        figure = new_figure(WIDTH_IN, 5.2)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=_CURVE_WIDTHS)[0]
         above, below = left.subplots(2, 1, height_ratios=(2.0, 1.0), sharex=True)
         for result, name, colour in zip((fine, coarse), names, (BLUE, RED), strict=True):
@@ -161,19 +155,19 @@ def _panels(shapes: list[tuple[int, ...]]) -> tuple[Figure, list[Axes]]:
     Wide images lie above each other, others side by side, tall ones right of the curves.
     """
     if not shapes:
-        figure = new_figure(_WIDTH_IN, _CURVES_IN)
+        figure = new_figure(WIDTH_IN, _CURVES_IN)
         return figure, list(figure.subplots(1, 2, width_ratios=_CURVE_WIDTHS))
     rows, cols = shapes[0]
     if rows > _TALL * cols:
-        figure = new_figure(_WIDTH_IN, 2.0 * _CURVES_IN)
+        figure = new_figure(WIDTH_IN, 2.0 * _CURVES_IN)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1.25, 1.0))[0]
         below = right.subplots(1, len(shapes), squeeze=False)
         return figure, [*left.subplots(2, 1), *below.ravel()]
     stacked = len(shapes) == 1 or cols > _WIDE * rows
-    each_in = (0.84 if stacked else 0.4) * _WIDTH_IN
+    each_in = (0.84 if stacked else 0.4) * WIDTH_IN
     heights_in = [_LABELS_IN + min(each_in * rows / cols, _IMAGE_IN) for rows, cols in shapes]
     below_in = sum(heights_in) if stacked else max(heights_in)
-    figure = new_figure(_WIDTH_IN, _CURVES_IN + below_in)
+    figure = new_figure(WIDTH_IN, _CURVES_IN + below_in)
     heights = (_CURVES_IN, below_in)
     top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     below = (
@@ -241,15 +235,9 @@ def _draw_profiles(axes: Axes, results: Sequence[EdgeResult]) -> None:
         place_px, value, std = result.esf.normal_px, result.esf.value, result.esf.std
         colour = colour_of(number)
         if std is not None:
-            half = _INTERVAL_SIGMAS * std
-            axes.fill_between(
-                place_px,
-                value - half,
-                value + half,
-                color=colour,
-                alpha=BAND_ALPHA,
-                linewidth=0.0,
-            )
+            half = curves.INTERVAL_SIGMAS * std
+            ends = (value - half, value + half)
+            axes.fill_between(place_px, *ends, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
         axes.plot(place_px, value, color=colour, linewidth=1.4)
         width_px = result.rise_mm.value / result.pitch_mm
         if np.isfinite(width_px):
@@ -363,14 +351,7 @@ def _draw_gains(axes: Axes, gain: ResolutionGain) -> None:
         if np.isfinite(ratio.low) and np.isfinite(ratio.high):
             axes.plot([ratio.low, ratio.high], [place, place], color=colour, linewidth=1.4)
         axes.plot(ratio.value, place, "o", color=colour, markersize=5.5)
-        axes.annotate(
-            _three_digits(ratio),
-            (ratio.value, place),
-            xytext=(0.0, 7.0),
-            textcoords="offset points",
-            ha="center",
-            fontsize=SMALL_PT,
-        )
+        note(axes, _three_digits(ratio), (ratio.value, place), (0.0, 7.0), ha="center")
     axes.axvline(1.0, color=GREY, linewidth=0.9, zorder=1.0)
     axes.set_yticks(range(len(rows)), list(rows))
     axes.set_ylim(len(rows) - 0.4, -0.6)

@@ -3,29 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.evaluation.edge_gradient import EdgeGradient, ProfileEdge
 from lensshift.report.curves import legend_above
-from lensshift.report.style import (
-    BAND_ALPHA,
-    GREY,
-    LIGHT,
-    SMALL_PT,
-    colour_of,
-    new_figure,
-    outlined,
-    styled,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from lensshift.evaluation.edge_gradient import EdgeGradient, ProfileEdge
+from lensshift.report.style import BAND_ALPHA, GREY, LIGHT, colour_of, new_figure, note, styled
 
 _SHOWN_WIDTHS = 3.0  # on either side of the edge
 
@@ -138,18 +125,11 @@ def _draw_limits(axes: Axes, edge: ProfileEdge) -> None:
         axes.axhline(plateau, color=LIGHT, linewidth=0.9, zorder=1.0)
         axes.axhline(limit, color=GREY, linewidth=0.9, linestyle="--", zorder=1.0)
         share = 100.0 * (limit - edge.low) / step
-        axes.annotate(
-            f"{share:.3g} % of the step",
-            (1.0, limit),
-            xycoords=("axes fraction", "data"),
-            xytext=(-2.0, 2.0 if plateau == edge.low else -2.0),
-            textcoords="offset points",
-            ha="right",
-            va="bottom" if plateau == edge.low else "top",
-            fontsize=SMALL_PT,
-            color=GREY,
-            path_effects=outlined(1.0),
-        )
+        away_pt, va = (2.0, "bottom") if plateau == edge.low else (-2.0, "top")
+        note(
+            axes, f"{share:.3g} % of the step", (1.0, limit), (-2.0, away_pt),
+            xycoords=("axes fraction", "data"), ha="right", va=va, color=GREY,
+        )  # fmt: skip
 
 
 def _draw_slopes(axes: Axes, measured: MeasuredLines, colour: str) -> None:

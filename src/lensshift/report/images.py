@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.report.style import INK, SMALL_PT, outlined
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.image import AxesImage
-
-Floats = NDArray[np.float64]
+from lensshift.core.arrays import Floats
+from lensshift.report.preview import shown_range
+from lensshift.report.style import INK, note, outlined
 
 _WITHOUT_VALUE = "#EADCC2"
 _DIVERGING = "RdBu_r"
@@ -45,9 +41,7 @@ def draw_image(
         If the values are no image.
     """
     image = plain_image(values)
-    known = image[np.isfinite(image)]
-    low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
-    return _draw(axes, image, title, corner_px, colours, (float(low), float(high)))
+    return _draw(axes, image, title, corner_px, colours, shown_range(image))
 
 
 def draw_map(
@@ -120,17 +114,8 @@ def outline(axes: Axes, mask: NDArray[np.bool_], colour: str) -> None:
 
 def number_region(axes: Axes, number: int, row_px: int, col_px: int, colour: str) -> None:
     """Write the number of a region into its upper left corner."""
-    axes.annotate(
-        str(number),
-        (col_px - 0.5, row_px - 0.5),
-        xytext=(3.0, -3.0),
-        textcoords="offset points",
-        color=colour,
-        va="top",
-        fontsize=SMALL_PT,
-        fontweight="bold",
-        path_effects=outlined(1.0),
-    )
+    place = (col_px - 0.5, row_px - 0.5)
+    note(axes, str(number), place, (3.0, -3.0), color=colour, va="top", fontweight="bold")
 
 
 def plain_image(values: ArrayLike) -> Floats:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-_WIDE_IN, _HIGH_IN = 9.0, 4.0
-_SCREEN_DPI = 80
+_WIDE_IN, _HIGH_IN = 9.0, 4.0  # as `style.WIDTH_IN`, which would load matplotlib
+_SCREEN_DPI = 80  # a page of 9 in is 720 px wide
 _PAIRS = ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm")
 
 
@@ -165,8 +165,9 @@ def _quick(estimate: Estimate) -> Estimate:
 
 def _burst_figure(burst: Burst) -> Figure:
     """Draw the first frame, its distances, and where the content moved in each frame."""
+    from lensshift.report.curves import INTERVAL_SIGMAS
     from lensshift.report.images import add_scale, draw_image
-    from lensshift.report.style import BLUE, SMALL_PT, new_figure, styled
+    from lensshift.report.style import BLUE, new_figure, note, styled
 
     images = {"amplitude": np.abs(burst.amplitude[0])}
     if burst.distance_m is not None:
@@ -187,12 +188,10 @@ def _burst_figure(burst: Burst) -> Figure:
         place = right.subplots()
         down, across = burst.offset_px.T
         sigma = burst.offset_sigma_px
-        row_px, col_px = (None, None) if sigma is None else (1.96 * sigma[:, 0], 1.96 * sigma[:, 1])
+        row_px, col_px = (None, None) if sigma is None else INTERVAL_SIGMAS * sigma.T
         place.errorbar(across, down, yerr=row_px, xerr=col_px, fmt="o", color=BLUE, markersize=4)
         for number, at in enumerate(zip(across, down, strict=True)):
-            place.annotate(
-                str(number), at, xytext=(3, 3), textcoords="offset points", fontsize=SMALL_PT
-            )
+            note(place, str(number), at, (3.0, 3.0))
         place.set_title(f"offsets, {burst.offset_source}")
         place.set_xlabel("content moved right (px)")
         place.set_ylabel("content moved down (px)")

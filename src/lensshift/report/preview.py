@@ -13,29 +13,19 @@ from lensshift.io.atomic import written_whole
 
 Shots = Mapping[str, Mapping[str, NDArray[Any]]]
 
-_WIDE_PX, _LINE_PX, _GAP_PX = 520, 16, 6
-_OUTSIDE = (0.5, 99.5)  # percentiles of the last image that are shown
+_WIDE_PX, _LINE_PX, _GAP_PX = 520, 16, 6  # of an image, a line of text, between them
+OUTSIDE = (0.5, 99.5)  # percentiles: stray pixels shall not set a scale
 _UNITS = {"amplitude": "", "distance": " m"}
-_INK, _PAPER = (34, 34, 34), (255, 255, 255)
+_INK, _PAPER = (34, 34, 34), (255, 255, 255)  # as in `style`
 # Matplotlib's viridis (CC0) at places equally far apart.
 _VIRIDIS = np.array(
     [
-        [68, 1, 84],
-        [72, 31, 112],
-        [68, 57, 131],
-        [59, 82, 139],
-        [49, 104, 142],
-        [40, 124, 142],
-        [33, 145, 140],
-        [32, 164, 134],
-        [53, 183, 121],
-        [94, 201, 98],
-        [144, 215, 67],
-        [200, 224, 32],
-        [253, 231, 37],
+        [68, 1, 84], [72, 31, 112], [68, 57, 131], [59, 82, 139], [49, 104, 142], [40, 124, 142],
+        [33, 145, 140], [32, 164, 134], [53, 183, 121], [94, 201, 98], [144, 215, 67],
+        [200, 224, 32], [253, 231, 37],
     ],
     np.float64,
-)
+)  # fmt: skip
 
 
 def save_shots(shown: Shots, title: str, path: str | Path) -> None:
@@ -67,7 +57,7 @@ def _save_plain(shown: Shots, title: str, path: str | Path) -> None:
     from PIL import Image, ImageDraw
 
     channels = [name for name in _UNITS if any(name in images for images in shown.values())]
-    limits = {name: _limits(shown, name) for name in channels}
+    limits = {name: channel_range(shown, name) for name in channels}
     rows, cols = next(iter(shown.values()))[channels[0]].shape
     high_px = max(1, round(_WIDE_PX * rows / cols))
     step_px = high_px + _LINE_PX + _GAP_PX
@@ -96,13 +86,20 @@ def _save_plain(shown: Shots, title: str, path: str | Path) -> None:
         page.save(part, format="PNG")
 
 
-def _limits(shown: Shots, channel: str) -> tuple[float, float]:
-    values = np.abs([images[channel] for images in shown.values() if channel in images][-1])
-    finite = values[np.isfinite(values)]
+def shown_range(image: NDArray[Any]) -> tuple[float, float]:
+    """Return the values that a scale begins and ends with; 0 and 1 where nothing is finite."""
+    finite = image[np.isfinite(image)]
     if not finite.size:
         return 0.0, 1.0
-    low, high = np.percentile(finite, _OUTSIDE).tolist()
+    low, high = np.percentile(finite, OUTSIDE).tolist()
     return low, high if high > low else low + 1.0
+
+
+def channel_range(shown: Shots, channel: str) -> tuple[float, float]:
+    """Return the scale of a channel, which the last image that has it sets."""
+    return shown_range(
+        np.abs([images[channel] for images in shown.values() if channel in images][-1])
+    )
 
 
 def _coloured(image: NDArray[Any], low: float, high: float, channel: str) -> NDArray[np.uint8]:

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Estimate, Reconstruction
 from lensshift.report.cloud import cloud_figure, drawn_pixels
+from lensshift.report.preview import shown_range
 from lensshift.report.style import SMALL_PT, new_figure, styled
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _UNITS = {"amplitude": "", "distance": " (m)"}
 _COLOURS = {"amplitude": "gray", "distance": "viridis"}
-_SHOWN_PERCENT = (0.5, 99.5)
 _MOST_MISFIT = 10.0  # ten times the variance that was expected
-_TITLE_IN, _CLOUD_IN = 0.32, 6.0
+_TITLE_IN, _CLOUD_IN = 0.32, 6.0  # heights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +105,7 @@ def _panels(
 ) -> list[_Panel]:
     unit, colours = _UNITS.get(name, ""), _COLOURS.get(name, "gray")
     image = np.abs(estimate.image) if np.iscomplexobj(estimate.image) else estimate.image
-    scale, measured = Normalize(*_range(image)), name + unit
+    scale, measured = Normalize(*shown_range(image)), name + unit
     found = [_Panel(name, image, colours, scale, measured)]
     if reference is not None and name in reference:
         other = reference[name]
@@ -114,7 +113,7 @@ def _panels(
         found.append(_Panel(f"{name}, one frame, bicubic", other, colours, scale, measured))
     if estimate.std is not None:
         std = np.asarray(estimate.std)
-        zero_to_most = Normalize(0.0, _range(std)[1])
+        zero_to_most = Normalize(0.0, shown_range(std)[1])
         found.append(
             _Panel(f"standard deviation of {name}", std, "magma", zero_to_most, f"std{unit}")
         )
@@ -131,14 +130,6 @@ def _misfit(result: Reconstruction) -> list[_Panel]:
     ]
 
 
-def _range(image: NDArray[Any]) -> tuple[float, float]:
-    finite = image[np.isfinite(image)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = np.percentile(finite, _SHOWN_PERCENT).tolist()
-    return low, high if high > low else low + 1.0
-
-
 def _draw(axes: Any, panel: _Panel) -> None:
     drawn = axes.imshow(panel.image, cmap=panel.colours, norm=panel.scale)
     axes.set_title(panel.label, fontsize=SMALL_PT)
@@ -147,12 +138,6 @@ def _draw(axes: Any, panel: _Panel) -> None:
         bar.set_ticks([1, 2, 5, 10], labels=["1", "2", "5", "10"])
         bar.minorticks_off()
     else:
-        bar.locator = _few_ticks()
+        bar.locator = MaxNLocator(4)
         bar.update_ticks()
     bar.set_label(panel.measured, fontsize=SMALL_PT)
-
-
-def _few_ticks() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(4)

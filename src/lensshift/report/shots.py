@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
+from lensshift.report.preview import Shots, channel_range
 from lensshift.report.style import SMALL_PT, new_figure, styled
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 
 _UNITS = {"amplitude": "amplitude", "distance": "distance (m)"}
 _COLOURS = {"amplitude": "gray", "distance": "viridis"}
-_OUTSIDE = (0.5, 99.5)  # percentiles of the last image that are shown
 
 
-def shots_figure(
-    shown: Mapping[str, Mapping[str, Floats]], title: str = "", *, wide_in: float = 11.0
-) -> Figure:
+def shots_figure(shown: Shots, title: str = "", *, wide_in: float = 11.0) -> Figure:
     """Draw images of one scene on one scale per channel.
 
     Parameters
@@ -48,7 +38,7 @@ def shots_figure(
         panels = figure.subplots(*count, squeeze=False)
         panels = panels.T if beside else panels
         for number, channel in enumerate(channels):
-            low, high = _range(shown, channel)
+            low, high = channel_range(shown, channel)
             drawn = None
             for axes, (label, images) in zip(panels[:, number], shown.items(), strict=True):
                 axes.set_axis_off()
@@ -66,13 +56,3 @@ def shots_figure(
                 bar.set_label(_UNITS[channel])
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
     return figure
-
-
-def _range(shown: Mapping[str, Mapping[str, Floats]], channel: str) -> tuple[float, float]:
-    having = [images[channel] for images in shown.values() if channel in images]
-    values = np.abs(having[-1])
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = np.percentile(finite, _OUTSIDE).tolist()
-    return low, high if high > low else low + 1.0

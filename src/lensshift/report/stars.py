@@ -3,36 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
+from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.limits import pitch_pair_mm
+from lensshift.evaluation.siemens import SiemensResult
+from lensshift.evaluation.zone_plate import ZonePlateResult
 from lensshift.report import curves, images
 from lensshift.report.style import (
     BLUE,
     GREY,
     RED,
+    WIDTH_IN,
     colour_of,
     new_figure,
+    note,
     outlined,
     styled,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from lensshift.core.optical import MtfCurve
-    from lensshift.evaluation.siemens import SiemensResult
-    from lensshift.evaluation.zone_plate import ZonePlateResult
-
-Floats = NDArray[np.float64]
 Pitch = float | tuple[float, float]
 
-_WIDTH_IN = 9.0
 _RINGS_SHOWN = 3  # named a, b, c
 _WEDGE_RAD = np.pi / 12  # of the curves along rows and columns
 
@@ -68,7 +65,7 @@ def star_figure(
     named = [(star.mtf, "all directions")] if star.sectors else [(star.mtf, "star")]
     named += [(curve, f"{_sector_deg(k, star)} degrees") for k, curve in enumerate(star.sectors)]
     with styled():
-        figure = new_figure(_WIDTH_IN, 6.4)
+        figure = new_figure(WIDTH_IN, 6.4)
         top, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.6, 1.0))[:, 0]
         left, right = top.subplots(1, 2, width_ratios=(1.45, 1.0))
         title = "MTF of the Siemens star, with 95 % band"
@@ -118,7 +115,7 @@ def zone_plate_figure(
             (plate.folded[1], "folded, along columns"),
         ]
     with styled():
-        figure = new_figure(_WIDTH_IN, 4.4)
+        figure = new_figure(WIDTH_IN, 4.4)
         left, right = figure.subplots(1, 2, width_ratios=(1.45, 1.0))
         title = "response to the zone plate, with 95 % bands"
         _draw_curves(left, named, limits, lr_pitch_mm or sides_mm, unit, factor, title)
@@ -185,17 +182,8 @@ def _mark_ring(axes: Axes, frequency: float, modulation: float, letter: str) -> 
 
 
 def _write(axes: Axes, text: str, x: float, y: float, away_pt: tuple[float, float]) -> None:
-    axes.annotate(
-        text,
-        (x, y),
-        xytext=away_pt,
-        textcoords="offset points",
-        ha="center",
-        va="center",
-        color=RED,
-        fontweight="bold",
-        path_effects=outlined(1.0),
-    )
+    how = {"ha": "center", "va": "center", "color": RED, "fontweight": "bold"}
+    note(axes, text, (x, y), away_pt, fontsize=None, **how)
 
 
 def _draw_wedge(

@@ -9,6 +9,7 @@ from typing import Any
 
 import matplotlib as mpl
 from cycler import cycler
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
@@ -17,8 +18,9 @@ BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
 SKY, RED = "#56B4E9", "#D55E00"
 COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, PURPLE)
 INK, GREY, LIGHT, FAINT = "#222222", "#6E6E6E", "#A8A8A8", "#E2E2E2"
-SMALL_PT, TITLE_PT = 8.0, 9.5
-BAND_ALPHA = 0.22
+WIDTH_IN = 9.0  # of a page
+SMALL_PT, TITLE_PT = 8.0, 9.5  # as in print
+BAND_ALPHA = 0.22  # two bands and what lies below stay visible
 
 # Settings of the user that would show in a figure; they are put back to the defaults first.
 _FAMILIES = (
@@ -85,6 +87,23 @@ def colour_of(number: int) -> str:
 def outlined(line_pt: float) -> list[withStroke]:
     """Return effects that keep a line so many points wide, or a text, visible on any image."""
     return [withStroke(linewidth=line_pt + 1.8, foreground="white", alpha=0.8)]
+
+
+def note(
+    axes: Axes, text: str, at: tuple[float, float], away_pt: tuple[float, float], **how: Any
+) -> None:
+    """Write small words so many points away from `at`, visible on any image.
+
+    Parameters
+    ----------
+    how : what `Axes.annotate` takes besides
+    """
+    usual: dict[str, Any] = {
+        "textcoords": "offset points",
+        "fontsize": SMALL_PT,
+        "path_effects": outlined(1.0),
+    }
+    axes.annotate(text, at, xytext=away_pt, **(usual | how))
 
 
 def round_number(value: float) -> float:

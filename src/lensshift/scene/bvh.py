@@ -6,17 +6,16 @@ equally many triangles; some triangles are in two leaves to make it so.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.scene.kernels import NEAREST_M, Vector, local_ray
 
-Array = NDArray[Any]
-
-_IN_A_LEAF = 4
+_IN_A_LEAF = 4  # triangles
 _DEEPEST = 64  # levels of the tree: for 2^64 triangles
 _FLAT = 1e-12  # sine of the angle between the edges of a triangle without area
 _EDGE = 1e-12  # of an edge: rays through the edge of two triangles meet at least one of them

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.scene.shapes import Rays, Scene, Shape
-
-Array = NDArray[Any]
 
 _RAYS_AT_ONCE = 16_384  # some 5 MB of work besides the result
 _END_M = 1e-6  # far above the rounding of points, far below the size of things

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Place = NDArray[np.float64]
 Target = Callable[[Place, Place], NDArray[np.float64]]
 
-BACKGROUND = 0.15
+BACKGROUND = 0.15  # radiance beside the targets
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,11 @@ the distance, the index of the shape, and which part of the shape was met.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
+
 Vector = tuple[float, float, float]
 
 # A ray that starts on a surface does not meet it there: rounding is 1e-15 m at a few metres.

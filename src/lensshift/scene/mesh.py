@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.scene.bvh import Tree, build_tree, meet_mesh
 from lensshift.scene.checks import positive, table
 from lensshift.scene.shapes import Rays, Shape
-
-Array = NDArray[Any]
 
 # What the readers of trimesh raise for files that are damaged or not what their name says.
 _UNREADABLE = (

@@ -9,16 +9,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array
 from lensshift.scene.checks import numbers, positive, positives, share
 from lensshift.scene.kernels import meet_cuboid, meet_rectangle, meet_sphere
 from lensshift.scene.textures import Constant, Texture
 
-Array = NDArray[Any]
 Vector = tuple[float, float, float]
 
 

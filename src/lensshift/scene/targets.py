@@ -14,9 +14,9 @@ from lensshift.scene.shapes import Plane, Rectangle, Scene
 from lensshift.scene.textures import BRIGHT, DARK, Edge, SiemensStar, Texture, ZonePlate
 
 SLANT_RAD = math.radians(10.0)
-CARD_M = 0.6
-CARD_DISTANCE_M = 3.5
-_FABRIC = 0.04
+CARD_M = 0.6  # side of a card, higher than the view of an O3M at its distance
+CARD_DISTANCE_M = 3.5  # as in the paper
+_FABRIC = 0.04  # reflectance of black fabric
 
 
 def slanted_edge_card(

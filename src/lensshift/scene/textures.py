@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.scene.checks import number, positive, positives, share, table
 
-Array = NDArray[np.float64]
-Texture = Callable[[Array, Array], NDArray[Any]]
+Texture = Callable[[Floats, Floats], NDArray[Any]]
 
 DARK, BRIGHT = 0.05, 0.85  # black and white card
 
@@ -32,7 +32,7 @@ class Constant:
     def __post_init__(self) -> None:
         share("reflectance", self.reflectance)
 
-    def __call__(self, x_m: Array, y_m: Array) -> Array:
+    def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
         return np.full(np.broadcast(x_m, y_m).shape, float(self.reflectance))
 
@@ -55,7 +55,7 @@ class Checker:
         share("bright", self.bright)
         positive("size_m", self.size_m)
 
-    def __call__(self, x_m: Array, y_m: Array) -> Array:
+    def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
         square = np.floor(x_m / self.size_m) + np.floor(y_m / self.size_m)
         return np.where(np.mod(square, 2.0) == 0.0, self.dark, self.bright)
@@ -81,7 +81,7 @@ class Edge:
         share("bright", self.bright)
         number("slant_rad", self.slant_rad)
 
-    def __call__(self, x_m: Array, y_m: Array) -> Array:
+    def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
         right_of_edge = x_m * math.cos(self.slant_rad) - y_m * math.sin(self.slant_rad) > 0
         return np.where(right_of_edge, self.bright, self.dark)
@@ -116,7 +116,7 @@ class SiemensStar:
         if not isinstance(self.binary, bool):
             raise TypeError(f"expected true or false for binary, got {self.binary!r}")
 
-    def __call__(self, x_m: Array, y_m: Array) -> Array:
+    def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
         wave = np.sin(self.cycles * np.arctan2(y_m, x_m))
         if self.binary:
@@ -150,7 +150,7 @@ class ZonePlate:
         positive("radius_m", self.radius_m)
         positive("finest_period_m", self.finest_period_m)
 
-    def __call__(self, x_m: Array, y_m: Array) -> Array:
+    def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
         square = x_m * x_m + y_m * y_m
         wave = np.cos(math.pi * square / (self.radius_m * self.finest_period_m))
@@ -185,7 +185,7 @@ class LinePairs:
                 f"expected periods of up to size_m {self.size_m} for period_m, got {self.period_m}"
             )
 
-    def __call__(self, x_m: Array, y_m: Array) -> Array:
+    def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
         periods = np.array(self.period_m)
         from_top = (y_m / self.size_m + 0.5) * len(periods)
@@ -223,7 +223,7 @@ class ImageTexture:
         object.__setattr__(self, "image", image)
         object.__setattr__(self, "size_m", positives("size_m", self.size_m, 2))
 
-    def __call__(self, x_m: Array, y_m: Array) -> Array:
+    def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
         image = np.asarray(self.image)
         rows, cols = image.shape
@@ -232,18 +232,18 @@ class ImageTexture:
         below, beside = np.minimum(row + 1, rows - 1), np.minimum(col + 1, cols - 1)
         above = (1 - right) * image[row, col] + right * image[row, beside]
         under = (1 - right) * image[below, col] + right * image[below, beside]
-        seen: Array = (1 - down) * above + down * under
+        seen: Floats = (1 - down) * above + down * under
         return np.clip(seen, 0.0, 1.0)  # rounding
 
 
-def _neighbours(share: Array, count: int) -> tuple[NDArray[np.intp], Array]:
+def _neighbours(share: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
     """Return the pixel at or before a place, -1/2 to 1/2 of an axis, and how far beyond it."""
     place = np.clip((share + 0.5) * count - 0.5, 0.0, count - 1.0)
     before = np.floor(place).astype(np.intp)
     return before, place - before
 
 
-def _between(dark: float, bright: float, wave: Array) -> Array:
+def _between(dark: float, bright: float, wave: Floats) -> Floats:
     """Return reflectance that swings from dark to bright as a wave does from -1 to 1."""
-    seen: Array = 0.5 * (1.0 - wave) * dark + 0.5 * (1.0 + wave) * bright
+    seen: Floats = 0.5 * (1.0 - wave) * dark + 0.5 * (1.0 + wave) * bright
     return np.clip(seen, min(dark, bright), max(dark, bright))  # rounding

@@ -21,8 +21,9 @@ from typing import ClassVar, Self
 
 HOST, CONTROLLER = 0x01, 0x50  # a cube on its own USB port
 CHANNEL = 1  # the only one of a cube
-LONG = 0x80
-HEADER_BYTES = 6
+LONG = 0x80  # in the destination of a message with data
+_SHORT, _LONG = struct.Struct("<HBBBB"), struct.Struct("<HHBB")
+HEADER_BYTES = _SHORT.size
 SAMPLE_S = 2048 / 6e6  # servo cycle of TDC001 and KDC101: the unit of time of their speeds
 
 
@@ -62,43 +63,28 @@ class Id(IntEnum):
     STATUS = 0x0491
 
 
-STOP_AT_ONCE, STOP_PROFILED = 1, 2
+STOP_AT_ONCE, STOP_PROFILED = 1, 2  # first parameter of MOVE_STOP
 
 # Bytes of data by message; 0 is the short form. Other messages count as damaged.
 TO_HOST: Mapping[int, tuple[int, ...]] = {
-    Id.DISCONNECT: (0,),
-    Id.INFO: (84,),
-    Id.RESPONSE: (0,),
-    Id.RICH_RESPONSE: (68,),
-    Id.ENABLED: (0,),
-    Id.VELOCITY: (14,),
+    **dict.fromkeys((Id.DISCONNECT, Id.RESPONSE, Id.ENABLED, Id.HOMED), (0,)),
+    **dict.fromkeys((Id.BITS, Id.BACKLASH), (6,)),
+    **dict.fromkeys((Id.VELOCITY, Id.HOME, Id.STATUS), (14,)),
+    **dict.fromkeys((Id.COMPLETED, Id.STOPPED), (0, 14)),
     Id.LIMITS: (16,),
-    Id.BITS: (6,),
-    Id.BACKLASH: (6,),
-    Id.HOME: (14,),
-    Id.HOMED: (0,),
-    Id.COMPLETED: (0, 14),
-    Id.STOPPED: (0, 14),
-    Id.STATUS: (14,),
+    Id.RICH_RESPONSE: (68,),
+    Id.INFO: (84,),
 }
+_REQUESTS = (
+    Id.REQUEST_INFO, Id.REQUEST_ENABLED, Id.REQUEST_VELOCITY, Id.REQUEST_LIMITS, Id.REQUEST_BITS,
+    Id.REQUEST_BACKLASH, Id.REQUEST_HOME, Id.REQUEST_STATUS,
+)  # fmt: skip
 TO_CONTROLLER: Mapping[int, tuple[int, ...]] = {
-    Id.REQUEST_INFO: (0,),
-    Id.STOP_UPDATES: (0,),
-    Id.SET_ENABLED: (0,),
-    Id.REQUEST_ENABLED: (0,),
-    Id.SET_VELOCITY: (14,),
-    Id.REQUEST_VELOCITY: (0,),
+    **dict.fromkeys((*_REQUESTS, Id.STOP_UPDATES, Id.SET_ENABLED), (0,)),
+    **dict.fromkeys((Id.MOVE_HOME, Id.MOVE_STOP), (0,)),
+    **dict.fromkeys((Id.MOVE_ABSOLUTE, Id.SET_BACKLASH), (6,)),
+    **dict.fromkeys((Id.SET_VELOCITY, Id.SET_HOME), (14,)),
     Id.SET_LIMITS: (16,),
-    Id.REQUEST_LIMITS: (0,),
-    Id.REQUEST_BITS: (0,),
-    Id.SET_BACKLASH: (6,),
-    Id.REQUEST_BACKLASH: (0,),
-    Id.SET_HOME: (14,),
-    Id.REQUEST_HOME: (0,),
-    Id.MOVE_HOME: (0,),
-    Id.MOVE_ABSOLUTE: (6,),
-    Id.MOVE_STOP: (0,),
-    Id.REQUEST_STATUS: (0,),
 }
 
 
@@ -117,8 +103,8 @@ class Message:
     def to_bytes(self, destination: int = CONTROLLER, source: int = HOST) -> bytes:
         """Return the bytes for the wire, from the host to a controller unless told."""
         if not self.data:
-            return struct.pack("<HBBBB", self.id, *self.parameters, destination, source)
-        header = struct.pack("<HHBB", self.id, len(self.data), destination | LONG, source)
+            return _SHORT.pack(self.id, *self.parameters, destination, source)
+        header = _LONG.pack(self.id, len(self.data), destination | LONG, source)
         return header + self.data
 
 

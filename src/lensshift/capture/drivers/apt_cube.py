@@ -19,7 +19,7 @@ from lensshift.core.errors import DeviceError, DeviceTimeout
 
 _MOST_COUNTS = 1_040_000  # 30 mm, and no Z8 actuator is longer than 25 mm
 _STOP_S = 0.5  # the longest a motor told to stop is watched
-_POLL_S = 0.002
+_POLL_S = 0.002  # between two looks
 
 R = TypeVar("R", apt.Info, apt.Limits)
 

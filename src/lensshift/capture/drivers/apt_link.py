@@ -18,7 +18,7 @@ from lensshift.capture.drivers.apt_framer import Framer
 from lensshift.core.errors import DeviceError, DeviceTimeout
 
 _READ_S = 0.005  # longest wait for bytes before the deadline is looked at
-_WRITE_S = 5.0
+_WRITE_S = 5.0  # a message takes milliseconds: by then the port is stuck
 _DRAINED_MESSAGES = 100  # no more, in case something sends without end
 
 T = TypeVar("T")

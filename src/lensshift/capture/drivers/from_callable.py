@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.capture.drivers.receiver import Receiver
+from lensshift.capture.drivers.receiver import ReceivingCamera
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DeviceError
 from lensshift.core.grid import Grid
@@ -67,7 +67,7 @@ def _check_shape(values: NDArray[Any], amplitude: NDArray[Any], name: str) -> No
         raise ValueError(f"expected {name} of shape {amplitude.shape}, got {values.shape}")
 
 
-class CallableCamera:
+class CallableCamera(ReceivingCamera):
     """Makes a camera of a function that waits for a picture and returns it.
 
     The function runs in a thread of its own. The exposure must begin after the call: a function
@@ -110,28 +110,11 @@ class CallableCamera:
             raise TypeError(f"expected a function that returns a picture, got {grab!r}")
         if not rate_hz > 0:
             raise ValueError(f"expected a positive rate, got {rate_hz}")
-        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
-        self.name = name
-        self._pitch_mm = Grid((1, 1), (row_mm, col_mm)).pitch_mm
+        super().__init__(name, pitch_mm, modulation_hz)
         self._grab = grab
         self._period_s = 1.0 / rate_hz
-        self._modulation_hz = modulation_hz
         self._about = dict(about or {})
-        self._grid: Grid | None = None
         self._cycle = -1
-        self._receiver: Receiver | None = None
-
-    @property
-    def grid(self) -> Grid:
-        """Shape and pitch of the frames; known once it is open."""
-        if self._grid is None:
-            raise DeviceError("the shape is not known before open()", device=self.name)
-        return self._grid
-
-    @property
-    def modulation_hz(self) -> float | None:
-        """Modulation frequency of the distance, if it is known."""
-        return self._modulation_hz
 
     def open(self) -> None:
         """Grab one picture, which tells the shape, and go on grabbing in the background.
@@ -141,18 +124,16 @@ class CallableCamera:
         DeviceError
             If it is open already. What the function raises comes through as it is.
         """
-        if self._receiver is not None:
-            raise DeviceError("is open already", device=self.name)
+        self._refuse_open()
         frame, _ = frame_from(self._grab())
         rows, cols = frame.amplitude.shape
         self._grid = Grid((int(rows), int(cols)), self._pitch_mm)
         self._cycle = -1
-        self._receiver = Receiver(self.name)
-        self._receiver.start(self._receive)
+        self._start()
 
     def _receive(self, stop: threading.Event) -> None:
         receiver = self._receiver
-        while receiver is not None and not stop.is_set():
+        while not stop.is_set():
             begin_s = time.monotonic()
             self._cycle += 1
             frame, raw = frame_from(self._grab())
@@ -167,31 +148,8 @@ class CallableCamera:
         """Return the number of the newest call that has begun, -1 before the first."""
         return self._cycle
 
-    def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest whole frame not yet fetched; wait for one if there is none.
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time.
-        DeviceError
-            If the function has raised, or the shape has changed.
-        """
-        if self._receiver is None:
-            raise DeviceError("not open: call open() first", device=self.name)
-        return self._receiver.take(timeout_s, lambda: "the function has not returned a picture")
-
-    def counts(self) -> Mapping[str, int]:
-        """Return what came and what was dropped since `open`."""
-        if self._receiver is None:
-            return {"frames": 0, "dropped_frames": 0}
-        return {"frames": self._receiver.frames, "dropped_frames": self._receiver.dropped}
-
-    def close(self) -> None:
-        """Stop grabbing; a second call does nothing."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+    def _explaining(self) -> Callable[[], str]:
+        return lambda: "the function has not returned a picture"
 
     def describe(self) -> Mapping[str, Any]:
         """Return what to keep beside the frames."""

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from lensshift.capture.drivers.from_callable import CallableCamera
 from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.units import MILLIMETRE_M
 
 _AMPLITUDES = ("Mono16", "Mono8")
 _RANGE = "Coord3D_C16"
 _POINTS = "Coord3D_ABC32f"
 _CONFIDENCES = ("Confidence16", "Confidence8")
-_MILLIMETRE_M = 1e-3
 
 
 class GenicamCamera(CallableCamera):
@@ -53,7 +53,7 @@ class GenicamCamera(CallableCamera):
         self._index = index
         self._timeout_s = timeout_s
         self._camera: Any = None
-        self._step_m = _MILLIMETRE_M
+        self._step_m = MILLIMETRE_M
         super().__init__(
             self._fetch,
             pitch_mm=pitch_mm,
@@ -78,7 +78,7 @@ class GenicamCamera(CallableCamera):
             self._camera = self._harvester.create(self._index)
             nodes = self._camera.remote_device.node_map
             scale = getattr(nodes, "Scan3dCoordinateScale", None)
-            self._step_m = _MILLIMETRE_M * (1.0 if scale is None else float(scale.value))
+            self._step_m = MILLIMETRE_M * (1.0 if scale is None else float(scale.value))
             self._camera.start()
         super().open()
 
@@ -110,7 +110,7 @@ def _harvester(producer: str) -> Any:
     return harvester
 
 
-def read_components(components: Any, step_m: float = _MILLIMETRE_M) -> dict[str, Any]:
+def read_components(components: Any, step_m: float = MILLIMETRE_M) -> dict[str, Any]:
     """Return amplitude, distance_m and valid from the components of a buffer.
 
     A count of range is `step_m`; points are in millimetres, their distance is radial. A range or
@@ -128,7 +128,7 @@ def read_components(components: Any, step_m: float = _MILLIMETRE_M) -> dict[str,
     found: dict[str, Any] = {"amplitude": _pixels(parts[name])}
     valid = np.ones(found["amplitude"].shape, dtype=np.bool_)
     if _POINTS in parts:
-        points_m = _pixels(parts[_POINTS], 3).astype(np.float64) * _MILLIMETRE_M
+        points_m = _pixels(parts[_POINTS], 3).astype(np.float64) * MILLIMETRE_M
         found["distance_m"] = np.linalg.norm(points_m, axis=2)
     elif _RANGE in parts:
         found["distance_m"] = _pixels(parts[_RANGE]) * step_m

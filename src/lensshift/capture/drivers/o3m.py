@@ -5,27 +5,24 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
-
-import numpy as np
 
 from lensshift.capture.drivers.o3m_layout import SHAPE
 from lensshift.capture.drivers.o3m_packets import MAX_PACKET_BYTES
 from lensshift.capture.drivers.o3m_stream import O3MStream
-from lensshift.capture.drivers.receiver import Receiver
-from lensshift.capture.rig import CameraFrame
+from lensshift.capture.drivers.receiver import ReceivingCamera
 from lensshift.core.errors import DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import PixelDirections
 
-DATA_PORT = 42000
-PITCH_MM = 0.155
+DATA_PORT = 42000  # where a camera sends unless set otherwise
+PITCH_MM = 0.155  # of the sensor, from the paper
 _SOCKET_BYTES = 4 << 20  # about four seconds at 50 Hz, if the system grants it
 _LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
 
 
-class O3MCamera:
+class O3MCamera(ReceivingCamera):
     """Receives what an O3M sends; nothing is ever sent to the camera.
 
     Parameters
@@ -49,30 +46,13 @@ class O3MCamera:
     ) -> None:
         if not 0 <= port <= 65535:
             raise ValueError(f"expected a UDP port from 0 to 65535, got {port}")
-        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
-        self._grid = Grid(SHAPE, (row_mm, col_mm))
-        self._modulation_hz = modulation_hz
+        super().__init__(f"O3M on UDP port {port}", pitch_mm, modulation_hz)
+        self._grid = Grid(SHAPE, self._pitch_mm)
         self._host = host
-        self._port = port
+        self.port = port  # that listened at; of port 0 known once it is open
         self._stream = O3MStream(source)
-        self._receiver = Receiver(self.name)
         self._socket: socket.socket | None = None
         self._held_bytes = 0
-
-    @property
-    def name(self) -> str:
-        """What the camera is called in messages."""
-        return f"O3M on UDP port {self.port}"
-
-    @property
-    def port(self) -> int:
-        """UDP port listened at; known also for port 0 once it is open."""
-        return self._port
-
-    @property
-    def grid(self) -> Grid:
-        """Shape and pitch of the frames."""
-        return self._grid
 
     @property
     def intrinsics(self) -> PixelDirections | None:
@@ -80,11 +60,6 @@ class O3MCamera:
         image = self._stream.image
         direction = None if image is None else image.direction
         return None if direction is None else PixelDirections(direction)
-
-    @property
-    def modulation_hz(self) -> float | None:
-        """Modulation frequency of the distance, if it is known."""
-        return self._modulation_hz
 
     def open(self) -> None:
         """Begin to receive.
@@ -94,12 +69,11 @@ class O3MCamera:
         DeviceError
             If it is open already, or another program has the port.
         """
-        if self._socket is not None:
-            raise DeviceError("is open already", device=self.name)
+        self._refuse_open()
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
-            udp.bind((self._host, self._port))
+            udp.bind((self._host, self.port))
         except OSError as error:
             udp.close()
             raise DeviceError(
@@ -110,11 +84,11 @@ class O3MCamera:
         # The system may have granted less; Linux tells twice what it holds.
         self._held_bytes = udp.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         udp.settimeout(_LOOK_S)
-        self._port = udp.getsockname()[1]
+        self.port = udp.getsockname()[1]
+        self.name = f"O3M on UDP port {self.port}"
         self._socket = udp
         self._stream = O3MStream(self._stream.source)
-        self._receiver = Receiver(self.name)
-        self._receiver.start(self._receive)
+        self._start()
 
     def _receive(self, stop: threading.Event) -> None:
         udp, stream, receiver = self._socket, self._stream, self._receiver
@@ -139,27 +113,16 @@ class O3MCamera:
         """Return the counter of the newest frame that has begun to arrive, -1 before the first."""
         return self._stream.newest_cycle()
 
-    def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest whole frame not yet fetched; wait for one if there is none.
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time; the message says why.
-        DeviceError
-            If the camera has started anew, or another one has taken its place after a silence.
-        """
+    def _explaining(self) -> Callable[[], str]:
         before = self._stream.snapshot()
-        return self._receiver.take(timeout_s, lambda: self._stream.explain(before))
+        return lambda: self._stream.explain(before)
 
-    def counts(self) -> Mapping[str, int]:
-        """Return what came and what was lost since `open`."""
-        frames = {"frames": self._receiver.frames, "dropped_frames": self._receiver.dropped}
-        return {**frames, **self._stream.totals()}
+    def _losses(self) -> dict[str, int]:
+        return self._stream.totals()
 
     def close(self) -> None:
         """Stop receiving and let go of the port; a second call does nothing."""
-        self._receiver.close()
+        super().close()
         if self._socket is not None:
             self._socket.close()
             self._socket = None

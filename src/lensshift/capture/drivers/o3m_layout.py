@@ -14,15 +14,12 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 
-PIXEL_CHANNEL = 8
-PARAMETER_CHANNEL = 14
-RESULT_CHANNEL = 20  # objects without pixels
-DIAGNOSIS_CHANNEL = 256
+# As ifm documents them; channel 20 has objects without pixels.
+PIXEL_CHANNEL, PARAMETER_CHANNEL, DIAGNOSIS_CHANNEL = 8, 14, 256
 CHANNELS = frozenset({PIXEL_CHANNEL, PARAMETER_CHANNEL, DIAGNOSIS_CHANNEL})
 
-SHAPE = (16, 64)
-INVALID = 1  # bits of the confidence
-LOW_SIGNAL = 4096
+SHAPE = (16, 64)  # of the only sensor there is
+_INVALID, _LOW_SIGNAL = 1, 4096  # bits of the confidence
 
 MODES = {
     0x12: "initialising",
@@ -31,7 +28,7 @@ MODES = {
     0x22: "run",
     0x31: "emergency",
 }
-RUN_MODE = 0x22
+RUN_MODE = 0x22  # the only one in which it measures
 
 _MAGIC = b"O3M!"
 _MAGIC_BYTES = 12  # magic, name, major, minor, two bytes of padding
@@ -56,10 +53,7 @@ _PIXELS = np.dtype(
 )
 _COARSE_M = 0.01  # step of `distance_cm`
 
-_DIAGNOSIS_BYTES = 153
-_MAIN_TEMPERATURE_AT = 12
-_LIGHT_TEMPERATURE_AT = 148
-_MODE_AT = 152
+_DIAGNOSIS = struct.Struct(">12x f 132x f B")  # temperatures of board and light, mode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +176,7 @@ def read_image(message: bytes) -> O3MImage:
         layout=layout,
         amplitude=amplitude,
         distance_m=distance_m,
-        valid=((confidence & (INVALID | LOW_SIGNAL)) == 0) & np.isfinite(amplitude),
+        valid=((confidence & (_INVALID | _LOW_SIGNAL)) == 0) & np.isfinite(amplitude),
         timestamp_us=int(pixels["timestamp_us"]),
         coarse_pixels=coarse,
         raw={name: np.asarray(pixels[name]) for name in _PIXELS.fields or ()},
@@ -209,10 +203,8 @@ def read_diagnosis(message: bytes) -> O3MDiagnosis:
     DataError
         If it is too short.
     """
-    if len(message) < _DIAGNOSIS_BYTES:
+    if len(message) < _DIAGNOSIS.size:
         raise DataError(
-            f"expected at least {_DIAGNOSIS_BYTES} bytes, got {len(message)}", field="diagnosis"
+            f"expected at least {_DIAGNOSIS.size} bytes, got {len(message)}", field="diagnosis"
         )
-    (main,) = struct.unpack_from(">f", message, _MAIN_TEMPERATURE_AT)
-    (light,) = struct.unpack_from(">f", message, _LIGHT_TEMPERATURE_AT)
-    return O3MDiagnosis(main, light, message[_MODE_AT])
+    return O3MDiagnosis(*_DIAGNOSIS.unpack_from(message))

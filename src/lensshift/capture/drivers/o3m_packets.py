@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from lensshift.capture.drivers.receiver import counter_steps
 
-HEADER_BYTES = 32
 MAX_PACKET_BYTES = 9216  # cameras send at most 1460; a jumbo frame is the most a LAN carries
 MAX_PACKETS = 64  # of one message
 MAX_MESSAGE_BYTES = 65536  # three times the longest layout
@@ -17,6 +16,7 @@ LATE_CYCLES = 2  # a packet may come this many cycles late; one from further bac
 QUIET_S = 2.0  # a camera takes longer than this to start anew, a message never to arrive
 
 _HEADER = struct.Struct("<HHIIHHHHIII")
+HEADER_BYTES = _HEADER.size  # 32
 _CHANNEL_HEADER_BYTES = 28  # at the start of the first packet: delimiter and reserved words
 _END_BYTES = 4  # delimiter at the end of the last packet
 _MAX_OPEN = 4  # messages of one channel under way

@@ -6,11 +6,9 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
-
-import numpy as np
 
 from lensshift.capture.drivers.pcic_protocol import (
     RESULT_TICKET,
@@ -20,20 +18,20 @@ from lensshift.capture.drivers.pcic_protocol import (
     read_result,
     write_message,
 )
-from lensshift.capture.drivers.receiver import Receiver, counter_steps
+from lensshift.capture.drivers.receiver import ReceivingCamera, counter_steps
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import PixelDirections
 from lensshift.core.types import Frame
 
-RESULT_PORT = 50010
-_LOOK_S = 0.2
-_RECEIVE_BYTES = 1 << 16
+RESULT_PORT = 50010  # of an O3D and O3R unless set otherwise
+_LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
+_RECEIVE_BYTES = 1 << 16  # at once
 _FRAME_COUNT_AT = 4 + 32  # in a result: after `star`, in the first chunk
 
 
-class PcicCamera:
+class PcicCamera(ReceivingCamera):
     """A client of a camera's process interface. A lost connection is not made again.
 
     Parameters
@@ -57,18 +55,14 @@ class PcicCamera:
         modulation_hz: float | None = None,
         timeout_s: float = 5.0,
     ) -> None:
-        self.name = f"PCIC camera {host}:{port}"
+        super().__init__(f"PCIC camera {host}:{port}", pitch_mm, modulation_hz)
         self._address = (host, port)
-        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
-        self._pitch_mm = Grid((1, 1), (row_mm, col_mm)).pitch_mm
         self._schema = schema
-        self._modulation_hz = modulation_hz
         self._timeout_s = timeout_s
         self._socket: socket.socket | None = None
         self._reset()
 
     def _reset(self) -> None:
-        self._receiver = Receiver(self.name)
         self._parser = PcicParser()
         self._changed = threading.Condition()
         self._answers: dict[bytes, bytes] = {}
@@ -83,22 +77,10 @@ class PcicCamera:
         self._problem = ""
 
     @property
-    def grid(self) -> Grid:
-        """Shape and pitch of the frames; known once it is open."""
-        if self._grid is None:
-            raise DeviceError("the shape is not known before open()", device=self.name)
-        return self._grid
-
-    @property
     def intrinsics(self) -> PixelDirections | None:
         """Where the pixels look, as an O3R tells with each result, an O3D if asked; or None."""
         direction = None if self._image is None else self._image.direction
         return None if direction is None else PixelDirections(direction)
-
-    @property
-    def modulation_hz(self) -> float | None:
-        """Modulation frequency of the distance, if it is known."""
-        return self._modulation_hz
 
     def open(self) -> None:
         """Connect, set the schema, ask for results and wait for the first one.
@@ -109,15 +91,14 @@ class PcicCamera:
             If it is open already, there is no connection, or the camera refuses.
             `DeviceTimeout` if no answer or no result comes.
         """
-        if self._socket is not None:
-            raise DeviceError("is open already", device=self.name)
+        self._refuse_open()
         try:
             self._socket = socket.create_connection(self._address, self._timeout_s)
         except OSError as error:
             raise DeviceError(f"cannot connect: {error}", device=self.name) from error
         self._reset()
         self._socket.settimeout(_LOOK_S)
-        self._receiver.start(self._receive)
+        self._start()
         opened = False
         try:
             if self._schema is not None:
@@ -249,24 +230,12 @@ class PcicCamera:
         """Return the counter of the newest frame that has begun to arrive, -1 before the first."""
         return self._newest
 
-    def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest whole frame not yet fetched; wait for one if there is none.
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time; the message says why.
-        DeviceError
-            If the connection is lost or the camera has started anew.
-        """
+    def _explaining(self) -> Callable[[], str]:
         seen, wrong = self._bytes, self._wrong
-        return self._receiver.take(timeout_s, lambda: self._explain(seen, wrong))
+        return lambda: self._explain(seen, wrong)
 
-    def counts(self) -> Mapping[str, int]:
-        """Return what came and what was lost since `open`."""
+    def _losses(self) -> dict[str, int]:
         return {
-            "frames": self._receiver.frames,
-            "dropped_frames": self._receiver.dropped,
             "wrong_results": self._wrong,
             "skipped_bytes": self._parser.skipped_bytes,
             "oversize_messages": self._parser.oversize,
@@ -278,7 +247,7 @@ class PcicCamera:
             return
         with suppress(OSError):  # it may be gone already
             self._socket.sendall(write_message(b"9999", b"p0"))
-        self._receiver.close()
+        super().close()
         self._socket.close()
         self._socket = None
 

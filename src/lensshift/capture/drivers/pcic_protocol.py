@@ -13,19 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.capture.drivers.pcic_directions import (
-    BOUGUET,
-    bouguet_directions,
-    sent_directions,
-)
+from lensshift.capture.drivers.pcic_directions import BOUGUET, bouguet_directions, sent_directions
 from lensshift.core.errors import DataError
+from lensshift.core.units import MILLIMETRE_M
 
 MAX_MESSAGE_BYTES = 4 << 20  # an O3R result with everything is a tenth of it
 RESULT_TICKET = b"0000"
 
 _HEAD = re.compile(rb"(\d{4})L(\d{9})\r\n")
-_HEAD_BYTES = 16
-_TICKET_BYTES = 4
+_HEAD_BYTES = 16  # of `_HEAD`
+_TICKET_BYTES = 4  # repeated before the content
 _CHUNK = struct.Struct("<9I")
 _CHUNK_TIME = struct.Struct("<3I")  # from header version 2 on
 _METADATA_AT = 48  # from header version 3 on
@@ -50,7 +47,6 @@ _IMAGES = {
     300: "confidence",
 }
 _INVALID = 1  # bit of the confidence
-_MILLIMETRE_M = 1e-3
 
 
 class ChunkKind(IntEnum):
@@ -383,4 +379,4 @@ def _distance_m(chunk: Chunk, counts: NDArray[Any], info: TofInfo | None) -> NDA
     told = chunk.metadata.get("DistanceResolution")
     if isinstance(told, float):
         return counts * told
-    return counts * (_MILLIMETRE_M if info is None else info.distance_resolution_m)
+    return counts * (MILLIMETRE_M if info is None else info.distance_resolution_m)

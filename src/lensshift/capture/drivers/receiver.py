@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from types import TracebackType
+
+import numpy as np
 
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DeviceError, DeviceTimeout
+from lensshift.core.grid import Grid
 
-QUEUE_FRAMES = 64
+QUEUE_FRAMES = 64  # more than a second at 50 Hz
 _JOIN_S = 10.0  # loops look at their stop event several times a second
 
 
@@ -44,6 +47,11 @@ class Receiver:
         self._thread: threading.Thread | None = None
         self._notice = ""
         self._ended = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether it was started and not closed."""
+        return self._thread is not None
 
     def start(self, loop: Callable[[threading.Event], None]) -> None:
         """Run `loop` in a thread until `close`; it must return soon after its event is set."""
@@ -131,14 +139,78 @@ class _Relay(AbstractContextManager["_Relay"]):
     def __init__(self, receiver: Receiver) -> None:
         self._receiver = receiver
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         if error is None:
             return False
         problem = error.problem if isinstance(error, DeviceError) else repr(error)
         self._receiver.end(f"receiving has stopped: {problem}")
         return isinstance(error, Exception)
+
+
+class ReceivingCamera(ABC):
+    """What cameras have in common that receive in a thread; the rest of `Camera` is the driver's.
+
+    Parameters
+    ----------
+    name : what it is called in messages
+    pitch_mm : pixel pitch, one number or (row, col)
+    modulation_hz : modulation frequency, if known
+    """
+
+    def __init__(
+        self, name: str, pitch_mm: float | tuple[float, float], modulation_hz: float | None
+    ) -> None:
+        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
+        self.name = name
+        self.modulation_hz = modulation_hz
+        self._pitch_mm = Grid((1, 1), (row_mm, col_mm)).pitch_mm
+        self._grid: Grid | None = None
+        self._receiver = Receiver(name)
+
+    @property
+    def grid(self) -> Grid:
+        """Shape and pitch of the frames; known once it is open."""
+        if self._grid is None:
+            raise DeviceError("the shape is not known before open()", device=self.name)
+        return self._grid
+
+    def next_frame(self, timeout_s: float) -> CameraFrame:
+        """Return the oldest whole frame not yet fetched; wait for one if there is none.
+
+        Raises
+        ------
+        DeviceTimeout
+            If none came in time; the message says why.
+        DeviceError
+            If the camera has gone, has started anew, or is not open.
+        """
+        return self._receiver.take(timeout_s, self._explaining())
+
+    def counts(self) -> Mapping[str, int]:
+        """Return what came and what was lost since `open`."""
+        received = {"frames": self._receiver.frames, "dropped_frames": self._receiver.dropped}
+        return received | self._losses()
+
+    def close(self) -> None:
+        """Stop receiving; a second call does nothing."""
+        self._receiver.close()
+
+    def _refuse_open(self) -> None:
+        if self._receiver.running:
+            raise DeviceError("is open already", device=self.name)
+
+    def _start(self) -> None:
+        self._receiver = Receiver(self.name)
+        self._receiver.start(self._receive)
+
+    @abstractmethod
+    def _receive(self, stop: threading.Event) -> None:
+        """Put frames into the receiver until it is to stop."""
+
+    @abstractmethod
+    def _explaining(self) -> Callable[[], str]:
+        """Return what tells why no frame has come since now."""
+
+    def _losses(self) -> dict[str, int]:
+        """Return what was lost, by its name."""
+        return {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,18 +14,18 @@ import numpy as np
 
 from lensshift.capture.drivers.o3m_layout import SHAPE
 from lensshift.capture.drivers.o3m_stream import O3MStream
-from lensshift.capture.drivers.receiver import Receiver
+from lensshift.capture.drivers.receiver import ReceivingCamera
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
+from lensshift.core.units import MILLIMETRE_M
 from lensshift.io.recordings import BagImage, is_udp_recording, read_bag, read_udp
 
 _TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the same stamp
-_MILLIMETRE_M = 1e-3
 
 
-class ReplayCamera:
+class ReplayCamera(ReceivingCamera):
     """Plays a recording once, from `open` on.
 
     A pcap or pcapng file holds packets of an O3M; anything else is read as a ROS bag.
@@ -55,25 +55,20 @@ class ReplayCamera:
     ) -> None:
         if not speed > 0:
             raise ValueError(f"expected a positive speed, got {speed}")
-        self.name = f"recording {path}"
+        super().__init__(f"recording {path}", pitch_mm, modulation_hz)
         self._path = Path(path)
         self._is_o3m = is_udp_recording(path)
         if not (self._is_o3m or amplitude_topic):
             raise ValueError(f"expected the topic of the amplitude for the bag {path}, got none")
-        row_mm, col_mm = np.broadcast_to(pitch_mm, (2,)).tolist()
-        self._pitch_mm = Grid((1, 1), (row_mm, col_mm)).pitch_mm
         self._speed = speed
-        self._modulation_hz = modulation_hz
         self._source = source
         self._port = port
         self._amplitude_topic = amplitude_topic
         self._distance_topic = distance_topic
         self._stream = O3MStream(source)
-        self._grid: Grid | None = None
         self._cycle = -1
         self._fetched = -1
         self._unpaired = 0
-        self._receiver: Receiver | None = None
 
     @property
     def grid(self) -> Grid:
@@ -93,11 +88,6 @@ class ReplayCamera:
         distance = [] if self._distance_topic is None else [self._distance_topic]
         return [self._amplitude_topic, *distance]
 
-    @property
-    def modulation_hz(self) -> float | None:
-        """Modulation frequency of the distance, if it is known."""
-        return self._modulation_hz
-
     def open(self) -> None:
         """Begin to play.
 
@@ -106,21 +96,17 @@ class ReplayCamera:
         DeviceError
             If it is open already, or the recording cannot be read.
         """
-        if self._receiver is not None:
-            raise DeviceError("is open already", device=self.name)
+        self._refuse_open()
         try:
             self.grid  # noqa: B018 - reads the shape out of the recording
         except DataError as error:
             raise DeviceError(str(error), device=self.name) from error
         self._stream = O3MStream(self._source)
         self._cycle, self._fetched, self._unpaired = -1, -1, 0
-        self._receiver = Receiver(self.name)
-        self._receiver.start(self._play)
+        self._start()
 
-    def _play(self, stop: threading.Event) -> None:
+    def _receive(self, stop: threading.Event) -> None:
         receiver = self._receiver
-        if receiver is None:
-            return
         fast = math.isinf(self._speed)
         pace = _Pace(self._speed, stop)
         for one in self._o3m(pace) if self._is_o3m else self._bag(pace):
@@ -193,27 +179,15 @@ class ReplayCamera:
         DeviceError
             If the recording has ended, is damaged, or the camera started anew in it.
         """
-        if self._receiver is None:
-            raise DeviceError("not open: call open() first", device=self.name)
-        frame = self._receiver.take(timeout_s, lambda: "the recording has a gap here")
+        frame = super().next_frame(timeout_s)
         self._fetched = frame.cycle
         return frame
 
-    def counts(self) -> Mapping[str, int]:
-        """Return what came and what was lost since `open`."""
-        receiver = self._receiver
-        frames = {
-            "frames": 0 if receiver is None else receiver.frames,
-            "dropped_frames": 0 if receiver is None else receiver.dropped,
-        }
-        lost = self._stream.totals() if self._is_o3m else {"unpaired_images": self._unpaired}
-        return {**frames, **lost}
+    def _explaining(self) -> Callable[[], str]:
+        return lambda: "the recording has a gap here"
 
-    def close(self) -> None:
-        """Stop playing; a second call does nothing."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+    def _losses(self) -> dict[str, int]:
+        return self._stream.totals() if self._is_o3m else {"unpaired_images": self._unpaired}
 
     def describe(self) -> Mapping[str, Any]:
         """Return what to keep beside the frames."""
@@ -247,7 +221,7 @@ def _frame(amplitude: BagImage, distance: BagImage | None) -> Frame:
                 f"expected images of one size, got {amplitude.image.shape} and "
                 f"{distance.image.shape}"
             )
-        step_m = 1.0 if distance.image.dtype.kind == "f" else _MILLIMETRE_M
+        step_m = 1.0 if distance.image.dtype.kind == "f" else MILLIMETRE_M
         distance_m = distance.image.astype(np.float64) * step_m
         valid &= np.isfinite(distance_m) & (distance_m > 0)
     return Frame(amplitude.image, distance_m, valid, amplitude.time_s)

@@ -7,7 +7,6 @@ import select
 import socket
 import threading
 from contextlib import ExitStack, suppress
-from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
@@ -19,7 +18,7 @@ from lensshift.capture.emulators.listener import listen
 __all__ = ["AptController", "EmulatedStagePair", "Served", "serve_pty", "serve_tcp"]
 
 _LOOK_S = 0.02  # how soon it notices a pulled cable or the end
-_BLOCK_BYTES = 4096
+_BLOCK_BYTES = 4096  # at once; a message has 90 at most
 
 
 class _Tcp:
@@ -110,12 +109,7 @@ class Served:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -185,10 +179,5 @@ class EmulatedStagePair:
         self.urls = row.url, col.url
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._served.close()

@@ -22,7 +22,7 @@ _ZERO_MM = 0.3  # from the backward switch to the zero of `lens_mm`
 _TRAVEL_MM = 6.5  # from switch to switch
 _HISTORY_S = 20.0  # how long ago `lens_mm` still knows
 _LOCKS_UP_S = 0.8  # home sooner after enabling, and the controller hangs
-_KEPT_MESSAGES = 1000
+_KEPT_MESSAGES = 1000  # for who looks what came
 _UPDATE_S = 0.1  # between two statuses that were asked for once
 
 R = TypeVar("R", bound=apt.Record)

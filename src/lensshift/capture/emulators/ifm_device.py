@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any, Self
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
@@ -13,7 +12,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 _TYPES = {"O3D": "1:2", "O3R": "1:1000"}
 _FIRMWARE = {"O3D": "1.30.4123", "O3R": "1.4.30"}
 _MOST_BYTES = 1 << 16  # of a request
-_LOOK_S = 0.05
+_LOOK_S = 0.05  # how soon it notices the end
 _REQUEST_S = 2.0  # that a client may take over one
 
 
@@ -98,12 +97,7 @@ class IfmDevice:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._server.shutdown()
         self._thread.join()
         self._server.server_close()

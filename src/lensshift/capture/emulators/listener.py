@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
+
+
+def check_own(host: str) -> None:
+    """Refuse an address beyond this computer: an emulator has no business there.
+
+    Raises
+    ------
+    ValueError
+        If it is none of this computer's.
+    """
+    if host != "localhost" and not ipaddress.ip_address(host).is_loopback:
+        raise ValueError(f"expected an address of this computer, got {host}")
 
 
 def listen(host: str, port: int) -> socket.socket:

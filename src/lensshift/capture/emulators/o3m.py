@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import socket
 import struct
@@ -10,16 +9,16 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import cache
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.capture.emulators.listener import check_own
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
 
-ROWS, COLS = 16, 64
+ROWS, COLS = 16, 64  # of the only sensor there is
 LAYOUTS: Mapping[str, int] = {
     "1.0": 18900,
     "1.1": 19036,
@@ -39,7 +38,6 @@ _FULL_COUNT = 60000  # above it a pixel takes the next weaker setting
 _HALF_FIELD_RAD = (math.radians(1.6), math.radians(6.5))  # (row, col)
 _CAMERA_M = (1.5, 0.2, 0.8)  # where it stands in the coordinates of the vehicle
 _FIRST_CYCLE = 1000  # it has been running for a while
-_LOOK_S = 0.05
 
 
 def packetise(
@@ -204,8 +202,8 @@ class O3MSender:
         seed: int = 0,
         allow_remote: bool = False,
     ) -> None:
-        if not allow_remote and host != "localhost" and not ipaddress.ip_address(host).is_loopback:
-            raise ValueError(f"expected an address of this computer, got {host}")
+        if not allow_remote:
+            check_own(host)
         if not 0 < port <= 65535:
             raise ValueError(f"expected the UDP port of the receiver, got {port}")
         if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz and delay_s >= 0):
@@ -244,12 +242,7 @@ class O3MSender:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join()
         self._socket.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import re
 import select
 import socket
@@ -10,22 +9,16 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
 
-from lensshift.capture.emulators.listener import listen
-from lensshift.capture.emulators.pcic_result import (
-    MODELS,
-    result_content,
-    schema_text,
-    wanted_by,
-)
+from lensshift.capture.emulators.listener import check_own, listen
+from lensshift.capture.emulators.pcic_result import MODELS, result_content, schema_text, wanted_by
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
 
-_HEAD_BYTES = 16
+_HEAD_BYTES = 16  # of `_COMMAND`
 _COMMAND = re.compile(rb"(\d{4})L(\d{9})\r\n")
-_LONGEST_COMMAND = 1 << 16
+_LONGEST_COMMAND = 1 << 16  # a schema has a few thousand bytes
 _SEND_S = 2.0  # a client that takes nothing for so long is dropped
 
 
@@ -58,8 +51,8 @@ class PcicServer:
         first_count: int = 100,
         allow_remote: bool = False,
     ) -> None:
-        if not allow_remote and host != "localhost" and not ipaddress.ip_address(host).is_loopback:
-            raise ValueError(f"expected an address of this computer, got {host}")
+        if not allow_remote:
+            check_own(host)
         if model not in MODELS:
             raise ValueError(f"expected a model of {', '.join(MODELS)}, got {model!r}")
         if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz):
@@ -91,12 +84,7 @@ class PcicServer:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join()
         self._listener.close()

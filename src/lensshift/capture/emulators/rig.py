@@ -5,24 +5,21 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import RunningCamera, TofCamera, camera_preset
+from lensshift.camera.moving import REACH_PX
 from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
+from lensshift.core.arrays import Array
 from lensshift.core.types import Frame
 from lensshift.scene import Scene, four_boxes
 
-Array = NDArray[Any]
-
-REACH_PX = 1.25
 _INSTANTS = 4  # of the lens during an exposure
-_STILL_MM = 1e-6
+_STILL_MM = 1e-6  # less is rounding
 _HOMING_S = 12.0  # the longest move of a real stage: 7.3 mm at 1 mm/s, and its ramps
 
 
@@ -88,7 +85,7 @@ class EmulatedWorld:
         self._settings, self._lens_mm = settings, lens_mm
         self._rng = np.random.default_rng(settings.seed)
         self._began_s = time.monotonic()
-        self.running = RunningCamera(settings.scene, settings.camera, reach_px=REACH_PX)
+        self.running = RunningCamera(settings.scene, settings.camera)
         rows, cols = (np.linspace(-1.0, 1.0, count) for count in settings.camera.grid.shape)
         radius = np.hypot(*np.meshgrid(rows * len(rows) / len(cols), cols, indexing="ij"))
         self._share = (1.0 + settings.field_share * radius**2)[..., None]
@@ -169,12 +166,7 @@ class EmulatedRig:
             self._open = opening.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.close()
 
     def true_offset_px(self, lens_mm: Array) -> Array:

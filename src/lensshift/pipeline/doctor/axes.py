@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.acquire import Acquisition, at_position, check_travel, returning, run_up_mm
 from lensshift.capture.rig import Camera, Stage
+from lensshift.core.arrays import Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
 from lensshift.core.motion import StageMap
@@ -20,10 +20,8 @@ from lensshift.io.capture_file import FrameRecord
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.register import register
 
-Array = NDArray[np.float64]
-
-NUDGE_MM = 0.05
-_UNSEEN_PX, _UNSEEN_SIGMAS = 0.03, 3.0
+NUDGE_MM = 0.05  # about a quarter pixel, several times the play
+_UNSEEN_PX, _UNSEEN_SIGMAS = 0.03, 3.0  # an axis that moves the image by less is taken to be stuck
 _READINGS = 25  # of the position of a lens at rest
 _NAMES = ("row", "col")
 _PARALLEL = 0.5  # sine of the angle between the ways of the image: 30 degrees
@@ -41,9 +39,9 @@ class Axes:
     play_mm : [2] what is lost when an axis turns round
     """
 
-    px_per_mm: Array
-    sigma_px_per_mm: Array
-    play_mm: Array
+    px_per_mm: Floats
+    sigma_px_per_mm: Floats
+    play_mm: Floats
 
     @classmethod
     def calibrated(cls, found: Calibration) -> Axes:
@@ -70,12 +68,12 @@ class Axes:
         return Calibration(StageMap(upright), np.zeros(2)).rotation_rad
 
     @property
-    def gain_px_per_mm(self) -> Array:
+    def gain_px_per_mm(self) -> Floats:
         """[2] how far the image goes per travel of each axis."""
         return np.asarray(np.linalg.norm(self.px_per_mm, axis=0))
 
     @property
-    def _unswapped(self) -> Array:
+    def _unswapped(self) -> Floats:
         return self.px_per_mm[:, ::-1] if self.swapped else self.px_per_mm
 
     @property
@@ -91,7 +89,7 @@ class Axes:
         }
 
 
-def reading_noise_mm(stage: Stage) -> Array:
+def reading_noise_mm(stage: Stage) -> Floats:
     """Return the noise [2] of the position that is read back while the lens stands."""
     return np.asarray(np.std([stage.position_mm() for _ in range(_READINGS)], axis=0, ddof=1))
 
@@ -137,7 +135,7 @@ def nudge(stage: Stage, camera: Camera, calibration: Calibration, settings: Acqu
     return _axes(np.asarray(seen.offset_px), np.asarray(seen.offset_sigma_px), read_mm)
 
 
-def _axes(offset_px: Array, sigma_px: Array, read_mm: Array) -> Axes:
+def _axes(offset_px: Floats, sigma_px: Floats, read_mm: Floats) -> Axes:
     per_mm, sigma = np.zeros((2, 2)), np.zeros((2, 2))
     slack_px = np.zeros((2, 2))
     for axis in (0, 1):

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.pipeline.calibrate import RigCalibration
 from lensshift.registration.calibrate import BUDGET_PX
-
-Array = NDArray[np.float64]
 
 _BURST_FRAMES = 4  # of a square plan
 _CURES = {
@@ -62,7 +60,7 @@ class ErrorBudget:
         return _CURES[max(self.parts, key=self.parts.__getitem__)]
 
 
-def error_budget(done: RigCalibration, reading_mm: Array) -> ErrorBudget:
+def error_budget(done: RigCalibration, reading_mm: Floats) -> ErrorBudget:
     """Return the budget of a calibrated rig whose positions [2] are read back with that noise."""
     fit, found = done.fit, done.calibration
     told = fit.burst.offset_sigma_px

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.acquire import Progress, acquire_at, check_travel
 from lensshift.capture.opening import RigFile, read_rig
 from lensshift.capture.rig import Camera, OnHoming, Stage
+from lensshift.core.arrays import Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError, QualityWarning
 from lensshift.core.motion import StageMap
@@ -46,13 +46,12 @@ from lensshift.pipeline.doctor.view import (
 from lensshift.pipeline.run import made_folder, writable_folder
 from lensshift.registration import calibration_scan_mm
 from lensshift.registration.calibrate import BUDGET_PX
+from lensshift.registration.scan import USUAL_STEPS
 
-Array = NDArray[np.float64]
-
-_SCAN_PX, _SCAN_STEPS = 1.7, 4  # as `pipeline.rig`: 35 positions
+_SCAN_PX = 1.7  # as `pipeline.rig`
 _BYTES_PER_PIXEL = 64  # of a record of a journal, raw data of the camera and all; rather more
-_WARM_CELSIUS = 0.5
-_TOLD_DRIFT_SIGMAS = 4.0
+_WARM_CELSIUS = 0.5  # worth a word
+_TOLD_DRIFT_SIGMAS = 4.0  # drift by less may be chance
 OnStep = Callable[[str, Progress | None], None]
 
 
@@ -251,7 +250,7 @@ def _calibrated(
         return
     rough = Calibration(StageMap(done.axes.px_per_mm), told.calibration.rest_mm)
     row_mm, col_mm = _SCAN_PX / done.axes.gain_px_per_mm
-    places = calibration_scan_mm(rough.rest_mm, (row_mm, col_mm), steps=_SCAN_STEPS)
+    places = calibration_scan_mm(rough.rest_mm, (row_mm, col_mm), steps=USUAL_STEPS)
     check_travel(stage, places)
     scan = acquire_at(
         stage, camera, places, rough, scan_file, settings, direct=True, plan_name="scan",
@@ -272,7 +271,7 @@ def _calibrated(
     done.findings += _budget_findings(done.calibration, done.budget)
 
 
-def _averages(view: View, reading_mm: Array, calibration: Calibration) -> int:
+def _averages(view: View, reading_mm: Floats, calibration: Calibration) -> int:
     """Return the frames at a position that camera and encoder need."""
     per_mm = calibration.stage_map.px_per_mm
     encoder_px = float(np.sqrt(np.max((per_mm**2) @ reading_mm**2)))
@@ -283,7 +282,7 @@ def _averages(view: View, reading_mm: Array, calibration: Calibration) -> int:
 def _room_for(path: Path, averages: int, camera: Camera) -> None:
     """Refuse a disk that is too full for a scan, before anything moves."""
     rows, cols = camera.grid.shape
-    wanted = _BYTES_PER_PIXEL * rows * cols * len(calibration_scan_mm((0, 0), 1, steps=_SCAN_STEPS))
+    wanted = _BYTES_PER_PIXEL * rows * cols * len(calibration_scan_mm((0, 0), 1, steps=USUAL_STEPS))
     wanted *= 2  # the journal, and the burst that takes its place
     free = shutil.disk_usage(path.parent).free
     if free < wanted:

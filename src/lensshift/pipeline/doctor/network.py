@@ -17,10 +17,10 @@ from lensshift.capture.rig import Camera
 from lensshift.core.errors import DeviceError
 from lensshift.pipeline.doctor.findings import Finding, Level, cause_number
 
-_USUAL = (42000, 50010, 10000)
+_USUAL = (42000, 50010, 10000)  # ports that are looked at first
 _AT_ONCE = 500  # sockets; systems allow a program about 1000 files
 _LISTEN_S = 0.15  # to each: six frames at 50 Hz, three at 25
-_COUNT_S = 0.5
+_COUNT_S = 0.5  # of listening for the rate
 
 
 def camera_fault(

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.capture.rig import Camera, CameraFrame
+from lensshift.core.arrays import Floats
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.gradient import texture_covariance
 
-Array = NDArray[np.float64]
-
-LOOKED_S, LEAST_FRAMES, MOST_FRAMES = 2.0, 16, 64
+LOOKED_S, LEAST_FRAMES, MOST_FRAMES = 2.0, 16, 64  # enough to tell noise to a fifth
 # The mean of frames at a position shall tell its shift to this: a fifth of what is wanted of a
 # calibration, so that 35 positions leave its model room.
 WANTED_PX = 0.004
@@ -26,7 +25,7 @@ _FAIR_SNR = 50.0
 # Brightness may change by the noise that `calibrate_rig` assumes of a pixel.
 _JUMP = 0.005
 _MOST_LOST = 1 / 3  # then everything takes half as long again
-_MOST_INVALID = 0.5
+_MOST_INVALID = 0.5  # half of the pixels see nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,12 +43,12 @@ class View:
     settings_share : of the pixels whose amplitude depends on the exposure that they chose
     """
 
-    amplitude: Array
+    amplitude: Floats
     valid: NDArray[np.bool_]
     rate_hz: float
     lost_share: float
     snr: float
-    sigma_px: Array
+    sigma_px: Floats
     brightness_jump: float
     settings_share: float
 
@@ -128,7 +127,7 @@ def _view(frames: list[CameraFrame]) -> View:
 
 
 def _settings_share(
-    raw: list[Mapping[str, NDArray[Any]]], amplitude: Array, always: NDArray[np.bool_]
+    raw: list[Mapping[str, NDArray[Any]]], amplitude: Floats, always: NDArray[np.bool_]
 ) -> float:
     """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
     if not all({"confidence", "normalization"} <= set(one) for one in raw):

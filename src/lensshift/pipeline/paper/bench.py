@@ -7,26 +7,19 @@ from typing import Literal
 
 import numpy as np
 
-from lensshift.camera import (
-    Illumination,
-    LensOptics,
-    PlainOptics,
-    Readout,
-    TofCamera,
-    Validity,
-    camera_preset,
-)
+from lensshift.camera import Illumination, LensOptics, Readout, TofCamera, Validity, camera_preset
 from lensshift.camera.radiometry import active_electrons_per_s
 from lensshift.core.grid import Grid
 from lensshift.optics.lens_file import load_lens
+from lensshift.scene.targets import CARD_DISTANCE_M
 
-PITCH_MM = 0.155
-GRID = Grid((16, 64), (PITCH_MM, PITCH_MM))
-SHIFT_ERROR_PX = 0.02
-CARD_LIGHT = 0.8 / 3.5**2  # of the bright side of the edge card, reflectance / distance^2
-WALL_LIGHT = 0.04 / 4.0**2  # of the fabric behind the boxes
-_READ_NOISE = 20.0
-_SPOT_PX = 0.05  # of the plain lens, about that of the traced one
+GRID = camera_preset("o3m151").grid
+PITCH_MM = GRID.pitch_mm[0]
+SHIFT_ERROR_PX = 0.02  # rms, assumed of the stages
+# Reflectance / distance^2: the bright side of the edge card, the fabric behind the boxes.
+CARD_LIGHT = 0.8 / CARD_DISTANCE_M**2
+WALL_LIGHT = 0.04 / 4.0**2
+_READ_NOISE = 20.0  # electrons, assumed
 
 Optics = Literal["plain", "petzval_a", "petzval_b"]
 
@@ -59,10 +52,8 @@ def paper_camera(
     output : "float" leaves the rounding out
     """
     preset = camera_preset("o3m151")
-    lens: PlainOptics | LensOptics
-    if optics == "plain":
-        lens = PlainOptics(focal_length_mm=42.7, f_number=2.1, blur_sigma_px=_SPOT_PX)
-    else:
+    lens = preset.optics  # whose spot is about that of the traced one
+    if optics != "plain":
         lens = LensOptics(load_lens(optics), element=element)
     pixels = replace(preset.pixels, fill_factor=1.0)
     camera = replace(

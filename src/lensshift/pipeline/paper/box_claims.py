@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import TofTruth, named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Burst
 from lensshift.evaluation import fidelity
 from lensshift.evaluation.edge_gradient import profile_edge
@@ -18,11 +18,10 @@ from lensshift.pipeline.paper.claims import Claim, Number, mean_interval
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, reconstructed, solved
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 from lensshift.scene import four_boxes
-
-Floats = NDArray[np.float64]
+from lensshift.scene.targets import CARD_DISTANCE_M
 
 # The brightest of the four, in reflectance x cos / distance^2, with a margin.
-BRIGHTEST_LIGHT = 0.85 / 3.5**2
+BRIGHTEST_LIGHT = 0.85 / CARD_DISTANCE_M**2
 SHARES = {"amplitude": 0.10, "distance": 0.05}  # limits of the paper
 BRANCHES = ("amplitude", "distance", "phasor")
 # The left face of the left small cube: LR rows that see it, and columns from wall to cube.

@@ -13,7 +13,7 @@ Pair = tuple[float, float]
 Number = tuple[float, Pair]  # with its interval
 
 VERDICTS: tuple[Verdict, ...] = ("confirmed", "qualified", "refuted")
-_DRAWS = 4000
+_DRAWS = 4000  # of the bootstrap
 _ENOUGH = 5  # values for a bootstrap
 _ANY = float("inf")
 

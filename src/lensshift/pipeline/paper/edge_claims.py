@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult
@@ -24,14 +25,12 @@ from lensshift.pipeline.paper.gratings import (
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, measured_edge
 from lensshift.scene import slanted_edge_card
 
-Floats = NDArray[np.float64]
-
 FREQUENCY_LPMM = np.linspace(0.0, 8.0, 81)
 KINDS = ("one frame", "bicubic", *SOLVERS)
-BITS = (12, 8, 6, 5)
+BITS = (12, 8, 6, 5)  # the camera's first
 NEAR = 0.05  # modulation: two curves agree
-_TO_LPMM = 6.0
-_AT_LPMM = 5.5
+_TO_LPMM = 6.0  # just below the Nyquist frequency of the result
+_AT_LPMM = 5.5  # where edge and grating are compared in words
 _LEAVES_LPMM = 4.0  # where the paper's frame leaves the limit
 # Whose shift, with the default and with the linear yardstick.
 _BOTH = (("", "lens shift"), (", tikhonov", "lens shift, tikhonov"))

@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, paper_camera, px_to_m
 from lensshift.pipeline.paper.box_claims import BRANCHES, SHARES, steepness
@@ -20,15 +20,13 @@ from lensshift.pipeline.paper.claims import Pair, mean_interval
 from lensshift.pipeline.paper.measure import PUBLISHED, Response, reconstructed
 from lensshift.scene import Plane, Rectangle, Scene
 
-Floats = NDArray[np.float64]
-
-PHASES = 64
-NEAR_M, FAR_M = 3.4, 3.7
+PHASES = 64  # lines, each a 64th of a pixel beside the one before
+NEAR_M, FAR_M = 3.4, 3.7  # strip and wall
 _GRID = Grid((PHASES, 24), (PITCH_MM, PITCH_MM))
 _FIRST_COL = 2  # where the profiles begin, on the wall
 _LEFT_COL = 8.0  # of the left edge in the middle of the image
-_WIDEST_PX = 12.0
-_BRIGHT = 0.8
+_WIDEST_PX = 12.0  # beyond it a profile holds no more of the edge
+_BRIGHT = 0.8  # reflectance of the brighter of the two
 
 
 @dataclass(frozen=True, slots=True)

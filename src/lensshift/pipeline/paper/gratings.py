@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, TofCapture, named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Burst
 from lensshift.pipeline.paper.bench import (
     CARD_LIGHT,
@@ -19,10 +19,9 @@ from lensshift.pipeline.paper.bench import (
 )
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, solved
 from lensshift.scene import Plane, Scene
-from lensshift.scene.targets import SLANT_RAD
+from lensshift.scene.targets import CARD_DISTANCE_M, SLANT_RAD
 
-Floats = NDArray[np.float64]
-
+# The last just below the Nyquist frequency of the result.
 GRATINGS_LPMM = (1.0, 2.0, 3.0, 4.0, 5.0, 5.5, 6.0)
 # Kind -> method and whether the assumed pixel is the paper's: lens shift, then sensor shift.
 SOLVERS: Mapping[str, tuple[str, bool]] = {
@@ -33,7 +32,7 @@ SOLVERS: Mapping[str, tuple[str, bool]] = {
     "sensor shift": ("auto", False),
     "sensor shift, tikhonov": ("tikhonov", False),
 }
-_DISTANCE_M, _MEAN, _CONTRAST = 3.5, 0.5, 0.6
+_MEAN, _CONTRAST = 0.5, 0.6  # of the reflectance
 _BORDER_PX, _HALF_COLS = 2, 13  # of the image that is read, in LR pixels
 # A lens magnifies a little other than its focal length says.
 _STRETCHES = np.linspace(0.96, 1.04, 161)
@@ -59,12 +58,12 @@ def pictures(lens: Burst, sensor: Burst, response: Response) -> dict[str, Floats
 
 def grating(frequency_lpmm: float, phase_rad: float) -> Scene:
     """Return a wall with a sine wave across the direction of the edge, over the whole sensor."""
-    along = _turn(frequency_lpmm / px_to_m(1.0, _DISTANCE_M) * PITCH_MM)
+    along = _turn(frequency_lpmm / px_to_m(1.0, CARD_DISTANCE_M) * PITCH_MM)
 
     def reflectance(x_m: Floats, y_m: Floats) -> Floats:
         return _MEAN * (1.0 + _CONTRAST * np.cos(along[1] * x_m + along[0] * y_m + phase_rad))
 
-    return Scene((Plane(centre_m=(0.0, 0.0, _DISTANCE_M), reflectance=reflectance),))
+    return Scene((Plane(centre_m=(0.0, 0.0, CARD_DISTANCE_M), reflectance=reflectance),))
 
 
 def read_grating(

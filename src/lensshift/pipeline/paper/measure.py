@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import warnings
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lensshift.camera import named_pattern_px, simulate_tof
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, ShiftField
 from lensshift.evaluation.slanted_edge import EdgeResult, measure_edge
@@ -18,9 +16,7 @@ from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.scene import slanted_edge_card
 
-Floats = NDArray[np.float64]
-
-SNR = 50.0
+SNR = 50.0  # of one frame, as in the paper
 # What the reconstruction assumes of a pixel: the fill factor of a square one, None for a Gaussian,
 # and the width of the spot, or of the Gaussian. The paper's, and the bench's once it is measured.
 Response = tuple[float | None, float]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.otf import exact_mtf
@@ -15,11 +15,9 @@ from lensshift.optics.which import Mover, which_element
 from lensshift.pipeline.paper.bench import GRID, PITCH_MM
 from lensshift.pipeline.paper.claims import Claim, exactly, span
 
-Floats = NDArray[np.float64]
-
 FIELDS_DEG = ((0.0, 0.0), (1.6, 6.5))  # (row, col), as in the paper
 _ZERO_LPMM = 1.0 / PITCH_MM  # first zero of a full pixel
-_SHIFT_PX = 0.25
+_SHIFT_PX = 0.25  # of the square pattern
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,12 +19,7 @@ from lensshift.pipeline.paper.box_claims import BRANCHES
 from lensshift.pipeline.paper.claims import VERDICTS, criterion
 from lensshift.pipeline.paper.edge_claims import FREQUENCY_LPMM, KINDS, limit, mean_curve
 from lensshift.pipeline.paper.gratings import frequencies, mean_gratings
-from lensshift.report.claims import (
-    curves_figure,
-    gains_figure,
-    profiles_figure,
-    sampling_figure,
-)
+from lensshift.report.claims import curves_figure, gains_figure, profiles_figure, sampling_figure
 from lensshift.report.lenses import layout_figure
 from lensshift.report.page import Page
 from lensshift.report.shots import shots_figure

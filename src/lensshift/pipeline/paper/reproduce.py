@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from lensshift.core.settings import to_json
 from lensshift.io.atomic import written_whole
 from lensshift.pipeline.paper.beyond import (
     ERRORS_PX,
@@ -204,15 +203,4 @@ def _write_results(found: Reproduction, path: Path) -> None:
         "seconds": found.seconds,
     }
     with written_whole(path) as part:
-        part.write_text(json.dumps(_without_nan(content), indent=2) + "\n", encoding="utf-8")
-
-
-def _without_nan(value: Any) -> Any:
-    """Return plain values; JSON knows no NaN."""
-    if isinstance(value, dict):
-        return {key: _without_nan(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+        part.write_text(to_json(content) + "\n", encoding="utf-8")
