@@ -46,7 +46,9 @@ def batoid_trace(
         for surface, depth, before, after in zip(
             element.surfaces, depths, media[:-1], media[1:], strict=True
         ):
-            axes = batoid.CoordSys(vertex + turn @ [0.0, 0.0, depth], turn)
+            lean_row, lean_col = surface.tilt_rad
+            lean = turn @ batoid.RotX(-lean_row) @ batoid.RotY(lean_col)
+            axes = batoid.CoordSys(vertex + turn @ [0.0, 0.0, depth], lean)
             batoid_surface(surface).refract(rays, before, after, coordSys=axes)
     sensor = batoid.CoordSys().shiftGlobal([0.0, 0.0, starts[-1]])
     batoid.Plane().intersect(rays, coordSys=sensor)

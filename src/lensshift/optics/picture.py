@@ -13,7 +13,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.pattern import named_pattern_px
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import diffraction_limit
-from lensshift.optics.shift import decenter_for_shift, moving, px_per_mm_over
+from lensshift.optics.shift import decenter_for_shift, moving, px_per_um
 from lensshift.optics.spots import spots
 from lensshift.optics.which import edge_fields
 
@@ -83,10 +83,7 @@ def picture_score(
     offset_px = (moved.centroid_mm - resting_mm) / pitch_mm
     ray_px = moved.ray_mm / pitch_mm
     weight = moved.weight / moved.weight.sum(axis=-1, keepdims=True)
-    sensitivity = 1e-3 * float(
-        np.linalg.norm(px_per_mm_over(lens, element, Grid((1, 1), grid.pitch_mm)), axis=-2).max()
-    )
-    spread_px = sensitivity * actuator_um
+    spread_px = px_per_um(lens, element, grid) * actuator_um
     each_noise = noise * math.sqrt(len(moves_mm) / 4.0)
     squares = []
     for number in range(len(fields)):

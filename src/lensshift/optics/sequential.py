@@ -13,6 +13,7 @@ from lensshift.core.errors import DataError
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.paraxial import entrance_pupil, paraxial
+from lensshift.optics.trace import rotations_of
 
 _CLOSE = 1e-9  # of an image plane to the axis, in mm and in direction cosines
 _UNSET_STOP_MM = 1e-6
@@ -93,7 +94,9 @@ def lens_of_entries(
     groups = list(_groups(entries))
     if not groups:
         raise DataError("expected at least one element of glass or a curved mirror")
-    elements = [_element([entries[i] for i in group], frames[group[0]], notes) for group in groups]
+    elements = [
+        _element([entries[i] for i in group], [frames[i] for i in group], notes) for group in groups
+    ]
     starts_mm = np.array([frames[group[0]].origin[2] for group in groups])
     _check_image(frames[-1], entries[-1])
     ends_mm = starts_mm + [element.length_mm for element in elements]
@@ -217,10 +220,7 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
     group: list[int] = []
     for number, entry in enumerate(entries[:-1]):
         if group and entry.type == "COORDBRK":
-            raise DataError(
-                "expected no coordinate break inside an element, whose surfaces share one axis",
-                field=entry.where(),
-            )
+            continue  # in glass: the surface behind it leans
         if number == 0:
             if entry.glass:
                 raise DataError("expected an object in air", field=entry.where())
@@ -237,15 +237,18 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
         raise DataError("expected air in front of the image", field=entries[-1].where())
 
 
-def _element(entries: list[Entry], frame: Frame, notes: list[str]) -> Element:
-    ahead = 1.0 if frame.axes[2, 2] > 0 else -1.0  # of light along the axis of the surface
-    x, y, z = ahead * frame.axes[:, 2]
+def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Element:
+    ahead = 1.0 if frames[0].axes[2, 2] > 0 else -1.0  # of light along the axis of the surface
+    axis, lengths_mm = _axis(entries, frames, ahead)
+    x, y, z = axis
+    tilt_rad = (math.atan2(y, z), math.asin(max(-1.0, min(1.0, x))))
+    leans_rad = [_lean_rad(frame, ahead, axis, tilt_rad) for frame in frames]
     surfaces, thickness_mm = [], []
-    for entry in entries:
+    for entry, length_mm, lean_rad in zip(entries, lengths_mm, leans_rad, strict=True):
         surface = _surface(entry, notes)
-        surfaces.append(surface if ahead > 0 else surface.reversed())
+        surfaces.append(replace(surface if ahead > 0 else surface.reversed(), tilt_rad=lean_rad))
         ahead = -ahead if entry.mirror else ahead
-        thickness_mm.append(ahead * entry.distance_mm)
+        thickness_mm.append(ahead * length_mm)
     for number, length_mm in enumerate(thickness_mm[:-1]):
         surfaces[number : number + 2] = _trim(
             surfaces[number], surfaces[number + 1], length_mm, entries[number].number, notes
@@ -256,13 +259,44 @@ def _element(entries: list[Entry], frame: Frame, notes: list[str]) -> Element:
             glass=tuple(entry.glass for entry in entries[:-1]),
             thickness_mm=tuple(thickness_mm[:-1]),
             name=entries[0].comment or f"surfaces {entries[0].number}-{entries[-1].number}",
-            decenter_mm=(float(frame.origin[1]), float(frame.origin[0])),
-            tilt_rad=(math.atan2(y, z), math.asin(max(-1.0, min(1.0, x)))),
+            decenter_mm=(float(frames[0].origin[1]), float(frames[0].origin[0])),
+            tilt_rad=tilt_rad,
         )
     except DataError:
         raise
     except ValueError as error:
         raise DataError(str(error), field=entries[0].where()) from error
+
+
+def _axis(
+    entries: list[Entry], frames: list[Frame], ahead: float
+) -> tuple[NDArray[np.float64], list[float]]:
+    """Return the axis (x, y, z) of an element, and how far it is from each surface to the next.
+
+    That of its surfaces if they share one, else the line through their vertices.
+    """
+    axis = ahead * frames[0].axes[:, 2]
+    from_first = np.array([frame.origin - frames[0].origin for frame in frames])
+    lean = max(float(np.abs(ahead * frame.axes[:, 2] - axis).max()) for frame in frames)
+    aside_mm = np.abs(from_first - np.outer(from_first @ axis, axis)).max()
+    if any(entry.mirror for entry in entries) or max(lean, aside_mm) < _CLOSE:
+        return axis, [entry.distance_mm for entry in entries]
+    axis = from_first[-1] / np.linalg.norm(from_first[-1])
+    away = from_first @ axis
+    if np.abs(from_first - np.outer(away, axis)).max() > _CLOSE:
+        raise DataError("expected the vertices of an element on one line", field=entries[0].where())
+    return axis, [float(ahead * length) for length in (*np.diff(away), 0.0)]
+
+
+def _lean_rad(
+    frame: Frame, ahead: float, axis: NDArray[np.float64], tilt_rad: tuple[float, float]
+) -> tuple[float, float]:
+    """Return by how much a surface leans in its element."""
+    of_surface = ahead * frame.axes[:, 2]
+    if np.abs(of_surface - axis).max() < _CLOSE or of_surface @ axis < 0:  # the same, or mirrored
+        return 0.0, 0.0
+    row, col, axial = rotations_of(np.array(tilt_rad)).T @ of_surface[[1, 0, 2]]
+    return math.atan2(row, axial), math.asin(max(-1.0, min(1.0, col)))
 
 
 def _surface(entry: Entry, notes: list[str]) -> Surface:

@@ -158,6 +158,24 @@ def moving(lens: Lens, element: int, decenter_mm: Array) -> Build:
     return Build(decenter_mm=moves)
 
 
+def px_per_um(lens: Lens, element: int, grid: Grid) -> float:
+    """Return how far the middle of the image moves per micrometre of an element, about rest.
+
+    Along the axis where that is more pixels. This is what every command means by px per um.
+
+    Parameters
+    ----------
+    grid : of the sensor; only its pitch matters
+
+    Raises
+    ------
+    ValueError
+        As in `shift_map`.
+    """
+    slope = px_per_mm_over(lens, element, Grid((1, 1), grid.pitch_mm))
+    return 1e-3 * float(np.linalg.norm(slope, axis=-2).max())
+
+
 def px_per_mm_over(lens: Lens, element: int, grid: Grid) -> Array:
     """Return [row col 2 2] image over stage at every pixel, by central differences over 0.05 mm.
 
