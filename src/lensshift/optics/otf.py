@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebvander
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import AZIMUTHS_RAD, Band
@@ -20,6 +22,8 @@ Array = NDArray[np.floating]
 _RINGS, _ARMS = 12, 48
 _DEGREE = 12  # of the polynomials in the direction cosines
 _MARGIN = 1.02  # of the square that holds the pupil
+_BEYOND = 1.03  # of the outermost ray, where the pupil ends at the latest
+_LOST = 0.02  # of the light: more that the fit gets wrong is told
 _SAMPLES = 128
 _BLOCK = 16  # rows of the pupil at once, so that they stay in the cache
 
@@ -75,6 +79,11 @@ def exact_otf(
     ValueError
         If several fields are given, or as in `spots`.
 
+    Warns
+    -----
+    QualityWarning
+        If the fitted pupil passes 2 % of the light more or less than the rays.
+
     Source: Hopkins, Proc. Phys. Soc. B 70 (1957) 449.
     """
     frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
@@ -82,8 +91,7 @@ def exact_otf(
     axes = np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
     otf = np.zeros((len(axes), len(frequency)), dtype=np.complex128)
     for share, wave_mm, pupil in pupils(lens, field_tan, build=build, band=band):
-        for number, axis in enumerate(axes):
-            otf[number] += share * _autocorrelate(pupil, frequency, axis, wave_mm, samples)
+        otf += share * _autocorrelate(pupil, frequency, axes, wave_mm, samples)
     return otf
 
 
@@ -127,13 +135,16 @@ class PupilFit:
     ----------
     span : scales the cosines to the unit square
     terms : [quantity i j] Chebyshev coefficients of what `overlap_sum` takes: path, derivatives of
-        the two pupil coordinates, the coordinates, the squared heights at vignetting surfaces
+        the two pupil coordinates, the coordinates, the squared heights at vignetting surfaces, how
+        near the outermost ray is, squared
     reach_mm : distance of the outermost ray from the centroid
+    light : share of the light through the stop that arrives
     """
 
     span: float
     terms: Array
     reach_mm: float
+    light: float
 
     def waves(self, samples: int, wave: float) -> tuple[Array, NDArray[np.complex128], float]:
         """Return cosines [sample] along each axis, the wave [row col] there, and its energy.
@@ -190,6 +201,7 @@ def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: 
     if rays.heights is not None:
         squares = rays.heights[traced] ** 2
         quantities += [square for square in squares.T if square.max() > 0.98]
+    quantities.append(_nearness(cosine))
     scaled = (cosine - middle) / radius
     first, second = np.meshgrid(range(_DEGREE + 1), range(_DEGREE + 1), indexing="ij")
     used = first + second <= _DEGREE
@@ -203,15 +215,40 @@ def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: 
     slopes[0::2, :-1] = chebder(terms[1:3], axis=1)
     slopes[1::2, :, :-1] = chebder(terms[1:3], axis=2)
     reach_mm = float(np.linalg.norm(spot.ray_mm[rays.passed], axis=-1).max())
-    return PupilFit(radius, np.concatenate([terms[:1], slopes, terms[1:]]), reach_mm)
+    light = float(spot.transmission)
+    return PupilFit(radius, np.concatenate([terms[:1], slopes, terms[1:]]), reach_mm, light)
+
+
+def _nearness(cosine: Array) -> Array:
+    """Return (v / v_bound)^2 with v^2 = u C^-1 u, C the covariance of the cosines, [ray].
+
+    Beyond the outermost ray polynomials may lead back into the pupil, where there is no light.
+    """
+    away = cosine - cosine.mean(axis=0)
+    square = np.einsum("ri,ij,rj->r", away, np.linalg.inv(np.cov(away.T)), away)
+    return np.asarray(square / (square.max() * _BEYOND**2))
 
 
 def _autocorrelate(
-    pupil: PupilFit, frequency_lpmm: Array, axis: Array, wavelength_mm: float, samples: int
+    pupil: PupilFit, frequency_lpmm: Array, axes: Array, wavelength_mm: float, samples: int
 ) -> NDArray[np.complex128]:
+    """Return the OTF [azimuth frequency] along axes [azimuth 2] (row, col)."""
     step = 2.0 / samples
     along = (np.arange(samples) + 0.5) * step - 1.0
-    axes, wave = (along, along), 2.0 * np.pi / wavelength_mm
-    total = pupil.overlap(axes, np.zeros(2), step, wave).real
-    shifts = np.outer(0.5 * wavelength_mm * frequency_lpmm / pupil.span, axis)
-    return np.array([pupil.overlap(axes, shift, step, wave) / total for shift in shifts])
+    grid, wave = (along, along), 2.0 * np.pi / wavelength_mm
+    total = pupil.overlap(grid, np.zeros(2), step, wave).real
+    light = total * step**2 / np.pi
+    if abs(light - pupil.light) > _LOST:
+        warnings.warn(
+            f"the pupil of the OTF passes {100 * light:.1f} % of the light through the stop, rays "
+            f"{100 * pupil.light:.1f} %: it ends where polynomials cannot tell",
+            QualityWarning,
+            stacklevel=3,
+        )
+    shears = 0.5 * wavelength_mm / pupil.span * np.multiply.outer(axes, frequency_lpmm)
+    return np.array(
+        [
+            [pupil.overlap(grid, shift, step, wave) / total for shift in of_axis.T]
+            for of_axis in shears
+        ]
+    )
