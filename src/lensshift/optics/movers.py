@@ -14,6 +14,7 @@ from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Surface, cover_glass
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build
+from lensshift.optics.variables import is_plate
 from lensshift.optics.which import (
     DIAGONALS,
     Mover,
@@ -66,7 +67,7 @@ def which_mover(
     """
     rows = list(which_element(lens, grid, shift_px=shift_px, frequency_lpmm=frequency_lpmm))
     frequency = judged_lpmm(grid, frequency_lpmm)
-    plates = [number for number, one in enumerate(lens.elements) if _is_plate(one)]
+    plates = [number for number, one in enumerate(lens.elements) if is_plate(one)]
     turning = [
         _tilted(lens, number, "tilt")
         for number in range(len(lens.elements))
@@ -242,12 +243,6 @@ def _states(one: _Turning, shifts: Callable[[Array], Array], shift_px: float) ->
     if np.abs(missing).max() > _CLOSE_PX or np.abs(states).max() > one.most:
         return None
     return states
-
-
-def _is_plate(element: Element) -> bool:
-    return all(surface.curvature_per_mm == 0 for surface in element.surfaces) and not any(
-        surface.asphere or surface.radial for surface in element.surfaces
-    )
 
 
 def _with_plate(lens: Lens) -> Lens | None:

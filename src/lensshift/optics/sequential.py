@@ -140,7 +140,7 @@ def _clear_edges(
                 field=last[number].where(),
             )
         front, back = elements[number : number + 2]
-        near, far = _trim(front.surfaces[-1], back.surfaces[0], float(gap_mm), None, notes)
+        near, far = trimmed(front.surfaces[-1], back.surfaces[0], float(gap_mm), None, notes)
         elements[number] = replace(front, surfaces=(*front.surfaces[:-1], near))
         elements[number + 1] = replace(back, surfaces=(far, *back.surfaces[1:]))
 
@@ -250,7 +250,7 @@ def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Ele
         ahead = -ahead if entry.mirror else ahead
         thickness_mm.append(ahead * length_mm)
     for number, length_mm in enumerate(thickness_mm[:-1]):
-        surfaces[number : number + 2] = _trim(
+        surfaces[number : number + 2] = trimmed(
             surfaces[number], surfaces[number + 1], length_mm, entries[number].number, notes
         )
     try:
@@ -318,7 +318,7 @@ def _surface(entry: Entry, notes: list[str]) -> Surface:
         raise DataError(str(error), field=entry.where()) from error
 
 
-def _trim(
+def trimmed(
     front: Surface, back: Surface, length_mm: float, number: int | None, notes: list[str]
 ) -> tuple[Surface, Surface]:
     """Return two surfaces as far as the height where they meet, if that is near their edge."""
