@@ -10,6 +10,7 @@ import typer
 
 from lensshift.cli.lens_design import budget, optimise, tolerance
 from lensshift.cli.lens_field import field
+from lensshift.cli.lens_refine import refine
 from lensshift.cli.lens_report import report
 from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
 from lensshift.cli.optics import (
@@ -46,6 +47,7 @@ lens_verbs = verb_group()
 
 lens_verbs.command()(field)
 lens_verbs.command()(optimise)
+lens_verbs.command()(refine)
 lens_verbs.command()(tolerance)
 lens_verbs.command()(budget)
 lens_verbs.command()(report)

@@ -181,7 +181,7 @@ def _wedges(lens: Lens, grid: Grid, shift_px: float) -> _Turning:
         turn_rad = (middle_rad + aside_rad, middle_rad - aside_rad)
         return with_wedges(lens, wedge_rad, turn_rad), Build()
 
-    name = f"wedge pair, {math.degrees(wedge_rad):.2g} deg"
+    name = f"wedge pair of {math.degrees(wedge_rad):.2g} deg"
     return _Turning(
         -1, name, "wedges", look, _PROBE_TURN, 1.0, lambda s: math.degrees(math.asin(s))
     )
