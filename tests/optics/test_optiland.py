@@ -129,7 +129,7 @@ def test_a_lens_from_its_own_catalogue() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"material": "SF6"}, "surface 1: expected a glass of N-BK7.*SF6"),
+        ({"index": 1.61}, "surface 1: expected a glass of N-BK7.*got one of index 1.61"),
         ({"surface_type": "odd_asphere", "coefficients": [1e-5]}, "surface 1: .*got OddAsphere"),
         ({"material": "mirror"}, "surface 1: expected lenses, got a mirror"),
     ],
@@ -138,6 +138,8 @@ def test_what_cannot_come_back_is_named(change: dict, message: str) -> None:
     optic = pytest.importorskip("optiland.optic").Optic()
     optic.surfaces.add(index=0, thickness=math.inf)
     first = {"radius": 60.0, "thickness": 5.0, "material": "N-BK7", "is_stop": True} | change
+    if "index" in first:
+        first["material"] = pytest.importorskip("optiland.materials").IdealMaterial(first.pop("index"))
     optic.surfaces.add(index=1, **first)
     optic.surfaces.add(index=2, radius=-45.0, thickness=50.0)
     optic.surfaces.add(index=3)

@@ -182,6 +182,13 @@ def _stop_place(
     if np.abs(frame.origin[:2]).max() < _CLOSE:
         return at_mm, None
     carrier = next((i for i, group in enumerate(groups) if number in group), None)
+    if carrier is None:  # a plane of its own, beside an element that is moved as far
+        aside_mm = frame.origin[1::-1]
+        carrier = next(
+            (i for i, group in enumerate(groups)
+             if number in (group[0] - 1, group[-1] + 1)
+             and np.abs(elements[i].decenter_mm - aside_mm).max() < _CLOSE), None,
+        )  # fmt: skip
     if carrier is None:
         raise DataError("expected a stop on the axis, or on an element", field=f"surface {number}")
     return at_mm, carrier
