@@ -31,14 +31,14 @@ BAND = led_band(940.0, 30.0, samples=3)
 LIMITS = Limits(
     glass_mm=(0.8, 4.5), edge_mm=0.4, air_mm=0.1, back_focal_mm=0.25, track_mm=25.0, distortion=0.1
 )
-# A meniscus that spreads the field, two lenses, the stop, a triplet: radii, glass, thickness, air.
+# A meniscus that spreads the field, two lenses, the stop, a triplet: radii, glass, length, air.
 FORM = (
-    ((12.0, 4.2), "N-LASF44", 1.0, 3.0),
-    ((20.0, -20.0), "N-LASF44", 3.5, 1.5),
-    ((14.0, -14.0), "N-LASF44", 2.5, 0.6),
-    ((-10.0, 20.0), "N-SF66", 0.8, 0.3),
-    ((14.0, -12.0), "N-LASF44", 2.5, 0.1),
-    ((8.0, 40.0), "N-LASF44", 2.5, 1.2),
+    ("meniscus", (12.0, 4.2), "N-LASF44", 1.0, 3.0),
+    ("front", (20.0, -20.0), "N-LASF44", 3.5, 1.5),
+    ("middle", (14.0, -14.0), "N-LASF44", 2.5, 0.6),
+    ("negative", (-10.0, 20.0), "N-SF66", 0.8, 0.3),
+    ("rear", (14.0, -12.0), "N-LASF44", 2.5, 0.1),
+    ("last", (8.0, 40.0), "N-LASF44", 2.5, 1.2),
 )
 STOP_MM = 8.6
 HEADER = """\
@@ -50,8 +50,8 @@ HEADER = """\
 def starting_form() -> Lens:
     """Return a lens with about the right powers and nothing else."""
     elements = [
-        Element(tuple(Surface(radius) for radius in radii), (glass,), (thick_mm,), name=f"lens {n}")
-        for n, (radii, glass, thick_mm, _) in enumerate(FORM, start=1)
+        Element(tuple(map(Surface, radii)), (glass,), (thick_mm,), name)
+        for name, radii, glass, thick_mm, _ in FORM
     ]
     gaps_mm = [air_mm for *_, air_mm in FORM]
     return Lens(

@@ -1,7 +1,10 @@
 """Design by least squares against closed forms: bending, colour, conics, heat; and its limits."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +14,13 @@ from lensshift.core.grid import Grid
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import load_lens
-from lensshift.optics.mtf import Band
+from lensshift.optics.mtf import Band, fast_mtf, led_band
+from lensshift.optics.otf import exact_mtf
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.refine import Limits, Task, ray_error_um, refine
-from lensshift.optics.variables import Freedom, Variables
+from lensshift.optics.spots import distortion, spots
+from lensshift.optics.variables import Freedom, Variables, is_plate
+from lensshift.optics.which import edge_fields, least_mtf
 
 AXIS = (0.0,)
 SENSOR = Grid((11, 31), (0.02, 0.02))
@@ -176,3 +182,38 @@ def test_what_cannot_be() -> None:
         Limits(air_mm=-1.0)
     with pytest.raises(ValueError, match="positive focal length"):
         Task(SENSOR, -1.0, 2.0)
+
+
+def test_the_shipped_wide_lens_does_what_was_asked() -> None:
+    lens, grid = load_lens("wide_940"), Grid((240, 320), (0.015, 0.015))
+    data = paraxial(lens)
+    assert data.f_number == pytest.approx(1.2, rel=2e-3)
+    wanted_mm = 0.5 * math.hypot(4.8, 3.6) / math.tan(math.radians(30.0))
+    assert data.focal_length_mm == pytest.approx(wanted_mm, rel=1e-3)
+    assert is_plate(lens.elements[-1])
+    assert 0 < lens.elements_before_stop() < 6
+    corner = edge_fields(lens, grid)[-1]
+    seen_deg = 2.0 * math.degrees(math.atan(np.linalg.norm(corner)))
+    assert 60.0 < seen_deg < 63.0
+    assert abs(distortion(lens, corner)) < 0.052
+    assert spots(lens, corner).transmission > 0.999
+    light = led_band(940.0, 30.0, samples=3)
+    assert least_mtf(lens, grid, frequency_lpmm=0.5 / 0.015, band=light)[0] > 0.78
+    # The exact and the fast OTF come from different sums.
+    fast = fast_mtf(lens, corner, [33.3], rings=16)
+    assert exact_mtf(lens, corner, 33.3).modulation[0] == pytest.approx(fast[0, 0], abs=0.03)
+
+
+@pytest.mark.slow
+def test_the_example_makes_the_shipped_wide_lens(tmp_path: Path) -> None:
+    example = Path(__file__).resolve().parents[2] / "examples" / "design_wide.py"
+    path = tmp_path / "lens.toml"
+    command = [sys.executable, "-W", "error", str(example), "--out", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    grid = Grid((240, 320), (0.015, 0.015))
+    made, shipped = (
+        least_mtf(lens, grid, frequency_lpmm=0.5 / 0.015)[0]
+        for lens in (load_lens(path), load_lens("wide_940"))
+    )
+    assert made > shipped - 0.05
