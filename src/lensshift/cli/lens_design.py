@@ -154,8 +154,8 @@ def optimise(
 
     Maximises the least MTF over the sensor at twice its Nyquist frequency, centred and moved, at
     the given focal length and least back focal distance. With --goal picture the designs found are
-    ranked by the error that the best linear reconstruction leaves, for the square of four frames
-    and for 3x3 with the same light in all.
+    ranked by the error that the best linear reconstruction leaves, for the square of four frames,
+    for the same with the picture a quarter pixel aside, and for 3x3 with the same light in all.
 
     \b
     Example:
@@ -208,15 +208,15 @@ def _by_picture(
     current: Session, designs: tuple[Design, ...], goal: Goal, actuator_um: float, noise: float
 ) -> tuple[Design, ...]:
     """Return the designs with a mover, the one with the least error of the picture first."""
-    from lensshift.optics.picture import format_scores, picture_score
+    from lensshift.optics.picture import PICTURES, format_scores, picture_score
 
     scored = [
         (design, picture_score(
-            design.lens, design.element, goal.grid, pattern=pattern, actuator_um=actuator_um,
-            noise=noise,
+            design.lens, design.element, goal.grid, pattern=pattern, place_px=place_px,
+            actuator_um=actuator_um, noise=noise,
         ))
         for design in designs if design.element is not None
-        for pattern in ("square", "3x3")
+        for pattern, place_px in PICTURES
     ]  # fmt: skip
     scored.sort(key=lambda pair: pair[1].rmse)
     names = [design.lens.name for design, _ in scored]
