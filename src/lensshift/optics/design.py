@@ -10,7 +10,12 @@ from itertools import product
 from lensshift.optics.gaps import Effort, best_gaps, train_lens
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
-from lensshift.optics.shift import decenter_for_shift, shift_map, shift_uniformity
+from lensshift.optics.shift import (
+    ENOUGH_PIXELS,
+    decenter_for_shift,
+    shift_map,
+    shift_uniformity,
+)
 from lensshift.optics.spots import spots
 from lensshift.optics.which import DIAGONALS, edge_fields, least_mtf
 
@@ -128,7 +133,8 @@ def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]
     if element is not None:
         wanted_px = goal.shift_px * DIAGONALS
         moves_mm = decenter_for_shift(lens, element, wanted_px, goal.grid)
-        even = shift_uniformity(shift_map(lens, element, moves_mm, goal.grid), wanted_px)
+        over = shift_map(lens, element, moves_mm, goal.grid, most=ENOUGH_PIXELS)
+        even = shift_uniformity(over, wanted_px)
         error_px = max(one.max_error_px for one in even)
         stroke_mm = float(moves_mm[0, 1])
     rest, moved = least_mtf(

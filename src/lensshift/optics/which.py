@@ -13,6 +13,7 @@ from lensshift.optics.mtf import Band
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import focal_length_mm
 from lensshift.optics.shift import (
+    ENOUGH_PIXELS,
     decenter_for_shift,
     moving,
     px_per_um,
@@ -97,9 +98,10 @@ def which_element(
         if np.isinf(focal_length_mm(element, indices)):
             continue
         moves_mm = decenter_for_shift(lens, number, shift_px * DIAGONALS, grid)
-        even = shift_uniformity(shift_map(lens, number, moves_mm, grid), shift_px * DIAGONALS)
+        over = shift_map(lens, number, moves_mm, grid, most=ENOUGH_PIXELS)
+        even = shift_uniformity(over, shift_px * DIAGONALS)
         stroke_mm = float(decenter_for_shift(lens, number, [0.0, shift_px], grid)[1])
-        along = shift_map(lens, number, stroke_mm * np.eye(2), grid).offset_px
+        along = shift_map(lens, number, stroke_mm * np.eye(2), grid, most=ENOUGH_PIXELS).offset_px
         moved = moved_mtf(lens, fields, frequency, number, moves_mm)
         movers.append(
             Mover(
