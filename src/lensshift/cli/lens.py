@@ -74,7 +74,8 @@ def group() -> None:
     """Design a lens with a moving element, and see what moving it does.
 
     Built-in lenses: petzval_a and petzval_b (two reconstructions of a published Petzval lens from
-    stock parts), petzval_search, and single stock lenses such as al2550.
+    stock parts), petzval_search, wide_940 (320 x 240 pixels, f/1.2), and single stock lenses such
+    as al2550.
 
     \b
     Example:
