@@ -100,9 +100,10 @@ def layout_figure(
 
 def _section_figure(section: Layout, moved: Polyline) -> tuple[Figure, float]:
     """Return a figure as high as the lens is at its width, and how many mm a point stands for."""
-    lines = [*section.outlines, moved, section.sensor, *(ray.line for ray in section.rays)]
+    parts = [*section.outlines, *section.stop, moved, section.sensor]  # rays in front are cut
+    lines = [*parts, *(ray.line for ray in section.rays)]
     long_mm = max(line.z_mm.max() for line in lines) - min(line.z_mm.min() for line in lines)
-    high_mm = 2.0 * max(float(np.abs(line.height_mm).max()) for line in lines)
+    high_mm = 2.0 * max(float(np.abs(line.height_mm).max()) for line in parts)
     drawn_in = _DRAWN * _WIDTH_IN
     high_in = float(np.clip(drawn_in * high_mm / long_mm, *_HIGH_IN))
     mm_per_pt = max(long_mm / drawn_in, high_mm / high_in) / 72.0
@@ -290,7 +291,8 @@ def _draw_names(axes: Axes, section: Layout, moved: Polyline, mm_per_pt: float) 
             ha="center",
             va="bottom" if side > 0 else "top",
             fontsize=SMALL_PT,
-            path_effects=outlined(1.0),
+            path_effects=outlined(2.5),
+            zorder=5.0 - 0.1 * level,  # lines to lower rows pass below the names
             arrowprops={"arrowstyle": "-", "color": LIGHT, "linewidth": 0.6, "shrinkB": 0.0},
         )
     rows = {1: 0, -1: 0}
