@@ -121,6 +121,22 @@ def test_a_train_may_have_a_window_a_stop_inside_and_other_light(
     assert paraxial(lens).focal_length_mm == pytest.approx(35.0, abs=1e-3)
 
 
+def test_designs_are_ranked_by_the_picture(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "best.toml"
+    train = "optimise", "al2550", "eo33950", "--focal-length-mm", 42.7, *SENSOR
+    wanted = "--goal", "picture", "--actuator-um", 6, "--keep", 1, "-o", out
+    found = numbers(call, *train, *wanted)
+    rows: list[dict] = found["pictures"]  # type: ignore[assignment]
+    assert [row["rmse"] for row in rows] == sorted(row["rmse"] for row in rows)
+    assert {(row["pattern"], row["place_px"]) for row in rows} == {
+        ("square", 0.25), ("square", 0.0), ("3x3", 0.25),
+    }  # fmt: skip
+    assert all(row["rmse"] >= row["rmse_exact"] for row in rows)
+    first = found["designs"][0]  # type: ignore[index]
+    assert first["element"] == rows[0]["element"]
+    assert load_lens(out).gaps_mm == pytest.approx(first["gaps_mm"])
+
+
 def test_a_budget_follows_from_the_travel(call: Call, tmp_path: Path) -> None:
     plot = tmp_path / "budget.svg"
     errors = "--repeatability-um", 3, "--backlash-um", 8

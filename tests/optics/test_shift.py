@@ -70,6 +70,15 @@ def test_shift_map_of_the_first_element_grows_towards_the_edge() -> None:
     assert np.abs(offset[0, ..., 0]).max() == pytest.approx(0.0018, abs=2e-4)
 
 
+def test_some_pixels_tell_as_much_as_all() -> None:
+    lens, grid = load_lens("petzval_b"), Grid((7, 41), (0.31, 0.24))
+    move_mm = [0.03, -0.05]
+    every = shift_map(lens, 0, move_mm, grid).offset_px[0]
+    some = shift_map(lens, 0, move_mm, grid, most=11).offset_px[0]
+    assert some.shape == (7, 11, 2)
+    assert some == pytest.approx(every[:, ::4], abs=1e-9)
+
+
 def test_offsets_connect_the_two_images_of_a_point() -> None:
     lens = load_lens("petzval_b")
     move_mm = np.array([0.3, -0.2])
