@@ -113,6 +113,29 @@ def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:
     assert table["stroke_mm"].shape == (len(rows),)  # type: ignore[arg-type]
 
 
+def test_report_tells_and_draws_all(call: Call, tmp_path: Path) -> None:
+    page, sensor = tmp_path / "page.html", ("--sensor", "8x3", "--pitch-mm", "1.2,0.8")
+    found = numbers(call, "report", "petzval_a", *sensor, "-o", page)
+    middle, _, corner = found["fields"]  # type: ignore[misc]
+    assert middle["illumination (%)"] == pytest.approx(100.0)
+    assert corner["light in half a pixel (%)"] < corner["light in a pixel (%)"] < 100.0
+    assert corner["MTF T at 0.833 LP/mm"] < 1.0
+    text = page.read_text()
+    assert text.count("<img") == 8
+    for words in ("Petzval A", "AL2550", "petzval radius", "least MTF", "Where both sections"):
+        assert words in text
+    said = call("lens", "report", "petzval_a", *sensor, "--band-nm", "40")
+    assert "focus S behind the sensor" in said.stdout
+    assert call("lens", "report", "petzval_a", "-o", tmp_path / "page.txt").exit_code == 2
+
+
+@pytest.mark.parametrize("figure", ["layout", "spots", "fans", "psf", "field", "distortion"])
+def test_show_draws(call: Call, tmp_path: Path, figure: str) -> None:
+    plot = tmp_path / "lens.svg"
+    numbers(call, "show", "petzval_a", "--figure", figure, "--plot", plot)
+    assert plot.stat().st_size > 5000
+
+
 def test_there_and_back_again(call: Call, tmp_path: Path) -> None:
     there, back = tmp_path / "lens.zmx", tmp_path / "lens.toml"
     assert call("lens", "convert", "petzval_b", there).exit_code == 0

@@ -87,6 +87,56 @@ def test_the_best_of_several_lenses_comes_first(call: Call, tmp_path: Path) -> N
     assert numbers(call, "show", out)["focal_length_mm"] == pytest.approx(42.7, abs=2e-3)
 
 
+def test_a_form_is_refined_beside_a_stock_lens(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "found.toml"
+    arguments = "refine", "petzval_b", "--focal-length-mm", 42.7, "--f-number", 2.135, *SENSOR
+    found = numbers(call, *arguments, "--made", "3", "--back-focal-mm", 2, "-o", out)
+    lens, stock = load_lens(out), load_lens("petzval_b")
+    assert lens.elements[:2] == stock.elements[:2]
+    assert lens.elements[2] != stock.elements[2]
+    assert paraxial(lens).focal_length_mm == pytest.approx(42.7, rel=1e-3)
+    assert found["focal_length_mm"] == pytest.approx(paraxial(lens).focal_length_mm)
+    assert lens.gaps_mm[-1] >= 1.999
+    errors = found["ray_error_um"]
+    assert max(errors["found"]) < 0.5 * max(errors["start"])  # type: ignore[index]
+    told = found["least_mtf"][1]  # type: ignore[index]
+    assert told["lpmm"] == pytest.approx(1 / 0.3)
+    rows = numbers(call, "which", out, *SENSOR)["movers"]
+    assert rows[0]["mtf_centred"] == pytest.approx(told["mtf"], abs=1e-6)  # type: ignore[index]
+
+
+def test_a_train_may_have_a_window_a_stop_inside_and_other_light(
+    call: Call, tmp_path: Path
+) -> None:
+    out = tmp_path / "pair.toml"
+    train = "optimise", "al2550", "eo33950", "--focal-length-mm", 35, "--mtf", 0.1, *SENSOR
+    told = "--cover", "N-BK7,1.5,0.4", "--stop-behind", 1, "--stop-at-mm", 1, "--stop-mm", 12
+    light = "--wavelength-nm", 940, "--band-nm", 30, "--temperature-c", 50
+    numbers(call, *train, *told, *light, "--element", 1, "-o", out)
+    lens = load_lens(out)
+    assert (lens.wavelength_nm, lens.temperature_c) == (940.0, 50.0)
+    assert lens.elements_before_stop() == 1
+    assert lens.elements[-1].thickness_mm == (1.5,)
+    assert lens.gaps_mm[-1] == 0.4
+    assert paraxial(lens).focal_length_mm == pytest.approx(35.0, abs=1e-3)
+
+
+def test_designs_are_ranked_by_the_picture(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "best.toml"
+    train = "optimise", "al2550", "eo33950", "--focal-length-mm", 42.7, *SENSOR
+    wanted = "--goal", "picture", "--actuator-um", 6, "--keep", 1, "-o", out
+    found = numbers(call, *train, *wanted)
+    rows: list[dict] = found["pictures"]  # type: ignore[assignment]
+    assert [row["rmse"] for row in rows] == sorted(row["rmse"] for row in rows)
+    assert {(row["pattern"], row["place_px"]) for row in rows} == {
+        ("square", 0.25), ("square", 0.0), ("3x3", 0.25),
+    }  # fmt: skip
+    assert all(row["rmse"] >= row["rmse_exact"] for row in rows)
+    first = found["designs"][0]  # type: ignore[index]
+    assert first["element"] == rows[0]["element"]
+    assert load_lens(out).gaps_mm == pytest.approx(first["gaps_mm"])
+
+
 def test_a_budget_follows_from_the_travel(call: Call, tmp_path: Path) -> None:
     plot = tmp_path / "budget.svg"
     errors = "--repeatability-um", 3, "--backlash-um", 8
@@ -126,6 +176,21 @@ def test_a_budget_beyond_what_was_simulated_warns(call: Call) -> None:
             ["optimise", "al2550", "eo45030", "--focal-length-mm", "42.7", "-o", "best.txt"],
             2,
             "to end in .toml or .zmx",
+        ),
+        (
+            ["optimise", "al2550", "eo45030", "--focal-length-mm", "42.7", "--cover", "N-BK7"],
+            2,
+            "a plate like N-BK7,1,0.5",
+        ),
+        (
+            ["refine", "petzval_a", "--focal-length-mm", "42", "--f-number", "2", "--made", "4"],
+            2,
+            "an element from 1 to 3, got 4",
+        ),
+        (
+            ["refine", "petzval_a", "--focal-length-mm", "42", "--f-number", "2", "--grow", "x"],
+            2,
+            "numbers like 0.4,1",
         ),
         (["budget", "petzval_a", "--noise", "0"], 1, "noise > 0"),
         (["budget", "petzval_a", "--drift-um", "-1"], 2, "'--drift-um'"),

@@ -3,10 +3,12 @@
 import math
 
 import numpy as np
+import pytest
 
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Stop, Surface
-from lensshift.optics.trace import Build
+from lensshift.optics.paraxial import entrance_pupil
+from lensshift.optics.trace import Build, trace
 
 PLANE = Surface(math.inf)
 WAVELENGTH_NM = 850.0
@@ -46,7 +48,9 @@ def batoid_trace(
         for surface, depth, before, after in zip(
             element.surfaces, depths, media[:-1], media[1:], strict=True
         ):
-            axes = batoid.CoordSys(vertex + turn @ [0.0, 0.0, depth], turn)
+            lean_row, lean_col = surface.tilt_rad
+            lean = turn @ batoid.RotX(-lean_row) @ batoid.RotY(lean_col)
+            axes = batoid.CoordSys(vertex + turn @ [0.0, 0.0, depth], lean)
             batoid_surface(surface).refract(rays, before, after, coordSys=axes)
     sensor = batoid.CoordSys().shiftGlobal([0.0, 0.0, starts[-1]])
     batoid.Plane().intersect(rays, coordSys=sensor)
@@ -65,3 +69,39 @@ def batoid_surface(surface: Surface) -> object:
     if surface.asphere:
         return batoid.Asphere(surface.radius_mm, surface.conic, list(surface.asphere))
     return batoid.Quadric(surface.radius_mm, surface.conic)
+
+
+def same_rays(
+    lens: Lens, optic: object, field: np.ndarray, points: np.ndarray, *, mm: float = 1e-6
+) -> None:
+    """Compare rays that pass the stop at the same points, and the first-order data."""
+    rays_type = pytest.importorskip("optiland.rays").RealRays
+    ours = trace(lens, field, points)
+    first_mm = min(0.0, lens.stop.position_mm) if lens.elements_before_stop() == 0 else 0.0
+    start_mm = first_mm - 5.0  # in front of everything
+    if lens.elements_before_stop() == 0:
+        through = np.zeros((len(points), 3))
+        through[:, :2] = 0.5 * lens.stop.diameter_mm * points
+        if lens.stop.rides_on is not None:
+            through[:, :2] += lens.elements[lens.stop.rides_on].decenter_mm
+        through[:, 2] = lens.stop.position_mm
+    else:  # back along the rays in front of the lens, which this program met at its first surface
+        met = trace(lens, field, points, crossings=True).crossing_mm
+        assert met is not None
+        through = met[:, 0]
+    if math.isinf(lens.object_mm):
+        direction = np.tile([*field, 1.0], (len(points), 1))
+    else:
+        source = [*(-field * (lens.object_mm + entrance_pupil(lens)[0])), -lens.object_mm]
+        direction = through - source
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = through + direction * ((start_mm - through[:, 2]) / direction[:, 2])[:, None]
+    ones = np.ones(len(points))
+    rays = rays_type(
+        origin[:, 1], origin[:, 0], origin[:, 2] - first_mm,
+        direction[:, 1], direction[:, 0], direction[:, 2], ones, 1e-3 * lens.wavelength_nm * ones,
+    )  # fmt: skip
+    optic.surfaces.trace(rays, skip=1)  # type: ignore[attr-defined]
+    assert ours.position_mm[:, 1] == pytest.approx(np.asarray(rays.x), abs=mm, nan_ok=True)
+    assert ours.position_mm[:, 0] == pytest.approx(np.asarray(rays.y), abs=mm, nan_ok=True)
+    assert ours.direction[:, 2] == pytest.approx(np.asarray(rays.N), abs=1e-8)

@@ -12,10 +12,11 @@ import pytest
 from lensshift.core.grid import Grid
 from lensshift.optics.design import assess, optimise_gaps
 from lensshift.optics.focus import scan_focus, spot_means
+from lensshift.optics.glass import refractive_index
 from lensshift.optics.goal import Goal
-from lensshift.optics.lens import Lens, Stop
+from lensshift.optics.lens import Lens, Stop, cover_glass
 from lensshift.optics.lens_file import load_lens
-from lensshift.optics.mtf import fast_mtf
+from lensshift.optics.mtf import fast_mtf, led_band
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_quadrature
@@ -23,6 +24,7 @@ from lensshift.optics.shift import decenter_for_shift, moving, shift_map, shift_
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.stock import format_designs, search_stock
 from lensshift.optics.trace import trace
+from lensshift.optics.which import least_mtf
 
 SENSOR = Grid((16, 64), (0.155, 0.155))
 GOAL = Goal(SENSOR, focal_length_mm=42.7, object_mm=3500.0)
@@ -130,6 +132,56 @@ def test_the_back_focal_distance_is_kept() -> None:
     assert far.transmission == pytest.approx(1.0)
 
 
+def test_a_cover_glass_moves_the_sensor_back_as_paraxial_rays_want() -> None:
+    """By t (n - 1) / n, where spherical aberration of the plate is small."""
+    window = cover_glass("N-BK7", 1.5)
+    goal = replace(GOAL, stop=Stop(6.0), back_focal_mm=4.0)
+    covered = replace(goal, cover=window, cover_mm=0.8)
+    bare, glazed = (optimise_gaps([AL2550, EO33950], one, turn=False) for one in (goal, covered))
+    index = refractive_index("N-BK7", 850.0)
+    longer_mm = 1.5 * (index - 1.0) / index
+    assert glazed.lens.elements[-1] == window
+    assert glazed.lens.gaps_mm[-1] == 0.8
+    assert glazed.back_focal_mm == pytest.approx(bare.back_focal_mm + longer_mm, abs=0.02)
+    assert glazed.mtf_centred == pytest.approx(bare.mtf_centred, abs=0.01)
+    assert paraxial(glazed.lens).focal_length_mm == pytest.approx(42.7, abs=1e-3)
+    assert bare.meets(replace(goal, mtf=0.0))
+    tight = replace(covered, back_focal_mm=glazed.back_focal_mm + 3.0)
+    assert not glazed.meets(replace(tight, mtf=0.0))
+
+
+def test_the_light_and_the_heat_of_the_goal_are_those_of_the_design() -> None:
+    pair = [EO33950, AL2550]
+    warm = optimise_gaps(pair, replace(GOAL, temperature_c=80.0), turn=False).lens
+    assert warm.temperature_c == 80.0
+    assert paraxial(warm).focal_length_mm == pytest.approx(42.7, abs=1e-3)
+    assert paraxial(replace(warm, temperature_c=20.0)).focal_length_mm > 42.71  # dn/dT > 0
+    small = replace(GOAL, grid=Grid((3, 5), (0.155, 0.155)))  # near the axis colour is all
+    narrow, broad = (
+        optimise_gaps(pair, replace(small, band=led_band(850.0, fwhm_nm)), turn=False)
+        for fwhm_nm in (1.0, 120.0)
+    )
+    plain = optimise_gaps(pair, small, turn=False)
+    assert narrow.mtf_centred == pytest.approx(plain.mtf_centred, abs=2e-3)
+    assert broad.mtf_centred < narrow.mtf_centred - 0.01
+    told = least_mtf(broad.lens, small.grid, band=led_band(850.0, 120.0))
+    assert broad.mtf_centred == told[0]
+
+
+def test_a_stop_between_elements_stays_there() -> None:
+    goal = replace(GOAL, stop=Stop(18.0, 3.0), stop_behind=1, clearance_mm=0.5)
+    design = optimise_gaps([AL2550, AL2550, EO45030], goal, turn=False)
+    lens = design.lens
+    assert lens.elements_before_stop() == 1
+    assert lens.stop.position_mm == pytest.approx(lens.elements[0].length_mm + 3.0)
+    assert lens.gaps_mm[0] >= 3.5
+    assert paraxial(lens).focal_length_mm == pytest.approx(42.7, abs=1e-3)
+    front = optimise_gaps([AL2550, AL2550, EO45030], GOAL, turn=False)
+    assert design.mtf_centred > 0.5 * front.mtf_centred
+    with pytest.raises(ValueError, match="behind fewer than 3 elements, got 3"):
+        optimise_gaps([AL2550, AL2550, EO45030], replace(goal, stop_behind=3), turn=False)
+
+
 def test_a_small_search_finds_the_sharper_pair() -> None:
     seen: list[tuple[int, int]] = []
     designs = search_stock(
@@ -188,6 +240,8 @@ def test_the_example_makes_the_shipped_lens(tmp_path: Path) -> None:
         ({"shift_px": 0.0}, "positive focal length, .* shift"),
         ({"clearance_mm": -0.1}, "clearance of at least 0 mm"),
         ({"stop": Stop(20.0, 3.0)}, "stop at or in front of the first vertex"),
+        ({"stop": Stop(20.0, -3.0), "stop_behind": 1}, "expected the stop behind element 1"),
+        ({"cover_mm": -1.0}, "cover_mm and stop_behind of at least 0"),
     ],
 )
 def test_goals_that_cannot_be(change: dict, message: str) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import load_glass_catalogue, parse_agf
@@ -13,26 +14,12 @@ from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import format_lens, parse_lens
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
-from lensshift.optics.trace import Build, trace
+from lensshift.optics.trace import trace
 from lensshift.optics.zmx import load_zmx, parse_zmx
 from lensshift.optics.zmx_writer import format_zmx
 
 POINTS = pupil_grid(7)
 AXIS, FIELD = np.zeros(2), np.array([0.01, -0.02])
-
-
-def zmx(*surfaces: str, header: str = "", unit: str = "MM", aperture: str = "ENPD 10") -> str:
-    """Return a file; each surface is its lines, separated by semicolons."""
-    lines = ["MODE SEQ", f"UNIT {unit} X W", aperture, "WAVM 1 0.5875618 1", "PWAV 1", header]
-    for number, surface in enumerate(surfaces):
-        lines += [f"SURF {number}", *(f"  {line.strip()}" for line in surface.split(";"))]
-    return "\n".join(lines)
-
-
-FAR, IMAGE = "TYPE STANDARD; DISZ INFINITY", "TYPE STANDARD; DISZ 0"
-FRONT = "STOP; TYPE STANDARD; CURV 0.02; DISZ 4; GLAS N-BK7 0 0 1.5 40 0 0 0; DIAM 12 1"
-BACK = "TYPE STANDARD; CURV -0.01; DISZ 60; DIAM 12 1"
-SINGLET = (FAR, FRONT, BACK, IMAGE)
 
 
 def check_written_again(lens: Lens) -> None:
@@ -388,47 +375,3 @@ def parse_agf_reference(name: str) -> float:
     from lensshift.optics.glass import glass_data
 
     return glass_data(name).reference_c
-
-
-# Aspheres, a cemented group, tilts and decentres, as another program would write them.
-TILT = "TYPE COORDBRK; PARM 1 0.1; PARM 2 -0.2; PARM 3 0.4; PARM 4 -0.3; DISZ 0"
-FOREIGN = {
-    "singlet": (FAR, FRONT, BACK, IMAGE),
-    "conic": (FAR, FRONT.replace("CURV 0.02", "CURV 0.02; CONI -1.3"), BACK, IMAGE),
-    "asphere": (
-        FAR, FRONT.replace("STANDARD", "EVENASPH; PARM 2 1e-6; PARM 3 -2e-9"), BACK, IMAGE
-    ),
-    "cemented": (
-        FAR, FRONT, "TYPE STANDARD; CURV -0.02; DISZ 2; GLAS N-SF11; DIAM 12 1", BACK, IMAGE
-    ),
-    "crystal": (FAR, FRONT.replace("N-BK7", "CAF2"), BACK, IMAGE),
-    "near object": ("TYPE STANDARD; DISZ 300", FRONT, BACK, IMAGE),
-    "two": (FAR, FRONT, BACK.replace("60", "5"), FRONT.replace("STOP; ", ""), BACK, IMAGE),
-    "tilted": (
-        FAR, "STOP; TYPE STANDARD; DISZ 0", TILT, FRONT.replace("STOP; ", ""),
-        BACK.replace("DISZ 60", "DISZ -4"),
-        "TYPE COORDBRK; PARM 1 -0.1; PARM 2 0.2; PARM 3 -0.4; PARM 4 0.3; PARM 6 1; DISZ 64", IMAGE
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", FOREIGN)
-def test_foreign_lenses_trace_as_in_batoid(name: str) -> None:
-    pytest.importorskip("batoid")
-    from lenses import batoid_trace
-
-    lens = parse_zmx(zmx(*FOREIGN[name]))
-    points = pupil_grid(9)
-    for field in (AXIS, FIELD):
-        origin = np.zeros((len(points), 3))
-        origin[:, :2] = 0.5 * lens.stop.diameter_mm * points
-        direction = np.tile([*field, 1.0], (len(points), 1))
-        if math.isfinite(lens.object_mm):
-            direction = origin - [*(-field * lens.object_mm), -lens.object_mm]
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        origin -= 10.0 * direction
-        position, _, path = batoid_trace(lens, Build(), origin, direction)
-        found = np.isfinite(path)
-        assert np.mean(found) > 0.9
-        ours = trace(lens, field, points).position_mm
-        assert ours[found] == pytest.approx(position[found], abs=1e-10)

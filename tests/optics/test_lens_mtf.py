@@ -9,7 +9,7 @@ from lenses import WAVELENGTH_NM, perfect_lens
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
-from lensshift.optics.lens import Lens, Stop
+from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import (
     Band,
@@ -21,7 +21,7 @@ from lensshift.optics.mtf import (
     sensor_mtf,
     through_focus,
 )
-from lensshift.optics.otf import exact_mtf, exact_otf
+from lensshift.optics.otf import exact_mtf, exact_otf, pupils
 from lensshift.optics.otf_kernel import overlap_sum
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
@@ -282,6 +282,26 @@ def test_vignetting_narrows_the_pupil_of_the_exact_mtf() -> None:
     with pytest.warns(QualityWarning, match="loses 7. % of its light"):
         curve = exact_mtf(lens, [0.0, 0.0], frequency)
     assert curve.modulation == pytest.approx(theory, abs=6e-3)
+
+
+@pytest.mark.parametrize("position_mm", [0.0, -2.0])
+def test_fitted_pupils_of_wide_fields_pass_the_light_of_the_rays(position_mm: float) -> None:
+    """Polynomials fitted in an ellipse may come back into the pupil outside of it."""
+    glass = Element((Surface(12.0), Surface(-8.0)), ("N-LASF44",), (3.0,))
+    lens = Lens((glass,), (5.0,), Stop(6.0, position_mm), wavelength_nm=940.0)
+    samples = 128
+    for field in (np.zeros(2), np.array([0.36, 0.6]), np.array([-0.5, 0.1])):
+        ((_, _, pupil),) = pupils(lens, field)
+        energy = pupil.waves(samples, 1.0)[2] * (2.0 / samples) ** 2
+        assert energy == pytest.approx(np.pi * pupil.light, rel=5e-3)
+        assert pupil.light == pytest.approx(spots(lens, field, rings=16).transmission, abs=5e-3)
+
+
+def test_light_that_the_fitted_pupil_gets_wrong_is_told() -> None:
+    glass = Element((Surface(-20.0), Surface(-6.0)), ("N-LASF44",), (3.0,))  # reflects totally
+    lens = Lens((glass,), (8.0,), Stop(6.0, -5.0), wavelength_nm=940.0)
+    with pytest.warns(QualityWarning, match="the pupil of the OTF passes 9.* rays 8"):
+        exact_otf(lens, [0.24, 0.4], [10.0])
 
 
 def test_distortion_and_field_inversion() -> None:

@@ -1,25 +1,30 @@
 """Shift maps, their inverse, and the choice of the element."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
-from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Lens, Stop, cover_glass
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import pixel_centres_mm
-from lensshift.optics.paraxial import paraxial
+from lensshift.optics.otf import exact_otf
 from lensshift.optics.shift import (
     decenter_for_shift,
     moving,
+    px_per_um,
     shift_map,
     shift_uniformity,
 )
 from lensshift.optics.spots import fields_for_image, image_per_field_mm, spots
-from lensshift.optics.which import edge_fields, format_movers, which_element, which_mover
+from lensshift.optics.which import (
+    AZIMUTHS_RAD,
+    DIAGONALS,
+    edge_fields,
+    format_movers,
+    least_mtf,
+    which_element,
+)
 
 SENSOR = Grid((16, 64), (0.155, 0.155))
 SMALL = Grid((3, 5), (0.7, 1.9))
@@ -63,6 +68,15 @@ def test_shift_map_of_the_first_element_grows_towards_the_edge() -> None:
     assert offset[0, 7:9, 31:33, 1] == pytest.approx(0.25, abs=1e-4)
     assert offset[0, :, [0, -1], 1] == pytest.approx(0.2623, abs=1.5e-3)
     assert np.abs(offset[0, ..., 0]).max() == pytest.approx(0.0018, abs=2e-4)
+
+
+def test_some_pixels_tell_as_much_as_all() -> None:
+    lens, grid = load_lens("petzval_b"), Grid((7, 41), (0.31, 0.24))
+    move_mm = [0.03, -0.05]
+    every = shift_map(lens, 0, move_mm, grid).offset_px[0]
+    some = shift_map(lens, 0, move_mm, grid, most=11).offset_px[0]
+    assert some.shape == (7, 11, 2)
+    assert some == pytest.approx(every[:, ::4], abs=1e-9)
 
 
 def test_offsets_connect_the_two_images_of_a_point() -> None:
@@ -143,27 +157,37 @@ def test_wrong_requests() -> None:
     assert edge_fields(lens, SMALL).shape == (9, 2)
 
 
-def test_tilts_a_plate_and_the_sensor_stand_beside_the_elements() -> None:
-    lens, shift_px = load_lens("petzval_a"), 0.25
-    grid = Grid((5, 9), (0.16, 0.15))
-    movers = which_mover(lens, grid, shift_px=shift_px, frequency_lpmm=5.0)
-    kinds = [mover.kind for mover in movers]
-    assert kinds == ["decentre"] * 3 + ["tilt"] * 3 + ["plate", "sensor"]
-    assert len(format_movers(movers).splitlines()) == 9
-    sensor = movers[-1]
-    assert sensor.stroke_mm == pytest.approx(-shift_px * 0.15)
-    assert (sensor.max_shift_error_px, sensor.mtf_loss) == (0.0, 0.0)
+def test_the_least_mtf_is_that_of_all_fields_directions_and_moves() -> None:
+    grid = Grid((5, 9), (0.5, 0.9))
+    lens = load_lens("petzval_b")
+    rest, moved = least_mtf(lens, grid, 0, shift_px=0.2, frequency_lpmm=4.0)
+    fields = edge_fields(lens, grid)
+    assert rest == pytest.approx(
+        min(np.abs(exact_otf(lens, field, 4.0, AZIMUTHS_RAD)).min() for field in fields)
+    )
+    # All four moves, also those that symmetry lets the package leave out.
+    moves_mm = decenter_for_shift(lens, 0, 0.2 * DIAGONALS, grid)
+    all_moved = [
+        np.abs(exact_otf(lens, field, 4.0, AZIMUTHS_RAD, build=moving(lens, 0, move))).min()
+        for field in fields
+        for move in moves_mm
+    ]
+    assert moved == pytest.approx(min(all_moved), abs=1e-6)
+    assert least_mtf(lens, grid, frequency_lpmm=4.0) == pytest.approx((rest, rest))
+    leaning = lens.with_tilt(1, (0.01, 0.0))  # no symmetry: the worst of the moves
+    _, worst = least_mtf(leaning, grid, 0, shift_px=0.2, frequency_lpmm=4.0)
+    moves_mm = decenter_for_shift(leaning, 0, 0.2 * DIAGONALS, grid)
+    fields = edge_fields(leaning, grid)
+    found = [
+        np.abs(exact_otf(leaning, field, 4.0, AZIMUTHS_RAD, build=moving(leaning, 0, move))).min()
+        for field in fields
+        for move in moves_mm
+    ]
+    assert worst == pytest.approx(min(found))
+    assert min(found[0::4]) != pytest.approx(worst, abs=1e-6)
 
 
-def test_a_tilted_plate_shifts_by_its_closed_form() -> None:
-    # A thin beam through a plate of thickness t: t sin a (1 - cos a / sqrt(n^2 - sin^2 a)).
-    lens = replace(load_lens("al2550"), stop=Stop(0.5))
-    lens = lens.with_sensor(paraxial(lens).image_mm)
-    grid, shift_px = Grid((1, 1), (0.1, 0.1)), 0.25
-    plate = next(m for m in which_mover(lens, grid, shift_px=shift_px) if m.kind == "plate")
-    index = refractive_index("N-BK7", lens.wavelength_nm)
-    sine = np.sin(np.deg2rad(plate.stroke_deg))
-    cosine = np.sqrt(1.0 - sine**2)
-    wanted_mm = sine * (1.0 - cosine / np.sqrt(index**2 - sine**2))
-    assert abs(wanted_mm) == pytest.approx(shift_px * 0.1, rel=2e-4)
-    assert plate.cross_talk_px < 1e-3
+def test_px_per_um_is_the_slope_in_the_middle() -> None:
+    lens, grid = load_lens("petzval_a"), Grid((5, 9), (0.2, 0.1))
+    move_mm = decenter_for_shift(lens, 1, [0.0, 0.25], grid)
+    assert px_per_um(lens, 1, grid) == pytest.approx(0.25 / (1e3 * move_mm[1]), rel=1e-4)

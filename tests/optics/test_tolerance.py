@@ -13,7 +13,6 @@ from lensshift.optics.mtf import fast_mtf
 from lensshift.optics.shift import decenter_for_shift, moving
 from lensshift.optics.spots import spots
 from lensshift.optics.tolerance import (
-    AZIMUTHS_RAD,
     ToleranceResult,
     Tolerances,
     format_sensitivity,
@@ -21,7 +20,7 @@ from lensshift.optics.tolerance import (
     tolerance_analysis,
 )
 from lensshift.optics.trace import Build, trace
-from lensshift.optics.which import edge_fields
+from lensshift.optics.which import AZIMUTHS_RAD, edge_fields
 
 SENSOR = Grid((16, 64), (0.155, 0.155))
 LENS = load_lens("petzval_a")

@@ -163,7 +163,11 @@ def test_coordinate_breaks_turn_about_x_then_y_then_z() -> None:
         ("  STOP\n", "", "one surface marked STOP, got 0"),
         ("PWAV 2", "PWAV 3", "PWAV: expected a wavelength number 3"),
         ("DISZ 95.0", "DISZ 95.0\n  GLAS N-BK7", "expected air in front of the image"),
-        ("  GLAS N-SF11 0 0\n", "  TYPE COORDBRK\n", "no coordinate break inside an element"),
+        (
+            "SURF 3\n",
+            "SURF 9\n  TYPE COORDBRK\n  PARM 1 1.0\n  PARM 3 2.0\n  DISZ 0\nSURF 3\n",
+            "surface 1, line 15: expected the vertices of an element on one line",
+        ),
         ("DISZ 6.0", "DISZ 0.1", "overlap"),
     ],
 )

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -47,6 +48,17 @@ def assert_well_drawn(figure: Figure) -> None:
             box = text.get_window_extent()
             inside = -1 < box.x0 < box.x1 < width + 1 and -1 < box.y0 < box.y1 < height + 1
             assert inside or not text.get_visible(), text.get_text()
+        _assert_texts_are_apart(axes)
+
+
+def _assert_texts_are_apart(axes: Axes) -> None:
+    legend = axes.get_legend()
+    texts = [*axes.texts, axes._left_title, *(legend.get_texts() if legend else ())]
+    shown = [text for text in texts if text.get_text() and text.get_visible()]
+    boxes = [Text.get_window_extent(text) for text in shown]  # of a note without its arrow
+    for number, box in enumerate(boxes):
+        for other, behind in zip(boxes[number + 1 :], shown[number + 1 :], strict=True):
+            assert not box.padded(-1.0).overlaps(other), (shown[number].get_text(), behind)
 
 
 def _assert_numbers_are_named(axes: Axes) -> None:

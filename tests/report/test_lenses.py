@@ -15,15 +15,29 @@ from sights import built, movers, sensitivities
 
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
+from lensshift.optics.aberrations import (
+    focal_surfaces,
+    ray_fan,
+    relative_illumination,
+    section_mtf,
+    sensor_fields,
+)
 from lensshift.optics.actuator import ActuatorBudget
 from lensshift.optics.layout import distortion_grid, layout
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import load_lens
-from lensshift.optics.mtf import fast_mtf, sensor_mtf
+from lensshift.optics.mtf import fast_mtf, led_band, sensor_mtf
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import paraxial
+from lensshift.optics.psf import ensquared_energy
 from lensshift.optics.shift import moving, shift_map
 from lensshift.optics.spots import spots
+from lensshift.report.lens_aberrations import (
+    fans_figure,
+    field_curves_figure,
+    psf_figure,
+    sections_figure,
+)
 from lensshift.report.lens_build import budget_figure, tolerance_figure
 from lensshift.report.lens_maps import (
     distortion_figure,
@@ -197,13 +211,59 @@ def test_spots_lie_in_a_pixel_with_the_airy_ring_to_scale(lens: Lens) -> None:
         assert pixel.get_bbox().bounds == (-300.0, -250.0, 600.0, 500.0)
         assert axes.get_aspect() == 1.0
         assert axes.yaxis_inverted()
-    corner = figure.axes[1]
+    corner, enlarged = figure.axes[1], figure.axes[3]
+    spans = [axes.get_xlim()[1] - axes.get_xlim()[0] for axes in (corner, enlarged)]
+    assert spans[0] / spans[1] == pytest.approx(
+        float(enlarged.get_title("left").split()[0]), rel=0.06
+    )
+    assert spans[0] > 1.2 * spans[1]
     for line, build in zip(
         corner.get_lines(), (None, moving(lens, 0, np.asarray(TRAVEL_MM))), strict=True
     ):
         spot = spots(lens, CORNER_TAN, build=build, rings=10)
         np.testing.assert_allclose(line.get_xydata(), 1e3 * spot.ray_mm[:, ::-1])
         assert f"{1e3 * spot.rms_radius_mm:.1f}" in corner.get_title("left")
+
+
+def test_fans_and_curves_show_what_the_optics_say(lens: Lens) -> None:
+    figure = fans_figure(lens, GRID, [(0.0, 0.0), CORNER_TAN], band=led_band(850.0, 40.0))
+    assert len(figure.axes) == 4
+    corner = figure.axes[2]
+    lines = [line for line in corner.get_lines() if len(line.get_xdata()) > 10]
+    for line, nm in zip(
+        lines, np.sort(led_band(850.0, 40.0).wavelength_nm)[[0, 2, 4]], strict=True
+    ):
+        fan = ray_fan(lens, CORNER_TAN, wavelength_nm=float(nm))
+        np.testing.assert_allclose(line.get_ydata(), 1e3 * fan.tangential_mm)
+    strip = corner.patches[0].get_extents().transformed(corner.transData.inverted())
+    assert (strip.y0, strip.y1) == pytest.approx((-125.0, 125.0))  # half of 500 um
+    focus, departure, light = field_curves_figure(lens, GRID).axes
+    fields = sensor_fields(lens, GRID, [0.0, 0.5, 1.0])
+    found = focal_surfaces(lens, fields)
+    for name, wanted_mm in (("tan", found.tangential_mm), ("sag", found.sagittal_mm)):
+        x, height_mm = line_labelled(focus, name)
+        np.testing.assert_allclose(x[[0, 12, 24]], wanted_mm, atol=1e-7)
+        assert height_mm[-1] == pytest.approx(math.hypot(1.25, 5.1))
+    shown = light.get_lines()[0].get_xdata()
+    np.testing.assert_allclose(shown[[0, 12, 24]], 100.0 * relative_illumination(lens, fields))
+    assert departure.get_lines()[0].get_xdata()[0] == 0.0
+
+
+def test_both_sections_and_the_light_of_points_are_drawn(lens: Lens) -> None:
+    left, right = sections_figure(lens, GRID, [CORNER_TAN], highest_lpmm=3.0).axes
+    for number, name in enumerate("TS"):
+        frequency, values = line_labelled(left, f"1.6/6.5 degrees {name}")
+        np.testing.assert_allclose(values, section_mtf(lens, CORNER_TAN, frequency)[number])
+        over_field = line_labelled(right, f"1.67 LP/mm {name}")[1]
+        corner = section_mtf(lens, sensor_fields(lens, GRID, [1.0])[0], [1.0 / 0.6])
+        assert over_field[-1] == pytest.approx(corner[number, 0])
+    figure = psf_figure(lens, GRID, [(0.0, 0.0), CORNER_TAN])
+    (light,) = (axes for axes in figure.axes if axes.get_xlabel().startswith("side of a square"))
+    side_um, percent = line_labelled(light, "1.6/6.5")
+    wanted = ensquared_energy(lens, CORNER_TAN, 1e-3 * side_um[[20, 60, 100]])
+    np.testing.assert_allclose(percent[[20, 60, 100]], 100.0 * wanted, atol=0.3)
+    (pixel,) = (one for one in figure.axes[0].patches if isinstance(one, Rectangle))
+    assert pixel.get_bbox().bounds == (-300.0, -250.0, 600.0, 500.0)
 
 
 def test_bars_compare_the_elements_that_can_move() -> None:
@@ -255,7 +315,7 @@ def test_the_tolerances_that_matter_most_are_drawn_below() -> None:
 
 def test_a_budget_is_drawn_part_by_part() -> None:
     parts_px = {"repeatability": 0.03, "backlash": 0.04, "encoder": 0.0, "drift": 0.12}
-    figure = budget_figure(ActuatorBudget(1, 44.4, 0.0056, parts_px, 0.13, 1.234, 0.056))
+    figure = budget_figure(ActuatorBudget(1, 44.4, 0.0056, 0.0059, parts_px, 0.13, 1.234, 0.056))
     (axes,) = figure.axes
     np.testing.assert_allclose(
         [bar.get_width() for bar in axes.patches], [*parts_px.values(), 0.13]

@@ -20,10 +20,17 @@ from lensshift.evaluation.siemens import siemens_star_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, measure_edge
 from lensshift.evaluation.zone_plate import zone_plate_response
 from lensshift.optics.lens_file import load_lens
+from lensshift.optics.mtf import led_band
 from lensshift.report.cloud import cloud_figure
 from lensshift.report.depth import depth_figure
 from lensshift.report.edges import edge_figure, gain_figure
 from lensshift.report.gradient import MeasuredLines, gradient_figure
+from lensshift.report.lens_aberrations import (
+    fans_figure,
+    field_curves_figure,
+    psf_figure,
+    sections_figure,
+)
 from lensshift.report.lens_build import tolerance_figure
 from lensshift.report.lens_maps import (
     distortion_figure,
@@ -114,6 +121,11 @@ MORE_FIGURES: dict[str, Callable[[], Figure]] = {
     "distortion": lambda: distortion_figure(load_lens("petzval_a"), GRID),
     "spots": lambda: spots_figure(load_lens("petzval_a"), 0, TRAVEL_MM, GRID, FIELDS_TAN),
     "which": lambda: which_figure(movers()),
+    "fans": lambda: fans_figure(load_lens("petzval_a"), GRID, FIELDS_TAN, band=led_band(850, 40)),
+    "sections": lambda: sections_figure(load_lens("petzval_a"), GRID, FIELDS_TAN),
+    "field curves": lambda: field_curves_figure(load_lens("petzval_b"), GRID),
+    "points": lambda: psf_figure(load_lens("petzval_b"), GRID, FIELDS_TAN),
+    "layout, other element": lambda: layout_figure(load_lens("petzval_a"), 2, TRAVEL_MM),
     "tolerance": lambda: tolerance_figure(built(), 0.87),
     "cloud": lambda: cloud_figure(points(spread_m=0.4)),
     "cloud, flat": lambda: cloud_figure(points(spread_m=0.0), "a wall"),

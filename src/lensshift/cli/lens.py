@@ -10,11 +10,14 @@ import typer
 
 from lensshift.cli.lens_design import budget, optimise, tolerance
 from lensshift.cli.lens_field import field
+from lensshift.cli.lens_refine import refine
+from lensshift.cli.lens_report import report
 from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
 from lensshift.cli.optics import (
     PITCH_MM,
     SENSOR,
     SHIFT_PX,
+    BandOption,
     ElementOption,
     LensArgument,
     MtfFigure,
@@ -24,6 +27,7 @@ from lensshift.cli.optics import (
     ShowFigure,
     TemperatureOption,
     WavelengthOption,
+    band_of,
     diagonal_mm,
     element_of,
     figure_of,
@@ -43,16 +47,15 @@ lens_verbs = verb_group()
 
 lens_verbs.command()(field)
 lens_verbs.command()(optimise)
+lens_verbs.command()(refine)
 lens_verbs.command()(tolerance)
 lens_verbs.command()(budget)
+lens_verbs.command()(report)
 
 
 FieldOption = Annotated[
     list[str] | None,
     typer.Option("--field-deg", help="Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."),
-]
-BandOption = Annotated[
-    float, typer.Option("--band-nm", min=0.0, help="Full width at half maximum of the light.")
 ]
 HighestOption = Annotated[
     float, typer.Option("--highest-lpmm", min=0.1, help="Highest frequency of the curves.")
@@ -71,7 +74,8 @@ def group() -> None:
     """Design a lens with a moving element, and see what moving it does.
 
     Built-in lenses: petzval_a and petzval_b (two reconstructions of a published Petzval lens from
-    stock parts), petzval_search, and single stock lenses such as al2550.
+    stock parts), petzval_search, wide_940 (320 x 240 pixels, f/1.2), and single stock lenses such
+    as al2550.
 
     \b
     Example:
@@ -100,6 +104,7 @@ def show(
     Example:
       lensshift lens show petzval_b --element 1 --plot lens.svg
       lensshift lens show petzval_b --figure spots --plot spots.png
+      lensshift lens show petzval_b --figure fans --plot fans.png
     """
     with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
         from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
@@ -170,18 +175,19 @@ def mtf(
       lensshift lens mtf petzval_a --element 1 --plot mtf.png
       lensshift lens mtf petzval_b --field-deg 0,0 --field-deg 0,6.5 --band-nm 40
       lensshift lens mtf petzval_b --figure focus --plot focus.png
+      lensshift lens mtf petzval_b --figure sections --plot sections.png
     """
     with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
         import numpy as np
 
-        from lensshift.optics.mtf import diffraction_limit, led_band
+        from lensshift.optics.mtf import diffraction_limit
 
         check_outputs([], csv, plot)
         model = read_lens(lens, wavelength_nm, temperature_c)
         grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
         fields_tan = parse_fields_tan(field_deg)
         travel_mm = diagonal_mm(model, moved, shift_px, grid)
-        band = led_band(model.wavelength_nm, band_nm) if band_nm > 0 else None
+        band = band_of(model, band_nm)
         nyquist_lpmm = 0.5 / max(grid.pitch_mm)
         frequency = np.linspace(0.0, highest_lpmm, _CURVE_STEPS + 1)
         frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
@@ -268,7 +274,8 @@ def which(
       lensshift lens which petzval_a
     """
     with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
-        from lensshift.optics.which import format_movers, which_mover
+        from lensshift.optics.movers import which_mover
+        from lensshift.optics.which import format_movers
 
         check_outputs([], csv, plot)
         model = read_lens(lens, wavelength_nm, temperature_c)

@@ -10,11 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
+from lensshift.cli.measured import (
+    CsvOption,
+    PlotOption,
+    check_outputs,
+    parse_numbers,
+    write_plot,
+    write_table,
+)
 from lensshift.cli.optics import (
     PITCH_MM,
     SENSOR,
     SHIFT_PX,
+    BandOption,
     ElementOption,
     LensArgument,
     PitchOption,
@@ -30,6 +38,7 @@ from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, se
 if TYPE_CHECKING:
     from lensshift.optics.design import Design
     from lensshift.optics.goal import Goal
+    from lensshift.optics.lens import Element, Lens
     from lensshift.optics.tolerance import ToleranceResult
 
 PlacesArgument = Annotated[
@@ -55,8 +64,8 @@ MoverOption = Annotated[
 KeepOption = Annotated[
     int, typer.Option("--keep", min=1, help="Trains that are optimised after a first look.")
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("-o", "--out", help="Write the best lens (.toml or .zmx).")
+BestOption = Annotated[
+    Path | None, typer.Option("-o", "--out", help="Write the lens found (.toml or .zmx).")
 ]
 BuildsOption = Annotated[int, typer.Option("--builds", min=1, help="Random builds.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
@@ -85,6 +94,22 @@ NoiseOption = Annotated[
 ]
 
 
+WaveOption = Annotated[float, typer.Option("--wavelength-nm", help="Of the light.")]
+HeatOption = Annotated[float, typer.Option("--temperature-c", help="Of glass and air.")]
+CoverOption = Annotated[
+    str,
+    typer.Option(
+        "--cover", help="A plate before the sensor: glass, its mm, mm of air: N-BK7,1,0.5."
+    ),
+]
+BehindOption = Annotated[
+    int, typer.Option("--stop-behind", min=0, help="Elements in front of the stop.")
+]
+PlaceOption = Annotated[
+    float, typer.Option("--stop-at-mm", help="The stop behind the vertex in front of it.")
+]
+
+
 class GoalKind(StrEnum):
     """What a search of lenses ranks them by."""
 
@@ -109,13 +134,19 @@ def optimise(
     shift_px: ShiftOption = SHIFT_PX,
     shift_error_px: ErrorOption = 0.01,
     mtf: MtfOption = 0.9,
+    wavelength_nm: WaveOption = 850.0,
+    band_nm: BandOption = 0.0,
+    temperature_c: HeatOption = 20.0,
+    cover: CoverOption = "",
+    stop_behind: BehindOption = 0,
+    stop_at_mm: PlaceOption = 0.0,
     sensor: SensorOption = SENSOR,
     pitch_mm: PitchOption = PITCH_MM,
     keep: KeepOption = 8,
     goal: GoalOption = GoalKind.MTF,
     actuator_um: ActuatorOption = 1.0,
     noise: NoiseOption = 0.005,
-    out: OutOption = None,
+    out: BestOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -123,13 +154,14 @@ def optimise(
 
     Maximises the least MTF over the sensor at twice its Nyquist frequency, centred and moved, at
     the given focal length and least back focal distance. With --goal picture the designs found are
-    ranked by the error that the best linear reconstruction leaves, for the square of four frames
-    and for 3x3 with the same light in all.
+    ranked by the error that the best linear reconstruction leaves, for the square of four frames,
+    for the same with the picture a quarter pixel aside, and for 3x3 with the same light in all.
 
     \b
     Example:
       lensshift lens optimise al2550 al2550 lc1054 --focal-length-mm 42.7 --object-mm 3500 \\
         --goal picture --actuator-um 2
+      lensshift lens optimise al2550 eo33950 --focal-length-mm 42.7 --band-nm 40 --cover N-BK7,1,0.5
       lensshift lens optimise al2550 al2550 eo45030 --focal-length-mm 42.7 --object-mm 3500
       lensshift lens optimise al2550,eo33944 al2550,eo33944 lc4210,eo45030 --focal-length-mm 42.7 \\
         --object-mm 3500 --element 1 -o best.toml
@@ -137,19 +169,18 @@ def optimise(
     with session(as_json=as_json, debug=debug) as current:
         from lensshift.optics.goal import Goal
         from lensshift.optics.lens import Stop
+        from lensshift.optics.mtf import led_band
         from lensshift.optics.stock import format_designs
 
-        _check_out(out)
+        check_out(out)
+        plate, air_mm = _cover(cover)
         wanted = Goal(
-            sensor_grid(sensor, pitch_mm),
-            focal_length_mm=focal_length_mm,
-            object_mm=object_mm,
-            stop=Stop(stop_mm),
-            back_focal_mm=back_focal_mm,
-            shift_px=shift_px,
-            shift_error_px=shift_error_px,
-            mtf=mtf,
-        )
+            sensor_grid(sensor, pitch_mm), focal_length_mm, object_mm, Stop(stop_mm, stop_at_mm),
+            back_focal_mm, shift_px=shift_px, shift_error_px=shift_error_px, mtf=mtf,
+            wavelength_nm=wavelength_nm, temperature_c=temperature_c, stop_behind=stop_behind,
+            band=led_band(wavelength_nm, band_nm) if band_nm > 0 else None,
+            cover=plate, cover_mm=air_mm,
+        )  # fmt: skip
         designs = _designs(places, wanted, element, keep)
         if goal is GoalKind.PICTURE:
             designs = _by_picture(current, designs, wanted, actuator_um, noise)
@@ -158,23 +189,34 @@ def optimise(
         current.say(f"{met} of {len(designs)} designs meet the goal")
         current.result |= {"met": met, "designs": [_row(design) for design in designs]}
         if out is not None:
-            _write(designs[0], out)
+            write_lens(designs[0].lens, out)
             current.say(f"wrote {out}")
+
+
+def _cover(text: str) -> tuple[Element | None, float]:
+    """Return the plate of "glass,mm,mm" and the air behind it."""
+    from lensshift.optics.lens import cover_glass
+
+    if not text:
+        return None, 0.0
+    glass, _, lengths = text.partition(",")
+    thick_mm, air_mm = parse_numbers(lengths, 2, "a plate like N-BK7,1,0.5")
+    return cover_glass(glass.strip(), thick_mm), air_mm
 
 
 def _by_picture(
     current: Session, designs: tuple[Design, ...], goal: Goal, actuator_um: float, noise: float
 ) -> tuple[Design, ...]:
     """Return the designs with a mover, the one with the least error of the picture first."""
-    from lensshift.optics.picture import format_scores, picture_score
+    from lensshift.optics.picture import PICTURES, format_scores, picture_score
 
     scored = [
         (design, picture_score(
-            design.lens, design.element, goal.grid, pattern=pattern, actuator_um=actuator_um,
-            noise=noise,
+            design.lens, design.element, goal.grid, pattern=pattern, place_px=place_px,
+            actuator_um=actuator_um, noise=noise,
         ))
         for design in designs if design.element is not None
-        for pattern in ("square", "3x3")
+        for pattern, place_px in PICTURES
     ]  # fmt: skip
     scored.sort(key=lambda pair: pair[1].rmse)
     names = [design.lens.name for design, _ in scored]
@@ -208,17 +250,19 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
         progress.close()
 
 
-def _check_out(out: Path | None) -> None:
+def check_out(out: Path | None) -> None:
+    """Complain before the work about a lens that cannot be written."""
     check_outputs([], out, None)
     if out is not None and out.suffix.lower() not in (".toml", ".zmx"):
         raise typer.BadParameter(f"expected {out} to end in .toml or .zmx")
 
 
-def _write(design: Design, out: Path) -> None:
+def write_lens(lens: Lens, out: Path) -> None:
+    """Write a lens as TOML or a Zemax file."""
     from lensshift.optics.lens_file import save_lens
     from lensshift.optics.zmx_writer import save_zmx
 
-    (save_zmx if out.suffix.lower() == ".zmx" else save_lens)(design.lens, out)
+    (save_zmx if out.suffix.lower() == ".zmx" else save_lens)(lens, out)
 
 
 def _row(design: Design) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from lensshift.cli.measured import parse_numbers
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
     from lensshift.optics.lens import Lens
+    from lensshift.optics.mtf import Band
 
 LensArgument = Annotated[
     str,
@@ -38,6 +39,10 @@ TemperatureOption = Annotated[
     float | None, typer.Option("--temperature-c", help="Of glass and air.")
 ]
 
+BandOption = Annotated[
+    float, typer.Option("--band-nm", min=0.0, help="Full width at half maximum of the light.")
+]
+
 SENSOR, PITCH_MM, SHIFT_PX = "64x16", "0.155", 0.25
 
 
@@ -47,6 +52,9 @@ class ShowFigure(StrEnum):
     LAYOUT = "layout"
     SPOTS = "spots"
     DISTORTION = "distortion"
+    FANS = "fans"
+    PSF = "psf"
+    FIELD = "field"
 
 
 class MtfFigure(StrEnum):
@@ -55,6 +63,7 @@ class MtfFigure(StrEnum):
     CURVES = "curves"
     FIELD = "field"
     FOCUS = "focus"
+    SECTIONS = "sections"
 
 
 def read_lens(
@@ -101,6 +110,13 @@ def parse_fields_tan(texts: list[str] | None) -> list[tuple[float, float]]:
     ]
 
 
+def band_of(lens: Lens, band_nm: float) -> Band | None:
+    """Return the light about the wavelength of a lens, None for that wavelength alone."""
+    from lensshift.optics.mtf import led_band
+
+    return led_band(lens.wavelength_nm, band_nm) if band_nm > 0 else None
+
+
 def diagonal_mm(lens: Lens, element: int, shift_px: float, grid: Grid) -> tuple[float, float]:
     """Return the decentre (row, col) that shifts the image by `shift_px` along both axes."""
     from lensshift.optics.shift import decenter_for_shift
@@ -120,12 +136,21 @@ def show_figure(
     kind: ShowFigure, model: Lens, moved: int, travel_mm: tuple[float, float], grid: Grid
 ) -> Any:
     """Draw a lens."""
+    from lensshift.optics.aberrations import sensor_fields
+
+    fields = sensor_fields(model, grid, (0.0, 0.5, 1.0))
+    fields_tan = [(float(row), float(col)) for row, col in fields]
     if kind is ShowFigure.LAYOUT:
-        return figure_of("lenses", "layout_figure", model, moved, travel_mm)
+        fields_deg = (0.0, abs(math.degrees(math.atan(fields_tan[-1][1]))))
+        return figure_of("lenses", "layout_figure", model, moved, travel_mm, fields_deg=fields_deg)
     if kind is ShowFigure.DISTORTION:
         return figure_of("lens_maps", "distortion_figure", model, grid)
-    fields_tan = parse_fields_tan(["0,0", "0.8,3.3", "1.6,6.5"])
-    return figure_of("lens_maps", "spots_figure", model, moved, travel_mm, grid, fields_tan)
+    if kind is ShowFigure.SPOTS:
+        return figure_of("lens_maps", "spots_figure", model, moved, travel_mm, grid, fields_tan)
+    if kind is ShowFigure.FIELD:
+        return figure_of("lens_aberrations", "field_curves_figure", model, grid)
+    name = "fans_figure" if kind is ShowFigure.FANS else "psf_figure"
+    return figure_of("lens_aberrations", name, model, grid, fields_tan)
 
 
 def mtf_figure(
@@ -139,6 +164,8 @@ def mtf_figure(
     """Draw the MTF of a lens."""
     if kind is MtfFigure.CURVES:
         return figure_of("lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan)
+    if kind is MtfFigure.SECTIONS:
+        return figure_of("lens_aberrations", "sections_figure", model, grid, fields_tan)
     frequency_lpmm = 1.0 / max(grid.pitch_mm)
     if kind is MtfFigure.FOCUS:
         return figure_of("lens_maps", "focus_figure", model, fields_tan, frequency_lpmm)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Lens
-from lensshift.optics.shift import decenter_for_shift, px_per_mm_over
+from lensshift.optics.shift import decenter_for_shift, px_per_mm_over, px_per_um
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,8 @@ class ActuatorBudget:
     element : number of the one that moves, from 0
     stroke_um : decentre for the wanted shift along one axis, negative if the image goes the
         other way
-    sensitivity_px_per_um : image shift per micrometre of the element, the larger over the sensor
+    sensitivity_px_per_um : of `px_per_um`, in the middle of the sensor
+    largest_px_per_um : the same where it is largest over the sensor, which the errors feel
     parts_px : standard deviation of the shift from each error, by name
     shift_error_px : of all together, along each axis
     psnr_loss_db : of the reconstruction, against shifts that are known
@@ -97,6 +98,7 @@ class ActuatorBudget:
     element: int
     stroke_um: float
     sensitivity_px_per_um: float
+    largest_px_per_um: float
     parts_px: dict[str, float]
     shift_error_px: float
     psnr_loss_db: float
@@ -116,8 +118,8 @@ def actuator_budget(
 
         shift error = sensitivity sqrt( sum of squares of the errors )
 
-    The errors are independent, so variances add. The losses are those of simulated bursts
-    (`reconstruction_loss`).
+    with the largest sensitivity over the sensor. The errors are independent, so variances add. The
+    losses are those of simulated bursts (`reconstruction_loss`).
 
     Parameters
     ----------
@@ -145,7 +147,8 @@ def actuator_budget(
     return ActuatorBudget(
         element=element,
         stroke_um=1e3 * float(stroke_mm),
-        sensitivity_px_per_um=sensitivity,
+        sensitivity_px_per_um=px_per_um(lens, element, grid),
+        largest_px_per_um=sensitivity,
         parts_px=parts,
         shift_error_px=error_px,
         psnr_loss_db=psnr_loss_db,
@@ -200,7 +203,8 @@ def format_budget(budget: ActuatorBudget) -> str:
     """Return a budget as lines of text."""
     lines = [
         f"element {budget.element + 1}: stroke {budget.stroke_um:.1f} um, "
-        f"{budget.sensitivity_px_per_um:.5f} px per um"
+        f"{budget.sensitivity_px_per_um:.5f} px per um, over the sensor up to "
+        f"{budget.largest_px_per_um:.5f}"
     ]
     lines += [f"{name:<14} {error_px:8.4f} px rms" for name, error_px in budget.parts_px.items()]
     lines += [

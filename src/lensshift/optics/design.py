@@ -7,24 +7,21 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lensshift.optics.focus import scan_focus, spot_means
 from lensshift.optics.gaps import Effort, best_gaps, train_lens
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
-from lensshift.optics.pupil import pupil_quadrature
-from lensshift.optics.shift import decenter_for_shift, moving, shift_map, shift_uniformity
-from lensshift.optics.spots import image_per_field_mm
-from lensshift.optics.trace import Build, trace
-
-Array = NDArray[np.float64]
-
-DIAGONALS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+from lensshift.optics.shift import (
+    ENOUGH_PIXELS,
+    decenter_for_shift,
+    shift_map,
+    shift_uniformity,
+)
+from lensshift.optics.spots import spots
+from lensshift.optics.which import DIAGONALS, edge_fields, least_mtf
 
 _MOST_ELEMENTS = 5
-_RINGS, _AZIMUTHS = 10, 24  # of the final judgement
+_RINGS = 10  # of the light that arrives
+_ROUNDING_MM = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +33,11 @@ class Design:
     lens : the train
     element : number of the element that moves, from 0, or None
     turned : which elements stand the other way round than they were given
-    mtf_centred : least MTF at the corner of the sensor over all azimuths
+    mtf_centred : least MTF (`least_mtf`)
     mtf_moved : the same over the four diagonal moves; that at rest if no element moves
     shift_error_px : largest error of the shift over the sensor, 0 if no element moves
     stroke_mm : decentre of the element along one axis, negative if the image goes the other way
-    transmission : least share of the light through the stop at the corner
+    transmission : least share of the light through the stop over the sensor
     """
 
     lens: Lens
@@ -57,8 +54,15 @@ class Design:
         return (
             min(self.mtf_centred, self.mtf_moved) >= goal.mtf
             and self.shift_error_px <= goal.shift_error_px
-            and self.lens.gaps_mm[-1] >= goal.back_focal_mm
+            and self.back_focal_mm >= goal.back_focal_mm - _ROUNDING_MM
         )
+
+    @property
+    def back_focal_mm(self) -> float:
+        """From the last vertex of the train to the sensor."""
+        count = len(self.turned)
+        ends_mm = self.lens.positions_mm()[count - 1] + self.lens.elements[count - 1].length_mm
+        return float(self.lens.positions_mm()[-1] - ends_mm)
 
 
 def optimise_gaps(
@@ -124,30 +128,27 @@ def turned_train(elements: Sequence[Element], turned: Sequence[bool]) -> tuple[E
 
 
 def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]) -> Design:
-    """Return the design of a finished lens: MTF at the corner, shift error over the sensor."""
-    points, weight = pupil_quadrature(_RINGS)
-    moves_mm = np.zeros((1, 2))
+    """Return the design of a finished lens: least MTF, shift error over the sensor."""
     error_px = stroke_mm = 0.0
-    build = Build()
     if element is not None:
         wanted_px = goal.shift_px * DIAGONALS
         moves_mm = decenter_for_shift(lens, element, wanted_px, goal.grid)
-        even = shift_uniformity(shift_map(lens, element, moves_mm, goal.grid), wanted_px)
+        over = shift_map(lens, element, moves_mm, goal.grid, most=ENOUGH_PIXELS)
+        even = shift_uniformity(over, wanted_px)
         error_px = max(one.max_error_px for one in even)
         stroke_mm = float(moves_mm[0, 1])
-        build = moving(lens, element, np.concatenate([np.zeros((1, 2)), moves_mm]))
-    half_mm = 0.5 * np.asarray(goal.grid.shape) * np.asarray(goal.grid.pitch_mm)
-    rays = trace(lens, half_mm / abs(image_per_field_mm(lens)), points, build=build)
-    azimuths = np.linspace(0.0, np.pi, _AZIMUTHS, endpoint=False)
-    mtf = scan_focus(rays, weight, _RINGS, goal.judged_lpmm, azimuths, goal.wavelength_nm)
-    worst = np.atleast_1d(mtf[..., 0].min(axis=-1))
+    rest, moved = least_mtf(
+        lens, goal.grid, element, shift_px=goal.shift_px, frequency_lpmm=goal.judged_lpmm,
+        band=goal.band,
+    )  # fmt: skip
+    fields = edge_fields(lens, goal.grid)
     return Design(
         lens=lens,
         element=element,
         turned=tuple(turned),
-        mtf_centred=float(worst[0]),
-        mtf_moved=float(worst.min() if element is None else worst[1:].min()),
+        mtf_centred=rest,
+        mtf_moved=moved,
         shift_error_px=error_px,
         stroke_mm=stroke_mm,
-        transmission=float(spot_means(rays, weight).transmission.min()),
+        transmission=float(spots(lens, fields, rings=_RINGS).transmission.min()),
     )

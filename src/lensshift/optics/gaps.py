@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lensshift.optics.focus import scan_focus, spot_means
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
-from lensshift.optics.paraxial import element_matrix
+from lensshift.optics.paraxial import element_matrix, entrance_pupil
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.trace import Build, trace
 
@@ -24,6 +24,7 @@ _COARSE = {0: 1, 1: 64, 2: 24, 3: 12}  # grid points along each free gap, by the
 _FINE, _ZOOM = 9, 4.0  # points of a refinement, and how much closer the next one is
 _ASIDE_MM, _PLANE_MM, _PLANES = -0.6, 0.02, 51  # of the sensor from the paraxial image
 _NEAR_ASIDE_MM, _NEAR_PLANE_MM = -0.125, 0.005  # of the sensor from the best one so far
+_PITCH_MM, _F_NUMBER = 0.155, 2.135  # of these steps; others go with pitch and f-number
 _LEAST_GAIN = 0.1  # image movement over element movement
 _SHIFT_WEIGHT = 10.0  # MTF given up per px of shift error above the limit
 _DIGITS = 4  # of a gap in mm
@@ -60,34 +61,51 @@ def best_gaps(
     train : elements in their final orientations
     element : number of the one that moves, or None
     """
-    if goal.stop.diameter_mm > 2.0 * train[0].surfaces[0].semi_diameter_mm:
+    if not goal.stop_behind < len(train):
+        raise ValueError(
+            f"expected the stop behind fewer than {len(train)} elements, got {goal.stop_behind}"
+        )
+    beside = train[max(goal.stop_behind - 1, 0)].surfaces[-1 if goal.stop_behind else 0]
+    if goal.stop.diameter_mm > 2.0 * beside.semi_diameter_mm:
         return None
     search = _Search(train, goal, element, effort)
     free = len(train) - 2
     high_mm = np.full(free, _LONGEST_GAP * goal.focal_length_mm)
     low_mm = search.least_mm[:free]
     axes = [np.linspace(a, b, _COARSE[free]) for a, b in zip(low_mm, high_mm, strict=True)]
-    best = search.best(np.array(list(product(*axes))), _ASIDE_MM, _PLANE_MM)
+    best = search.best(np.array(list(product(*axes))), _ASIDE_MM * search.unit, _PLANE_MM)
     step_mm = (high_mm - low_mm) / max(_COARSE[free] - 1, 1)
     pattern = np.array(list(product(np.linspace(-1.0, 1.0, _FINE), repeat=free)))
     for _ in range(effort.rounds):
         if best.score <= _IMPOSSIBLE:
             return None
         near = np.clip(best.gaps_mm[:free] + step_mm * pattern, low_mm, high_mm)
-        found = search.best(near, best.aside_mm + _NEAR_ASIDE_MM, _NEAR_PLANE_MM)
+        found = search.best(near, best.aside_mm + _NEAR_ASIDE_MM * search.unit, _NEAR_PLANE_MM)
         best = max(best, found, key=lambda one: one.score)
         step_mm = step_mm / _ZOOM
     return None if best.score <= _IMPOSSIBLE else (best.score, best.gaps_mm)
 
 
 def train_lens(train: tuple[Element, ...], gaps_mm: Array, goal: Goal, name: str = "") -> Lens:
-    """Return the lens of a train with these gaps, the last of them to the sensor."""
+    """Return the lens of a train with these gaps, the last of them to the sensor, and the cover.
+
+    The last gap is that without a cover; one takes as much of it as light needs.
+    """
+    gaps = [float(gap) for gap in np.round(gaps_mm, _DIGITS)]
+    elements = train
+    if goal.cover is not None:
+        elements = (*train, goal.cover)
+        gaps = [*gaps[:-1], round(gaps[-1] - goal.cover_path_mm, _DIGITS), goal.cover_mm]
+    front = zip(train[: goal.stop_behind], gaps, strict=False)
+    ends_mm = sum(one.length_mm + gap for one, gap in front)
+    ends_mm -= gaps[goal.stop_behind - 1] if goal.stop_behind else 0.0
     return Lens(
-        elements=train,
-        gaps_mm=tuple(float(gap) for gap in np.round(gaps_mm, _DIGITS)),
-        stop=goal.stop,
+        elements=elements,
+        gaps_mm=tuple(gaps),
+        stop=replace(goal.stop, position_mm=goal.stop.position_mm + ends_mm),
         object_mm=goal.object_mm,
         wavelength_nm=goal.wavelength_nm,
+        temperature_c=goal.temperature_c,
         name=name,
     )
 
@@ -128,11 +146,21 @@ class _Search:
         self.least_mm = np.array(
             [_least_gap_mm(a, b, goal.clearance_mm) for a, b in pairwise(train)]
         )
-        self.base = train_lens(train, np.append(self.least_mm, goal.back_focal_mm), goal)
+        behind = goal.stop_behind
+        if behind:
+            room_mm = goal.stop.position_mm + goal.clearance_mm
+            self.least_mm[behind - 1] = max(self.least_mm[behind - 1], room_mm)
+        lens = train_lens(train, np.append(self.least_mm, goal.least_back_mm), goal)
+        # Between elements the stop goes where the one in front of it goes.
+        riding = replace(lens.stop, rides_on=behind - 1) if behind else lens.stop
+        self.base = replace(lens, stop=riding)
+        self.pupil_mm = entrance_pupil(self.base)[0]
         self.matrices = [
-            element_matrix(one, n) for one, n in zip(train, self.base.indices(), strict=True)
+            element_matrix(one, n) for one, n in zip(train, self.base.indices(), strict=False)
         ]
         self.points, self.weight = pupil_quadrature(effort.rings)
+        f_number = goal.focal_length_mm / goal.stop.diameter_mm
+        self.unit = max(goal.grid.pitch_mm) / _PITCH_MM * f_number / _F_NUMBER
 
     def best(self, free_mm: Array, aside_mm: float, plane_mm: float) -> _Found:
         """Return the best of candidates [candidate free gap], sensors in evenly spaced planes."""
@@ -140,26 +168,31 @@ class _Search:
         trains = self._trains(free_mm)
         if not len(trains.gain):
             return _Found(_IMPOSSIBLE, np.empty(0), 0.0)
-        image_mm = trains.gaps_mm[:, -1]
-        first_mm = np.maximum(aside_mm, goal.back_focal_mm - image_mm)
+        image_mm, step_mm = trains.gaps_mm[:, -1], plane_mm * self.unit
+        first_mm = np.maximum(aside_mm, goal.least_back_mm - image_mm)
         positions = _STEPS if self.element is not None else _STEPS[:1]
         wanted_mm = goal.shift_px * np.asarray(goal.grid.pitch_mm) * positions
-        moves = np.zeros((len(image_mm), len(positions), 1, len(self.matrices), 2))
+        moves = np.zeros((len(image_mm), len(positions), 1, len(self.base.elements), 2))
         if self.element is not None:
             moves[:, :, 0, self.element] = wanted_mm / trains.gain[:, None, None]
-        gap_mm = trains.gaps_mm - np.asarray(self.base.gaps_mm)
-        fields = field_tan(goal, trains.magnification, self.effort.fields)
+        gap_mm = np.zeros((len(image_mm), len(self.base.elements)))
+        gap_mm[:, : len(self.matrices)] = trains.gaps_mm - [*self.least_mm, goal.least_back_mm]
+        fields = field_tan(goal, trains.magnification, self.effort.fields, self.pupil_mm)
         build = Build(decenter_mm=moves, gap_mm=gap_mm[:, None, None])
-        rays = trace(self.base, fields[:, None], self.points, build=build)
-        mtf = scan_focus(
-            rays, self.weight, self.effort.rings, goal.judged_lpmm, self._azimuths(),
-            goal.wavelength_nm, first_mm=first_mm[:, None, None], step_mm=plane_mm, planes=_PLANES,
-        )  # fmt: skip
+        mtf, rays = np.zeros(1), None
+        for nm, share in goal.light:  # without what colours beside each other take from the sum
+            rays = trace(self.base, fields[:, None], self.points, build=build, wavelength_nm=nm)
+            mtf = mtf + share * scan_focus(
+                rays, self.weight, self.effort.rings, goal.judged_lpmm, self._azimuths(),
+                nm, first_mm=first_mm[:, None, None], step_mm=step_mm, planes=_PLANES,
+            )  # fmt: skip
+        if goal.band is not None or rays is None:
+            rays = trace(self.base, fields[:, None], self.points, build=build)
         means = spot_means(rays, self.weight)
         score = mtf.min(axis=(1, 2, 3))
         score[means.transmission.min(axis=(1, 2)) < goal.transmission] = _IMPOSSIBLE
         plane = score.argmax(axis=-1)
-        behind_mm = first_mm + plane_mm * plane
+        behind_mm = first_mm + step_mm * plane
         centroid_mm = means.centroid_mm + behind_mm[:, None, None, None] * means.slope
         score = score.max(axis=-1) - self._penalty(centroid_mm, wanted_mm)
         one = int(np.nanargmax(np.where(np.isnan(score), _IMPOSSIBLE, score)))
@@ -203,7 +236,7 @@ class _Search:
             magnification = np.abs(whole[:, 0, 0] + image_mm * whole[:, 1, 0])
         gaps_mm = np.column_stack([free_mm, solved_mm, image_mm])
         gain = self._gain(gaps_mm)
-        reach_mm = goal.back_focal_mm - _ASIDE_MM - _PLANE_MM * _PLANES
+        reach_mm = goal.least_back_mm - self.unit * (_ASIDE_MM + _PLANE_MM * _PLANES)
         kept = (image_mm > max(reach_mm, 0.0)) & (np.abs(gain) > _LEAST_GAIN)
         return _Trains(gaps_mm[kept], magnification[kept], gain[kept])
 
@@ -217,7 +250,9 @@ class _Search:
         return np.asarray(behind[:, 0] @ added)
 
 
-def field_tan(goal: Goal, magnification: Array, shares: Sequence[tuple[float, float]]) -> Array:
+def field_tan(
+    goal: Goal, magnification: Array, shares: Sequence[tuple[float, float]], pupil_mm: float
+) -> Array:
     """Return the fields [train field 2] whose paraxial images lie at shares of the half sensor.
 
     Parameters
@@ -225,10 +260,11 @@ def field_tan(goal: Goal, magnification: Array, shares: Sequence[tuple[float, fl
     magnification : [train] size of the image over that of the object, or image height over
         tangent of the angle in mm for an infinitely far object
     shares : [field] (row, col), 1 at the edge
+    pupil_mm : place of the entrance pupil behind the first vertex
     """
     half_mm = 0.5 * np.asarray(goal.grid.shape) * np.asarray(goal.grid.pitch_mm)
     far = math.isinf(goal.object_mm)
-    image_mm = magnification * (1.0 if far else goal.object_mm + goal.stop.position_mm)
+    image_mm = magnification * (1.0 if far else goal.object_mm + pupil_mm)
     return np.asarray(np.asarray(shares) * half_mm / image_mm[:, None, None])
 
 

@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 from lensshift.core.grid import Grid
-from lensshift.optics.lens import Stop
+from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, refractive_index
+from lensshift.optics.lens import Element, Stop
+from lensshift.optics.mtf import Band
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,8 +20,9 @@ class Goal:
     grid : of the sensor
     focal_length_mm : kept exactly, by the last gap between elements
     object_mm : from the object to the first vertex, or infinite
-    stop : at or in front of the first vertex
-    back_focal_mm : least distance from the last vertex to the sensor
+    stop : at or in front of the first vertex, or as far behind the last vertex of element
+        `stop_behind` as its position says
+    back_focal_mm : least distance from the last vertex of the train to the sensor
     clearance_mm : least room between neighbouring elements, at the axis and at their edges
     frequency_lpmm : of the MTF; by default the Nyquist frequency of twice as many pixels
     shift_px : by which an element moves the image along both axes
@@ -27,11 +30,16 @@ class Goal:
     mtf : least MTF at the corner of the sensor, worst azimuth, element centred and moved
     transmission : least share of the light through the stop that reaches every field
     wavelength_nm : of the light
+    band : the light; the wavelength alone if None
+    temperature_c : of glass and air
+    cover : a plate in front of the sensor, as a window or a filter, or None
+    cover_mm : air between the plate and the sensor
+    stop_behind : how many elements stand in front of the stop
 
     Raises
     ------
     ValueError
-        If a number is out of range or the stop lies behind the first vertex.
+        If a number is out of range or the stop lies where it cannot be.
     """
 
     grid: Grid
@@ -46,6 +54,11 @@ class Goal:
     mtf: float = 0.9
     transmission: float = 0.9
     wavelength_nm: float = 850.0
+    band: Band | None = None
+    temperature_c: float = REFERENCE_TEMPERATURE_C
+    cover: Element | None = None
+    cover_mm: float = 0.0
+    stop_behind: int = 0
 
     def __post_init__(self) -> None:
         positive = (self.focal_length_mm, self.object_mm, self.back_focal_mm, self.shift_px)
@@ -56,11 +69,48 @@ class Goal:
             )
         if not self.clearance_mm >= 0:
             raise ValueError(f"expected a clearance of at least 0 mm, got {self.clearance_mm}")
-        if self.stop.position_mm > 0:
+        if not (self.cover_mm >= 0 and self.stop_behind >= 0):
+            raise ValueError(
+                f"expected cover_mm and stop_behind of at least 0, got {self.cover_mm} and "
+                f"{self.stop_behind}"
+            )
+        if self.stop_behind == 0 and self.stop.position_mm > 0:
             raise ValueError(
                 f"expected a stop at or in front of the first vertex, got "
-                f"{self.stop.position_mm} mm behind it"
+                f"{self.stop.position_mm} mm behind it; stop_behind puts it between elements"
             )
+        if self.stop_behind > 0 and not self.stop.position_mm >= 0:
+            raise ValueError(
+                f"expected the stop behind element {self.stop_behind}, got "
+                f"{self.stop.position_mm} mm"
+            )
+
+    @property
+    def cover_path_mm(self) -> float:
+        """Air as long, for paraxial rays, as from the front of the cover to the sensor."""
+        if self.cover is None:
+            return 0.0
+        indices = [
+            refractive_index(glass, self.wavelength_nm, self.temperature_c)
+            for glass in self.cover.glass
+        ]
+        paths = (t / n for t, n in zip(self.cover.thickness_mm, indices, strict=True))
+        return sum(paths) + self.cover_mm
+
+    @property
+    def least_back_mm(self) -> float:
+        """Least distance from the last vertex to the sensor if there were no cover."""
+        if self.cover is None:
+            return self.back_focal_mm
+        behind_mm = self.cover.length_mm + self.cover_mm
+        return self.cover_path_mm + max(self.clearance_mm, self.back_focal_mm - behind_mm)
+
+    @property
+    def light(self) -> list[tuple[float, float]]:
+        """Wavelengths in nm with their shares."""
+        if self.band is None:
+            return [(self.wavelength_nm, 1.0)]
+        return list(zip(map(float, self.band.wavelength_nm), self.band.weight, strict=True))
 
     @property
     def judged_lpmm(self) -> float:

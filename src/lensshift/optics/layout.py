@@ -141,7 +141,9 @@ def _surfaces(lens: Lens, crossing_mm: Array, along: int) -> tuple[tuple[Polylin
                 met_mm = crossing_mm[..., number, along] - one.decenter_mm[along]
                 edge_mm = _ROOM * float(np.nanmax(np.abs(met_mm), initial=1e-3))
             height_mm = np.linspace(-edge_mm, edge_mm, _SURFACE_POINTS)
-            sag_mm = surface.sag_mm(height_mm)
+            sag_mm, height_mm = _turned(
+                surface.sag_mm(height_mm), height_mm, surface.tilt_rad[along]
+            )
             lines.append(_placed(one, along, start_mm, depth_mm + sag_mm, height_mm))
             number += 1
         drawn.append(tuple(lines))
@@ -152,12 +154,14 @@ def _placed(
     element: Element, along: int, start_mm: float, z_mm: Array, height_mm: Array
 ) -> Polyline:
     """Return a line in the axes of an element in those of the lens."""
-    lean_rad = element.tilt_rad[along]
+    z_mm, height_mm = _turned(z_mm, height_mm, element.tilt_rad[along])
+    return Polyline(z_mm=start_mm + z_mm, height_mm=element.decenter_mm[along] + height_mm)
+
+
+def _turned(z_mm: Array, height_mm: Array, lean_rad: float) -> tuple[Array, Array]:
+    """Return the points of a line whose axis leans."""
     cos, sin = math.cos(lean_rad), math.sin(lean_rad)
-    return Polyline(
-        z_mm=start_mm + cos * z_mm - sin * height_mm,
-        height_mm=element.decenter_mm[along] + cos * height_mm + sin * z_mm,
-    )
+    return cos * z_mm - sin * height_mm, cos * height_mm + sin * z_mm
 
 
 def _outline(lines: tuple[Polyline, ...]) -> Polyline:

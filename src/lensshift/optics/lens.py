@@ -30,6 +30,8 @@ class Surface:
     semi_diameter_mm : light farther from the axis of the element is stopped
     radial : B1, B2, B3, ... in mm^0, mm^-1, mm^-2, ...
     mirror : whether it reflects
+    tilt_rad : (row, col) by how much its axis leans in the element, about its own vertex, as
+        `Element.tilt_rad`; makes a wedge. First-order data leave it out.
 
     Raises
     ------
@@ -43,14 +45,18 @@ class Surface:
     semi_diameter_mm: float = math.inf
     radial: tuple[float, ...] = ()
     mirror: bool = False
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if math.isnan(self.radius_mm) or self.radius_mm == 0:
             raise ValueError(f"expected a radius other than 0 mm, got {self.radius_mm}")
         if not self.semi_diameter_mm > 0:
             raise ValueError(f"expected a positive semi-diameter, got {self.semi_diameter_mm} mm")
-        if not all(math.isfinite(value) for value in (self.conic, *self.asphere, *self.radial)):
-            raise ValueError("expected a finite conic constant and asphere coefficients")
+        numbers = (self.conic, *self.asphere, *self.radial, *self.tilt_rad)
+        if not all(math.isfinite(value) for value in numbers):
+            raise ValueError("expected a finite conic constant, asphere coefficients and tilt")
+        if self.mirror and any(self.tilt_rad):
+            raise ValueError("expected a mirror that leans with its whole element")
         bend = (1.0 + self.conic) * self.curvature_per_mm**2
         if math.isfinite(self.semi_diameter_mm) and bend * self.semi_diameter_mm**2 > 1.0:
             raise ValueError(
@@ -86,6 +92,7 @@ class Surface:
             radius_mm=-self.radius_mm,
             asphere=tuple(-a for a in self.asphere),
             radial=tuple(-b for b in self.radial),
+            tilt_rad=(-self.tilt_rad[0], -self.tilt_rad[1]),
         )
 
 
@@ -335,6 +342,8 @@ def _check_order(front: Surface, back: Surface, distance_mm: float, number: int)
         return
     heights_mm = largest_mm * _CHECKED_HEIGHTS
     room_mm = distance_mm + back.sag_mm(heights_mm) - front.sag_mm(heights_mm)
+    if front.tilt_rad != back.tilt_rad:
+        room_mm -= heights_mm * math.hypot(*np.tan(back.tilt_rad) - np.tan(front.tilt_rad))
     if room_mm.min() < -1e-9:
         worst_mm = heights_mm[room_mm.argmin()]
         raise ValueError(

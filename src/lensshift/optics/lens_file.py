@@ -23,7 +23,9 @@ _STOP_KEYS = {"diameter_mm", "position_mm", "rides_on"}
 _ELEMENT_KEYS = {
     "name", "glass", "thickness_mm", "gap_mm", "decenter_mm", "tilt_deg", "surface",
 }  # fmt: skip
-_SURFACE_KEYS = {"radius_mm", "conic", "asphere", "semi_diameter_mm", "radial", "mirror"}
+_SURFACE_KEYS = {
+    "radius_mm", "conic", "asphere", "semi_diameter_mm", "radial", "mirror", "tilt_deg",
+}  # fmt: skip
 _GLASS_KEYS = {"name", "formula", "constants", "thermal", "reference_c", "range_nm", "source"}
 
 
@@ -117,6 +119,8 @@ def format_lens(lens: Lens) -> str:
                 lines.append(f"radial = {_values(surface.radial)}")
             if surface.mirror:
                 lines.append("mirror = true")
+            if any(surface.tilt_rad):
+                lines.append(f"tilt_deg = {_values(tuple(map(math.degrees, surface.tilt_rad)))}")
             lines.append(f"semi_diameter_mm = {_value(surface.semi_diameter_mm)}")
     return "\n".join(lines) + "\n"
 
@@ -202,7 +206,6 @@ def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -
             raise
         except ValueError as error:
             raise DataError(str(error), field=at) from error
-    tilt_deg = _numbers(table.get("tilt_deg", [0.0, 0.0]), "tilt_deg", where, 2)
     row_mm, col_mm = _numbers(table.get("decenter_mm", [0.0, 0.0]), "decenter_mm", where, 2)
     glass = table["glass"] if isinstance(table["glass"], list) else [table["glass"]]
     if not all(isinstance(one, str) for one in glass):
@@ -214,7 +217,7 @@ def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -
             thickness_mm=_numbers(table["thickness_mm"], "thickness_mm", where),
             name=fit(table.get("name", ""), str, f"{where}, name"),
             decenter_mm=(row_mm, col_mm),
-            tilt_rad=(math.radians(tilt_deg[0]), math.radians(tilt_deg[1])),
+            tilt_rad=_tilt_rad(table, where),
         )
     except DataError:
         raise
@@ -230,7 +233,13 @@ def _surface(table: dict[str, Any], where: str) -> Surface:
         semi_diameter_mm=_number(table, "semi_diameter_mm", where, math.inf),
         radial=_numbers(table.get("radial", []), "radial", where),
         mirror=fit(table.get("mirror", False), bool, f"{where}, mirror"),
+        tilt_rad=_tilt_rad(table, where),
     )
+
+
+def _tilt_rad(table: dict[str, Any], where: str) -> tuple[float, float]:
+    row_deg, col_deg = _numbers(table.get("tilt_deg", [0.0, 0.0]), "tilt_deg", where, 2)
+    return math.radians(row_deg), math.radians(col_deg)
 
 
 def _tables(value: object, key: str, where: str) -> list[Any]:

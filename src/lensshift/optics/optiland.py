@@ -15,6 +15,7 @@ from lensshift.core.errors import DataError
 from lensshift.optics.glass import GLASSES, glass_called, refractive_index
 from lensshift.optics.lens import Lens, Surface
 from lensshift.optics.sequential import Entry, Frame, lens_of_entries
+from lensshift.optics.trace import rotations_of
 
 Array = NDArray[np.float64]
 
@@ -129,20 +130,16 @@ def _planes(lens: Lens) -> Iterator[_Plane]:
     ):
         if number == before:
             yield _stop(lens)
-        row_rad, col_rad = element.tilt_rad
-        axis = (
-            math.sin(col_rad),
-            math.sin(row_rad) * math.cos(col_rad),
-            math.cos(row_rad) * math.cos(col_rad),
-        )
-        turn_rad = (-math.asin(axis[1]), math.atan2(axis[0], axis[2]))
+        turned = rotations_of(np.array(element.tilt_rad))
         depths_mm = np.cumsum([0.0, *element.thickness_mm])
         row_mm, col_mm = element.decenter_mm
         for depth_mm, surface, glass in zip(
             depths_mm, element.surfaces, (*element.glass, None), strict=True
         ):
-            vertex_mm = np.array([col_mm, row_mm, start_mm]) + depth_mm * np.array(axis)
-            x_mm, y_mm, z_mm = map(float, vertex_mm)
+            vertex_mm = np.array([row_mm, col_mm, start_mm]) + depth_mm * turned[:, 2]
+            y_mm, x_mm, z_mm = map(float, vertex_mm)
+            y, x, z = (turned @ rotations_of(np.array(surface.tilt_rad)))[:, 2]
+            turn_rad = (-math.asin(y), math.atan2(x, z))
             yield _Plane(surface, (x_mm, y_mm, z_mm), turn_rad, glass, element.name)
     if before == len(lens.elements):
         yield _stop(lens)
@@ -216,12 +213,6 @@ def _from_object(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
             continue
         here, behind = placed[number], placed[number + 1]
         step_mm = (behind.origin - here.origin) @ here.axes
-        leaning = np.abs(behind.axes[:, 2] - here.axes[:, 2]).max()
-        if max(abs(step_mm[0]), abs(step_mm[1]), leaning) > _CLOSE:
-            raise DataError(
-                f"expected it on the axis of surface {number}, as one element",
-                field=entries[number + 1].where(),
-            )
         entry.distance_mm = float(step_mm[2])
     return placed
 

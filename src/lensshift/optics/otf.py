@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebvander
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import AZIMUTHS_RAD, Band
@@ -20,6 +22,8 @@ Array = NDArray[np.floating]
 _RINGS, _ARMS = 12, 48
 _DEGREE = 12  # of the polynomials in the direction cosines
 _MARGIN = 1.02  # of the square that holds the pupil
+_BEYOND = 1.03  # of the outermost ray, where the pupil ends at the latest
+_LOST = 0.02  # of the light: more that the fit gets wrong is told
 _SAMPLES = 128
 _BLOCK = 16  # rows of the pupil at once, so that they stay in the cache
 
@@ -75,11 +79,37 @@ def exact_otf(
     ValueError
         If several fields are given, or as in `spots`.
 
+    Warns
+    -----
+    QualityWarning
+        If the fitted pupil passes 2 % of the light more or less than the rays.
+
     Source: Hopkins, Proc. Phys. Soc. B 70 (1957) 449.
     """
     frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
     azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
     axes = np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
+    otf = np.zeros((len(axes), len(frequency)), dtype=np.complex128)
+    for share, wave_mm, pupil in pupils(lens, field_tan, build=build, band=band):
+        otf += share * _autocorrelate(pupil, frequency, axes, wave_mm, samples)
+    return otf
+
+
+def pupils(
+    lens: Lens, field_tan: ArrayLike, *, build: Build | None = None, band: Band | None = None
+) -> list[tuple[float, float, PupilFit]]:
+    """Return the share of the light, the wavelength in mm and the pupil of each wavelength.
+
+    Parameters
+    ----------
+    field_tan : [2] (row, col)
+    build, band : as for `exact_otf`
+
+    Raises
+    ------
+    ValueError
+        If several fields are given, or as in `spots`.
+    """
     light = band or Band(np.array([lens.wavelength_nm]), np.ones(1))
     points, weight = pupil_quadrature(_RINGS, _ARMS)
     traced = []
@@ -91,25 +121,50 @@ def exact_otf(
     share = np.array([w * s.transmission for w, (_, s) in zip(light.weight, traced, strict=True)])
     share = share / share.sum()
     centre = share @ np.stack([spot.centroid_mm for _, spot in traced])
-    otf = np.zeros((len(axes), len(frequency)), dtype=np.complex128)
-    for part, nm, (rays, spot) in zip(share, light.wavelength_nm, traced, strict=True):
-        pupil = _fit(rays, spot, points, weight, centre)
-        for number, axis in enumerate(axes):
-            otf[number] += part * _autocorrelate(pupil, frequency, axis, float(nm) * 1e-6, samples)
-    return otf
+    return [
+        (float(part), 1e-6 * float(nm), _fit(rays, spot, points, weight, centre))
+        for part, nm, (rays, spot) in zip(share, light.wavelength_nm, traced, strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PupilFit:
-    """Polynomials over the pupil in direction cosines.
+class PupilFit:
+    """Polynomials over the pupil in direction cosines, about their middle.
 
-    radius scales the cosines to the unit square; terms [quantity i j] are Chebyshev coefficients
-    of what `overlap_sum` takes: path, derivatives of the two pupil coordinates, the coordinates,
-    the squared heights at vignetting surfaces.
+    Parameters
+    ----------
+    span : scales the cosines to the unit square
+    terms : [quantity i j] Chebyshev coefficients of what `overlap_sum` takes: path, derivatives of
+        the two pupil coordinates, the coordinates, the squared heights at vignetting surfaces, how
+        near the outermost ray is, squared
+    reach_mm : distance of the outermost ray from the centroid
+    light : share of the light through the stop that arrives
     """
 
-    radius: float
+    span: float
     terms: Array
+    reach_mm: float
+    light: float
+
+    def waves(self, samples: int, wave: float) -> tuple[Array, NDArray[np.complex128], float]:
+        """Return cosines [sample] along each axis, the wave [row col] there, and its energy.
+
+        Parameters
+        ----------
+        samples : along each axis
+        wave : 2 pi / wavelength
+        """
+        from lensshift.optics.otf_kernel import pupil_wave
+
+        step = 2.0 / samples
+        along = (np.arange(samples) + 0.5) * step - 1.0
+        basis = chebvander(along, _DEGREE)
+        found = np.empty((samples, samples), dtype=np.complex128)
+        energy = 0.0
+        for first in range(0, samples, _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            energy += pupil_wave(basis[rows] @ self.terms @ basis.T, step, wave, found[rows])
+        return self.span * along, found, energy
 
     def overlap(self, axes: tuple[Array, Array], shift: Array, step: float, wave: float) -> complex:
         """Return the sum over the pupil moved by `shift` one way and the other.
@@ -134,7 +189,7 @@ class _PupilFit:
         return total
 
 
-def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: Array) -> _PupilFit:
+def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: Array) -> PupilFit:
     traced = np.isfinite(rays.path_mm)  # vignetted rays too: their paths are smooth
     cosine = rays.direction[traced, :2]
     path = rays.path_mm[traced] + np.einsum(
@@ -146,6 +201,7 @@ def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: 
     if rays.heights is not None:
         squares = rays.heights[traced] ** 2
         quantities += [square for square in squares.T if square.max() > 0.98]
+    quantities.append(_nearness(cosine))
     scaled = (cosine - middle) / radius
     first, second = np.meshgrid(range(_DEGREE + 1), range(_DEGREE + 1), indexing="ij")
     used = first + second <= _DEGREE
@@ -158,15 +214,41 @@ def _fit(rays: RayBundle, spot: Spots, points: Array, weight: Array, centre_mm: 
     slopes = np.zeros((4, _DEGREE + 1, _DEGREE + 1))
     slopes[0::2, :-1] = chebder(terms[1:3], axis=1)
     slopes[1::2, :, :-1] = chebder(terms[1:3], axis=2)
-    return _PupilFit(radius, np.concatenate([terms[:1], slopes, terms[1:]]))
+    reach_mm = float(np.linalg.norm(spot.ray_mm[rays.passed], axis=-1).max())
+    light = float(spot.transmission)
+    return PupilFit(radius, np.concatenate([terms[:1], slopes, terms[1:]]), reach_mm, light)
+
+
+def _nearness(cosine: Array) -> Array:
+    """Return (v / v_bound)^2 with v^2 = u C^-1 u, C the covariance of the cosines, [ray].
+
+    Beyond the outermost ray polynomials may lead back into the pupil, where there is no light.
+    """
+    away = cosine - cosine.mean(axis=0)
+    square = np.einsum("ri,ij,rj->r", away, np.linalg.inv(np.cov(away.T)), away)
+    return np.asarray(square / (square.max() * _BEYOND**2))
 
 
 def _autocorrelate(
-    pupil: _PupilFit, frequency_lpmm: Array, axis: Array, wavelength_mm: float, samples: int
+    pupil: PupilFit, frequency_lpmm: Array, axes: Array, wavelength_mm: float, samples: int
 ) -> NDArray[np.complex128]:
+    """Return the OTF [azimuth frequency] along axes [azimuth 2] (row, col)."""
     step = 2.0 / samples
     along = (np.arange(samples) + 0.5) * step - 1.0
-    axes, wave = (along, along), 2.0 * np.pi / wavelength_mm
-    total = pupil.overlap(axes, np.zeros(2), step, wave).real
-    shifts = np.outer(0.5 * wavelength_mm * frequency_lpmm / pupil.radius, axis)
-    return np.array([pupil.overlap(axes, shift, step, wave) / total for shift in shifts])
+    grid, wave = (along, along), 2.0 * np.pi / wavelength_mm
+    total = pupil.overlap(grid, np.zeros(2), step, wave).real
+    light = total * step**2 / np.pi
+    if abs(light - pupil.light) > _LOST:
+        warnings.warn(
+            f"the pupil of the OTF passes {100 * light:.1f} % of the light through the stop, rays "
+            f"{100 * pupil.light:.1f} %: it ends where polynomials cannot tell",
+            QualityWarning,
+            stacklevel=3,
+        )
+    shears = 0.5 * wavelength_mm / pupil.span * np.multiply.outer(axes, frequency_lpmm)
+    return np.array(
+        [
+            [pupil.overlap(grid, shift, step, wave) / total for shift in of_axis.T]
+            for of_axis in shears
+        ]
+    )

@@ -128,3 +128,26 @@ def overlap_sum(ahead: Array, behind: Array, step: float, wave: float) -> comple
                 real += both * np.cos(phase)
                 imaginary += both * np.sin(phase)
     return complex(real, imaginary)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pupil_wave(quantities: Array, step: float, wave: float, out: Array) -> float:
+    """Write A exp(i wave W) at points of the pupil, and return the sum of A^2.
+
+    At the edge A is the mean over the part around a point.
+
+    Parameters
+    ----------
+    quantities, step, wave : as for `overlap_sum`
+    out : [row col], complex
+    """
+    energy = 0.0
+    for r in range(quantities.shape[1]):
+        for c in range(quantities.shape[2]):
+            passed = _aperture(quantities, r, c, step)
+            area = _area(quantities, r, c) if passed > 0.0 else 0.0
+            phase = wave * quantities[0, r, c]
+            size = passed * np.sqrt(area)
+            out[r, c] = complex(size * np.cos(phase), size * np.sin(phase))
+            energy += passed * area
+    return energy

@@ -13,6 +13,7 @@ from lensshift.core.errors import DataError
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.paraxial import entrance_pupil, paraxial
+from lensshift.optics.trace import rotations_of
 
 _CLOSE = 1e-9  # of an image plane to the axis, in mm and in direction cosines
 _UNSET_STOP_MM = 1e-6
@@ -93,7 +94,9 @@ def lens_of_entries(
     groups = list(_groups(entries))
     if not groups:
         raise DataError("expected at least one element of glass or a curved mirror")
-    elements = [_element([entries[i] for i in group], frames[group[0]], notes) for group in groups]
+    elements = [
+        _element([entries[i] for i in group], [frames[i] for i in group], notes) for group in groups
+    ]
     starts_mm = np.array([frames[group[0]].origin[2] for group in groups])
     _check_image(frames[-1], entries[-1])
     ends_mm = starts_mm + [element.length_mm for element in elements]
@@ -137,7 +140,7 @@ def _clear_edges(
                 field=last[number].where(),
             )
         front, back = elements[number : number + 2]
-        near, far = _trim(front.surfaces[-1], back.surfaces[0], float(gap_mm), None, notes)
+        near, far = trimmed(front.surfaces[-1], back.surfaces[0], float(gap_mm), None, notes)
         elements[number] = replace(front, surfaces=(*front.surfaces[:-1], near))
         elements[number + 1] = replace(back, surfaces=(far, *back.surfaces[1:]))
 
@@ -179,6 +182,13 @@ def _stop_place(
     if np.abs(frame.origin[:2]).max() < _CLOSE:
         return at_mm, None
     carrier = next((i for i, group in enumerate(groups) if number in group), None)
+    if carrier is None:  # a plane of its own, beside an element that is moved as far
+        aside_mm = frame.origin[1::-1]
+        carrier = next(
+            (i for i, group in enumerate(groups)
+             if number in (group[0] - 1, group[-1] + 1)
+             and np.abs(elements[i].decenter_mm - aside_mm).max() < _CLOSE), None,
+        )  # fmt: skip
     if carrier is None:
         raise DataError("expected a stop on the axis, or on an element", field=f"surface {number}")
     return at_mm, carrier
@@ -217,10 +227,7 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
     group: list[int] = []
     for number, entry in enumerate(entries[:-1]):
         if group and entry.type == "COORDBRK":
-            raise DataError(
-                "expected no coordinate break inside an element, whose surfaces share one axis",
-                field=entry.where(),
-            )
+            continue  # in glass: the surface behind it leans
         if number == 0:
             if entry.glass:
                 raise DataError("expected an object in air", field=entry.where())
@@ -237,17 +244,20 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
         raise DataError("expected air in front of the image", field=entries[-1].where())
 
 
-def _element(entries: list[Entry], frame: Frame, notes: list[str]) -> Element:
-    ahead = 1.0 if frame.axes[2, 2] > 0 else -1.0  # of light along the axis of the surface
-    x, y, z = ahead * frame.axes[:, 2]
+def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Element:
+    ahead = 1.0 if frames[0].axes[2, 2] > 0 else -1.0  # of light along the axis of the surface
+    axis, lengths_mm = _axis(entries, frames, ahead)
+    x, y, z = axis
+    tilt_rad = (math.atan2(y, z), math.asin(max(-1.0, min(1.0, x))))
+    leans_rad = [_lean_rad(frame, ahead, axis, tilt_rad) for frame in frames]
     surfaces, thickness_mm = [], []
-    for entry in entries:
+    for entry, length_mm, lean_rad in zip(entries, lengths_mm, leans_rad, strict=True):
         surface = _surface(entry, notes)
-        surfaces.append(surface if ahead > 0 else surface.reversed())
+        surfaces.append(replace(surface if ahead > 0 else surface.reversed(), tilt_rad=lean_rad))
         ahead = -ahead if entry.mirror else ahead
-        thickness_mm.append(ahead * entry.distance_mm)
+        thickness_mm.append(ahead * length_mm)
     for number, length_mm in enumerate(thickness_mm[:-1]):
-        surfaces[number : number + 2] = _trim(
+        surfaces[number : number + 2] = trimmed(
             surfaces[number], surfaces[number + 1], length_mm, entries[number].number, notes
         )
     try:
@@ -256,13 +266,44 @@ def _element(entries: list[Entry], frame: Frame, notes: list[str]) -> Element:
             glass=tuple(entry.glass for entry in entries[:-1]),
             thickness_mm=tuple(thickness_mm[:-1]),
             name=entries[0].comment or f"surfaces {entries[0].number}-{entries[-1].number}",
-            decenter_mm=(float(frame.origin[1]), float(frame.origin[0])),
-            tilt_rad=(math.atan2(y, z), math.asin(max(-1.0, min(1.0, x)))),
+            decenter_mm=(float(frames[0].origin[1]), float(frames[0].origin[0])),
+            tilt_rad=tilt_rad,
         )
     except DataError:
         raise
     except ValueError as error:
         raise DataError(str(error), field=entries[0].where()) from error
+
+
+def _axis(
+    entries: list[Entry], frames: list[Frame], ahead: float
+) -> tuple[NDArray[np.float64], list[float]]:
+    """Return the axis (x, y, z) of an element, and how far it is from each surface to the next.
+
+    That of its surfaces if they share one, else the line through their vertices.
+    """
+    axis = ahead * frames[0].axes[:, 2]
+    from_first = np.array([frame.origin - frames[0].origin for frame in frames])
+    lean = max(float(np.abs(ahead * frame.axes[:, 2] - axis).max()) for frame in frames)
+    aside_mm = np.abs(from_first - np.outer(from_first @ axis, axis)).max()
+    if any(entry.mirror for entry in entries) or max(lean, aside_mm) < _CLOSE:
+        return axis, [entry.distance_mm for entry in entries]
+    axis = from_first[-1] / np.linalg.norm(from_first[-1])
+    away = from_first @ axis
+    if np.abs(from_first - np.outer(away, axis)).max() > _CLOSE:
+        raise DataError("expected the vertices of an element on one line", field=entries[0].where())
+    return axis, [float(ahead * length) for length in (*np.diff(away), 0.0)]
+
+
+def _lean_rad(
+    frame: Frame, ahead: float, axis: NDArray[np.float64], tilt_rad: tuple[float, float]
+) -> tuple[float, float]:
+    """Return by how much a surface leans in its element."""
+    of_surface = ahead * frame.axes[:, 2]
+    if np.abs(of_surface - axis).max() < _CLOSE or of_surface @ axis < 0:  # the same, or mirrored
+        return 0.0, 0.0
+    row, col, axial = rotations_of(np.array(tilt_rad)).T @ of_surface[[1, 0, 2]]
+    return math.atan2(row, axial), math.asin(max(-1.0, min(1.0, col)))
 
 
 def _surface(entry: Entry, notes: list[str]) -> Surface:
@@ -284,7 +325,7 @@ def _surface(entry: Entry, notes: list[str]) -> Surface:
         raise DataError(str(error), field=entry.where()) from error
 
 
-def _trim(
+def trimmed(
     front: Surface, back: Surface, length_mm: float, number: int | None, notes: list[str]
 ) -> tuple[Surface, Surface]:
     """Return two surfaces as far as the height where they meet, if that is near their edge."""

@@ -17,6 +17,7 @@ from lensshift.optics.trace import Build
 
 Array = NDArray[np.float64]
 
+ENOUGH_PIXELS = 17  # rows and columns that tell how even a shift is
 _RINGS = 2  # of the pupil: the centroid is smooth
 _NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
 _INVERSE_STEPS = 12
@@ -24,7 +25,9 @@ _INVERSE_PX = 1e-9
 _PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
 
 
-def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> ShiftField:
+def shift_map(
+    lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid, *, most: int | None = None
+) -> ShiftField:
     """Return the image offset of every pixel when one element is moved.
 
         offset(u) = image after the move - image before it
@@ -37,6 +40,7 @@ def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> S
     element : number of the element that moves, counted from 0
     decenter_mm : [2] or [frame 2] (row, col), added to the decentre of the element
     grid : of the sensor, centred on the axis
+    most : rows and columns of pixels, the outermost among them, where not all are wanted
 
     Returns
     -------
@@ -50,7 +54,12 @@ def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> S
     moves = np.atleast_2d(np.asarray(decenter_mm, dtype=np.float64))
     if moves.ndim != 2 or moves.shape[1] != 2 or not np.all(np.isfinite(moves)):
         raise ValueError(f"expected finite decenter_mm [frame 2], got shape {moves.shape}")
-    pixels_mm = pixel_centres_mm(grid).reshape(-1, 2)
+    centres_mm = pixel_centres_mm(grid)
+    for axis, count in enumerate(grid.shape):
+        if most is not None and count > most:
+            kept = np.linspace(0, count - 1, most).round().astype(int)
+            centres_mm = centres_mm.take(kept, axis=axis)
+    pixels_mm = centres_mm.reshape(-1, 2)
     moved = moving(lens, element, moves[:, None, :])
     fields = fields_for_image(
         lens, pixels_mm, build=moved, rings=_RINGS, tolerance_mm=_NEAR * min(grid.pitch_mm)
@@ -58,7 +67,7 @@ def shift_map(lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid) -> S
     moved_mm = spots(lens, fields, build=moved, rings=_RINGS).centroid_mm
     resting_mm = spots(lens, fields, rings=_RINGS).centroid_mm
     offset_px = (moved_mm - resting_mm) / np.asarray(grid.pitch_mm)
-    return ShiftField(offset_px.reshape(len(moves), *grid.shape, 2), grid.pitch_mm)
+    return ShiftField(offset_px.reshape(len(moves), *centres_mm.shape), grid.pitch_mm)
 
 
 def decenter_for_shift(
@@ -156,6 +165,24 @@ def moving(lens: Lens, element: int, decenter_mm: Array) -> Build:
     moves = np.zeros((*decenter_mm.shape[:-1], len(lens.elements), 2))
     moves[..., element, :] = decenter_mm
     return Build(decenter_mm=moves)
+
+
+def px_per_um(lens: Lens, element: int, grid: Grid) -> float:
+    """Return how far the middle of the image moves per micrometre of an element, about rest.
+
+    Along the axis where that is more pixels. This is what every command means by px per um.
+
+    Parameters
+    ----------
+    grid : of the sensor; only its pitch matters
+
+    Raises
+    ------
+    ValueError
+        As in `shift_map`.
+    """
+    slope = px_per_mm_over(lens, element, Grid((1, 1), grid.pitch_mm))
+    return 1e-3 * float(np.linalg.norm(slope, axis=-2).max())
 
 
 def px_per_mm_over(lens: Lens, element: int, grid: Grid) -> Array:

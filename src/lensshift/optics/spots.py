@@ -16,7 +16,7 @@ from lensshift.optics.trace import Build, RayBundle, trace
 
 Array = NDArray[np.float64]
 
-_FIELD_STEPS = 12
+_FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
 
 
 @dataclass(frozen=True, slots=True, eq=False)

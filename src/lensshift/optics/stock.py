@@ -82,7 +82,7 @@ def format_designs(designs: Sequence[Design]) -> str:
     for one in designs:
         train = ", ".join(
             element.name + (" r" if turned else "")
-            for element, turned in zip(one.lens.elements, one.turned, strict=True)
+            for element, turned in zip(one.lens.elements, one.turned, strict=False)
         )
         moves = "none" if one.element is None else str(one.element + 1)
         gaps = " ".join(f"{gap_mm:.3f}" for gap_mm in one.lens.gaps_mm)

@@ -17,12 +17,11 @@ from lensshift.optics.lens import Lens
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.shift import decenter_for_shift
 from lensshift.optics.trace import Build, RayBundle, trace
-from lensshift.optics.which import edge_fields
+from lensshift.optics.which import AZIMUTHS_RAD, DIAGONALS, edge_fields, judged_lpmm
 
 Array = NDArray[np.float64]
 
-POSITIONS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-AZIMUTHS_RAD = np.linspace(0.0, np.pi, 4, endpoint=False)
+POSITIONS = np.concatenate([np.zeros((1, 2)), DIAGONALS])
 
 _RINGS = 3  # MTF within 0.002
 _CHUNK = 100  # builds traced at once
@@ -291,7 +290,7 @@ class _Bench:
                 f"expected positive shift_px and refocus_mm, got {shift_px} and {refocus_mm}"
             )
         self.lens, self.pitch_mm = lens, np.asarray(grid.pitch_mm)
-        self.frequency_lpmm = 1.0 / max(grid.pitch_mm) if frequency_lpmm is None else frequency_lpmm
+        self.frequency_lpmm = judged_lpmm(grid, frequency_lpmm)
         self.refocus_mm = refocus_mm
         self.fields = edge_fields(lens, grid)
         self.moves = np.zeros((len(POSITIONS), 1, len(lens.elements), 2))

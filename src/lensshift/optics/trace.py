@@ -171,9 +171,10 @@ class _System:
         starts = np.concatenate([np.zeros((len(ends), 1)), ends[:, :-1]], axis=-1)
         self.sensor = np.ascontiguousarray(ends[:, -1])
         self.vertices = np.concatenate([self.decenter, starts[..., None]], axis=-1)
-        self.rotations = np.ascontiguousarray(_rotations(self._flat(tilt, 2)))
+        self.rotations = np.ascontiguousarray(rotations_of(self._flat(tilt, 2)))
         self.index = self._flat(index, 1).copy()
         self._tables(lens)
+        self._lean(lens)
 
     def _flat(self, values: Array, trailing: int) -> Array:
         tail = values.shape[values.ndim - trailing :]
@@ -210,6 +211,20 @@ class _System:
             row[: len(surface.radial)] = surface.radial
         self.mirror = np.array([surface.mirror for surface in surfaces])
 
+    def _lean(self, lens: Lens) -> None:
+        """Give surfaces that lean in their element axes of their own, behind those of elements."""
+        self.frame = self.element.copy()
+        surfaces = [surface for element in lens.elements for surface in element.surfaces]
+        leaning = [number for number, surface in enumerate(surfaces) if any(surface.tilt_rad)]
+        for number in leaning:
+            of_element = self.rotations[:, self.element[number]]
+            here = self.vertices[:, self.element[number]] + self.depth[number] * of_element[..., 2]
+            turned = of_element @ rotations_of(np.array(surfaces[number].tilt_rad))
+            self.frame[number] = self.vertices.shape[1]
+            self.vertices = np.concatenate([self.vertices, here[:, None]], axis=1)
+            self.rotations = np.concatenate([self.rotations, turned[:, None]], axis=1)
+        self.depth[leaning] = 0.0
+
     def follow(
         self,
         rays: _Rays,
@@ -226,7 +241,7 @@ class _System:
             _NO_HEIGHTS if heights is None else heights,
             _NO_CROSSINGS if crossings is None else crossings,
             self.vertices, self.rotations, self.index, plane_mm,
-            self.element, self.depth, self.curvature, self.conic, self.asphere,
+            self.frame, self.depth, self.curvature, self.conic, self.asphere,
             self.terms, self.radial, self.radial_terms, self.mirror, self.semi_diameter, surfaces,
         )  # fmt: skip
 
@@ -301,7 +316,7 @@ def _towards(lens: Lens, fields: Array, target: Array, plane_mm: Array, pupil_mm
     )
 
 
-def _rotations(tilt_rad: Array) -> Array:
+def rotations_of(tilt_rad: Array) -> Array:
     """Return the matrices [... 3 3] from element to lens in (row, col, axial) for tilts [... 2]."""
     sin_row, sin_col = np.sin(tilt_rad[..., 0]), np.sin(tilt_rad[..., 1])
     cos_row, cos_col = np.cos(tilt_rad[..., 0]), np.cos(tilt_rad[..., 1])

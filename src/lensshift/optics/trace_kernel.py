@@ -139,11 +139,12 @@ def trace_kernel(
     status, failed_at : [batch ray] what happened, and at which surface
     heights : [batch ray surface] distance from the axis over semi-diameter, or [1 1 0]
     crossings : [batch ray surface 3] where each surface is met, or [1 1 0 3]
-    vertices : [batch element 3] where the first vertex of each element is
-    rotations : [batch element 3 3] from the element to the lens
+    vertices : [batch frame 3] the origin of each frame, the first vertex of an element
+    rotations : [batch frame 3 3] from the frame to the lens
     index : [batch surface] refractive index behind each surface
     plane : [batch] axial position of the last plane
-    element, depth : [surface] its element, and how far its vertex lies behind the first one
+    element, depth : [surface] its frame, and how far its vertex lies behind the origin: those of
+        an element share one, a surface that leans in its element has its own
     curvature, conic, asphere, terms, semi_diameter : [surface], asphere [surface term] of which
         `terms` are used, and as many of powers of r as `radial_terms`
     mirror : [surface] whether it reflects; behind it everything is seen in its vertex plane

@@ -15,9 +15,9 @@ _GLASS_NAMES = {"fused silica": "F_SILICA"}
 def save_zmx(lens: Lens, path: str | Path) -> None:
     """Write a lens as a sequential .zmx file, millimetres and degrees.
 
-    A decentred or tilted element stands between two coordinate breaks, the second of which
-    returns to the axis exactly. The stop becomes a plane of its own. Behind a mirror distances
-    are negative, as the format wants.
+    A decentred or tilted element, or a surface that leans, stands between two coordinate breaks,
+    the second of which returns to the axis exactly. The stop becomes a plane of its own. Behind a
+    mirror distances are negative, as the format wants.
 
     Raises
     ------
@@ -106,6 +106,13 @@ def _element(element: Element, gap_mm: float, ahead: float) -> list[list[str]]:
             length_mm += distance_mm
         else:  # back to the first vertex, about which the element is tilted
             glass, distance_mm = "", -length_mm if away else ahead * gap_mm
+        if any(surface.tilt_rad):
+            turn = (-ahead * math.degrees(surface.tilt_rad[0]),
+                    ahead * math.degrees(surface.tilt_rad[1]))  # fmt: skip
+            blocks.append(_break((0.0, 0.0, *turn, 0.0, 0), 0.0))
+            blocks.append(_surface(shape, glass, 0.0))
+            blocks.append(_break((0.0, 0.0, -turn[0], -turn[1], 0.0, 1), distance_mm))
+            continue
         blocks.append(_surface(shape, "MIRROR" if surface.mirror else glass, distance_mm))
     if away:
         back = (-col_mm, -row_mm, -about_x_deg, -about_y_deg, 0.0, 1)

@@ -47,6 +47,7 @@ _ARROW_PX = 0.06  # length of the longest, as a share of the columns
 _DEPARTURE_PX = 0.03  # the same for the distortion grid
 _AIRY = 1.22  # radius of the first dark ring over wavelength x f-number
 _SPOT_RINGS = 10
+_MOST, _ROOM = 0.98, 1.15  # quantile of the rays that an enlarged spot shows, and room around
 _FOCUS_MM, _FOCUS_STEPS = 0.4, 80  # how far the sensor moves either way
 _LEAST_CHANGE = 1e-6  # of the MTF: less is rounding
 
@@ -199,9 +200,10 @@ def distortion_figure(lens: Lens, grid: Grid) -> Figure:
 def spots_figure(
     lens: Lens, element: int, travel_mm: Pair, grid: Grid, fields_tan: Sequence[Pair]
 ) -> Figure:
-    """Draw the spots of some fields at rest and moved: in a pixel, and enlarged.
+    """Draw the spots of some fields at rest and moved: in a pixel, and enlarged each by itself.
 
-    Each spot lies about its centroid. The circle is the first dark ring of the Airy pattern.
+    Each spot lies about its centroid; enlarged is what holds most of its rays. The circle is the
+    first dark ring of the Airy pattern.
 
     Parameters
     ----------
@@ -217,27 +219,36 @@ def spots_figure(
         for field in fields_tan
     ]
     rays_um = [[_rays_um(spot) for spot in both] for both in found]
-    farthest_um = max(float(np.abs(rays).max()) for both in rays_um for rays in both)
     pixel_um = 1e3 * np.asarray(grid.pitch_mm)
-    reaches_um = (max(0.6 * float(pixel_um.max()), farthest_um), 1.1 * max(farthest_um, airy_um))
+    ring = f"Airy ring, {airy_um:.2g} um, at {lens.wavelength_nm:g} nm"
     with styled():
-        figure = new_figure(max(5.0, 0.8 + 2.2 * len(fields_tan)), 5.4)
-        panels = figure.subplots(2, len(fields_tan), squeeze=False, sharex="row", sharey="row")
-        for line, reach_um in zip(panels, reaches_um, strict=True):
-            for axes, both in zip(line, rays_um, strict=True):
-                _draw_spots(axes, both, airy_um, pixel_um)
-            line[0].set_xlim(-reach_um, reach_um)
-            line[0].set_ylim(reach_um, -reach_um)
-            line[0].set_ylabel("row (um)")
-        panels[1, 0].set_ylabel("row (um), enlarged")
-        for axes, field, (rest, moved) in zip(panels[0], fields_tan, found, strict=True):
-            row_deg, col_deg = np.rad2deg(np.arctan(field))
+        figure = new_figure(max(5.0, 0.8 + 2.4 * len(fields_tan)), 5.8)
+        panels = figure.subplots(2, len(fields_tan), squeeze=False, gridspec_kw={"hspace": 0.1})
+        for (wide, close), field, both, (rest, moved) in zip(
+            panels.T, fields_tan, rays_um, found, strict=True
+        ):
+            for axes in (wide, close):
+                _draw_spots(axes, both, airy_um, pixel_um, ring)
+                axes.set_xlabel("column (um)")
+            together_um = np.concatenate(both)
+            wide_um = max(0.6 * float(pixel_um.max()), float(np.abs(together_um).max()))
+            low_um, high_um = np.quantile(together_um, (1.0 - _MOST, _MOST), axis=0)
+            close_um = _ROOM * max(0.5 * float((high_um - low_um).max()), airy_um)
+            for axes, (row_um, col_um), reach_um in (
+                (wide, (0.0, 0.0), wide_um),
+                (close, 0.5 * (low_um + high_um), close_um),
+            ):
+                axes.set_xlim(col_um - reach_um, col_um + reach_um)
+                axes.set_ylim(row_um + reach_um, row_um - reach_um)
+                axes.locator_params(nbins=5)
+            row_deg, col_deg = np.rad2deg(np.arctan(field)) + 0.0
             radii = f"{1e3 * rest.rms_radius_mm:.1f}, {1e3 * moved.rms_radius_mm:.1f} um rms"
-            axes.set_title(f"{row_deg:.1f}/{col_deg:.1f} degrees\n{radii}")
-        for axes in panels.ravel():
-            axes.set_xlabel("column (um)")
+            wide.set_title(f"{row_deg:.1f}/{col_deg:.1f} degrees\n{radii}")
+            close.set_title(f"{wide_um / close_um:.2g} times as large")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("row (um)")
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", ncols=4)
+        figure.legend(handles, labels, loc="outside upper left", ncols=4, markerscale=4.0)
     return figure
 
 
@@ -270,7 +281,9 @@ def _draw_arrows(axes: Axes, error_px: Floats, times: float) -> None:
     arrows.set_in_layout(False)  # else the layout makes room for arrows of any length
 
 
-def _draw_spots(axes: Axes, both_um: Sequence[Floats], airy_um: float, pixel_um: Floats) -> None:
+def _draw_spots(
+    axes: Axes, both_um: Sequence[Floats], airy_um: float, pixel_um: Floats, ring: str
+) -> None:
     row_um, col_um = pixel_um
     axes.add_patch(
         Rectangle(
@@ -283,13 +296,11 @@ def _draw_spots(axes: Axes, both_um: Sequence[Floats], airy_um: float, pixel_um:
             label="pixel",
         )
     )
-    for rays_um, colour, label in zip(both_um, (BLUE, RED), ("at rest", "moved"), strict=True):
-        axes.plot(
-            rays_um[:, 1], rays_um[:, 0], ".", color=colour, markersize=1.6, label=label, alpha=0.7
-        )
-    axes.add_patch(
-        Circle((0.0, 0.0), airy_um, fill=False, edgecolor=INK, zorder=3.0, label="Airy ring")
-    )
+    for rays_um, colour, label, size in zip(
+        both_um, (BLUE, RED), ("at rest", "moved"), (3.0, 1.2), strict=True
+    ):
+        axes.plot(rays_um[:, 1], rays_um[:, 0], ".", color=colour, markersize=size, label=label)
+    axes.add_patch(Circle((0.0, 0.0), airy_um, fill=False, edgecolor=INK, zorder=3.0, label=ring))
     axes.set_aspect("equal")
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lensshift.core.grid import Grid
-    from lensshift.optics.layout import Layout
+    from lensshift.optics.layout import Layout, Polyline
     from lensshift.optics.lens import Lens
     from lensshift.optics.which import Mover
 
@@ -47,6 +47,11 @@ _GLASS = "#E3EDF6"
 _FIELDS_DEG = (0.0, 6.5)
 _VISIBLE = 0.03  # of the height of the lens: a smaller travel is drawn enlarged
 _STEPS = 41
+_WIDTH_IN, _WIDE_IN = 9.0, 10.0
+_DRAWN, _HIGH_IN, _AROUND_IN = 0.85, (1.5, 7.0), 1.9  # of a section: share of the width, heights
+_LEVEL_PT = 1.4 * SMALL_PT  # from one row of names to the next
+_FIRST_PT = 6.0
+_LETTER_PT = 0.62 * SMALL_PT
 _STATES = ((0.0, "-", "at rest"), (1.0, "--", "moved"), (-1.0, ":", "moved the other way"))
 
 
@@ -72,10 +77,11 @@ def layout_figure(
     dashed = moved.outlines[element]
     ending = "" if times == 1.0 else f", drawn {times:g} times as far"
     with styled():
-        figure = new_figure(9.0, 4.6)
+        figure, mm_per_pt = _section_figure(rest, dashed)
         axes = figure.subplots()
         _draw_rays(axes, rest, fields_deg)
         _draw_parts(axes, rest, element)
+        _draw_names(axes, rest, dashed, mm_per_pt)
         axes.plot(
             dashed.z_mm,
             dashed.height_mm,
@@ -87,9 +93,21 @@ def layout_figure(
         axes.set_aspect("equal")
         axes.set_xlabel("along the axis (mm)")
         axes.set_ylabel("along columns (mm)")
-        title = f"{lens.name or 'lens'}, stop {lens.stop.diameter_mm:g} mm"
+        title = f"{lens.name or 'lens'}, stop {lens.stop.diameter_mm:.4g} mm"
         curves.legend_above(axes, title, columns=3)
     return figure
+
+
+def _section_figure(section: Layout, moved: Polyline) -> tuple[Figure, float]:
+    """Return a figure as high as the lens is at its width, and how many mm a point stands for."""
+    parts = [*section.outlines, *section.stop, moved, section.sensor]  # rays in front are cut
+    lines = [*parts, *(ray.line for ray in section.rays)]
+    long_mm = max(line.z_mm.max() for line in lines) - min(line.z_mm.min() for line in lines)
+    high_mm = 2.0 * max(float(np.abs(line.height_mm).max()) for line in parts)
+    drawn_in = _DRAWN * _WIDTH_IN
+    high_in = float(np.clip(drawn_in * high_mm / long_mm, *_HIGH_IN))
+    mm_per_pt = max(long_mm / drawn_in, high_mm / high_in) / 72.0
+    return new_figure(_WIDTH_IN, high_in + _AROUND_IN), mm_per_pt
 
 
 def mtf_figure(
@@ -158,17 +176,17 @@ def which_figure(movers: Sequence[Mover]) -> Figure:
     if not movers:
         raise ValueError("expected at least one element that moves the image, got none")
     names = [label_of(mover) for mover in movers]
-    stroke_um = [1e3 * mover.stroke_mm for mover in movers]
+    strokes = [mover.stroke_text.removeprefix("-") for mover in movers]
     panels = (
-        ("stroke for the shift (um)", [abs(stroke) for stroke in stroke_um], BLUE),
-        ("largest error of the shift (px)", [one.max_shift_error_px for one in movers], BLUE),
-        ("largest loss of MTF by moving", [one.mtf_loss for one in movers], BLUE),
+        ("stroke (um)", [1e3 * abs(one.stroke_mm) for one in movers], strokes),
+        ("error of the shift (px)", [one.max_shift_error_px for one in movers], None),
+        ("loss of MTF", [one.mtf_loss for one in movers], None),
     )
     with styled():
-        figure = new_figure(9.0, 1.5 + 0.55 * len(movers))
-        grid = figure.subplots(1, len(panels) + 1, sharey=True)
-        for axes, (label, values, colour) in zip(grid, panels, strict=False):
-            _draw_bars(axes, names, values, colour)
+        figure = new_figure(_WIDE_IN, 1.2 + 0.5 * len(movers))
+        grid = figure.subplots(1, len(panels) + 1, sharey=True, width_ratios=(1.1, 1.0, 1.0, 1.1))
+        for axes, (label, values, texts) in zip(grid, panels, strict=False):
+            _draw_bars(axes, names, values, BLUE, texts=texts)
             axes.set_xlabel(label)
         for away, label, values in (
             (-0.19, "rest", [one.mtf_centred for one in movers]),
@@ -176,7 +194,7 @@ def which_figure(movers: Sequence[Mover]) -> Figure:
         ):
             colour = LIGHT if label == "rest" else BLUE
             _draw_bars(grid[-1], names, values, colour, away=away, label=label)
-        grid[-1].set_xlabel("least MTF over the field")
+        grid[-1].set_xlabel("least MTF")
         curves.legend_above(grid[-1], "")
         grid[0].set_ylim(len(movers) - 0.4, -0.6)
     return figure
@@ -190,12 +208,15 @@ def _draw_bars(
     *,
     away: float = 0.0,
     label: str = "",
+    texts: Sequence[str] | None = None,
 ) -> None:
     places = np.arange(len(values)) + away
     axes.barh(places, values, color=colour, height=0.36 if away else 0.6, label=label)
-    for place, value in zip(places, values, strict=True):
+    for place, value, text in zip(
+        places, values, texts or [f"{value:.3g}" for value in values], strict=True
+    ):
         axes.annotate(
-            f"{value:.3g}",
+            text,
             (value, place),
             xytext=(3.0, 0.0),
             textcoords="offset points",
@@ -203,7 +224,8 @@ def _draw_bars(
             fontsize=SMALL_PT,
         )
     axes.set_yticks(range(len(names)), names)
-    axes.set_xlim(0.0, 1.35 * max(max(values), axes.get_xlim()[1] / 1.35 if away > 0 else 0.0))
+    axes.set_xlim(0.0, 1.5 * max(max(values), axes.get_xlim()[1] / 1.5 if away > 0 else 0.0))
+    axes.locator_params(axis="x", nbins=3)
     axes.grid(visible=False, axis="y")
 
 
@@ -211,7 +233,7 @@ def _draw_rays(axes: Axes, section: Layout, fields_deg: Sequence[float]) -> None
     colours, named = (BLUE, GREEN, ORANGE), set()
     for ray in section.rays:
         colour = colours[ray.field % len(colours)]
-        label = "_" if ray.field in named else f"field {fields_deg[ray.field]:g} degrees"
+        label = "_" if ray.field in named else f"field {fields_deg[ray.field]:.3g} degrees"
         named.add(ray.field)
         dashes = "-" if ray.arrived else ":"
         axes.plot(
@@ -220,19 +242,14 @@ def _draw_rays(axes: Axes, section: Layout, fields_deg: Sequence[float]) -> None
 
 
 def _draw_parts(axes: Axes, section: Layout, element: int) -> None:
-    """Draw glass, stop and sensor with their names."""
+    """Draw glass, stop and sensor."""
     for number, line in enumerate(section.outlines):
         colour = RED if number == element else INK
         axes.fill(
             line.z_mm, line.height_mm, facecolor=_GLASS, edgecolor=colour, linewidth=1.1, alpha=0.8
         )
-        middle_mm = 0.5 * float(line.z_mm.min() + line.z_mm.max())
-        side = -1 if number % 2 else 1  # so that names of neighbours do not meet
-        end_mm = float(line.height_mm.max() if side > 0 else line.height_mm.min())
-        _name(axes, f"{number + 1} {section.names[number]}", middle_mm, end_mm, side)
     for part in section.stop:
         axes.plot(part.z_mm, part.height_mm, color=INK, linewidth=2.2)
-    _name(axes, "stop", float(section.stop[0].z_mm[0]), float(section.stop[0].height_mm.min()), -1)
     axes.plot(section.sensor.z_mm, section.sensor.height_mm, color=INK, linewidth=2.2)
     axes.annotate(
         "sensor",
@@ -245,16 +262,45 @@ def _draw_parts(axes: Axes, section: Layout, element: int) -> None:
     )
 
 
-def _name(axes: Axes, text: str, z_mm: float, height_mm: float, side: int = 1) -> None:
-    axes.annotate(
-        text,
-        (z_mm, height_mm),
-        xytext=(0.0, 4.0 * side),
-        textcoords="offset points",
-        ha="center",
-        va="bottom" if side > 0 else "top",
-        fontsize=SMALL_PT,
-        path_effects=outlined(1.0),
+def _draw_names(axes: Axes, section: Layout, moved: Polyline, mm_per_pt: float) -> None:
+    """Name elements above and below everything drawn, in rows in which no two names meet."""
+    lines = [*section.outlines, *section.stop, moved]
+    top_mm = max(float(line.height_mm.max()) for line in lines)
+    low_mm = min(float(line.height_mm.min()) for line in lines)
+    names = [("stop", section.stop[0], -1)]
+    names += [
+        (f"{number + 1} {name}", line, -1 if number % 2 else 1)
+        for number, (name, line) in enumerate(zip(section.names, section.outlines, strict=True))
+    ]
+    names.sort(key=lambda one: float(one[1].z_mm.min() + one[1].z_mm.max()))
+    taken_mm: dict[tuple[int, int], float] = {}
+    for text, line, side in names:
+        middle_mm = 0.5 * float(line.z_mm.min() + line.z_mm.max())
+        half_mm = 0.5 * _LETTER_PT * len(text) * mm_per_pt
+        level = 0
+        while middle_mm - half_mm < taken_mm.get((side, level), -np.inf):
+            level += 1
+        taken_mm[side, level] = middle_mm + half_mm + _LETTER_PT * mm_per_pt
+        edge_mm = float(line.height_mm.max() if side > 0 else line.height_mm.min())
+        away_mm = (_FIRST_PT + level * _LEVEL_PT) * mm_per_pt
+        at_mm = top_mm + away_mm if side > 0 else low_mm - away_mm
+        axes.annotate(
+            text,
+            (middle_mm, edge_mm),
+            xytext=(middle_mm, at_mm),
+            ha="center",
+            va="bottom" if side > 0 else "top",
+            fontsize=SMALL_PT,
+            path_effects=outlined(2.5),
+            zorder=5.0 - 0.1 * level,  # lines to lower rows pass below the names
+            arrowprops={"arrowstyle": "-", "color": LIGHT, "linewidth": 0.6, "shrinkB": 0.0},
+        )
+    rows = {1: 0, -1: 0}
+    for side, level in taken_mm:
+        rows[side] = max(rows[side], level + 1)
+    axes.set_ylim(
+        low_mm - (_FIRST_PT + (rows[-1] + 0.3) * _LEVEL_PT) * mm_per_pt,
+        top_mm + (_FIRST_PT + (rows[1] + 0.3) * _LEVEL_PT) * mm_per_pt,
     )
 
 

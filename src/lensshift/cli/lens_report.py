@@ -1,0 +1,212 @@
+"""`lensshift lens report`: everything that is known of a lens on one page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensshift.cli.measured import check_outputs
+from lensshift.cli.optics import (
+    PITCH_MM,
+    SENSOR,
+    SHIFT_PX,
+    BandOption,
+    ElementOption,
+    LensArgument,
+    PitchOption,
+    SensorOption,
+    ShiftOption,
+    TemperatureOption,
+    WavelengthOption,
+    band_of,
+    diagonal_mm,
+    element_of,
+    figure_of,
+    read_lens,
+    sensor_grid,
+)
+from lensshift.cli.session import DebugOption, JsonOption, session
+
+if TYPE_CHECKING:
+    from lensshift.core.grid import Grid
+    from lensshift.optics.lens import Lens
+    from lensshift.optics.mtf import Band
+    from lensshift.report.page import Page
+
+PageOption = Annotated[Path | None, typer.Option("-o", "--out", help="Page to write (.html).")]
+
+_SHARES = (0.0, 0.7, 1.0)  # of the way from the centre to the corner
+
+
+def report(
+    lens: LensArgument,
+    element: ElementOption = 1,
+    out: PageOption = None,
+    shift_px: ShiftOption = SHIFT_PX,
+    sensor: SensorOption = SENSOR,
+    pitch_mm: PitchOption = PITCH_MM,
+    band_nm: BandOption = 0.0,
+    wavelength_nm: WavelengthOption = None,
+    temperature_c: TemperatureOption = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Examine a lens: sharpness, focus, light and distortion over the field, with all figures.
+
+    For each field: MTF along it (T) and across (S), where both focus, the light in a pixel and in
+    half of one, illumination, distortion, the spot. The page adds the figures and a comparison of
+    what can move.
+
+    \b
+    Example:
+      lensshift lens report petzval_a -o petzval_a.html
+      lensshift lens report petzval_b --band-nm 40 --json
+    """
+    with session(as_json=as_json, debug=debug, doing="examining the lens") as current:
+        from lensshift.optics.aberrations import sensor_fields
+
+        check_outputs([], out, None)
+        if out is not None and out.suffix.lower() != ".html":
+            raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
+        model = read_lens(lens, wavelength_nm, temperature_c)
+        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
+        band = band_of(model, band_nm)
+        fields = sensor_fields(model, grid, _SHARES)
+        rows = [_row(model, grid, field, band) for field in fields]
+        for name in rows[0]:
+            values = [
+                row[name] if isinstance(row[name], str) else f"{row[name]:.4g}" for row in rows
+            ]
+            current.say(f"{name:<32}" + "".join(f"{value:>12}" for value in values))
+        current.result |= {"lens": model.name or lens, "fields": rows}
+        if out is not None:
+            page = _page(model, lens, moved, shift_px, grid, band)
+            page.heading("Over the field")
+            page.table(rows)
+            _figures(page, model, moved, shift_px, grid, fields, band)
+            page.save(out)
+            current.say(f"wrote {out}")
+            current.result["files"] = [out]
+
+
+def _row(lens: Lens, grid: Grid, field_tan: Any, band: Band | None) -> dict[str, Any]:
+    """Return the numbers of one field."""
+    import numpy as np
+
+    from lensshift.optics.aberrations import focal_surfaces, relative_illumination, section_mtf
+    from lensshift.optics.psf import ensquared_energy
+    from lensshift.optics.spots import spots
+
+    row_deg, col_deg = (math.degrees(math.atan(tangent)) for tangent in field_tan)
+    double_lpmm = 1.0 / max(grid.pitch_mm)
+    low, high = section_mtf(lens, field_tan, [0.5 * double_lpmm, double_lpmm], band=band).T
+    focus = focal_surfaces(lens, field_tan)
+    half, whole = ensquared_energy(
+        lens, field_tan, np.array([0.5, 1.0]) * min(grid.pitch_mm), band=band
+    )
+    return {
+        "field, row/column (degrees)": f"{abs(row_deg):.2f}/{abs(col_deg):.2f}",
+        f"MTF T at {0.5 * double_lpmm:.3g} LP/mm": float(low[0]),
+        f"MTF S at {0.5 * double_lpmm:.3g} LP/mm": float(low[1]),
+        f"MTF T at {double_lpmm:.3g} LP/mm": float(high[0]),
+        f"MTF S at {double_lpmm:.3g} LP/mm": float(high[1]),
+        "focus T behind the sensor (mm)": float(focus.tangential_mm),
+        "focus S behind the sensor (mm)": float(focus.sagittal_mm),
+        "light in half a pixel (%)": 100.0 * float(half),
+        "light in a pixel (%)": 100.0 * float(whole),
+        "illumination (%)": 100.0 * float(relative_illumination(lens, field_tan)),
+        "spot (um rms)": 1e3 * float(spots(lens, field_tan).rms_radius_mm),
+    }
+
+
+def _page(
+    model: Lens, name: str, moved: int, shift_px: float, grid: Grid, band: Band | None
+) -> Page:
+    """Return the page with the first-order data, the elements and what can move."""
+    from lensshift.optics.aberrations import petzval_curvature_per_mm
+    from lensshift.optics.movers import which_mover
+    from lensshift.optics.paraxial import focal_length_mm, paraxial
+    from lensshift.optics.which import label_of
+    from lensshift.report.page import Page
+
+    page = Page(f"Lens: {model.name or name}")
+    rows, cols = grid.shape
+    light = f"{model.wavelength_nm:g} nm" + ("" if band is None else " with the band given")
+    page.text(
+        f"{light}, {model.temperature_c:g} C, sensor of {cols} x {rows} pixels of "
+        f"{grid.pitch_mm[0]:g} x {grid.pitch_mm[1]:g} mm, object at {model.object_mm:g} mm."
+    )
+    data = asdict(paraxial(model))
+    data["petzval_radius_mm"] = 1.0 / (petzval_curvature_per_mm(model) or math.inf)
+    page.table(
+        [
+            {"first order": key.removesuffix("_mm").replace("_", " "), "value": float(value)}
+            | {"unit": "mm" if key.endswith("_mm") else ""}
+            for key, value in data.items()
+        ]
+    )
+    page.heading("Elements")
+    page.table(
+        [
+            {
+                "element": number,
+                "name": part.name,
+                "glass": " + ".join(part.glass),
+                "focal length (mm)": focal_length_mm(part, indices),
+                "thickness (mm)": part.length_mm,
+                "air behind it (mm)": gap_mm,
+            }
+            for number, (part, indices, gap_mm) in enumerate(
+                zip(model.elements, model.indices(), model.gaps_mm, strict=True), start=1
+            )
+        ]
+    )
+    page.heading(f"What can move the image by {shift_px:g} px along both axes")
+    movers = which_mover(model, grid, shift_px=shift_px)
+    page.table(
+        [
+            {
+                "what moves": label_of(mover),
+                "stroke": mover.stroke_text,
+                "error of the shift (px)": mover.max_shift_error_px,
+                "cross-talk (px)": mover.cross_talk_px,
+                "least MTF at rest": mover.mtf_centred,
+                "moved": mover.mtf_moved,
+                "loss": mover.mtf_loss,
+            }
+            for mover in movers
+        ]
+    )
+    return page
+
+
+def _figures(
+    page: Page, model: Lens, moved: int, shift_px: float, grid: Grid, fields: Any, band: Band | None
+) -> None:
+    travel_mm = diagonal_mm(model, moved, shift_px, grid)
+    fields_tan = [(float(row), float(col)) for row, col in fields]
+    half_deg = abs(math.degrees(math.atan(fields[-1, 1])))
+    drawn: list[tuple[str, str, tuple[Any, ...], dict[str, Any], str]] = [
+        ("lenses", "layout_figure", (model, moved, travel_mm), {"fields_deg": (0.0, half_deg)},
+         "The section along columns, to scale."),
+        ("lens_aberrations", "sections_figure", (model, grid, fields_tan), {"band": band},
+         "MTF with diffraction, without the pixels."),
+        ("lens_aberrations", "fans_figure", (model, grid, fields_tan), {"band": band},
+         "Where rays land against the chief ray, over their place in the stop."),
+        ("lens_aberrations", "field_curves_figure", (model, grid), {},
+         "Where both sections focus, distortion, and light on the sensor."),
+        ("lens_aberrations", "psf_figure", (model, grid, fields_tan), {"band": band},
+         "Images of points with diffraction, and how much of their light squares hold."),
+        ("lens_maps", "spots_figure", (model, moved, travel_mm, grid, fields_tan), {},
+         "Spots of rays at rest and moved."),
+        ("lens_maps", "field_figure", (model, moved, travel_mm, grid, 1.0 / max(grid.pitch_mm)), {},
+         "MTF of every pixel at rest and moved."),
+        ("lens_maps", "distortion_figure", (model, grid), {}, "Distortion."),
+    ]  # fmt: skip
+    page.heading("Figures")
+    for module, name, arguments, options, caption in drawn:
+        page.figure(figure_of(module, name, *arguments, **options), caption)

@@ -1,0 +1,260 @@
+"""Everything that can shift the image: elements, a plate, wedges, the sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.grid import Grid
+from lensshift.optics.glass import refractive_index
+from lensshift.optics.lens import Element, Lens, Surface, cover_glass
+from lensshift.optics.spots import image_per_field_mm, spots
+from lensshift.optics.trace import Build
+from lensshift.optics.variables import is_plate
+from lensshift.optics.which import (
+    DIAGONALS,
+    Mover,
+    cross_talk_px,
+    edge_fields,
+    edge_mtf,
+    judged_lpmm,
+    which_element,
+)
+
+Array = NDArray[np.float64]
+
+_RINGS = 4  # of the pupil: centroids
+_PROBE_RAD, _PROBE_TURN = 1e-3, 0.02
+_STEPS = 8
+_CLOSE_PX = 1e-6
+_MOST_TILT_RAD = math.radians(30.0)
+_PLATE_GLASS, _PLATE_MM = "N-BK7", 1.0
+_PLATE_ROOM_MM = 0.2  # on either side
+_WEDGE_MM, _WEDGE_ROOM_MM = 1.0, 1.0
+_WEDGE_USE = 0.5  # sine of the turn of each wedge for the wanted diagonal shift
+
+
+def which_mover(
+    lens: Lens, grid: Grid, *, shift_px: float = 0.25, frequency_lpmm: float | None = None
+) -> tuple[Mover, ...]:
+    """Compare everything that can shift the image: elements, a plate, a pair of wedges, the sensor.
+
+    To the rows of `which_element` this adds
+
+    - "tilt": each element tilted about its first vertex;
+    - "plate": a tilted plane-parallel plate in front of the sensor: that of the lens, or 1 mm of
+      N-BK7 in the middle of the last gap with the sensor moved back by t (n - 1) / n, where there
+      is room;
+    - "wedges": two equal wedges in front of the lens that turn about the axis (Risley), so strong
+      that each turns by 30 degrees for the diagonal shift;
+    - "sensor": the same shift everywhere and no loss, by a stroke of -shift_px times the pitch.
+
+    Error and cross-talk of the added rows are the largest at the centre, the ends of the axes and
+    the corners. Tilts beyond 30 degrees are left out.
+
+    Parameters
+    ----------
+    grid, shift_px, frequency_lpmm : as in `which_element`
+
+    Raises
+    ------
+    ValueError
+        As in `which_element`.
+    """
+    rows = list(which_element(lens, grid, shift_px=shift_px, frequency_lpmm=frequency_lpmm))
+    frequency = judged_lpmm(grid, frequency_lpmm)
+    plates = [number for number, one in enumerate(lens.elements) if is_plate(one)]
+    turning = [
+        _tilted(lens, number, "tilt")
+        for number in range(len(lens.elements))
+        if number not in plates
+    ]
+    glazed = lens if plates else _with_plate(lens)
+    if glazed is not None:
+        turning.append(_tilted(glazed, plates[-1] if plates else len(lens.elements), "plate"))
+    turning.append(_wedges(lens, grid, shift_px))
+    found = (_row(one, grid, shift_px, frequency) for one in turning)
+    rows += [row for row in found if row is not None]
+    least = float(edge_mtf(lens, edge_fields(lens, grid), frequency).min())
+    rows.append(
+        Mover(
+            element=len(lens.elements),
+            name="sensor",
+            stroke_mm=-shift_px * grid.pitch_mm[1],
+            gain=-1.0,
+            sensitivity_px_per_um=1e-3 / min(grid.pitch_mm),
+            max_shift_error_px=0.0,
+            mtf_centred=least,
+            mtf_moved=least,
+            mtf_loss=0.0,
+            kind="sensor",
+        )
+    )
+    return tuple(rows)
+
+
+def wedge(glass: str, thickness_mm: float, wedge_rad: float, towards_rad: float) -> Element:
+    """Return a plate whose back leans, so that light turns by (n - 1) wedge_rad.
+
+    Parameters
+    ----------
+    thickness_mm : on the axis
+    wedge_rad : between front and back
+    towards_rad : where the glass is thickest and where light turns to, from the columns to the rows
+    """
+    x = -math.sin(wedge_rad) * math.cos(towards_rad)
+    y = -math.sin(wedge_rad) * math.sin(towards_rad)
+    back = Surface(math.inf, tilt_rad=(math.atan2(y, math.cos(wedge_rad)), math.asin(x)))
+    return Element((Surface(math.inf), back), (glass,), (thickness_mm,), name="wedge")
+
+
+def with_wedges(
+    lens: Lens, wedge_rad: float, turn_rad: tuple[float, float], glass: str = _PLATE_GLASS
+) -> Lens:
+    """Return the lens behind two equal wedges, 1 mm thick and 1 mm apart, in front of the stop.
+
+    Parameters
+    ----------
+    wedge_rad : between the sides of each
+    turn_rad : where each is thickest, from the columns to the rows; opposite ones do nothing
+    """
+    ahead_mm = max(0.0, -lens.stop.position_mm) + _WEDGE_ROOM_MM
+    longer_mm = 2.0 * _WEDGE_MM + _WEDGE_ROOM_MM + ahead_mm
+    carrier = lens.stop.rides_on
+    return replace(
+        lens,
+        elements=(*(wedge(glass, _WEDGE_MM, wedge_rad, at) for at in turn_rad), *lens.elements),
+        gaps_mm=(_WEDGE_ROOM_MM, ahead_mm, *lens.gaps_mm),
+        stop=replace(
+            lens.stop,
+            position_mm=lens.stop.position_mm + longer_mm,
+            rides_on=None if carrier is None else carrier + 2,
+        ),
+        object_mm=lens.object_mm - longer_mm,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turning:
+    """Something whose state is a pair of angles or sines, about 0 at rest.
+
+    Parameters
+    ----------
+    look : the lens and its build in a state [2]
+    probe, most : a small state, and the largest
+    degrees : of a state along columns
+    """
+
+    element: int
+    name: str
+    kind: str
+    look: Callable[[Array], tuple[Lens, Build]]
+    probe: float
+    most: float
+    degrees: Callable[[float], float]
+
+
+def _tilted(lens: Lens, number: int, kind: str) -> _Turning:
+    def look(tilt_rad: Array) -> tuple[Lens, Build]:
+        tilts = np.zeros((len(lens.elements), 2))
+        tilts[number] = tilt_rad
+        return lens, Build(tilt_rad=tilts)
+
+    name = lens.elements[number].name
+    return _Turning(number, name, kind, look, _PROBE_RAD, _MOST_TILT_RAD, math.degrees)
+
+
+def _wedges(lens: Lens, grid: Grid, shift_px: float) -> _Turning:
+    """Return a pair whose state s turns both wedges to the bisector at s, by arcsin |s|."""
+    index = refractive_index(_PLATE_GLASS, lens.wavelength_nm, lens.temperature_c)
+    diagonal_mm = shift_px * float(np.hypot(*grid.pitch_mm))
+    turned_rad = diagonal_mm / abs(image_per_field_mm(lens))
+    wedge_rad = turned_rad / (2.0 * _WEDGE_USE * (index - 1.0))
+
+    def look(state: Array) -> tuple[Lens, Build]:
+        middle_rad = math.atan2(state[0], state[1])
+        aside_rad = math.acos(min(1.0, math.hypot(*state)))
+        turn_rad = (middle_rad + aside_rad, middle_rad - aside_rad)
+        return with_wedges(lens, wedge_rad, turn_rad), Build()
+
+    name = f"wedge pair of {math.degrees(wedge_rad):.2g} deg"
+    return _Turning(
+        -1, name, "wedges", look, _PROBE_TURN, 1.0, lambda s: math.degrees(math.asin(s))
+    )
+
+
+def _row(one: _Turning, grid: Grid, shift_px: float, frequency_lpmm: float) -> Mover | None:
+    """Return the row of something that turns, None if no state that it has makes the shift."""
+    pitch_mm = np.asarray(grid.pitch_mm)
+    lens, still = one.look(np.zeros(2))
+    fields = edge_fields(lens, grid)
+    resting_mm = spots(lens, fields, build=still, rings=_RINGS).centroid_mm
+
+    def shifts(states: Array) -> Array:
+        looks = [one.look(state) for state in states]
+        moved_mm = [spots(a, fields, build=b, rings=_RINGS).centroid_mm for a, b in looks]
+        return np.asarray((np.array(moved_mm) - resting_mm) / pitch_mm)
+
+    states = _states(one, shifts, shift_px)
+    if states is None:
+        return None
+    wanted = shift_px * DIAGONALS
+    shift = shifts(states)
+    centred = edge_mtf(lens, fields, frequency_lpmm, still)
+    moved = np.stack([edge_mtf(a, fields, frequency_lpmm, b) for a, b in map(one.look, states[:4])])
+    return Mover(
+        element=one.element,
+        name=one.name,
+        stroke_mm=0.0,
+        gain=0.0,
+        sensitivity_px_per_um=0.0,
+        max_shift_error_px=float(np.linalg.norm(shift[:4] - wanted[:, None], axis=-1).max()),
+        mtf_centred=float(centred.min()),
+        mtf_moved=float(moved.min()),
+        mtf_loss=float((centred - moved).max()),
+        kind=one.kind,
+        stroke_deg=one.degrees(float(states[5, 1])),
+        cross_talk_px=cross_talk_px(shift[4:]),
+    )
+
+
+def _states(one: _Turning, shifts: Callable[[Array], Array], shift_px: float) -> Array | None:
+    """Return the states [6 2] of the four diagonal shifts, and along rows and columns alone."""
+    wanted = shift_px * np.concatenate([DIAGONALS, np.eye(2)])
+    sides = one.probe * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    at = shifts(sides)[:, 0]
+    slope = np.stack([at[0] - at[1], at[2] - at[3]], axis=-1) / (2.0 * one.probe)
+    if abs(np.linalg.det(slope)) < (shift_px / one.most) ** 2:
+        return None
+    states = wanted @ np.linalg.inv(slope).T
+    missing = wanted
+    try:
+        for _ in range(_STEPS):
+            missing = wanted - shifts(states)[:, 0]
+            states = states + missing @ np.linalg.inv(slope).T
+            if np.abs(missing).max() < _CLOSE_PX:
+                break
+    except ValueError:  # no light gets through in such a state
+        return None
+    if np.abs(missing).max() > _CLOSE_PX or np.abs(states).max() > one.most:
+        return None
+    return states
+
+
+def _with_plate(lens: Lens) -> Lens | None:
+    """Return the lens with a plate in the middle of its last gap, None if there is no room."""
+    index = refractive_index(_PLATE_GLASS, lens.wavelength_nm, lens.temperature_c)
+    longer_mm = lens.gaps_mm[-1] + _PLATE_MM * (index - 1.0) / index
+    room_mm = 0.5 * (longer_mm - _PLATE_MM)
+    if room_mm < _PLATE_ROOM_MM:
+        return None
+    plate = replace(cover_glass(_PLATE_GLASS, _PLATE_MM), name="plate")
+    return replace(
+        lens,
+        elements=(*lens.elements, plate),
+        gaps_mm=(*lens.gaps_mm[:-1], room_mm, room_mm),
+    )

@@ -1,0 +1,146 @@
+"""The image of a point with diffraction, and how much of its light falls into a pixel."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.optics.lens import Lens
+from lensshift.optics.mtf import Band
+from lensshift.optics.otf import PupilFit, pupils
+from lensshift.optics.trace import Build
+
+Array = NDArray[np.float64]
+
+_LEAST_SAMPLES, _MOST_SAMPLES = 256, 2048  # across the pupil
+_MARGIN = 1.2
+_PER_WAVE = 4.0  # samples of the image per wavelength / (2 sine): twice what intensity needs
+_PER_SIDE = 16.0  # and of the smallest square
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Psf:
+    """The image of a point.
+
+    Parameters
+    ----------
+    per_mm2 : [row col] share of the light per square millimetre; the whole plane sums to 1
+    step_mm : from sample to sample; the middle one is the centroid
+    """
+
+    per_mm2: Array
+    step_mm: float
+
+    @property
+    def at_mm(self) -> Array:
+        """[sample] places along rows and along columns, from the centroid."""
+        count = len(self.per_mm2)
+        return np.asarray((np.arange(count) - count // 2) * self.step_mm)
+
+    def ensquared(self, side_mm: ArrayLike) -> Array:
+        """Return the share of the light in squares about the centroid, [side]."""
+        sides = np.atleast_1d(np.asarray(side_mm, dtype=np.float64))
+        away = np.abs(self.at_mm)
+        inside = np.clip(0.5 + (0.5 * sides[:, None] - away) / self.step_mm, 0.0, 1.0)
+        return np.asarray(
+            np.einsum("sr,rc,sc->s", inside, self.per_mm2, inside, optimize=True) * self.step_mm**2
+        )
+
+
+def point_spread(
+    lens: Lens,
+    field_tan: ArrayLike,
+    side_mm: float,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+    step_mm: float | None = None,
+) -> Psf:
+    """Return the image of a point in a square about its centroid.
+
+        I(x) = |integral A(u) exp(2 pi i [W(u) + u x] / lambda) du|^2 / (lambda^2 integral A^2 du)
+
+    with the pupil A, W of `exact_otf`, whose Fourier transform this is: the wave optics of all
+    rays that arrive, without an exit pupil.
+
+    Parameters
+    ----------
+    field_tan : [2] (row, col)
+    side_mm : of the square
+    build, band : as for `exact_otf`
+    step_mm : largest step from sample to sample, if a quarter of wavelength / (2 sine) is not fine
+        enough
+
+    Raises
+    ------
+    ValueError
+        If the side is not positive, or as in `exact_otf`.
+
+    Warns
+    -----
+    QualityWarning
+        If the spot is too wide for 2048 samples across the pupil.
+    """
+    if not side_mm > 0:
+        raise ValueError(f"expected a positive side_mm, got {side_mm}")
+    light = pupils(lens, field_tan, build=build, band=band)
+    fine_mm = min(wave_mm / (2.0 * pupil.span) for _, wave_mm, pupil in light) / _PER_WAVE
+    fine_mm = min(fine_mm, step_mm or fine_mm)
+    half = int(np.ceil(0.5 * side_mm / fine_mm)) + 1
+    at_mm = fine_mm * np.arange(-half, half + 1, dtype=np.float64)
+    total = np.zeros((at_mm.size, at_mm.size))
+    for share, wave_mm, pupil in light:
+        total += share * _intensity(pupil, wave_mm, at_mm)
+    return Psf(total, fine_mm)
+
+
+def ensquared_energy(
+    lens: Lens,
+    field_tan: ArrayLike,
+    side_mm: ArrayLike,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+) -> Array:
+    """Return the share of the light of a point that falls into squares about its centroid, [side].
+
+    Parameters
+    ----------
+    field_tan : [2] (row, col)
+    side_mm : [side]; the pitch for a pixel
+    build, band : as for `exact_otf`
+
+    Raises
+    ------
+    ValueError
+        As in `point_spread`.
+    """
+    sides = np.atleast_1d(np.asarray(side_mm, dtype=np.float64))
+    found = point_spread(
+        lens, field_tan, float(sides.max()), build=build, band=band,
+        step_mm=float(sides.min()) / _PER_SIDE,
+    )  # fmt: skip
+    return found.ensquared(sides)
+
+
+def _intensity(pupil: PupilFit, wave_mm: float, at_mm: Array) -> Array:
+    """Return the share of the light per square millimetre [row col] of one wavelength."""
+    apart_mm = at_mm[-1] - at_mm[0] + 2.0 * pupil.reach_mm  # nearer copies would overlap
+    wanted = int(np.ceil(_MARGIN * 2.0 * pupil.span * apart_mm / wave_mm))
+    samples = int(np.clip(wanted, _LEAST_SAMPLES, _MOST_SAMPLES))
+    if wanted > samples:
+        warnings.warn(
+            f"the spot is {2.0 * pupil.reach_mm:.2g} mm wide and needs {wanted} samples across the "
+            f"pupil; with {samples} light from its edge is drawn in the wrong place",
+            QualityWarning,
+            stacklevel=4,
+        )
+    cosine, wave, energy = pupil.waves(samples, 2.0 * np.pi / wave_mm)
+    waves = np.exp(2j * np.pi / wave_mm * np.outer(at_mm, cosine))
+    image = waves @ wave @ waves.T
+    step = cosine[1] - cosine[0]
+    return np.asarray(np.abs(image) ** 2 * (step / wave_mm) ** 2 / energy)

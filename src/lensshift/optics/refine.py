@@ -1,0 +1,396 @@
+"""Design by least squares of ray errors: curvatures, thicknesses, gaps and aspheres at once."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.grid import Grid
+from lensshift.optics.lens import Element, Lens, Surface
+from lensshift.optics.mtf import Band
+from lensshift.optics.paraxial import paraxial
+from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.sequential import trimmed
+from lensshift.optics.trace import RayBundle, trace
+from lensshift.optics.variables import Freedom, Variables
+
+Array = NDArray[np.float64]
+
+_RINGS, _ARMS = 4, 12
+_RIM = np.array([[0.0, 1.0], [0.0, -1.0], [1.0, 0.0]])  # rays that tell how wide surfaces are
+_SHARE_OF_PITCH = 0.1  # a ray error that counts as 1
+_PER_MM, _PER_SHARE = 300.0, 1000.0  # what a limit costs that is missed by so much
+_LOST_PITCHES = 30.0  # what a ray counts that does not arrive
+_STEP = 1e-6
+_ROOM = 1.03  # of a surface over its highest ray
+_AIM_STEPS, _MOST_AIM = 4, 1.1  # of fields, and by how much each at most
+_STEEPEST = 0.85  # sine of the largest slope of a surface
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a lens must keep to be made.
+
+    Parameters
+    ----------
+    glass_mm : (least, most) thickness on the axis of elements that are made
+    edge_mm : least thickness of their glass at the edge
+    air_mm : least air between elements, on the axis and at the edge
+    back_focal_mm : least distance from the last vertex, of a cover if there is one, to the sensor
+    track_mm : largest distance from the first vertex to the sensor
+    distortion : largest share that the corner of the image may be off, to either side
+
+    Raises
+    ------
+    ValueError
+        If a number is negative.
+    """
+
+    glass_mm: tuple[float, float] = (0.8, math.inf)
+    edge_mm: float = 0.4
+    air_mm: float = 0.05
+    back_focal_mm: float = 0.3
+    track_mm: float = math.inf
+    distortion: float = math.inf
+
+    def __post_init__(self) -> None:
+        numbers = (*self.glass_mm, self.edge_mm, self.air_mm, self.back_focal_mm, self.track_mm)
+        if not all(number >= 0 for number in (*numbers, self.distortion)):
+            raise ValueError(f"expected limits of at least 0, got {numbers}, {self.distortion}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """What a lens has to do.
+
+    Parameters
+    ----------
+    grid : of the sensor; fields reach to its corner
+    focal_length_mm, f_number : kept; the stop is as wide as they want
+    limits : of what can be made
+    band : the light; the wavelength of the lens alone if None
+    temperatures_c : at which it has to be sharp with one place of the sensor; that of the lens if
+        empty
+    shares : fields, of the half diagonal of the sensor
+    """
+
+    grid: Grid
+    focal_length_mm: float
+    f_number: float
+    limits: Limits = Limits()
+    band: Band | None = None
+    temperatures_c: tuple[float, ...] = ()
+    shares: tuple[float, ...] = (0.0, 0.35, 0.6, 0.8, 1.0)
+
+    def __post_init__(self) -> None:
+        if not (self.focal_length_mm > 0 and self.f_number > 0 and self.shares):
+            raise ValueError(
+                f"expected positive focal length and f-number, and fields, got "
+                f"{self.focal_length_mm} mm, {self.f_number} and {self.shares}"
+            )
+
+
+def refine(
+    lens: Lens,
+    task: Task,
+    freedom: Freedom,
+    *,
+    grow: tuple[float, ...] = (1.0,),
+    steps: int = 60,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Lens:
+    """Return the lens with the least ray errors that can be reached from a starting form.
+
+        minimise  sum w |x - x_mean|^2 / (0.1 pitch)^2  + what missed limits cost
+
+    over fields from the centre to the corner, wavelengths, temperatures and rays through the stop;
+    x_mean is the centroid of all wavelengths of a field, so colours must fall together too. All
+    is symmetric about the axis; decentres and tilts of the lens are left out.
+
+    Parameters
+    ----------
+    lens : the starting form; elements that are not free keep their shape and edges
+    task : what it has to do
+    freedom : what may change
+    grow : shares of aperture and field to go through, each from what the one before found; a rough
+        form needs to begin with less
+    steps : of the solver, each time
+    on_progress : is told how many stages of how many are done
+
+    Returns
+    -------
+    the lens, its surfaces as wide as its rays need and its stop as the f-number wants
+
+    Raises
+    ------
+    ValueError
+        If nothing may change, or no ray of the starting form arrives.
+
+    Source: D. P. Feder, Appl. Opt. 2 (1963) 1209.
+    """
+    from scipy.optimize import least_squares
+
+    plain = replace(lens, elements=tuple(_straight(one) for one in lens.elements))
+    for done, share in enumerate(grow, start=1):
+        bench = _Bench(plain, task, freedom, share)
+        start = bench.variables.start()
+        if not np.any(np.abs(bench.errors(start)) < bench.lost):
+            raise ValueError("expected a starting form that light gets through, got none")
+        found = least_squares(
+            bench.errors, start, jac=bench.slopes, x_scale="jac", method="trf", max_nfev=steps
+        )
+        plain = bench.finished(found.x) if done == len(grow) else bench.open(found.x)
+        if on_progress is not None:
+            on_progress(done, len(grow))
+    return plain
+
+
+def ray_error_um(lens: Lens, task: Task) -> Array:
+    """Return the rms distance of rays from the centroid of each field, all wavelengths, [field].
+
+    At the worst temperature of the task.
+
+    Parameters
+    ----------
+    lens : as it is; its stop is taken as wide as the f-number wants
+    task : fields, light and temperatures
+    """
+    bench = _Bench(lens, task, Freedom(), 1.0)
+    spread = []
+    for warm in bench.at_temperatures(bench.stopped(lens)):
+        error_mm, _, _ = bench.traced(warm)
+        spread.append(1e3 * np.sqrt(np.nansum(error_mm**2, axis=(0, 2, 3))))
+    return np.asarray(np.max(spread, axis=0))
+
+
+def _straight(element: Element) -> Element:
+    return replace(element, decenter_mm=(0.0, 0.0), tilt_rad=(0.0, 0.0))
+
+
+class _Bench:
+    """Ray errors and missed limits of lenses by their vectors."""
+
+    def __init__(self, lens: Lens, task: Task, freedom: Freedom, share: float) -> None:
+        self.task, self.share, self.given = task, share, lens
+        points, weight = pupil_quadrature(_RINGS, _ARMS)
+        half = points[:, 0] > 0  # the other half is its mirror image
+        self.points = np.concatenate([points[half], _RIM])
+        self.weight = np.concatenate([2.0 * weight[half], np.zeros(len(_RIM))])
+        self.light = [(lens.wavelength_nm, 1.0)]
+        if task.band is not None:
+            shares = task.band.weight
+            self.light = list(zip(map(float, task.band.wavelength_nm), shares, strict=True))
+        self.half_mm = 0.5 * float(np.hypot(*np.multiply(task.grid.shape, task.grid.pitch_mm)))
+        self.unit_mm = _SHARE_OF_PITCH * min(task.grid.pitch_mm)
+        self.lost = _LOST_PITCHES / _SHARE_OF_PITCH * float(np.sqrt(self.weight.max()))
+        self.per_field_mm = self._per_field_mm(lens)
+        scale = self.half_mm / self.per_field_mm
+        self.fields = np.zeros((len(task.shares), 2))
+        self.fields[:, 1] = share * np.asarray(task.shares) * scale
+        self.fields = self.aimed(self.stopped(lens))
+        semi_mm = np.array([s.semi_diameter_mm for e in lens.elements for s in e.surfaces])
+        if not np.all(np.isfinite(semi_mm)):
+            heights_mm = self.traced(self.stopped(lens))[1]
+            semi_mm = np.where(np.isfinite(semi_mm), semi_mm, _ROOM * heights_mm)
+        self.variables = Variables(lens, freedom, semi_mm)
+        self.owner = [n for n, element in enumerate(lens.elements) for _ in element.surfaces]
+        self.edges_mm = [  # of stock lenses
+            math.inf if self.owner[n] in self.variables.made else surface.semi_diameter_mm
+            for n, surface in enumerate(s for e in lens.elements for s in e.surfaces)
+        ]
+
+    def _per_field_mm(self, lens: Lens) -> float:
+        """Return the image height per tangent of the field of a lens with the right focal length.
+
+            f (1 + f / (s - f)),    s from the object to the entrance pupil of the starting form
+
+        as if that were where the front principal plane is.
+        """
+        focal_mm = self.task.focal_length_mm
+        if math.isinf(lens.object_mm):
+            return focal_mm
+        away_mm = lens.object_mm + paraxial(lens).entrance_pupil_mm
+        return focal_mm * away_mm / (away_mm - focal_mm)
+
+    def stopped(self, lens: Lens) -> Lens:
+        """Return the lens with the stop that gives the f-number, at this share of it."""
+        data = paraxial(lens)
+        pupil_mm = self.share * self.task.focal_length_mm / self.task.f_number
+        wide_mm = lens.stop.diameter_mm * pupil_mm / data.entrance_pupil_diameter_mm
+        free = replace(lens, elements=tuple(_edgeless(one) for one in lens.elements))
+        return replace(free, stop=replace(lens.stop, diameter_mm=wide_mm))
+
+    def aimed(self, lens: Lens) -> Array:
+        """Return the fields that are imaged at the shares of the sensor, distortion included."""
+        fields = self.fields.copy()
+        wanted_mm = self.share * np.asarray(self.task.shares) * self.half_mm
+        for _ in range(_AIM_STEPS):
+            landed_mm = np.abs(self.traced(lens, fields)[2])
+            there = (landed_mm > 0) & (wanted_mm > 0)
+            ratio = np.where(there, wanted_mm / np.where(there, landed_mm, 1.0), 1.0)
+            fields[:, 1] *= np.clip(ratio, 1.0 / _MOST_AIM, _MOST_AIM)
+        return fields
+
+    def at_temperatures(self, lens: Lens) -> list[Lens]:
+        """Return the lens at each temperature."""
+        chosen = self.task.temperatures_c or (lens.temperature_c,)
+        return [replace(lens, temperature_c=one) for one in chosen]
+
+    def traced(self, lens: Lens, fields: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return weighted errors in mm [light field ray 2], heights [surface], centroids [field].
+
+        NaN for rays that are lost. The fields are those of the task if none are given.
+        """
+        tangents = self.fields if fields is None else fields
+        bundles: list[RayBundle] = [
+            trace(lens, tangents, self.points, wavelength_nm=nm, crossings=True)
+            for nm, _ in self.light
+        ]
+        at_mm = np.stack([one.position_mm for one in bundles])
+        weight = np.array([share for _, share in self.light])[:, None, None] * self.weight
+        there = np.isfinite(at_mm[..., 0])
+        used = np.where(there, weight, 0.0)
+        total = used.sum(axis=(0, 2))
+        filled = np.where(there[..., None], at_mm, 0.0)
+        mean_mm = np.einsum("lfr,lfr->f", used, filled[..., 1]) / np.maximum(total, 1e-12)
+        error_mm = at_mm - np.stack([np.zeros_like(mean_mm), mean_mm], axis=-1)[None, :, None]
+        met = [np.linalg.norm(one.crossing_mm[..., :2], axis=-1) for one in bundles
+               if one.crossing_mm is not None]  # fmt: skip
+        heights_mm = np.nan_to_num(np.stack(met), nan=1e-3).max(axis=(0, 1, 2))
+        return error_mm * np.sqrt(weight)[..., None], heights_mm, mean_mm
+
+    def errors(self, vector: Array) -> Array:
+        """Return what is minimised the squares of."""
+        drawn = self.variables.lens(vector)
+        try:
+            lens = self.stopped(drawn)
+            focal_mm = paraxial(lens).focal_length_mm
+        except ValueError:  # no power, or the stop in a focal plane
+            return np.full(self._count(), self.lost)
+        warm = self.at_temperatures(lens)
+        parts, heights_mm, mean_mm = [], np.zeros(1), np.zeros(1)
+        for one in warm:
+            error_mm, heights_mm, mean_mm = self.traced(one)
+            error = error_mm[:, :, : -len(_RIM)] / self.unit_mm
+            lost = np.sqrt(self.weight[: -len(_RIM), None]) * self.lost
+            parts.append(np.where(np.isfinite(error), error, lost).ravel() / math.sqrt(len(warm)))
+        off = _PER_SHARE * (focal_mm / self.task.focal_length_mm - 1.0)
+        limits = self.task.limits
+        missing_mm = self.variables.missing_mm(
+            vector, np.array(limits.glass_mm), limits.air_mm, limits.back_focal_mm
+        )
+        missed = self._missed(drawn, heights_mm, mean_mm)
+        return np.concatenate([*parts, [off], _PER_MM * missing_mm, missed])
+
+    def _count(self) -> int:
+        temperatures = max(1, len(self.task.temperatures_c))
+        rays = len(self.light) * len(self.fields) * (len(self.points) - len(_RIM)) * 2
+        lens = self.variables.lens(self.variables.start())
+        spaces = sum(len(one.thickness_mm) for one in lens.elements)
+        surfaces = sum(len(one.surfaces) for one in lens.elements)
+        limits = spaces + surfaces + len(lens.elements) + len(self.variables.start())
+        return temperatures * rays + limits + 2
+
+    def _missed(self, lens: Lens, heights_mm: Array, mean_mm: Array) -> list[float]:
+        """Return by how much each limit is missed, always as many of them."""
+        limits, found, first = self.task.limits, [], 0
+        high_mm = _ROOM * heights_mm
+        for number, element in enumerate(lens.elements):
+            made, after = number in self.variables.made, first + len(element.surfaces)
+            shapes = element.surfaces
+            for place, thick_mm in enumerate(element.thickness_mm):
+                both_mm = high_mm[first + place : first + place + 2]
+                room_mm = _room_mm(shapes[place], shapes[place + 1], thick_mm, both_mm)
+                found.append(max(0.0, limits.edge_mm - room_mm) if made else 0.0)
+            for place, surface in enumerate(shapes, start=first):
+                wide_mm = self.edges_mm[place]
+                if made and surface.curvature_per_mm:
+                    wide_mm = _STEEPEST / abs(surface.curvature_per_mm)
+                found.append(max(0.0, float(high_mm[place]) - wide_mm))
+            if number + 1 < len(lens.elements):
+                behind = lens.elements[number + 1].surfaces[0]
+                both_mm = high_mm[after - 1 : after + 1]
+                room_mm = _room_mm(shapes[-1], behind, lens.gaps_mm[number], both_mm)
+                found.append(max(0.0, limits.air_mm - room_mm))
+            first = after
+        found.append(max(0.0, float(lens.positions_mm()[-1]) - limits.track_mm))
+        plain_mm = abs(float(self.fields[-1, 1])) * self.per_field_mm
+        off = abs(abs(float(mean_mm[-1])) / plain_mm - 1.0) if plain_mm else 0.0
+        missed = [_PER_MM * one for one in found]
+        return [*missed, _PER_SHARE * max(0.0, off - limits.distortion)]
+
+    def slopes(self, vector: Array) -> Array:
+        """Return the Jacobian by forward differences."""
+        here = self.errors(vector)
+        found = np.empty((here.size, vector.size))
+        for number in range(vector.size):
+            moved = vector.copy()
+            moved[number] += _STEP
+            found[:, number] = (self.errors(moved) - here) / _STEP
+        return found
+
+    def open(self, vector: Array) -> Lens:
+        """Return the lens of a vector with its stop, stock lenses with their edges."""
+        drawn = self.variables.lens(vector)
+        elements = tuple(
+            bare if number in self.variables.made else given
+            for number, (bare, given) in enumerate(
+                zip(drawn.elements, self.given.elements, strict=True)
+            )
+        )
+        return replace(drawn, elements=elements, stop=self.stopped(drawn).stop)
+
+    def finished(self, vector: Array) -> Lens:
+        """Return the lens of a vector, its made surfaces as wide as the rays to the corner need."""
+        drawn = self.variables.lens(vector)
+        lens = self.stopped(drawn)
+        heights_mm = _ROOM * self.traced(lens, self.aimed(lens))[1]
+        surfaces = [surface for element in drawn.elements for surface in element.surfaces]
+        for number, high_mm in enumerate(map(float, heights_mm)):
+            one, edge_mm = surfaces[number], self.edges_mm[number]
+            if self.owner[number] in self.variables.made:
+                edge_mm = _within_mm(one.curvature_per_mm, one.conic, high_mm)
+            surfaces[number] = replace(one, semi_diameter_mm=edge_mm)
+        apart = [t for e, gap in zip(drawn.elements, drawn.gaps_mm, strict=True)
+                 for t in (*e.thickness_mm, gap)]  # fmt: skip
+        notes: list[str] = []
+        for number, apart_mm in enumerate(apart[:-1]):
+            surfaces[number : number + 2] = trimmed(
+                surfaces[number], surfaces[number + 1], apart_mm, number + 1, notes
+            )
+        if notes:
+            warnings.warn("; ".join(notes), QualityWarning, stacklevel=3)
+        elements, first = [], 0
+        for element in drawn.elements:
+            shapes = tuple(surfaces[first : first + len(element.surfaces)])
+            elements.append(replace(element, surfaces=shapes))
+            first += len(shapes)
+        return replace(drawn, stop=lens.stop, elements=tuple(elements))
+
+
+def _within_mm(curvature_per_mm: float, conic: float, high_mm: float) -> float:
+    """Return a height, or where the surface ends if that is nearer."""
+    bend = (1.0 + conic) * curvature_per_mm**2
+    return min(high_mm, 0.999 / math.sqrt(bend)) if bend > 0 else high_mm
+
+
+def _room_mm(front: Surface, back: Surface, apart_mm: float, high_mm: Array) -> float:
+    """Return the room between two surfaces, each at its edge and both at the lower of these."""
+    edges_mm = [
+        _within_mm(one.curvature_per_mm, one.conic, float(high))
+        for one, high in zip((front, back), high_mm, strict=True)
+    ]
+    at_mm = np.array([*edges_mm, min(edges_mm)])
+    of_front, of_back = front.sag_mm(at_mm[[0, 2]]), back.sag_mm(at_mm[[1, 2]])
+    return float((apart_mm + of_back - of_front).min())
+
+
+def _edgeless(element: Element) -> Element:
+    surfaces = tuple(replace(one, semi_diameter_mm=math.inf) for one in element.surfaces)
+    return replace(element, surfaces=surfaces)
