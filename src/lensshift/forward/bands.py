@@ -10,9 +10,9 @@ from functools import partial
 
 import numpy as np
 
+from lensshift.core.arrays import Array
 from lensshift.core.threads import bands, core_count, on_threads
 from lensshift.forward.sampling import (
-    Array,
     Starts,
     adjoint_separable,
     forward_separable,

@@ -23,7 +23,7 @@ _PER_SIDE = 16.0  # and of the smallest square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Psf:
+class PointImage:
     """The image of a point.
 
     Parameters
@@ -59,7 +59,7 @@ def point_spread(
     build: Build | None = None,
     band: Band | None = None,
     step_mm: float | None = None,
-) -> Psf:
+) -> PointImage:
     """Return the image of a point in a square about its centroid.
 
         I(x) = |integral A(u) exp(2 pi i [W(u) + u x] / lambda) du|^2 / (lambda^2 integral A^2 du)
@@ -95,7 +95,7 @@ def point_spread(
     total = np.zeros((at_mm.size, at_mm.size))
     for share, wave_mm, pupil in light:
         total += share * _intensity(pupil, wave_mm, at_mm)
-    return Psf(total, fine_mm)
+    return PointImage(total, fine_mm)
 
 
 def ensquared_energy(
