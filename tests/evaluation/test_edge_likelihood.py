@@ -5,10 +5,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
+from scipy.stats import norm
 
 from lensshift.evaluation.slanted_edge import measure_edge
+from lensshift.evaluation.slanted_edge.gathering import gather
 from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
-from lensshift.evaluation.slanted_edge.posterior import find_posterior, starting_point
+from lensshift.evaluation.slanted_edge.nodes import nodes_for
+from lensshift.evaluation.slanted_edge.posterior import (
+    TYPICAL_STEPS,
+    drawn_around,
+    starting_point,
+)
 from lensshift.evaluation.slanted_edge.prepare import (
     Pixels,
     learn_noise,
@@ -46,12 +53,13 @@ def likelihood_of(
     upright = turn_upright(pixels, 1.0, most_bends)
     noise, tilted = learn_noise(upright, tilt)
     samples = take_samples(upright, noise, 1.0, tilted)
-    likelihood = EdgeLikelihood(samples, upright.basis, 1.0, upright.unit_px)
-    log_sigma = float(np.log(upright.line.sigma_px))
-    start, steps = starting_point(
-        upright.geometry, log_sigma, noise.dark_sigma, upright.half_length_px
-    )
-    return likelihood, start, steps
+    farthest_px = float(np.max(np.abs(upright.normal_px))) + 2.0
+    nodes = nodes_for(upright.basis, upright.unit_px, 1.0, farthest_px)
+    slope = norm.pdf(nodes.place_px, scale=upright.line.sigma_px)
+    gathered = gather(samples, nodes, upright.geometry, slope)
+    likelihood = EdgeLikelihood(gathered, upright.basis, 1.0, upright.unit_px)
+    log_sigma = float(np.log(upright.line.sigma_px / upright.unit_px))
+    return likelihood, starting_point(log_sigma, noise.dark_sigma), TYPICAL_STEPS
 
 
 def worst_slope(likelihood: EdgeLikelihood, at: Image, steps: Image) -> tuple[float, float]:
@@ -73,8 +81,7 @@ def test_the_gradient_is_that_of_differences(tilt: bool, reach_px: float, bends:
     noise = gaussian_filter(rng.standard_normal((17, 63)), reach_px)
     image = edge(0.8, 0.3, bend_px=0.5 if bends else 0.0) + 0.02 * noise / noise.std()
     likelihood, start, steps = likelihood_of(image, most_bends=bends, tilt=tilt)
-    assert (likelihood.samples.whitener is not None) == (reach_px > 0.0)
-    assert (likelihood.geometry_size > 2) == (bends > 0)
+    assert (likelihood.gathered.geometry.size > 2) == (bends > 0)
     for spread in (0.0, 1.0, 2.0):
         error, largest = worst_slope(
             likelihood, start + spread * steps * rng.standard_normal(start.size), steps
@@ -87,19 +94,19 @@ def test_the_gradient_behind_a_bound_is_that_of_the_wall() -> None:
         edge(1.0, 0.3) + 0.02 * np.random.default_rng(3).standard_normal((17, 63))
     )
     beyond = start.copy()
-    beyond[[3, -1]] = 1.13, -11.0  # shrinkage, noise
+    beyond[[1, -1]] = 1.13, -11.0  # shrinkage, noise
     error, largest = worst_slope(likelihood, beyond, steps)
     assert error < 1e-3 * largest
-    assert likelihood.with_gradient(beyond)[1][3] == pytest.approx((1.13 - 1.1) / 0.05**2)
+    assert likelihood.with_gradient(beyond)[1][1] == pytest.approx((1.13 - 1.1) / 0.05**2)
 
 
 def test_the_sign_of_the_shrinkage_says_nothing() -> None:
     rng = np.random.default_rng(5)
-    likelihood, start, steps = likelihood_of(edge(0.7, 0.2) + 0.01 * rng.standard_normal((17, 63)))
+    likelihood, start, _ = likelihood_of(edge(0.7, 0.2) + 0.01 * rng.standard_normal((17, 63)))
     mirrored = start * likelihood.twin
     assert np.any(mirrored != start)
     assert likelihood.negative_log(mirrored) == likelihood.negative_log(start)
-    posterior = find_posterior(likelihood, start, steps, seed=0)
+    posterior = drawn_around(likelihood, start, seed=0)
     folded = likelihood.twin < 0
     assert np.all(posterior.draws[:, folded] >= 0.0)
     # The side of the pixel, exp(-root^2), with its interval.
@@ -127,3 +134,19 @@ def test_a_pixel_of_half_fill_is_told_from_a_whole_one() -> None:
         covered.append(half.low <= truth <= half.high)
     assert abs(np.mean(errors)) < 0.06
     assert sum(covered) >= 6
+
+
+def test_sums_over_nodes_are_those_over_pixels() -> None:
+    """What the pixels say, without nodes: the splines and the base at each pixel's distance."""
+    rng = np.random.default_rng(8)
+    image = edge(0.9, 0.35) + 0.02 * rng.standard_normal((17, 63))
+    likelihood, start, _ = likelihood_of(image)
+    g, knots = likelihood.gathered, likelihood.basis.size
+    normal_px = g.pixels.of(g.nodes.place_px)  # cubic interpolation keeps a line
+    assert np.std(normal_px) == pytest.approx(63 / np.sqrt(12), rel=0.03)
+    splines = likelihood.basis.integrals(normal_px)
+    np.testing.assert_allclose(g.splines[:knots], splines.T @ splines, rtol=2e-3, atol=2e-3)
+    levels = np.zeros(g.response + len(g.seen))
+    levels[g.response] = 1.0
+    base = likelihood.base.response(normal_px, start)
+    np.testing.assert_allclose(likelihood.model_of(start, levels, np.zeros(knots)), base, atol=2e-4)

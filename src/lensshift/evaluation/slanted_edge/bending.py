@@ -7,6 +7,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
+from lensshift.evaluation.slanted_edge.nodes import Nodes
 from lensshift.evaluation.slanted_edge.samples import distance_px
 
 _STEPS = 6
@@ -43,12 +44,12 @@ def bend_edge(
     straight_px = distance_px(across_px, along_px, line, half_length_px)
     near = np.flatnonzero(np.abs(straight_px) < basis.reach_px)
     near = near[:: max(1, -(-near.size // _MOST_PIXELS))]
-    if near.size < 2 * basis.knot_px.size:
+    if near.size < 2 * basis.size:
         return line
     x, y, z = across_px[near], along_px[near], values[near]
     geometry, best = _descended(x, y, z, line, basis, half_length_px)
     terms = 0
-    while terms < most:
+    while terms < most and (terms or _promises(x, y, z, geometry, basis, half_length_px, most)):
         tries = []
         for count in range(terms + 1, min(terms + 2, most) + 1):
             start = np.concatenate([geometry, np.zeros(2 + count - geometry.size)])
@@ -58,6 +59,30 @@ def bend_edge(
             break
         geometry, best, terms = found, criterion, count
     return geometry if rms_bend_px(geometry) > _LEAST_BEND_PX else line
+
+
+def _promises(
+    x: Vector,
+    y: Vector,
+    z: Vector,
+    line: Vector,
+    basis: SplineBasis,
+    half_length_px: float,
+    most: int,
+) -> bool:
+    """Tell whether bends explain, to first order, more than their number costs."""
+    normal_px = distance_px(x, y, line, half_length_px)
+    splines = np.column_stack([np.ones_like(z), basis.integrals(normal_px)])
+    slope = basis.values(normal_px) @ _ridge_fit(splines, z)[0][1:]
+    bent = np.append(line[:2], np.zeros(most))
+    moves = _moves(x, y, bent, half_length_px) * slope[:, None]
+    straight = _ridge_fit(np.column_stack([splines, moves[:, :1]]), z)[1]
+    for terms in range(1, most + 1):
+        rest = _ridge_fit(np.column_stack([splines, moves[:, : 1 + terms]]), z)[1]
+        gain = z.size * np.log(max(straight, 1e-300) / max(rest, 1e-300))
+        if gain - terms * np.log(z.size) > _WORTH:
+            return True
+    return False
 
 
 def rms_bend_px(geometry: Vector) -> float:
@@ -98,6 +123,7 @@ def free_response(
     normal_px: Vector,
     values: Vector,
     basis: SplineBasis,
+    nodes: Nodes,
     used: NDArray[np.bool_] | None = None,
 ) -> Vector:
     """Return the ESF at every pixel when nothing but the pixels says what it is.
@@ -105,7 +131,7 @@ def free_response(
     Parameters
     ----------
     normal_px, values : [n] distances from the edge and pixels
-    basis : splines of the LSF
+    basis, nodes : splines of the LSF, and nodes that reach as far as the pixels
     used : [n] the pixels that say what it is, None for all
     """
     there, known = (normal_px, values) if used is None else (normal_px[used], values[used])
@@ -113,10 +139,7 @@ def free_response(
     sums = basis.products(there, ones, known)
     products = np.block([[sums.zz, sums.zx], [sums.zx.T, np.array([[float(known.size)]])]])
     factors = _ridge_solved(products, np.append(sums.zy, known.sum()), _SLIGHT_RIDGE)
-    count = round(2.0 * basis.reach_px / (0.1 * basis.step_px))
-    grid_px = np.linspace(-basis.reach_px, basis.reach_px, count)
-    response = basis.integrals(grid_px) @ factors[:-1] + factors[-1]
-    return np.asarray(np.interp(normal_px, grid_px, response))
+    return nodes.between(normal_px).of(nodes.integrals @ factors[:-1] + factors[-1])
 
 
 def _ridge_fit(columns: Matrix, values: Vector) -> tuple[Vector, float]:

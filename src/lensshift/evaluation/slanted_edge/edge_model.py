@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -11,13 +13,12 @@ from scipy import sparse
 from scipy.special import ndtr
 
 from lensshift.evaluation.slanted_edge.kernels import (
-    sensitivities,
     spline_products,
     trapezium_edge,
     trapezium_tail,
-    whitened_products,
-    whitened_sensitivities,
 )
+
+_SQRT2 = math.sqrt(2.0)
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -44,9 +45,9 @@ class Tail(NamedTuple):
     slow : k
     """
 
-    share: float
-    width_px: float
-    slow: float
+    share: float | Vector
+    width_px: float | Vector
+    slow: float | Vector
 
 
 NO_TAIL = Tail(0.0, 1.0, 1.0)
@@ -76,20 +77,33 @@ def edge_response(
     aperture_px : side of the square pixel; 0 for a point
     tail : light far from the edge
     """
-    normal_px = np.ascontiguousarray(normal_px)
-    p = 0.5 * aperture_px * abs(np.cos(angle_rad))
-    q = max(0.5 * aperture_px * abs(np.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
-    if aperture_px <= _POINT_PX:
-        core = np.asarray(ndtr(normal_px / sigma_px))
-    else:
-        core = np.empty(normal_px.shape)
-        trapezium_edge(normal_px, p, q, sigma_px, core)
+    core = edge_core(normal_px, angle_rad, sigma_px, aperture_px)
     if tail.share == 0.0:
         return core
-    far = np.empty(normal_px.shape)
-    p, q = max(p, _SMALLEST_HALF_PX), max(q, _SMALLEST_HALF_PX)
-    trapezium_tail(normal_px, p, q, tail.width_px, tail.slow, far)
+    far = edge_tail(normal_px, angle_rad, aperture_px, float(tail.width_px), float(tail.slow))
     return np.asarray((1.0 - tail.share) * core + tail.share * far)
+
+
+def edge_core(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float) -> Vector:
+    """Return the response of an edge without a tail; see `edge_response`."""
+    if aperture_px <= _POINT_PX:
+        return np.asarray(ndtr(normal_px / sigma_px))
+    p = 0.5 * aperture_px * abs(math.cos(angle_rad))
+    q = max(0.5 * aperture_px * abs(math.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
+    core = np.empty(normal_px.shape)
+    trapezium_edge(np.ascontiguousarray(normal_px), p, q, sigma_px, core)
+    return core
+
+
+def edge_tail(
+    normal_px: Vector, angle_rad: float, aperture_px: float, width_px: float, slow: float
+) -> Vector:
+    """Return the response of an edge that is blurred by a tail alone; see `edge_response`."""
+    p = max(0.5 * aperture_px * abs(math.cos(angle_rad)), _SMALLEST_HALF_PX)
+    q = max(0.5 * aperture_px * abs(math.sin(angle_rad)), _SMALLEST_HALF_PX)
+    far = np.empty(normal_px.shape)
+    trapezium_tail(np.ascontiguousarray(normal_px), p, q, width_px, slow, far)
+    return far
 
 
 def edge_response_transform(
@@ -138,14 +152,15 @@ class SplineBasis:
     """Cubic B-splines of the LSF, and their integrals, which correct the ESF.
 
     Wide splines far from the edge are sums of narrow ones, so that all pixels see narrow ones on
-    an even grid.
+    an even grid. Two that stand opposite each other are taken as (right + left) / sqrt(2) and
+    (right - left) / sqrt(2): first all even functions, the middle before, then all odd ones.
 
     Parameters
     ----------
     step_px : distance between the narrow splines
-    number : [j] centres of the splines, in steps
+    number : [h+1] centres of the splines on one side, in steps from the middle, 0 first
     narrow_px : [i] centres of the narrow ones
-    parts : [i j] of which narrow ones a spline is made
+    parts : [i 2h+1] of which narrow ones an even or odd function is made
     """
 
     step_px: float
@@ -166,13 +181,13 @@ class SplineBasis:
         limits = [
             4 * round(units * unit_px / step_px / 4) for units in (_FINE_UNITS, _MIDDLE_UNITS)
         ]
-        number, narrow, parts = _spread(4 * round(half_width_px / step_px / 4), limits)
+        number, narrow, parts = _spread(4 * round(half_width_px / step_px / 4), tuple(limits))
         return cls(step_px, number, np.asarray(narrow * step_px, dtype=np.float64), parts)
 
     @property
-    def knot_px(self) -> Vector:
-        """Centres of the splines [j]."""
-        return np.asarray(self.number * self.step_px, dtype=np.float64)
+    def size(self) -> int:
+        """Number of even and odd functions."""
+        return 2 * self.number.size - 1
 
     @property
     def area_px(self) -> Vector:
@@ -195,68 +210,17 @@ class SplineBasis:
         place += _TABLE[low]
         return np.asarray((place @ self.parts) * self.step_px)
 
-    def products(
-        self,
-        normal_px: Vector,
-        columns: Matrix,
-        values: Vector,
-        whitener: sparse.csr_array | None = None,
-    ) -> SplineProducts:
-        """Return the cross products of `integrals` with themselves, with columns and values.
-
-        A whitener [m n] is applied to the integrals; columns and values are whitened already.
-        """
+    def products(self, normal_px: Vector, columns: Matrix, values: Vector) -> SplineProducts:
+        """Return the cross products of `integrals` with themselves, with columns and values."""
         knots, levels = self.narrow_px.size, columns.shape[1]
         zz, zx, zy = np.zeros((knots, knots)), np.zeros((knots, levels)), np.zeros(knots)
         place = (normal_px - self.narrow_px[0]) / self.step_px
-        if whitener is None:
-            spline_products(place, columns, values, zz, zx, zy)
-        else:
-            rows = (whitener.indptr, whitener.indices, whitener.data)
-            whitened_products(*rows, place, np.ascontiguousarray(columns), values, zz, zx, zy)
+        spline_products(place, columns, values, zz, zx, zy)
         over = self.parts.T.tocsr()
         zz = np.ascontiguousarray((over @ (over @ zz).T).T)
         return SplineProducts(
             self.step_px**2 * zz, self.step_px * (over @ zx), self.step_px * (over @ zy)
         )
-
-    def sensitivities(
-        self,
-        normal_px: Vector,
-        columns: Matrix,
-        values: Vector,
-        quadratic: Matrix,
-        linear: Vector,
-        whitener: sparse.csr_array | None = None,
-    ) -> tuple[Vector, Matrix]:
-        """Return how the sum of D B D^T / 2 - y D g changes with distances [n] and columns [n p].
-
-        Parameters
-        ----------
-        normal_px, columns, values : [n], [n p], [n]; D is [integrals, columns]
-        quadratic, linear : B [j+p j+p], symmetric, and g [j+p]
-        whitener : [m n], see `products`; the columns before it are meant
-        """
-        knots, levels = self.narrow_px.size, columns.shape[1]
-        whole = sparse.block_diag([self.parts, sparse.eye_array(levels)], format="csr")
-        quadratic = np.ascontiguousarray(whole @ (whole @ quadratic).T)
-        linear = whole @ linear
-        np.cumsum(quadratic[:knots], axis=0, out=quadratic[:knots])
-        np.cumsum(quadratic[:, :knots], axis=1, out=quadratic[:, :knots])
-        np.cumsum(linear[:knots], out=linear[:knots])
-        quadratic[:knots] *= self.step_px
-        quadratic[:, :knots] *= self.step_px
-        linear[:knots] *= self.step_px
-        to_place = np.zeros(normal_px.size)
-        to_columns = np.zeros((normal_px.size, levels))
-        place = (normal_px - self.narrow_px[0]) / self.step_px
-        given = (place, np.ascontiguousarray(columns), values, quadratic, linear)
-        if whitener is None:
-            sensitivities(*given, to_place, to_columns)
-        else:
-            rows = (whitener.indptr, whitener.indices, whitener.data)
-            whitened_sensitivities(*rows, *given, to_place, to_columns)
-        return to_place / self.step_px, to_columns
 
     def values(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the splines themselves."""
@@ -272,8 +236,9 @@ class SplineBasis:
         return np.asarray((shape[:, None] * wave) @ self.parts)
 
 
+@lru_cache(maxsize=64)
 def _spread(
-    last: int, limits: list[int]
+    last: int, limits: tuple[int, int]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], sparse.csr_array]:
     """Return centres of splines and of narrow ones, in steps, and what makes up which [i j].
 
@@ -303,7 +268,10 @@ def _spread(
             elif place[i] % step == step // 2:
                 finer[i] = (rows[i - step // 2] + rows[i + step // 2]) / 2.0
         rows = finer
-    return narrow[kept], narrow, sparse.csr_array(rows)
+    middle = rows.shape[1] // 2
+    right, left = rows[:, middle + 1 :], rows[:, :middle][:, ::-1]
+    folded = np.hstack([rows[:, [middle]], (right + left) / _SQRT2, (right - left) / _SQRT2])
+    return narrow[kept][middle:], narrow, sparse.csr_array(folded)
 
 
 def _integrated_spline(u: Vector) -> Vector:

@@ -6,21 +6,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
+from lensshift.evaluation.slanted_edge.gathering import gather
+from lensshift.evaluation.slanted_edge.likelihood import Conditional, EdgeLikelihood
+from lensshift.evaluation.slanted_edge.lsf_prior import PLACE
+from lensshift.evaluation.slanted_edge.nodes import Nodes, nodes_for
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
+    TYPICAL_STEPS,
     Posterior,
-    find_posterior,
+    descended,
+    drawn_around,
     starting_point,
 )
 from lensshift.evaluation.slanted_edge.prepare import UprightEdge, learn_noise, take_samples
-from lensshift.evaluation.slanted_edge.samples import distance_px, level_columns
+from lensshift.evaluation.slanted_edge.samples import EdgeSamples
 
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
 _ESF_STEP = 0.1
-_RESIDUAL_STEP_PX = 0.02
+_MOST_PLACES = 8
+_WORSE = 0.5  # of the log posterior
+_SETTLED_PX = 3e-3  # a move whose square changes no pixel
+_FARTHEST_MOVE_PX = 0.5  # at a time
+_SPARE_PX = 4.0  # by which the edge may move until pixels leave the nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +39,8 @@ class EdgeFit:
     Parameters
     ----------
     edge, noise, light : the region, its noise, and the order of its uneven light
-    posterior : of the parameters
-    parameters, parameter_draws : [p], [p k]
-    level, level_draws : [q], [q k] factors of the level columns
-    contrast : height of the edge, spline included, in units of the first guess
+    geometry, geometry_draws : [g], [g k] angle, position, bends
+    dark, contrast : level and height of the edge, spline included, in units of the first guess
     frequency_cpp, modulation, modulation_draws : [f], [f], [f k]
     normal_px, esf, esf_draws : [d], [d], [d k] from 0 (dark) to 1 (bright)
     lsf, lsf_draws : [d], [d k] per pixel
@@ -43,11 +50,9 @@ class EdgeFit:
     edge: UprightEdge
     noise: NoiseModel
     light: int
-    posterior: Posterior
-    parameters: Vector
-    parameter_draws: Matrix
-    level: Vector
-    level_draws: Matrix
+    geometry: Vector
+    geometry_draws: Matrix
+    dark: float
     contrast: float
     frequency_cpp: Vector
     modulation: Vector
@@ -82,23 +87,24 @@ def fit_edge(
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     samples = take_samples(edge, noise, aperture_px, light)
-    likelihood = EdgeLikelihood(samples, edge.basis, aperture_px, edge.unit_px)
-    log_sigma = float(np.clip(np.log(edge.line.sigma_px / edge.unit_px), -2.0, 1.5))
-    start, steps = starting_point(edge.geometry, log_sigma, noise.dark_sigma, edge.half_length_px)
-    posterior = find_posterior(likelihood, start, steps, seed)
+    likelihood, best = _placed(edge, samples, noise.dark_sigma, aperture_px)
+    posterior = drawn_around(likelihood, best, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
-    curves = _Curves(likelihood, edge.basis, frequency_cpp, edge.unit_px)
-    modulation, esf, lsf = curves.of(parameters, levels, coefficients)
+    gathered = likelihood.gathered
+    curves = _Curves(likelihood, frequency_cpp)
+    modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients)
+    geometry = _moved(likelihood, parameters, levels)
+    factors = levels[:, 0], coefficients[:, 0]
     return EdgeFit(
         edge=edge,
         noise=noise,
         light=light,
-        posterior=posterior,
-        parameters=parameters[:, 0],
-        parameter_draws=parameters[:, 1:],
-        level=levels[:, 0],
-        level_draws=levels[:, 1:],
-        contrast=float(levels[1, 0] + edge.basis.area_px @ coefficients[:, 0]),
+        geometry=geometry[:, 0],
+        geometry_draws=geometry[:, 1:],
+        dark=float(levels[0, 0]),
+        contrast=float(
+            levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
+        ),
         frequency_cpp=frequency_cpp,
         modulation=modulation[:, 0],
         modulation_draws=modulation[:, 1:],
@@ -107,10 +113,84 @@ def fit_edge(
         esf_draws=esf[:, 1:],
         lsf=lsf[:, 0],
         lsf_draws=lsf[:, 1:],
-        residual=_residual(
-            likelihood, edge, light, (parameters[:, 0], levels[:, 0], coefficients[:, 0])
-        ),
+        residual=edge.scaled - likelihood.model_of(posterior.best, *factors),
     )
+
+
+def _placed(
+    edge: UprightEdge, samples: EdgeSamples, noise: float, aperture_px: float
+) -> tuple[EdgeLikelihood, Vector]:
+    """Return the likelihood about the most likely place of the edge, and its optimum.
+
+    The edge is turned by Gauss-Newton steps: to first order, it moves its pixels by its LSF. A step
+    after which the fit is worse, or that goes back, is taken half as far.
+    """
+    basis, unit_px = edge.basis, edge.unit_px
+    farthest_px = float(np.max(np.abs(edge.normal_px))) + _SPARE_PX
+    nodes = nodes_for(basis, unit_px, aperture_px, farthest_px)
+    log_sigma = float(np.clip(np.log(edge.line.sigma_px / unit_px), -2.0, 1.5))
+    parameters, geometry = starting_point(log_sigma, noise), edge.geometry
+    slope = _gaussian(nodes, max(edge.line.sigma_px, 0.3 * aperture_px))
+    found: tuple[EdgeLikelihood, Vector]
+    least, step, step_px = np.inf, np.zeros_like(geometry), np.zeros_like(geometry)
+    in_px = np.ones_like(geometry)
+    in_px[:2] = samples.half_length_px, 0.0  # the base moves to any order
+    for k in range(_MOST_PLACES):
+        likelihood = EdgeLikelihood(
+            gather(samples, nodes, geometry, slope), basis, aperture_px, unit_px
+        )
+        best, value = descended(likelihood, parameters, np.diag(TYPICAL_STEPS))
+        if value < least + _WORSE:
+            known = _known(likelihood, best)
+            wanted = _moved(likelihood, best[:, None], known.levels[:, None])[:, 0]
+            found, least, parameters = (likelihood, best), value, best
+            slope = _slope(likelihood, best, known)
+            if k == 0:  # the splines follow it once; an uneven shape would draw them on and on
+                parameters = best.copy()
+                parameters[PLACE] = 0.0
+            else:
+                wanted = np.concatenate([wanted[:1], geometry[1:2], wanted[2:]])
+            here, last_px, step = geometry, step_px, wanted - geometry
+            step_px = step * in_px
+            if step_px @ last_px < 0.0:
+                step, step_px = 0.5 * step, 0.5 * step_px
+        else:
+            step, step_px = 0.5 * step, 0.5 * step_px
+        if k and np.max(np.abs(step_px)) < _SETTLED_PX:
+            break
+        geometry = here + step
+    return found
+
+
+def _moved(likelihood: EdgeLikelihood, parameters: Matrix, levels: Matrix) -> Matrix:
+    """Return the geometries [g k] that parameters and levels mean."""
+    gathered = likelihood.gathered
+    turned = levels[gathered.moves]
+    place_px = parameters[PLACE] * likelihood.unit_px
+    return np.asarray(gathered.geometry[:, None] + np.vstack([turned[:1], place_px, turned[1:]]))
+
+
+def _known(likelihood: EdgeLikelihood, parameters: Vector) -> Conditional:
+    _, found = likelihood.conditional(parameters)
+    if found is None:
+        raise ValueError("expected an edge that a Gaussian or a spline describes; the fit failed")
+    return found
+
+
+def _gaussian(nodes: Nodes, sigma_px: float) -> Vector:
+    places = nodes.place_px / sigma_px
+    return np.asarray(np.exp(-0.5 * places**2) / (np.sqrt(2.0 * np.pi) * sigma_px))
+
+
+def _slope(likelihood: EdgeLikelihood, parameters: Vector, found: Conditional) -> Vector:
+    """Return the LSF at the nodes, its base moved back to the middle."""
+    nodes, response = likelihood.gathered.nodes, likelihood.gathered.response
+    half_px, back = 0.5 * _ESF_STEP * likelihood.unit_px, parameters.copy()
+    back[PLACE] = 0.0
+    ahead = likelihood.base.response(nodes.place_px + half_px, back)
+    behind = likelihood.base.response(nodes.place_px - half_px, back)
+    base = (ahead - behind) / (2.0 * half_px)
+    return np.asarray(found.levels[response] * base + nodes.values @ found.coefficients)
 
 
 def _whole_draws(
@@ -124,9 +204,7 @@ def _whole_draws(
         np.searchsorted(np.cumsum(posterior.weights), places), posterior.weights.size - 1
     )
     kept, counts = np.unique(chosen, return_counts=True)
-    _, best = likelihood.conditional(posterior.best)
-    if best is None:
-        raise ValueError("expected an edge that a Gaussian or a spline describes; the fit failed")
+    best = _known(likelihood, posterior.best)
     parts = [(posterior.best[:, None], best.levels[:, None], best.coefficients[:, None])]
     for index, count in zip(kept, counts, strict=True):
         parameters, conditional = posterior.draws[index], posterior.conditionals[index]
@@ -140,66 +218,32 @@ def _whole_draws(
 class _Curves:
     """Turns draws of the edge into MTF, ESF and LSF."""
 
-    def __init__(
-        self,
-        likelihood: EdgeLikelihood,
-        basis: SplineBasis,
-        frequency_cpp: Vector,
-        unit_px: float,
-    ) -> None:
-        self._likelihood, self._frequency_cpp = likelihood, frequency_cpp
+    def __init__(self, likelihood: EdgeLikelihood, frequency_cpp: Vector) -> None:
+        self._base, self._frequency_cpp = likelihood.base, frequency_cpp
+        basis = likelihood.basis
         reach = round(_ESF_HALF_WIDTH / _ESF_STEP)
-        self.normal_px: Vector = np.asarray(
-            np.arange(-reach, reach + 1) * _ESF_STEP * unit_px, dtype=np.float64
-        )
+        half = np.arange(-2 * reach - 1, 2 * reach + 2) * 0.5 * _ESF_STEP * likelihood.unit_px
+        self._half_steps_px: Vector = np.asarray(half, dtype=np.float64)
+        self.normal_px: Vector = self._half_steps_px[1::2]
         self._transforms = basis.transforms(frequency_cpp)
-        self._integrals, self._values = (
-            basis.integrals(self.normal_px),
-            basis.values(self.normal_px),
-        )
+        self._integrals = basis.integrals(self.normal_px)
+        self._values = basis.values(self.normal_px)
 
     def of(
-        self, parameters: Matrix, levels: Matrix, coefficients: Matrix
+        self, parameters: Matrix, factor: Vector, coefficients: Matrix
     ) -> tuple[Matrix, Matrix, Matrix]:
         """Return MTF [f k], ESF [d k] and LSF [d k]."""
-        base = np.empty((self._frequency_cpp.size, levels.shape[1]))
-        esf = np.empty((self.normal_px.size, levels.shape[1]))
-        lsf = np.empty_like(esf)
-        last: tuple[Vector, Vector, Vector] | None = None
-        for k in range(levels.shape[1]):
-            if last is None or not np.array_equal(parameters[:, k], parameters[:, k - 1]):
-                last = self._base(parameters[:, k])
-            base[:, k], esf[:, k], lsf[:, k] = last
-        transform = levels[1] * base + self._transforms @ coefficients
+        other = np.any(parameters[:, 1:] != parameters[:, :-1], axis=0)
+        number = np.concatenate([[0], np.cumsum(other)])  # of the parameters in each draw
+        unlike = parameters[:, np.concatenate([[True], other])]
+        response = np.column_stack(
+            [self._base.response(self._half_steps_px, one) for one in unlike.T]
+        )[:, number]
+        base = self._base.transforms(self._frequency_cpp, unlike)[:, number]
+        transform = factor * base + self._transforms @ coefficients
         contrast = transform[0].real
-        esf = (levels[1] * esf + self._integrals @ coefficients) / contrast
-        lsf = (levels[1] * lsf + self._values @ coefficients) / contrast
+        steps_px = self._half_steps_px[2::2] - self._half_steps_px[:-2:2]
+        rise = (response[2::2] - response[:-2:2]) / steps_px[:, None]
+        esf = (factor * response[1::2] + self._integrals @ coefficients) / contrast
+        lsf = (factor * rise + self._values @ coefficients) / contrast
         return np.abs(transform / contrast), esf, lsf
-
-    def _base(self, parameters: Vector) -> tuple[Vector, Vector, Vector]:
-        likelihood = self._likelihood
-        base = likelihood.base_transform(self._frequency_cpp, parameters)
-        response = likelihood.base_response(self.normal_px, parameters)
-        half_px = 0.5 * _ESF_STEP * likelihood.unit_px
-        ahead = likelihood.base_response(self.normal_px + half_px, parameters)
-        behind = likelihood.base_response(self.normal_px - half_px, parameters)
-        return base, response, (ahead - behind) / (2.0 * half_px)
-
-
-def _residual(
-    likelihood: EdgeLikelihood,
-    edge: UprightEdge,
-    light: int,
-    best: tuple[Vector, Vector, Vector],
-) -> Vector:
-    """Return all pixels minus the model; the spline is interpolated from a fine grid."""
-    parameters, levels, coefficients = best
-    normal_px = distance_px(
-        edge.across_px, edge.along_px, parameters[: likelihood.geometry_size], edge.half_length_px
-    )
-    reach_px = edge.basis.reach_px
-    grid_px = np.linspace(-reach_px, reach_px, round(2.0 * reach_px / _RESIDUAL_STEP_PX))
-    response = likelihood.base_response(normal_px, parameters)
-    spline = np.interp(normal_px, grid_px, edge.basis.integrals(grid_px) @ coefficients)
-    columns = level_columns(response, edge.light_columns(light))
-    return np.asarray(edge.scaled - columns @ levels - spline)

@@ -10,8 +10,10 @@ from scipy.optimize import least_squares
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector, edge_response
 
 _ANGLE_STEP_RAD = np.deg2rad(1.0)
+_COARSE = 4  # so many steps at a time first
 _BIN_PX = 0.5
 _SMALLEST_SIDE_SHARE = 0.03  # of the pixels, on the smaller side of the edge
+_SETTLED = 1e-5
 _MOST_PIXELS = 10_000
 _MOST_NEAR = 4_000
 _NEAR_PX = 12.0
@@ -89,24 +91,35 @@ def _best_split(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, floa
 
 
 def _best_step(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, float, float]:
+    """Return the share of the variance that the best step explains, its angle and position."""
     centred = values - values.mean()
-    best = (0.0, 0.0, 0.0)
-    smallest = max(2.0, _SMALLEST_SIDE_SHARE * values.size)
-    for angle_rad in np.arange(-np.pi / 4, 3 * np.pi / 4, _ANGLE_STEP_RAD):
+    wide = np.arange(-np.pi / 4, 3 * np.pi / 4, _COARSE * _ANGLE_STEP_RAD)
+    best = max(_steps(x_px, y_px, centred, wide))
+    near = best[1] + _ANGLE_STEP_RAD * np.arange(1 - _COARSE, _COARSE)
+    return max(_steps(x_px, y_px, centred, near))
+
+
+def _steps(
+    x_px: Vector, y_px: Vector, centred: Vector, angles_rad: Vector
+) -> list[tuple[float, float, float]]:
+    """Return what the best step at each angle explains, its angle and position."""
+    found = []
+    smallest = max(2.0, _SMALLEST_SIDE_SHARE * centred.size)
+    for angle_rad in angles_rad:
         place = x_px * np.cos(angle_rad) + y_px * np.sin(angle_rad)
         lowest = place.min()
         bins = ((place - lowest) / _BIN_PX).astype(np.intp)
         count = np.bincount(bins).cumsum()
         total = np.bincount(bins, weights=centred).cumsum()
-        inside = (count >= smallest) & (count <= values.size - smallest)
-        rest = np.where(inside, values.size - count, 1)
-        explained = np.where(inside, total**2 * values.size / np.maximum(count, 1) / rest, 0.0)
+        inside = (count >= smallest) & (count <= centred.size - smallest)
+        rest = np.where(inside, centred.size - count, 1)
+        explained = np.where(inside, total**2 * centred.size / np.maximum(count, 1) / rest, 0.0)
         k = int(np.argmax(explained))
-        if explained[k] > best[0]:
-            sign = -1.0 if total[k] > 0 else 1.0  # bright first: turn the normal round
-            turned = float(angle_rad) + (np.pi if sign < 0 else 0.0)
-            best = (float(explained[k]), turned, sign * (lowest + (k + 1) * _BIN_PX))
-    return best[0], float((best[1] + np.pi) % (2 * np.pi) - np.pi), best[2]
+        sign = -1.0 if total[k] > 0 else 1.0  # bright first: turn the normal round
+        turned = float(angle_rad) + (np.pi if sign < 0 else 0.0)
+        turned = float((turned + np.pi) % (2 * np.pi) - np.pi)
+        found.append((float(explained[k]), turned, sign * (lowest + (k + 1) * _BIN_PX)))
+    return found
 
 
 def _refined(
@@ -143,6 +156,8 @@ def _refined(
             [angle_rad - 0.3, position_px - reach_px, narrow],
             [angle_rad + 0.3, position_px + reach_px, wide],
         ),
+        ftol=_SETTLED,
+        xtol=_SETTLED,
         max_nfev=40,
     )
     dark, contrast = levels(fit.x)[1]

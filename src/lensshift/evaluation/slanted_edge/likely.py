@@ -120,14 +120,14 @@ def _result(
     level_noise = 0.5 * (fit.noise.dark_sigma + fit.noise.bright_sigma)
     noise = max(level_noise / fit.contrast, float(np.finfo(float).tiny))
     span = edge.line.high - edge.line.low
-    dark, bright = edge.line.low + span * np.array([fit.level[0], fit.level[0] + fit.contrast])
+    dark, bright = edge.line.low + span * np.array([fit.dark, fit.dark + fit.contrast])
     return EdgeResult(
         method="ml",
         region=region,
         orientation="vertical" if edge.vertical else "horizontal",
         angle_rad=_angle(fit),
         position_px=_position(fit, region),
-        bend_px=rms_bend_px(fit.parameters[: edge.geometry.size]),
+        bend_px=rms_bend_px(fit.geometry),
         dark=float(dark),
         bright=float(bright),
         noise=noise,
@@ -167,8 +167,8 @@ def _crossing(frequency: Vector, best: Vector, draws: Matrix, level: float) -> I
 
 def _angle(fit: EdgeFit) -> Interval:
     sign = fit.edge.sign
-    draws = sign * fit.parameter_draws[0]
-    return interval_of(sign * float(fit.parameters[0]), draws)
+    draws = sign * fit.geometry_draws[0]
+    return interval_of(sign * float(fit.geometry[0]), draws)
 
 
 def _position(fit: EdgeFit, region: Region) -> Interval:
@@ -179,16 +179,14 @@ def _position(fit: EdgeFit, region: Region) -> Interval:
     else:
         middle_px = 0.5 * (region.row_start + region.row_stop - 1)
     origin_px = edge.line.position_px / np.cos(edge.start_angle_rad)
-    bends = np.polynomial.legendre.legval(
-        0.0, np.concatenate([[0.0, 0.0], fit.parameters[2 : edge.geometry.size]])
-    )
+    bends = np.polynomial.legendre.legval(0.0, np.concatenate([[0.0, 0.0], fit.geometry[2:]]))
 
     def place(angle_rad: Vector, rho_px: Vector) -> Vector:
         across_px: Vector = (rho_px + bends) / np.cos(angle_rad) + origin_px
         return middle_px + edge.sign * across_px
 
-    value = place(fit.parameters[0], fit.parameters[1])
-    return interval_of(float(value), place(fit.parameter_draws[0], fit.parameter_draws[1]))
+    value = place(fit.geometry[0], fit.geometry[1])
+    return interval_of(float(value), place(fit.geometry_draws[0], fit.geometry_draws[1]))
 
 
 def _residual_image(fit: EdgeFit, region: Region) -> NDArray[np.float64]:

@@ -17,14 +17,15 @@ from lensshift.evaluation.slanted_edge.likelihood import (
 )
 from lensshift.evaluation.slanted_edge.lsf_prior import START, STEPS
 
+TYPICAL_STEPS = np.append(STEPS, 0.05)
 _FREEDOM = 6.0  # of the t distribution that proposes draws
 _SPREAD = 1.15  # proposals a little wider than the curvature says
 _LARGEST_SD = 3.0  # in steps; what the likelihood does not limit, the prior does
 _CURVATURE_STEP = 0.4
 _ROUNDS = 3
-_GENERATIONS = 6  # of proposals, each adapted to the draws before it
-_MOST_GENERATIONS = 16
-_ENOUGH = 40.0  # effective draws, where more generations end
+_GENERATIONS = 4  # of proposals, each adapted to the draws before it
+_MOST_GENERATIONS = 10
+_ENOUGH = 20.0  # effective draws, where more generations end
 _DRAWS_EACH = 32  # a power of two
 _MOST_STEPS = 80
 _SETTLED = 0.05  # of the log posterior
@@ -53,25 +54,22 @@ class Posterior:
         return float(1.0 / np.sum(self.weights**2))
 
 
-def find_posterior(
-    likelihood: EdgeLikelihood, start: Vector, steps: Vector, seed: int
-) -> Posterior:
+def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Posterior:
     """Maximise the posterior from `start`, then draw around the optimum.
 
     Parameters
     ----------
     likelihood : the model
-    start, steps : [p] first guess and typical sizes of a step
+    start : [p] near the optimum
     seed : of the draws
     """
-    best, value = _descended(likelihood, start, np.diag(steps))
-    directions = _curvature_directions(likelihood, best, np.diag(steps))
+    best, directions = start, np.diag(TYPICAL_STEPS)
     for _ in range(_ROUNDS):
-        last = value
-        best, value = _descended(likelihood, best, directions)
-        if last - value < _SETTLED:
-            break
         directions = _curvature_directions(likelihood, best, directions)
+        value, gradient = likelihood.with_gradient(best)
+        if 0.5 * np.sum((gradient @ directions) ** 2) < _SETTLED:
+            break
+        best, value = descended(likelihood, best, directions)
     proposals = [_Student(best, _SPREAD * directions, likelihood.twin)]
     parameters, log_weights = np.empty((0, best.size)), np.empty(0)
     found: list[tuple[float, Conditional | None]] = []
@@ -88,11 +86,20 @@ def find_posterior(
         # Every draw counts as one of the mixture of all proposals so far.
         densities = [proposal.log_density(parameters) for proposal in proposals]
         log_weights = logs - np.logaddexp.reduce(densities, axis=0)
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
+        weights = _cut(log_weights)
     conditionals = [one[1] for one in found]
     inside = likelihood.bounded(parameters)
     return Posterior(likelihood.bounded(best), inside, weights, conditionals)
+
+
+def _cut(log_weights: Vector) -> Vector:
+    """Return weights, sum 1, of which none outweighs the others.
+
+    Source: truncated importance sampling, Ionides, J. Comput. Graph. Stat. 17 (2008) 295.
+    """
+    weights = np.exp(log_weights - log_weights.max())
+    weights = np.minimum(weights, weights.mean() * np.sqrt(weights.size))
+    return np.asarray(weights / weights.sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +142,7 @@ class _Student:
 
     def adapted(self, parameters: Matrix, log_weights: Vector) -> _Student:
         """Return the distribution with the mean and covariance of weighted draws."""
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
+        weights = _cut(log_weights)
         effective = 1.0 / np.sum(weights**2)
         trust = effective / (effective + self.centre.size)
         centre = weights @ parameters
@@ -148,7 +154,7 @@ class _Student:
         return _Student(centre, triangle.T, self.twin)
 
 
-def _descended(
+def descended(
     likelihood: EdgeLikelihood, start: Vector, directions: Matrix
 ) -> tuple[Vector, float]:
     """Return the optimum and its value, in coordinates along the columns of `directions`."""
@@ -180,14 +186,6 @@ def _curvature_directions(likelihood: EdgeLikelihood, best: Vector, directions: 
     return np.asarray(directions @ vectors * deviation)
 
 
-def starting_point(
-    geometry: Vector, log_sigma: float, noise: float, half_length_px: float
-) -> tuple[Vector, Vector]:
-    """Return a first guess of all parameters, and sizes of steps for them."""
-    noise = max(noise, MODEL_ERROR)
-    start = np.concatenate([geometry, [log_sigma], START[1:], [np.log(noise)]])
-    precision_px = min(0.5 * noise, 0.02)  # of the edge's place, roughly
-    geometry_steps = [precision_px / max(half_length_px, 1.0)] + [precision_px] * (
-        geometry.size - 1
-    )
-    return start, np.concatenate([geometry_steps, STEPS, [0.05]])
+def starting_point(log_sigma: float, noise: float) -> Vector:
+    """Return a first guess of all parameters."""
+    return np.concatenate([[log_sigma], START[1:], [np.log(max(noise, MODEL_ERROR))]])

@@ -15,6 +15,7 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     edge_response,
 )
 from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
+from lensshift.evaluation.slanted_edge.nodes import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.noise_model import (
     Mask,
     NoiseModel,
@@ -30,7 +31,6 @@ from lensshift.evaluation.slanted_edge.samples import (
 
 # In units of the edge's own width:
 _HALF_WIDTH = 6.0  # where plateaus begin, to a first look
-_KNOT_STEP = 0.25
 _LARGEST_REACH = 32.0  # of the splines: a ghost farther away is taken for part of the plateau
 
 
@@ -89,27 +89,23 @@ class UprightEdge:
         """Signed distance of every pixel from the first guess."""
         return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
 
-    def light_columns(self, order: int) -> Matrix | None:
-        """Return [n k]: by which even light may differ, about -1 to 1; None for order 0.
-
-        Distance from the edge and place along it; for order 2 their squares and product too.
-        """
-        if order == 0:
-            return None
-        normal_px = self.normal_px
-        across = normal_px / max(float(np.max(np.abs(normal_px))), 1.0)
-        along = self.along_px / self.half_length_px
-        columns = [across, along]
-        if order > 1:
-            columns += [across**2 - 1.0 / 3.0, along**2 - 1.0 / 3.0, across * along]
-        return np.column_stack(columns)
-
     @property
     def basis(self) -> SplineBasis:
         """Splines that suit the width of the edge and reach as far as the region."""
         reach_px = float(np.max(np.abs(self.normal_px)))
         units = np.clip(reach_px / self.unit_px, _HALF_WIDTH, _LARGEST_REACH)
-        return _splines(float(units), self.unit_px)
+        return splines_for(float(units), self.unit_px)
+
+    def free_response(self, used: Mask | None = None) -> Vector:
+        """Return the ESF at every pixel when nothing but the pixels says what it is.
+
+        Parameters
+        ----------
+        used : [n] the pixels that say what it is, None for all
+        """
+        normal_px = self.normal_px
+        nodes = nodes_for(self.basis, self.unit_px, 1.0, float(np.max(np.abs(normal_px))))
+        return free_response(normal_px, self.scaled, self.basis, nodes, used)
 
     def plateaus(self) -> list[Mask]:
         """Return the masks of the dark and the bright plateau."""
@@ -120,10 +116,6 @@ class UprightEdge:
         if min(int(side.sum()) for side in sides) >= 40:
             return sides
         return [normal_px < -half, normal_px > half]  # a narrow region: nearer to the edge
-
-
-def _splines(reach: float, unit_px: float) -> SplineBasis:
-    return SplineBasis.covering(reach * unit_px, _KNOT_STEP * unit_px, unit_px)
 
 
 def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> UprightEdge:
@@ -154,7 +146,7 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
     if most_bends:
         half_length_px = max(float(np.max(np.abs(y_px))), 1.0)
         unit_px = max(1.0, line.sigma_px)
-        basis = _splines(_HALF_WIDTH, unit_px)
+        basis = splines_for(_HALF_WIDTH, unit_px)
         geometry = bend_edge(across_px, y_px, scaled, geometry, basis, half_length_px, most_bends)
     return UprightEdge(
         pixels=pixels,
@@ -184,7 +176,7 @@ def learn_noise(
     sides, places = edge.plateaus(), edge.pixels.places
     # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
     # what changes across the edge; what changes along it tells uneven light.
-    rest = edge.scaled - free_response(edge.normal_px, edge.scaled, edge.basis)
+    rest = edge.scaled - edge.free_response()
     place = edge.along_px / edge.half_length_px
     along = np.column_stack([place, place**2 - 1.0 / 3.0])
     both = np.hstack([along, along * (edge.normal_px > 0.0)[:, None]])
@@ -213,19 +205,17 @@ def take_samples(
     aperture_px : side of the pixel
     light : order of the uneven illumination
     """
-    values, whitener = edge.scaled, None
+    whitener = None
     if not noise.is_plain:
         response = edge_response(
             edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
         )
         whitener = noise.whitener(edge.pixels.places, noise.relative_sigma(response))
-        values = whitener @ values
     return EdgeSamples(
         across_px=edge.across_px,
         along_px=edge.along_px,
         half_length_px=edge.half_length_px,
-        bends=edge.geometry.size - 2,
-        tilt_columns=edge.light_columns(light),
-        values=values,
+        light=light,
+        values=edge.scaled,
         whitener=whitener,
     )

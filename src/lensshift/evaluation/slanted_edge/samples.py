@@ -21,37 +21,30 @@ class EdgeSamples:
     ----------
     across_px, along_px : [n] coordinates of the pixels, from the edge's middle
     half_length_px : half the length of the edge along `along_px`
-    bends : number of bending terms (0 for a straight edge)
-    tilt_columns : [n k] places by which the illumination may rise, None for an even one
-    values : [m] the pixels, whitened
-    whitener : [m n] what was done to them, None for nothing
+    light : order of the uneven illumination: 0 even, 1 a plane, 2 a bowl
+    values : [n] the pixels
+    whitener : [m n] what makes their noise white, None for nothing
     """
 
     across_px: Vector
     along_px: Vector
     half_length_px: float
-    bends: int
-    tilt_columns: Matrix | None
+    light: int
     values: Vector
     whitener: sparse.csr_array | None
-
-    @property
-    def count(self) -> int:
-        """Number of whitened pixels."""
-        return self.values.size
-
-    @property
-    def geometry_size(self) -> int:
-        """Number of geometry parameters: angle, position, bending terms."""
-        return 2 + self.bends
 
     def normal_px(self, geometry: Vector) -> Vector:
         """Return the signed distance of each pixel from the edge."""
         return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
 
-    def whitened(self, columns: Matrix) -> Matrix:
-        """Return the columns as the whitened pixels see them."""
-        return columns if self.whitener is None else self.whitener @ columns
+    def turn_px(self, angle_rad: float) -> Vector:
+        """Return the slope of that distance by the angle of the edge."""
+        return np.asarray(self.along_px * np.cos(angle_rad) - self.across_px * np.sin(angle_rad))
+
+    def powers(self, highest: int) -> Matrix:
+        """Return [n k]: Legendre polynomials 0 to `highest` of the place along the edge."""
+        place = self.along_px / self.half_length_px
+        return np.asarray(np.polynomial.legendre.legvander(place, highest))
 
     @property
     def bend_spread_px(self) -> float:
@@ -80,11 +73,3 @@ def distance_px(
         bending = np.concatenate([[0.0, 0.0], geometry[2:]])
         normal_px -= np.polynomial.legendre.legval(along_px / half_length_px, bending)
     return normal_px
-
-
-def level_columns(response: Vector, tilt_columns: Matrix | None) -> Matrix:
-    """Return [n p]: 1 and the response; with a tilt its columns, alone and times the response."""
-    columns = [np.ones((response.size, 1)), response[:, None]]
-    if tilt_columns is not None:
-        columns += [tilt_columns, tilt_columns * response[:, None]]
-    return np.hstack(columns)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.evaluation.slanted_edge.bending import free_response
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_upright
 
@@ -54,7 +53,7 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
 
 def _standing_out(edge: UprightEdge, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
     normal_px = edge.normal_px
-    rest = edge.scaled - free_response(normal_px, edge.scaled, edge.basis, used)
+    rest = edge.scaled - edge.free_response(used)
     out = np.zeros(rest.size, dtype=bool)
     levels = np.unique(edge.scaled)  # neighbouring grey levels are no exception
     least = max(_LEAST_OUT, _OF_GREY_LEVEL * float(np.min(np.diff(levels), initial=1.0)))

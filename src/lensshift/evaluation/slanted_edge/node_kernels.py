@@ -1,0 +1,107 @@
+"""Compiled loops: pixels between nodes, and sums over all pixels that tell what the nodes see."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def between_nodes(place: Array, nodes: Array, first: Array, shares: Array) -> None:
+    """Fill in the cubic interpolation of each place from four nodes.
+
+    Parameters
+    ----------
+    place : [n]
+    nodes : [g] rising
+    first : [n] number of the first of the four; given: that of the node after the place
+    shares : [n 4]
+    """
+    last = nodes.size - 4
+    for i in range(place.size):
+        k = min(max(first[i] - 2, 0), last)
+        first[i] = k
+        a, b, c, d = place[i] - nodes[k : k + 4]
+        ab, ac, ad = b - a, c - a, d - a
+        bc, bd, cd = c - b, d - b, d - c
+        shares[i, 0] = b * c * d / (ab * ac * ad)
+        shares[i, 1] = -a * c * d / (ab * bc * bd)
+        shares[i, 2] = a * b * d / (ac * bc * cd)
+        shares[i, 3] = -a * b * c / (ad * bd * cd)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolated(first: Array, shares: Array, values: Array, out: Array) -> None:
+    """Fill `out` [n] with values [g] at the nodes, interpolated; see `between_nodes`."""
+    for i in range(first.size):
+        k = first[i]
+        out[i] = (
+            shares[i, 0] * values[k]
+            + shares[i, 1] * values[k + 1]
+            + shares[i, 2] * values[k + 2]
+            + shares[i, 3] * values[k + 3]
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def node_products(
+    pointers: Array,
+    taps: Array,
+    weights: Array,
+    first: Array,
+    shares: Array,
+    powers: Array,
+    right: Array,
+    products: Array,
+    with_right: Array,
+) -> None:
+    """Add up, over whitened pixels, products of what the nodes are to each of them.
+
+        products[k, l] = sum W_k^T A^T A W_l,   with_right[k] = sum W_k^T A^T R
+
+    with the whitener A and the interpolation W_k from the nodes, times the factor k of a pixel.
+
+    Parameters
+    ----------
+    pointers, taps, weights : A [m n] in compressed rows
+    first, shares : [n], [n 4] of `between_nodes`
+    powers : [n k] the factors
+    right : R [m q]
+    products, with_right : [k k g g], [k g q], zero before
+    """
+    kinds, nodes, columns = with_right.shape
+    row = np.zeros((kinds, nodes))
+    for r in range(right.shape[0]):
+        start, stop = nodes, 0
+        for t in range(pointers[r], pointers[r + 1]):
+            i = taps[t]
+            at = first[i]
+            start, stop = min(start, at), max(stop, at + 4)
+            for k in range(kinds):
+                weight = weights[t] * powers[i, k]
+                for s in range(4):
+                    row[k, at + s] += weight * shares[i, s]
+        for k in range(kinds):
+            for a in range(start, stop):
+                own = row[k, a]
+                if own == 0.0:
+                    continue
+                for other in range(k):
+                    for b in range(start, stop):
+                        products[k, other, a, b] += own * row[other, b]
+                for b in range(start, a + 1):
+                    products[k, k, a, b] += own * row[k, b]
+                for q in range(columns):
+                    with_right[k, a, q] += own * right[r, q]
+        row[:, start:stop] = 0.0
+    for k in range(kinds):
+        for a in range(nodes):
+            for b in range(a):
+                products[k, k, b, a] = products[k, k, a, b]
+        for other in range(k):
+            products[other, k] = products[k, other].T
