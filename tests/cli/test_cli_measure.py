@@ -118,8 +118,12 @@ def test_noise_does_not_correlate(call: Call, tmp_path: Path) -> None:
         np.save(tmp_path / f"{seed}.npy", frame)
     found = numbers(call, "frc", tmp_path / "1.npy", tmp_path / "2.npy")
     assert np.mean(found["correlation"][4:]) == pytest.approx(0.0, abs=0.15)  # type: ignore[index]
-    same = numbers(call, "frc", tmp_path / "1.npy", tmp_path / "1.npy")
-    assert np.array(same["correlation"]) == pytest.approx(1.0)
+    np.save(tmp_path / "edge.npy", edge())
+    wanted = "resolution", tmp_path / "star.npy", "--edge", tmp_path / "edge.npy"
+    np.save(tmp_path / "star.npy", star())
+    found = numbers(call, *wanted, "--cycles", "12", "--levels", "0.1,0.9")
+    assert found["verdict"] == "pattern flatters"  # no blur in the star
+    assert found["difference"] < -0.1  # type: ignore[operator]
 
 
 def wall() -> Image:
@@ -172,6 +176,8 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["star", "edge.npy", "--cycles", "9", "--center-px", "1"], 2, "a centre like"),
         (["zone", "edge.npy", "--chirp", "-1"], 1, "positive chirp"),
         (["frc", "edge.npy", "odd.npy"], 1, "shape"),
+        (["frc", "edge.npy", "edge.npy"], 1, "one image twice"),
+        (["resolution", "edge.npy"], 2, "--cycles of a star or --chirp of a zone plate"),
         (["depth", "edge.npy", "odd.npy"], 1, "shape"),
         (["depth", "edge.npy", "--edge", "col"], 2, "needs the truth"),
         (["depth", "edge.npy", "--plane", "0,9,0,9"], 2, "needs --focal-length-mm"),

@@ -85,6 +85,24 @@ def test_rendered_star(square: bool, levels: tuple[float, float] | None) -> None
     assert result.contrast == pytest.approx(0.8 * (4 / np.pi if square else 1), rel=2e-3)
 
 
+@pytest.mark.parametrize("around", [0.1, 0.5, 0.95])
+@pytest.mark.parametrize(("center", "rim_px"), [((61.7, 70.2), 41.0), ((48.2, 61.4), 37.3)])
+def test_the_rim_of_a_star_is_found(
+    around: float, center: tuple[float, float], rim_px: float
+) -> None:
+    """A disc on a plain ground, of any grey, in the middle or beside it."""
+    row, col = np.indices(SHAPE, dtype=float)
+    away = np.hypot(row - center[0], col - center[1])
+    inside = np.clip(rim_px + 0.5 - away, 0.0, 1.0)
+    image = inside * exact_star(center=center, sigma=SIGMA) + (1.0 - inside) * around
+    image += 0.01 * np.random.default_rng(4).standard_normal(SHAPE)
+    found = siemens_star_mtf(image, cycles=CYCLES, pitch_mm=1.0)
+    assert rim_px - 5.0 < found.radius_mm[0] < rim_px
+    np.testing.assert_allclose(found.center_px, center, atol=0.05)
+    exact = blurred_amplitude(found.radius_mm, CYCLES, SIGMA)
+    np.testing.assert_allclose(found.mtf.modulation * found.contrast / 0.8, exact, atol=0.03)
+
+
 def test_sectors_show_the_direction_across() -> None:
     # Blurred along the rows (axis 0) alone: only the frequencies that run along them suffer.
     image = gaussian_filter(exact_star(sigma=0.3), (1.0, 0.0), mode="nearest")

@@ -14,13 +14,13 @@ from lensshift.cli.gradient import gradient
 from lensshift.cli.inputs import load_input_image
 from lensshift.cli.mtf import mtf
 from lensshift.cli.session import Session
-from lensshift.cli.star import frc, star, zone
+from lensshift.cli.star import frc, resolution, star, zone
 from lensshift.cli.verbs import argument, option, verb, verb_group
 from lensshift.core.errors import QualityWarning
 
 evaluate = verb_group()
 
-for one in (mtf, chart, gain, gradient, star, zone, frc, depth):
+for one in (mtf, chart, gain, gradient, star, zone, frc, resolution, depth):
     evaluate.command()(one)
 
 

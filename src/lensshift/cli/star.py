@@ -1,4 +1,4 @@
-"""`lensshift evaluate star`, `zone` and `frc`: resolution in every direction at once."""
+"""`lensshift evaluate star`, `zone`, `frc` and `resolution`: what patterns show."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from lensshift.cli.measured import (
     frequency_unit,
     measured_image,
     parse_numbers,
+    parse_region,
     write_plot,
     write_table,
 )
@@ -186,6 +187,80 @@ def frc(current: Session, asked: FrcOptions) -> None:
     }
     current.result |= {"unit": unit.name, "cutoff_lpmm": found.cutoff_lpmm}
     current.result |= {"fixed_cutoff_lpmm": found.fixed_cutoff_lpmm, **columns}
+    write_table(current, asked.csv, columns)
+
+
+@dataclass(frozen=True, slots=True)
+class ResolutionOptions:
+    """Options of `lensshift evaluate resolution`."""
+
+    image: ImageArgument
+    edge: Path | None = option(None, "The image that holds the edges, if another one.")
+    cycles: int | None = option(None, "Bright spokes of a Siemens star in IMAGE.")
+    profile: StarProfile = option(StarProfile.SINE, "How the star was printed.")
+    chirp: float | None = option(None, "Of a zone plate in IMAGE, in LP/mm per mm.")
+    levels: LevelsOption = None
+    region: str | None = option(None, "Of the edge, in pixels: row start,stop,col start,stop.")
+    pitch_mm: PitchOption = None
+    frame: FrameOption = 0
+    key: KeyOption = None
+    csv: CsvOption = None
+
+
+@verb("comparing edges with a pattern")
+def resolution(current: Session, asked: ResolutionOptions) -> None:
+    """Ask a star or a zone plate whether the edges beside it promise too much.
+
+    A solver may draw edges sharper than it resolves. Of super-resolved images, trust the pattern.
+    The contrast at frequency 0 is extrapolated from coarse lines unless --levels gives it.
+
+    \b
+    Example:
+      lensshift evaluate resolution sharp_star.nc --cycles 12 --edge sharp_edge.nc
+      lensshift evaluate resolution plate.tif --chirp 2.5 --pitch-mm 0.155 --region 0,40,0,64
+    """
+    from lensshift.evaluation.agreement import edge_and_pattern
+    from lensshift.evaluation.siemens import siemens_star_mtf
+    from lensshift.evaluation.slanted_edge import Region, average_curves, measure_edges
+    from lensshift.evaluation.zone_plate import zone_plate_response
+
+    if (asked.cycles is None) == (asked.chirp is None):
+        raise typer.BadParameter("expected --cycles of a star or --chirp of a zone plate, not both")
+    check_outputs([asked.image, *([asked.edge] if asked.edge else [])], asked.csv, None)
+    seen = measured_image(asked.image, asked.pitch_mm, key=asked.key, frame=asked.frame)
+    beside = seen if asked.edge is None else measured_image(
+        asked.edge, asked.pitch_mm, key=asked.key, frame=asked.frame
+    )  # fmt: skip
+    place = parse_region(asked.region)
+    edges = measure_edges(
+        beside.values, beside.pitch_mm, region=None if place is None else Region(*place),
+        valid=beside.valid, scale=beside.scale,
+    )  # fmt: skip
+    if asked.cycles is not None:
+        pattern = siemens_star_mtf(
+            seen.values, cycles=asked.cycles, pitch_mm=seen.pitch_mm, valid=seen.valid,
+            profile=asked.profile.value, levels=_pair(asked.levels, "levels like 100,3000"),
+        ).mtf  # fmt: skip
+    else:
+        pattern = zone_plate_response(
+            seen.values, pitch_mm=seen.pitch_mm, chirp_lpmm_per_mm=asked.chirp or 0.0,
+            levels=_pair(asked.levels, "levels like 100,3000"), valid=seen.valid,
+        ).radial  # fmt: skip
+    unit = frequency_unit(seen, None)
+    average = average_curves(edges)
+    found = edge_and_pattern(average, pattern)
+    _say_curve(current, average, unit, "edges" if len(edges) > 1 else "edge")
+    _say_curve(current, pattern, unit, "pattern")
+    low, high = (found.frequency_lpmm[end] * unit.factor for end in (0, -1))
+    current.say(
+        f"{found.verdict}: from {low:.3g} to {high:.3g} {unit.name} the edge promises "
+        f"{found.edge.mean():.3f} of the contrast, the pattern shows {found.pattern.mean():.3f} "
+        f"(difference {found.difference:+.3f} +- {found.std:.3f})"
+    )
+    current.result |= {"image": asked.image, "verdict": found.verdict, "unit": unit.name}
+    current.result |= {"difference": found.difference, "std": found.std}
+    columns = {"frequency": found.frequency_lpmm * unit.factor}
+    columns |= {"edge": found.edge, "pattern": found.pattern}
     write_table(current, asked.csv, columns)
 
 

@@ -4,6 +4,7 @@ Slanted edges (`slanted_edge`) and what is compared through them (`gain`) are mo
 own: they load compiled code.
 """
 
+from lensshift.evaluation.agreement import Agreement, edge_and_pattern
 from lensshift.evaluation.depth import (
     DepthError,
     depth_error,
@@ -20,6 +21,7 @@ from lensshift.evaluation.surface import fit_plane, flying_pixel_fraction
 from lensshift.evaluation.zone_plate import ZonePlateResult, zone_plate_response
 
 __all__ = [
+    "Agreement",
     "DepthError",
     "EdgeGradient",
     "Fidelity",
@@ -27,6 +29,7 @@ __all__ = [
     "SiemensResult",
     "ZonePlateResult",
     "depth_error",
+    "edge_and_pattern",
     "edge_gradient",
     "edge_location_error",
     "fidelity",

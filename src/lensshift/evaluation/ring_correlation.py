@@ -53,6 +53,9 @@ class RingCorrelation:
         return _period_mm(self.fixed_cutoff_lpmm)
 
 
+_SAME = 1.0 - 1e-9  # rounding alone
+
+
 def fourier_ring_correlation(
     first: ArrayLike,
     second: ArrayLike,
@@ -68,7 +71,7 @@ def fourier_ring_correlation(
     For signal and white noise of power S and N in each image FRC = S / (S + N). Rings are as wide
     as one Fourier sample along the shorter side and end at the smaller Nyquist frequency. What
     both images share counts as signal: two results of one prior, or of frames they have in common,
-    agree in what the prior invented.
+    agree in what the prior invented. One image twice would agree in its own noise.
 
     Parameters
     ----------
@@ -79,7 +82,7 @@ def fourier_ring_correlation(
     Raises
     ------
     ValueError
-        If an argument is out of range, or an image has no contrast.
+        If an argument is out of range, an image has no contrast, or both are the same one.
 
     Warns
     -----
@@ -109,6 +112,11 @@ def fourier_ring_correlation(
     power = [ring_sums(np.abs(spectrum) ** 2) for spectrum in spectra]
     norm = np.sqrt(power[0] * power[1])
     correlation = np.divide(cross, norm, out=np.zeros_like(cross), where=norm > 0)
+    if np.min(np.abs(correlation)) > _SAME:
+        raise ValueError(
+            "expected two images with noise of their own, got one image twice (or its multiple), "
+            "which correlates with its own noise; take two captures, or frames apart"
+        )
     samples = count**2 / ring_sums(_neighbours(ring, weight))
     _warn_if_few(samples)
     root = np.sqrt(samples)

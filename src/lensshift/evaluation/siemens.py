@@ -30,6 +30,7 @@ Floats = NDArray[np.float64]
 
 _SQUARE_FUNDAMENTAL = 4.0 / np.pi  # first harmonic of a square wave of amplitude 1
 _MIN_RINGS = 3
+_RIM_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +91,8 @@ def siemens_star_mtf(
     cycles : bright spokes of the star, n
     pitch_mm : pixel spacing, one or (row, col)
     center_px : (row, col); found to sub-pixel if not given
-    radius_range_mm : rings used; if not given, from the Nyquist frequency of the image to its
-        nearest border. A star smaller than the image needs it.
+    radius_range_mm : rings used; if not given, from the Nyquist frequency of the image to the
+        rim of the star, where its wave has half its greatest amplitude, or to the nearest border
     profile : how the star was printed
     levels : values of (black, white) in large uniform areas
     sectors : directions measured apart, with at least two cycles each; 0 for none
@@ -114,6 +115,12 @@ def siemens_star_mtf(
     pixels = list_pixels(image, pitch_mm, valid)
     center = _find_center_px(star, pixels, radius_range_mm) if center_px is None else center_px
     radii_mm = radius_range_mm or _default_range_mm(pixels, center, cycles)
+    if radius_range_mm is None and radii_mm[0] < radii_mm[1]:
+        rim_mm = _rim_mm(star, pixels, center, radii_mm)
+        if rim_mm < radii_mm[1]:
+            radii_mm = radii_mm[0], rim_mm
+            if center_px is None:  # what surrounds the star told of it as well
+                center = _find_center_px(star, pixels, radii_mm)
     if radii_mm[0] >= radii_mm[1]:
         raise ValueError(
             f"expected an image that reaches {radii_mm[0]:.4g} mm from the centre, where {cycles} "
@@ -226,6 +233,23 @@ def _default_range_mm(
     pixels: Pixels, center_px: tuple[float, float], cycles: int
 ) -> tuple[float, float]:
     return cycles * max(pixels.pitch_mm) / np.pi, min(pixels.reach_mm(center_px))
+
+
+def _rim_mm(
+    star: _Star, pixels: Pixels, center_px: tuple[float, float], radii_mm: tuple[float, float]
+) -> float:
+    """Return the outer radius of the star within a range of radii.
+
+    Outside no wave of its spokes is seen: from the border inwards, rings are left out up to the
+    first of half the greatest amplitude and two pixels more, which the blur of the rim reaches.
+    """
+    place_mm = pixels.place_mm(center_px)
+    waves = star.waves(*place_mm, radii_mm, pixels.pitch_mm)
+    rings_mm, fits = star.measure(pixels, waves, np.hypot(*place_mm))
+    waved = np.array([fit.modulation for fit in fits])
+    if not fits or waved[0] >= 0.5 * waved.max():
+        return radii_mm[1]
+    return float(rings_mm[np.argmax(waved >= 0.5 * waved.max())]) - _RIM_PX * max(pixels.pitch_mm)
 
 
 def _sector(waves: Waves, angle_rad: Floats, half_rad: float) -> Waves:
