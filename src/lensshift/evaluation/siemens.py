@@ -113,14 +113,7 @@ def siemens_star_mtf(
     _check_star(cycles, profile, sectors, radius_range_mm)
     star = _Star(cycles, profile)
     pixels = list_pixels(image, pitch_mm, valid)
-    center = _find_center_px(star, pixels, radius_range_mm) if center_px is None else center_px
-    radii_mm = radius_range_mm or _default_range_mm(pixels, center, cycles)
-    if radius_range_mm is None and radii_mm[0] < radii_mm[1]:
-        rim_mm = _rim_mm(star, pixels, center, radii_mm)
-        if rim_mm < radii_mm[1]:
-            radii_mm = radii_mm[0], rim_mm
-            if center_px is None:  # what surrounds the star told of it as well
-                center = _find_center_px(star, pixels, radii_mm)
+    center, radii_mm = _place(star, pixels, center_px, radius_range_mm)
     if radii_mm[0] >= radii_mm[1]:
         raise ValueError(
             f"expected an image that reaches {radii_mm[0]:.4g} mm from the centre, where {cycles} "
@@ -209,6 +202,24 @@ class _Star:
                 radii_mm.append(mean_mm)
                 fits.append(fit)
         return np.array(radii_mm), fits
+
+
+def _place(
+    star: _Star,
+    pixels: Pixels,
+    center_px: tuple[float, float] | None,
+    radius_range_mm: tuple[float, float] | None,
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the centre and the range of radii, found where they are not given."""
+    center = center_px or _find_center_px(star, pixels, radius_range_mm)
+    radii_mm = radius_range_mm or _default_range_mm(pixels, center, star.cycles)
+    if radius_range_mm is None and radii_mm[0] < radii_mm[1]:
+        rim_mm = _rim_mm(star, pixels, center, radii_mm)
+        if rim_mm < radii_mm[1]:
+            radii_mm = radii_mm[0], rim_mm
+            # What surrounds the star has told of its place as well.
+            center = center_px or _find_center_px(star, pixels, radii_mm)
+    return center, radii_mm
 
 
 def _find_center_px(
