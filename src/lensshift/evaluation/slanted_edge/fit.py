@@ -87,7 +87,13 @@ def fit_edge(
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     samples = take_samples(edge, noise, aperture_px, light)
-    likelihood, best = _placed(edge, samples, noise.dark_sigma, aperture_px)
+    starts = [edge.geometry]
+    if edge.geometry.size > 2:  # bends of an edge that is nearly upright may be the pixels
+        straight = np.zeros_like(edge.geometry)
+        straight[0] = edge.start_angle_rad
+        starts.append(straight)
+    placed = [_placed(edge, samples, noise.dark_sigma, aperture_px, one) for one in starts]
+    _, likelihood, best = min(placed, key=lambda one: one[0])
     posterior = drawn_around(likelihood, best, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
     gathered = likelihood.gathered
@@ -118,9 +124,9 @@ def fit_edge(
 
 
 def _placed(
-    edge: UprightEdge, samples: EdgeSamples, noise: float, aperture_px: float
-) -> tuple[EdgeLikelihood, Vector]:
-    """Return the likelihood about the most likely place of the edge, and its optimum.
+    edge: UprightEdge, samples: EdgeSamples, noise: float, aperture_px: float, geometry: Vector
+) -> tuple[float, EdgeLikelihood, Vector]:
+    """Return the value, the likelihood about the most likely place of the edge, and its optimum.
 
     The edge is turned by Gauss-Newton steps: to first order, it moves its pixels by its LSF. A step
     after which the fit is worse, or that goes back, is taken half as far.
@@ -129,9 +135,9 @@ def _placed(
     farthest_px = float(np.max(np.abs(edge.normal_px))) + _SPARE_PX
     nodes = nodes_for(basis, unit_px, aperture_px, farthest_px)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / unit_px), -2.0, 1.5))
-    parameters, geometry = starting_point(log_sigma, noise), edge.geometry
+    parameters = starting_point(log_sigma, noise)
     slope = _gaussian(nodes, max(edge.line.sigma_px, 0.3 * aperture_px))
-    found: tuple[EdgeLikelihood, Vector]
+    found: tuple[float, EdgeLikelihood, Vector]
     least, step, step_px = np.inf, np.zeros_like(geometry), np.zeros_like(geometry)
     in_px = np.ones_like(geometry)
     in_px[:2] = samples.half_length_px, 0.0  # the base moves to any order
@@ -143,7 +149,7 @@ def _placed(
         if value < least + _WORSE:
             known = _known(likelihood, best)
             wanted = _moved(likelihood, best[:, None], known.levels[:, None])[:, 0]
-            found, least, parameters = (likelihood, best), value, best
+            found, least, parameters = (value, likelihood, best), value, best
             slope = _slope(likelihood, best, known)
             if k == 0:  # the splines follow it once; an uneven shape would draw them on and on
                 parameters = best.copy()
