@@ -391,6 +391,21 @@ def test_gain_and_bias_are_found_on_request() -> None:
         assert abs(np.median(residual)) < 50.0 * 0.005
 
 
+def test_std_holds_the_level_that_no_frame_tells() -> None:
+    """Gains are known against each other only: their mean is off, and the picture with it."""
+    inside = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        gain, bias = 1 + 0.05 * rng.standard_normal(4), 0.02 * rng.standard_normal(4)
+        frames = gain[:, None, None] * _noisy(edge_scene, SHAPE, seed=seed) + bias[:, None, None]
+        estimate = reconstruct(make_burst(frames), photometric=True).amplitude
+        assert isinstance(estimate.std, np.ndarray)
+        off = np.abs(estimate.image - truth(edge_scene, SHAPE, 2)) / estimate.std
+        inside.append(np.mean(off[4:-4, 4:-4] < 2))
+    # A mean of four with a spread that is known from the four: 86 % by Student's law.
+    assert np.mean(inside) > 0.8
+
+
 def test_known_variance_takes_a_bad_frame_out() -> None:
     frames = _noisy(smooth_scene, (16, 24), sigma=0.002)
     frames[1] += 0.5 * np.random.default_rng(3).standard_normal(frames[1].shape)

@@ -52,6 +52,27 @@ def estimate_photometry(
     return gain, bias
 
 
+def std_of_level(
+    image: NDArray[np.float64], gain: NDArray[np.float64], bias: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the standard deviation of what no frame tells: the gain and bias that all share.
+
+        std^2 = var_k(gain_k x + bias_k) / K
+
+    The frames are as different from what they should be as from each other, so that their mean is
+    off by as much as a mean of K such draws. It is one error for the whole picture.
+
+    Parameters
+    ----------
+    image : [row col] in the units of the frames
+    gain, bias : [frame] as estimated, at least two of them
+    """
+    count = len(gain)
+    spread = np.cov(np.stack([gain, bias]))
+    variance = spread[0, 0] * image**2 + 2 * spread[0, 1] * image + spread[1, 1]
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) / count))
+
+
 def _regress(x: Array, y: Array, passes: int = 8) -> tuple[float, float]:
     """Return slope and intercept of y over x by a Huber fit; slope 1 where x is flat."""
     w = np.ones_like(x)

@@ -22,7 +22,7 @@ from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import positive, truth
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
-from lensshift.reconstruction.photometry import estimate_photometry
+from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
 from lensshift.reconstruction.problem import (
     NOMINAL_BLUR_PX,
     QUESTIONED_BLUR_PX,
@@ -236,6 +236,8 @@ def _solve(
         std = replace(std, unit=unit)
     elif std is not None:
         std = np.asarray(std) * unit
+        if photometric and len(gain) > 1:
+            std = np.hypot(std, std_of_level(image, gain, bias))
     return replace(
         estimate,
         image=image,
