@@ -256,26 +256,45 @@ def test_the_blur_of_a_lens_is_not_undone_by_the_default() -> None:
     assert np.std(sharp.amplitude.image) > np.std(soft.amplitude.image)
 
 
-@pytest.mark.parametrize("told", [None, 0.29])
-def test_frames_sharper_than_assumed_are_seen(told: float | None) -> None:
-    """Pixels of half the width: who told another one hears of it."""
-    rng, (rows, cols) = np.random.default_rng(2), (21, 26)
-    fine, offset = canvas(rng, (rows, cols)), square(2)
-    frames = np.empty((4, rows, cols))
-    for k, (top, left) in enumerate(np.rint((MARGIN_PX - offset) * SAMPLES).astype(int)):
-        part = fine[top : top + rows * SAMPLES, left : left + cols * SAMPLES]
-        cells = part.reshape(rows, SAMPLES, cols, SAMPLES)
-        frames[k] = cells[:, 3:9, :, 3:9].mean(axis=(1, 3))
-    frames += 0.01 * rng.standard_normal(frames.shape)
-    burst = Burst.from_arrays(frames, offset_px=offset, pitch_mm=0.1)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        result = reconstruct(burst, psf_sigma_px=told or "auto", noise_sigma=0.01, std=False)
-    said = [str(w.message) for w in caught]
-    assert any("sharper than psf_sigma_px" in text for text in said) is (told is not None), said
-    assert result.settings["psf_source"] == ("given" if told is not None else "assumed")
+@pytest.mark.parametrize(
+    ("part", "told_px", "noise", "least", "most"),
+    [
+        (12, 0.29, 0.01, 0, 0),  # a square pixel: nobody hears anything, however quiet the frames
+        (12, 0.29, 0.001, 0, 0),
+        (12, 0.6, 0.01, 5, 6),  # far too wide, which at SNR 400 was said of 2 in 16
+        (12, 0.9, 0.002, 5, 6),
+        (6, 0.29, 0.002, 3, 6),  # pixels of half the width
+        (6, None, 0.002, 0, 0),  # told nothing
+    ],
+)
+def test_frames_sharper_than_told_are_seen(
+    part: int, told_px: float | None, noise: float, least: int, most: int
+) -> None:
+    named = 0
+    for seed in range(20, 26):
+        rng, (rows, cols) = np.random.default_rng(seed), (21, 26)
+        fine, offset = canvas(rng, (rows, cols)), square(2)
+        frames, dark = np.empty((4, rows, cols)), (SAMPLES - part) // 2
+        for k, (top, left) in enumerate(np.rint((MARGIN_PX - offset) * SAMPLES).astype(int)):
+            whole = fine[top : top + rows * SAMPLES, left : left + cols * SAMPLES]
+            cells = whole.reshape(rows, SAMPLES, cols, SAMPLES)
+            light = cells[:, dark : dark + part, :, dark : dark + part]
+            frames[k] = light.mean(axis=(1, 3))
+        frames += noise * rng.standard_normal(frames.shape)
+        burst = Burst.from_arrays(frames, offset_px=offset, pitch_mm=0.1)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            result = reconstruct(
+                burst, psf_sigma_px=told_px or "auto", noise_sigma=noise, std=False
+            )
+        named += any("sharper than psf_sigma_px" in str(w.message) for w in caught)
+        assert result.settings["psf_source"] == ("given" if told_px is not None else "assumed")
+    assert least <= named <= most
+
+
+def test_a_blur_that_is_no_number_is_refused() -> None:
     with pytest.raises(ValueError, match="psf_sigma_px: expected a number or 'auto'"):
-        reconstruct(burst, psf_sigma_px="wide")
+        reconstruct(make_burst(_noisy()), psf_sigma_px="wide")
 
 
 # ---- frames, shift fields, prediction
