@@ -35,6 +35,8 @@ USUAL, USUAL_OF_PHASORS = 0.3, 0.5
 EXACT, EXACT_OF_PHASORS = 0.6, 0.25
 # Share of bursts whose noise is read from the frames, as it mostly is, errors and all.
 READ = 0.55
+# Share of scenes with grain all over or in parts: photographs have no even surfaces.
+GRAINY = 0.4
 MARGIN = 2  # LR pixels of scene around the frame, seen only by shifted apertures
 
 
@@ -206,7 +208,9 @@ def draw_batch(
     """Return bursts of one geometry from scenes of the pool, all on the usual square if asked."""
     bench = draw_bench(rng, 1.0, SQUARE_REACH_PX) if square else draw_bench(rng)
     g = bench.geometry
-    scenes = torch.tensor(np.stack([_crop(rng, pool, g.fine_shape) for _ in range(count)]))
+    drawn = [_crop(rng, pool, g.fine_shape) for _ in range(count)]
+    grainy = [_with_grain(rng, s, g) if rng.random() < GRAINY else s for s in drawn]
+    scenes = _float(np.stack(grainy))
     frames = bench.frames(scenes, draw_errors(rng, g, count))
     frames, valid, sigma, noise = _spoil(rng, frames.numpy())
     if len(g.offset_px) >= LEAST_FRAMES:
@@ -260,6 +264,27 @@ def _crop(rng: Generator, pool: NDArray[np.float16], size: list[int]) -> NDArray
     if rng.random() < 0.5:
         part = part[..., ::-1]
     return np.ascontiguousarray(part)
+
+
+def _with_grain(rng: Generator, scene: NDArray[np.float32], g: Geometry) -> NDArray[np.float32]:
+    """Add texture with a power law up to 0.3 to 1.5 cycles per HR pixel, mostly too fine to see.
+
+    It covers all, or what is brighter or darker than somewhere; half of it follows the light.
+    """
+    hr_samples = g.samples / g.scale
+    row, col = np.fft.fftfreq(scene.shape[0])[:, None], np.fft.rfftfreq(scene.shape[1])[None]
+    radius = np.hypot(row, col) * hr_samples  # cycles per HR pixel
+    gain = np.maximum(radius, 0.02) ** -rng.uniform(0.0, 1.6) * (radius < rng.uniform(0.3, 1.5))
+    gain[0, 0] = 0.0
+    white = rng.standard_normal(scene.shape)
+    grain = np.fft.irfft2(np.fft.rfft2(white) * gain, s=scene.shape)
+    grain *= np.exp(rng.uniform(np.log(0.003), np.log(0.1))) / max(float(grain.std()), 1e-9)
+    if rng.random() < 0.5:
+        grain = grain * 1.5 * scene
+    if rng.random() < 0.4:
+        level = scene[tuple(rng.integers(0, scene.shape))]
+        grain = grain * (scene > level if rng.random() < 0.5 else scene <= level)
+    return (scene + grain).astype(np.float32)
 
 
 def _spoil(rng: Generator, y: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:

@@ -131,7 +131,8 @@ def main() -> None:
         solver.load_state_dict(stored["solver"])
         optimiser.load_state_dict(stored["optimiser"])
     elif given.go_on:
-        load_exported(solver, *learned_weights("phasor" if given.phasor else "brightness"))
+        kind = "phasor" if given.phasor else "square" if given.square else "brightness"
+        load_exported(solver, *learned_weights(kind))
     began, seen, bad = time.monotonic(), [], 0
     step = stored["step"] if stored else 0
     batches = drawn(given, step)

@@ -26,12 +26,14 @@ BORDER = 4
 FIRST_SEED, CALIBRATION_SEED = 5000, 9000  # the tests use others
 MODULATION_HZ = 15e6
 PHASOR_SNR = (10, 30, 100)
+TEXTURES = (0.0, 0.0, 0.01, 0.03)  # standard deviation of what covers a mosaic, in turn
 
 
 def errors_of(seeds: range, scale: int, snr: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield error and std [row col] of bursts, the border left out."""
     for seed in seeds:
-        burst = mosaic_burst(seed, scale=scale, snr=snr)
+        texture = TEXTURES[seed % len(TEXTURES)]
+        burst = mosaic_burst(seed, texture=texture, scale=scale, snr=snr)
         model = forward_model(
             burst.y.shape[1:], scale, burst.offset_px, blur=GaussianBlur(12**-0.5)
         )

@@ -69,10 +69,30 @@ def observe(
     )
 
 
-def mosaic_burst(seed: int, shape: tuple[int, int] = (21, 26), **settings: float) -> MosaicBurst:
-    """Return a burst of a random mosaic."""
+def weave(rng: np.random.Generator, shape: tuple[int, int], finest: float) -> NDArray[np.float64]:
+    """Return a texture of unit variance on the canvas: many plane waves, finer ones fainter.
+
+    Up to `finest` cycles per LR pixel, which mostly is more than the frames or the picture show.
+    """
+    rows, cols = ((n + 2 * MARGIN_PX) * SAMPLES for n in shape)
+    row, col = np.mgrid[:rows, :cols] / SAMPLES
+    frequency = finest * np.sqrt(rng.uniform(0.01, 1, 60))
+    turn, start = rng.uniform(0, 2 * np.pi, (2, 60))
+    size, fall = np.zeros((rows, cols)), rng.uniform(0, 1.5)
+    for f, a, b in zip(frequency, turn, start, strict=True):
+        size += f**-fall * np.cos(2 * np.pi * f * (row * np.sin(a) + col * np.cos(a)) + b)
+    return size / size.std()
+
+
+def mosaic_burst(
+    seed: int, shape: tuple[int, int] = (21, 26), *, texture: float = 0.0, **settings: float
+) -> MosaicBurst:
+    """Return a burst of a random mosaic, a texture of that standard deviation all over it."""
     rng = np.random.default_rng(seed)
-    return observe(canvas(rng, shape), shape, rng=rng, **settings)  # type: ignore[arg-type]
+    fine = canvas(rng, shape)
+    if texture:
+        fine = fine + texture * weave(rng, shape, float(rng.uniform(0.4, 0.7)) * 2)
+    return observe(fine, shape, rng=rng, **settings)  # type: ignore[arg-type]
 
 
 def phasor_mosaic(

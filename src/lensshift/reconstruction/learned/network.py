@@ -23,8 +23,8 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
-    "square": "0a3eced3304e7054649f741c9f4a1918d7b47c852175181c2695a798cebcdd95",
-    "brightness": "c4340614a636dc92cd8591f159ad157faf5d1decb1753e813e2243a4bc610903",
+    "square": "8a13072406d23cc9996c1ecec159e17bee1c6e349980aa7feff255b953389c93",
+    "brightness": "321cdf562ae6b2248183d5a1cc7c68d0b38022cc1cdb3f6ce44769fc27a55475",
     "phasor": "cefa804fee062bd98f15d6137c9b504578781aeab2c71067798f57bde1272576",
 }
 
