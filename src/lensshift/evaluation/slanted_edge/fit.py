@@ -87,12 +87,13 @@ def fit_edge(
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     samples = take_samples(edge, noise, aperture_px, light)
+    sigma = max(noise.dark_sigma, edge.rounding.sigma)
     starts = [edge.geometry]
     if edge.geometry.size > 2:  # bends of an edge that is nearly upright may be the pixels
         straight = np.zeros_like(edge.geometry)
         straight[0] = edge.start_angle_rad
         starts.append(straight)
-    placed = [_placed(edge, samples, noise.dark_sigma, aperture_px, one) for one in starts]
+    placed = [_placed(edge, samples, sigma, aperture_px, one) for one in starts]
     _, likelihood, best = min(placed, key=lambda one: one[0])
     posterior = drawn_around(likelihood, best, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
