@@ -223,7 +223,11 @@ def examined(number: int, asked: argparse.Namespace) -> dict[str, Any]:
     row |= {"std": (half.high - half.low) / 3.92 / truth}
     row |= {"covered": [half.low <= truth <= half.high, *((low <= curve) & (curve <= high))[1:]]}
     at = found.mtf.modulation - curve
-    row |= {"at": at[1:], "at_std": (high - low)[1:] / 3.92, "angle": np.rad2deg(found.angle_rad.value)}
+    row |= {
+        "at": at[1:],
+        "at_std": (high - low)[1:] / 3.92,
+        "angle": np.rad2deg(found.angle_rad.value),
+    }
     return row | {"spent_s": time.process_time() - start, "light_order": found.bend_px}
 
 
@@ -250,7 +254,9 @@ def table(rows: Sequence[dict[str, Any]], by: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--set", type=int, default=1, help="seed: tune on one, report another")
     parser.add_argument("--images", type=int, default=300)
     parser.add_argument("--first", type=int, default=0)
@@ -278,7 +284,9 @@ def main() -> None:
             f"{'; '.join(one.partition(': ')[2][:50] for one in row['told'])}"
         )
     spent_s = [row["spent_s"] for row in rows if not row["refused"]]
-    print(f"median {np.median(spent_s):.3f} s, 95 % within {np.quantile(spent_s, 0.95):.3f} s of CPU")
+    print(
+        f"median {np.median(spent_s):.3f} s, 95 % within {np.quantile(spent_s, 0.95):.3f} s of CPU"
+    )
 
 
 def short(row: dict[str, Any]) -> str:

@@ -108,7 +108,7 @@ class Rounding:
         if self.sigma == 0.0:
             return np.zeros_like(self.alike)
         before = np.maximum((sigma / self.sigma) ** 2 - 1.0, 0.0)
-        return np.asarray(self.alike * self.sigma**2 * np.exp(-np.pi**2 / 3.0 * before))
+        return np.asarray(self.alike * self.sigma**2 * np.exp(-(np.pi**2) / 3.0 * before))
 
 
 def rounding_of(values: Vector) -> Rounding:
