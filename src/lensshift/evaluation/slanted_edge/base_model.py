@@ -33,8 +33,8 @@ class BaseModel(NamedTuple):
     """A Gaussian with a tail, seen by a square pixel.
 
     Its parameters are log sigma, the root r of the pixel's shrinkage (its side is exp(-r^2) of the
-    aperture), the root v of the tail's share v |v|, log width and speed of the tail, and the place of
-    it all; lengths in units of `unit_px`.
+    aperture), the root v of the tail's share v |v|, log width and speed of the tail, and the place
+    of it all; lengths in units of `unit_px`.
 
     Parameters
     ----------

@@ -102,9 +102,9 @@ def fit_edge(
     gathered = likelihood.gathered
     curves = _Curves(likelihood, frequency_cpp, np.quantile(edge.normal_px, (_SEEN, 1.0 - _SEEN)))
     # The optimum follows the tail's law beyond the region, half of the draws only in part.
-    share = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1])
-    share = np.append(0.0, np.maximum(share[1:], 0.0))
-    modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, share)
+    drawn = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
+    missing = np.append(0.0, np.maximum(drawn, 0.0))
+    modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
     geometry = _moved(likelihood, parameters, levels)
     factors = levels[:, 0], coefficients[:, 0]
     return EdgeFit(
