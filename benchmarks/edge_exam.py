@@ -6,7 +6,7 @@
 Each image draws a family of line spread functions, an angle (1.5 to 14 degrees, one in eight near
 45), polarity, orientation, a region of 40x40 to 200x60 pixels, a contrast of 1.2:1 to 100:1, noise
 of 0 to 5 % (white, growing with the light, or correlated), 8 bits for a third, a place off the
-middle, and for some a slight bend or uneven light. Printed for each family, and for each other property:
+middle, and for some a slight bend or uneven light. Printed for each family and each other property:
 errors of MTF50, how often the 95 % intervals hold the truth, how often the error exceeds 3 stated
 standard deviations, refusals, and gross errors (10 % and more) without a warning.
 """
