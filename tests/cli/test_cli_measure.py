@@ -126,6 +126,20 @@ def test_noise_does_not_correlate(call: Call, tmp_path: Path) -> None:
     assert found["difference"] < -0.1  # type: ignore[operator]
 
 
+def test_bars_beside_an_edge(call: Call, tmp_path: Path) -> None:
+    """Bars without a blur: their pixels alone lower them, less than the edge's blur does it."""
+    col = (np.arange(80 * 20) + 0.5) / 20
+    lines = np.where(np.cos(2 * np.pi * col / 5.3) > 0, 0.9, 0.1).reshape(80, 20).mean(axis=1)
+    np.save(tmp_path / "bars.npy", np.tile(lines, (30, 1)))
+    np.save(tmp_path / "edge.npy", edge())
+    wanted = "resolution", tmp_path / "bars.npy", "--edge", tmp_path / "edge.npy"
+    found = numbers(call, *wanted, "--bars", "5.3px@0,30,0,80", "--levels", "0.1,0.9")
+    assert found["verdict"] == "pattern flatters"
+    assert found["contrast_std"] == 0.0
+    pattern = next(one for one in found["curves"] if one["name"] == "pattern")  # type: ignore[attr-defined]
+    assert pattern["modulation"] == pytest.approx([np.sinc(1 / 5.3)], abs=0.01)
+
+
 def wall() -> Image:
     """Return radial distances of a plane 2 m away, seen with pixels of 0.1 mm and f = 40 mm."""
     row, col = ((np.arange(n) - 0.5 * (n - 1)) * 0.1 / 40 for n in SHAPE)
@@ -178,6 +192,10 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["frc", "edge.npy", "odd.npy"], 1, "shape"),
         (["frc", "edge.npy", "edge.npy"], 1, "one image twice"),
         (["resolution", "edge.npy"], 2, "--cycles of a star or --chirp of a zone plate"),
+        (["resolution", "edge.npy", "--cycles", "9", "--bars", "8px"], 2, "one of them"),
+        (["resolution", "edge.npy", "--bars", "wide"], 2, "bars like 2.5, 8px"),
+        (["resolution", "edge.npy", "--cycles", "9", "--levels", "1"], 2, "levels like"),
+        (["resolution", "edge.npy", "--bars", "8px"], 1, "expected levels, or 3 groups"),
         (["depth", "edge.npy", "odd.npy"], 1, "shape"),
         (["depth", "edge.npy", "--edge", "col"], 2, "needs the truth"),
         (["depth", "edge.npy", "--plane", "0,9,0,9"], 2, "needs --focal-length-mm"),

@@ -70,5 +70,5 @@ def test_too_coarse_a_pattern_is_refused() -> None:
     f = np.linspace(0.01, 1.0, 50)
     curve = MtfCurve(f, np.exp(-(f**2) * 4), None)
     coarse = MtfCurve(f[:5] / 10, np.ones(5), None)
-    with pytest.raises(ValueError, match="two frequencies or more"):
+    with pytest.raises(ValueError, match="a pattern with lines where"):
         edge_and_pattern(curve, coarse)

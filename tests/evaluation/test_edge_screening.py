@@ -78,3 +78,32 @@ def test_light_that_falls_towards_the_corners_is_not_blur() -> None:
     even = measure_edge(noisy(0.2 + step(0.3), 0.005)).mtf50_lpmm
     found = measure_edge(noisy(light * (0.2 + step(0.3)), 0.005)).mtf50_lpmm
     assert found.value == pytest.approx(even.value, rel=0.012)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (0.2 + step(0.3, 18.0), "no plateau is seen"),
+        (0.2 + (step(0.3) > 0.5), "2 levels only"),
+        (-0.2 - step(0.3), "not positive"),
+    ],
+)
+def test_an_edge_that_tells_no_profile_is_named_and_not_used(image: Image, message: str) -> None:
+    noise = 0.0 if "levels only" in message else 0.005
+    found = measure_edge(noisy(image, noise), region=(0, SHAPE[0], 0, SHAPE[1]))
+    assert not found.usable
+    assert any(message in note for note in found.notes)
+
+
+@pytest.mark.parametrize("counts", [60, 200])
+def test_whole_numbers_without_noise_are_believed_as_far_as_they_go(counts: int) -> None:
+    """All pixels of a plateau share one error of rounding, which no number of them averages out."""
+    exact = measure_edge(10.0 + counts * step(0.3, 1.1)).mtf50_lpmm.value
+    rng = np.random.default_rng(counts)
+    inside = 0
+    for _ in range(6):
+        image = 10.0 + rng.random() + counts * step(float(rng.uniform(-1, 1)), 1.1)
+        half = measure_edge(np.rint(image)).mtf50_lpmm
+        inside += half.low <= exact <= half.high
+        assert half.value == pytest.approx(exact, rel=1.0 / counts)
+    assert inside >= 5

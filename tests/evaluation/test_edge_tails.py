@@ -63,13 +63,13 @@ def test_light_far_from_the_edge_is_not_taken_for_plateau(
     half = frequency[np.argmax(truth < 0.5)]
     rng = np.random.default_rng(11)
     errors, covered = [], 0
-    for place_px in (-0.7, 0.4):
+    for place_px in (-0.7, -0.3, 0.1, 0.4, 0.8):
         image = edge(optics, place_px) + 0.004 * rng.standard_normal((41, 63))
         found = measure_edge(image, region=(0, 41, 0, 63))
         errors.append(found.mtf50_lpmm.value / half - 1.0)
         covered += found.mtf50_lpmm.low <= half <= found.mtf50_lpmm.high
     assert np.max(np.abs(errors)) < 0.015
-    assert covered >= 1
+    assert covered >= 3  # of 5: at 95 %, three misses are one in a thousand
 
 
 def test_the_tail_of_the_base_is_its_transform() -> None:

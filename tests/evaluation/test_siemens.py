@@ -160,9 +160,18 @@ def test_std_is_that_of_repeated_measurements(levels: tuple[float, float] | None
     ]
     scatter = np.std([run.mtf.modulation for run in runs], axis=0, ddof=1)
     told = np.mean([run.mtf.std for run in runs if run.mtf.std is not None], axis=0)
-    # The scale counts as independent of the rings, which it is not quite where it was taken from.
-    assert 0.9 < np.mean(told / scatter) < (1.1 if levels else 1.3)
+    # An extrapolated scale may be off by more than noise: how the contrast falls is not known.
+    assert np.mean(told / scatter) > 0.9
+    assert np.mean(told / scatter) < 1.1 or not levels
     assert np.mean([run.residual for run in runs]) == pytest.approx(0.02, rel=0.1)
+
+
+def test_an_extrapolated_contrast_says_how_far_it_may_be_off() -> None:
+    for sigma in (0.8, 1.2, 1.6):
+        found = siemens_star_mtf(exact_star(sigma=sigma), cycles=CYCLES, pitch_mm=1.0)
+        assert abs(found.contrast - 0.8) < 2.0 * found.contrast_std
+    given = siemens_star_mtf(exact_star(), cycles=CYCLES, pitch_mm=1.0, levels=LEVELS)
+    assert given.contrast_std == 0.0
 
 
 def test_contrast_reversal_shows_in_the_phase() -> None:

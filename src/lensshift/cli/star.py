@@ -94,6 +94,7 @@ def star(current: Session, asked: StarOptions) -> None:
     current.say(f"star of {asked.cycles} cycles, centre at row {row:.2f}, column {col:.2f}")
     current.result |= {"image": asked.image, "center_px": found.center_px}
     current.result["cycles"] = asked.cycles
+    _say_contrast(current, found)
     _say_curve(current, found.mtf, unit, "over all directions")
     for k, curve in enumerate(found.sectors):
         _say_curve(current, curve, unit, f"sector {k}")
@@ -142,6 +143,7 @@ def zone(current: Session, asked: ZoneOptions) -> None:
     row, col = found.center_px
     current.say(f"zone plate, centre at row {row:.2f}, column {col:.2f}")
     current.result |= {"image": asked.image, "center_px": found.center_px}
+    _say_contrast(current, found)
     for name in ("radial", "row", "col"):
         _say_curve(current, getattr(found, name), unit, name)
     write_table(current, asked.csv, _columns(found.radial, unit))
@@ -196,9 +198,14 @@ class ResolutionOptions:
 
     image: ImageArgument
     edge: Path | None = option(None, "The image that holds the edges, if another one.")
-    cycles: int | None = option(None, "Bright spokes of a Siemens star in IMAGE.")
-    profile: StarProfile = option(StarProfile.SINE, "How the star was printed.")
+    cycles: int | None = option(None, "Bright spokes of a Siemens star in IMAGE.", min=1)
     chirp: float | None = option(None, "Of a zone plate in IMAGE, in LP/mm per mm.")
+    bars: list[str] | None = option(
+        None,
+        "A group of bars in IMAGE: its frequency, 2.5, or period, 8px, and its region if it is not "
+        "to be found: 2.5@0,40,10,60 (row start,stop,col start,stop); again for each further one.",
+    )
+    profile: StarProfile | None = option(None, "How it was printed: stars as sine, bars as square.")
     levels: LevelsOption = None
     region: str | None = option(None, "Of the edge, in pixels: row start,stop,col start,stop.")
     pitch_mm: PitchOption = None
@@ -209,44 +216,38 @@ class ResolutionOptions:
 
 @verb("comparing edges with a pattern")
 def resolution(current: Session, asked: ResolutionOptions) -> None:
-    """Ask a star or a zone plate whether the edges beside it promise too much.
+    """Ask a star, a zone plate or bars whether the edges beside them promise too much.
 
     A solver may draw edges sharper than it resolves. Of super-resolved images, trust the pattern.
-    The contrast at frequency 0 is extrapolated from coarse lines unless --levels gives it.
+    The contrast at frequency 0 is extrapolated from coarse lines unless --levels gives it; how far
+    that may be off counts in the verdict.
 
     \b
     Example:
       lensshift evaluate resolution sharp_star.nc --cycles 12 --edge sharp_edge.nc
       lensshift evaluate resolution plate.tif --chirp 2.5 --pitch-mm 0.155 --region 0,40,0,64
+      lensshift evaluate resolution bars.tif --bars 8px --bars 5px@40,66,4,60 --levels 20,220
     """
     from lensshift.evaluation.agreement import edge_and_pattern
-    from lensshift.evaluation.siemens import siemens_star_mtf
     from lensshift.evaluation.slanted_edge import Region, average_curves, measure_edges
-    from lensshift.evaluation.zone_plate import zone_plate_response
 
-    if (asked.cycles is None) == (asked.chirp is None):
-        raise typer.BadParameter("expected --cycles of a star or --chirp of a zone plate, not both")
+    if sum(bool(one) for one in (asked.cycles, asked.chirp is not None, asked.bars)) != 1:
+        raise typer.BadParameter(
+            "expected --cycles of a star or --chirp of a zone plate or --bars, one of them"
+        )
+    place = parse_region(asked.region)
     check_outputs([asked.image, *([asked.edge] if asked.edge else [])], asked.csv, None)
     seen = measured_image(asked.image, asked.pitch_mm, key=asked.key, frame=asked.frame)
+    unit = frequency_unit(seen, None)
+    # The pattern first: what does not fit of it is told before edges take their time.
+    pattern = _pattern(current, asked, seen)
     beside = seen if asked.edge is None else measured_image(
         asked.edge, asked.pitch_mm, key=asked.key, frame=asked.frame
     )  # fmt: skip
-    place = parse_region(asked.region)
     edges = measure_edges(
         beside.values, beside.pitch_mm, region=None if place is None else Region(*place),
         valid=beside.valid, scale=beside.scale,
     )  # fmt: skip
-    if asked.cycles is not None:
-        pattern = siemens_star_mtf(
-            seen.values, cycles=asked.cycles, pitch_mm=seen.pitch_mm, valid=seen.valid,
-            profile=asked.profile.value, levels=_pair(asked.levels, "levels like 100,3000"),
-        ).mtf  # fmt: skip
-    else:
-        pattern = zone_plate_response(
-            seen.values, pitch_mm=seen.pitch_mm, chirp_lpmm_per_mm=asked.chirp or 0.0,
-            levels=_pair(asked.levels, "levels like 100,3000"), valid=seen.valid,
-        ).radial  # fmt: skip
-    unit = frequency_unit(seen, None)
     average = average_curves(edges)
     found = edge_and_pattern(average, pattern)
     _say_curve(current, average, unit, "edges" if len(edges) > 1 else "edge")
@@ -262,6 +263,63 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
     columns = {"frequency": found.frequency_lpmm * unit.factor}
     columns |= {"edge": found.edge, "pattern": found.pattern}
     write_table(current, asked.csv, columns)
+
+
+def _pattern(current: Session, asked: ResolutionOptions, seen: Measured) -> Any:
+    """Return the curve of the star, zone plate or bars."""
+    levels = _pair(asked.levels, "levels like 100,3000")
+    common: dict[str, Any] = {"pitch_mm": seen.pitch_mm, "levels": levels, "valid": seen.valid}
+    found: Any
+    if asked.bars:
+        from lensshift.evaluation.gratings import gratings_mtf
+
+        groups = [_group(text, seen) for text in asked.bars]
+        printed: Any = (asked.profile or StarProfile.SQUARE).value
+        lines, regions = zip(*groups, strict=True)
+        found = gratings_mtf(seen.values, lines, regions=regions, profile=printed, **common)
+        factor, name = frequency_unit(seen, None).factor, frequency_unit(seen, None).name
+        for line, box, value in zip(
+            found.mtf.frequency_lpmm, found.regions, found.mtf.modulation, strict=True
+        ):
+            current.say(
+                f"bars of {line * factor:.4g} {name} in rows {box[0]}:{box[1]}, columns "
+                f"{box[2]}:{box[3]}: contrast {value:.3f}"
+            )
+        current.result["regions"] = found.regions
+    elif asked.cycles is not None:
+        from lensshift.evaluation.siemens import siemens_star_mtf
+
+        printed = (asked.profile or StarProfile.SINE).value
+        found = siemens_star_mtf(seen.values, cycles=asked.cycles, profile=printed, **common)
+    else:
+        from lensshift.evaluation.zone_plate import zone_plate_response
+
+        chirp = 0.0 if asked.chirp is None else asked.chirp
+        found = zone_plate_response(seen.values, chirp_lpmm_per_mm=chirp, **common)
+    _say_contrast(current, found)
+    return found.radial if asked.chirp is not None else found.mtf
+
+
+def _group(text: str, seen: Measured) -> tuple[float, tuple[int, int, int, int] | None]:
+    """Return frequency and region of a group of bars, from "2.5", "8px" or "8px@0,40,10,60"."""
+    lines, _, region = text.partition("@")
+    expected = "bars like 2.5, 8px or 8px@0,40,10,60"
+    period = lines.endswith("px")
+    (number,) = parse_numbers(lines.removesuffix("px"), 1, expected)
+    if not number > 0:
+        raise typer.BadParameter(f"expected {expected}, got {text!r}")
+    frequency = 1.0 / (number * max(seen.pitch_mm)) if period else number
+    return frequency, parse_region(region or None)
+
+
+def _say_contrast(current: Session, found: Any) -> None:
+    """Say by what the curves were divided, and how far that may be off."""
+    current.result |= {"contrast": found.contrast, "contrast_std": found.contrast_std}
+    if found.contrast_std > 0.0:
+        current.say(
+            f"contrast at frequency 0: {found.contrast:.3f} +- {found.contrast_std:.3f}, "
+            "extrapolated; --levels gives it"
+        )
 
 
 def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[Measured, Unit]:

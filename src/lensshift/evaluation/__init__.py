@@ -14,6 +14,7 @@ from lensshift.evaluation.depth import (
 )
 from lensshift.evaluation.edge_gradient import EdgeGradient, edge_gradient, gradient_ratio
 from lensshift.evaluation.fidelity import Fidelity, fidelity, psnr_db, rmse, ssim
+from lensshift.evaluation.gratings import GratingResult, gratings_mtf
 from lensshift.evaluation.noise import noise_autocovariance, noise_gain, temporal_noise
 from lensshift.evaluation.ring_correlation import RingCorrelation, fourier_ring_correlation
 from lensshift.evaluation.siemens import SiemensResult, siemens_star_mtf
@@ -25,6 +26,7 @@ __all__ = [
     "DepthError",
     "EdgeGradient",
     "Fidelity",
+    "GratingResult",
     "RingCorrelation",
     "SiemensResult",
     "ZonePlateResult",
@@ -38,6 +40,7 @@ __all__ = [
     "flying_pixel_fraction",
     "fourier_ring_correlation",
     "gradient_ratio",
+    "gratings_mtf",
     "near_edges",
     "noise_autocovariance",
     "noise_gain",

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 _MAX_CONDITION = 10.0  # of the columns of one fit, each of norm 1; full rings have about 1.5
 _MAX_CENTER_STEPS = 30
 _CENTER_TOLERANCE_PX = 1e-4
+_OF_UNIFORM = 3.0**-0.5  # deviation from one end of a uniform distribution over its width
 _MIN_MODULATION = 1e-3  # of the lowest frequencies; below, the image does not hold the target
 
 
@@ -159,7 +160,8 @@ def contrast_at_zero(
     """Return the modulation at frequency 0 and its standard deviation.
 
     From the levels (low, high): factor (high - low) / (high + low), taken as exact. Else by the
-    straight line through log modulation over frequency^2.
+    straight line through log modulation over frequency^2, as a Gaussian falls. Over the frequency
+    itself, as diffraction falls, it meets 0 higher: the truth is taken to be anywhere between.
     """
     if levels is not None:
         low, high = levels
@@ -169,11 +171,14 @@ def contrast_at_zero(
     modulation = np.array([fit.modulation for fit in fits])
     if np.min(modulation) < _MIN_MODULATION:
         raise ValueError(f"expected contrast at low frequencies, got {np.min(modulation):.2g}")
-    design = np.column_stack([np.ones_like(frequency_lpmm), frequency_lpmm**2])
-    weights = np.linalg.pinv(design)[0]
+    ones = np.ones_like(frequency_lpmm)
+    weights, steeper = (
+        np.linalg.pinv(np.column_stack([ones, frequency_lpmm**power]))[0] for power in (2, 1)
+    )
     contrast = float(np.exp(weights @ np.log(modulation)))
     relative = weights * np.array([fit.std for fit in fits]) / modulation
-    return contrast, contrast * float(np.linalg.norm(relative))
+    apart = float((steeper - weights) @ np.log(modulation)) * _OF_UNIFORM
+    return contrast, contrast * float(np.hypot(np.linalg.norm(relative), apart))
 
 
 def mtf_curve(

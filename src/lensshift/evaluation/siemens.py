@@ -41,7 +41,8 @@ class SiemensResult:
     ----------
     mtf : [n] over all directions; `std` holds the scatter of the pixels and that of `contrast`
     center_px : centre of the star as (row, col)
-    contrast : modulation at frequency 0, by which the curve was divided
+    contrast, contrast_std : modulation at frequency 0, by which the curve was divided; levels
+        that are given count as exact
     radius_mm : [n] mean radius of the pixels of a ring
     phase_rad : [n] against the mean phase; near pi the contrast is reversed
     count : [n] pixels in the ring
@@ -54,6 +55,7 @@ class SiemensResult:
     mtf: MtfCurve
     center_px: tuple[float, float]
     contrast: float
+    contrast_std: float
     radius_mm: Floats
     phase_rad: Floats
     count: NDArray[np.int64]
@@ -144,6 +146,7 @@ def siemens_star_mtf(
         mtf=mtf_curve(frequency_lpmm, fits, contrast, "Siemens star"),
         center_px=center,
         contrast=contrast[0],
+        contrast_std=contrast[1],
         radius_mm=rings_mm,
         phase_rad=_against_mean(fits),
         count=np.array([fit.count for fit in fits], dtype=np.int64),

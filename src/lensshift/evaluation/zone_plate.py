@@ -40,7 +40,8 @@ class ZonePlateResult:
     folded : (row, col) contrast of the wave that the LR grid folds by 1 / lr_pitch, over the TRUE
         frequency; None without `lr_pitch_mm`
     center_px : centre of the plate as (row, col)
-    contrast : modulation at frequency 0, by which the curves were divided
+    contrast, contrast_std : modulation at frequency 0, by which the curves were divided; levels
+        that are given count as exact
     """
 
     radial: MtfCurve
@@ -49,6 +50,7 @@ class ZonePlateResult:
     folded: tuple[MtfCurve, MtfCurve] | None
     center_px: tuple[float, float]
     contrast: float
+    contrast_std: float
 
 
 def zone_plate_response(
@@ -110,7 +112,7 @@ def zone_plate_response(
             axes.append(mtf_curve(found[0], found[1], contrast, name))
             folded.append(mtf_curve(found[0], found[2], contrast, f"{name}, folded"))
     both = (folded[0], folded[1]) if folded else None
-    return ZonePlateResult(radial, axes[0], axes[1], both, center, contrast[0])
+    return ZonePlateResult(radial, axes[0], axes[1], both, center, *contrast)
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,8 +33,8 @@ class BaseModel(NamedTuple):
     """A Gaussian with a tail, seen by a square pixel.
 
     Its parameters are log sigma, the root r of the pixel's shrinkage (its side is exp(-r^2) of the
-    aperture), the root v of the tail's share v |v|, log width and logit speed of the tail, and the
-    place of it all; lengths in units of `unit_px`.
+    aperture), the root v of the tail's share v |v|, log width and speed of the tail, and the place
+    of it all; lengths in units of `unit_px`.
 
     Parameters
     ----------
@@ -76,25 +76,20 @@ class BaseModel(NamedTuple):
         other = 0.0 if tail.slow > 0.5 else 1.0
         other_far = self._far(there, side_px, tail._replace(slow=other))
         by_slow = (other_far - far) / (other - tail.slow)
-        slopes[4] = share * tail.slow * (1.0 - tail.slow) * by_slow
+        slopes[4] = share * by_slow
         return slopes
 
     def transforms(self, frequency_cpp: Vector, parameters: Matrix) -> NDArray[np.complex128]:
         """Return the Fourier transforms of the LSFs [f k] of several parameters [p k]."""
-        log_sigma, root, root_share, log_tail, logit, place = parameters[:6]
-        tail = Tail(
-            root_share * np.abs(root_share),
-            np.exp(log_tail) * self.unit_px,
-            1.0 / (1.0 + np.exp(-logit)),
-        )
+        log_sigma, root, root_share, log_tail, slow, place = parameters[:6]
+        tail = Tail(root_share * np.abs(root_share), np.exp(log_tail) * self.unit_px, slow)
         f, sigma_px = frequency_cpp[:, None], np.exp(log_sigma) * self.unit_px
         side_px = np.exp(-(root**2)) * self.aperture_px
         there = edge_response_transform(f, self.angle_rad, sigma_px, side_px, tail)
         return np.asarray(there * np.exp(-2j * np.pi * self.unit_px * place * f))
 
     def _parts(self, parameters: Vector) -> _Parts:
-        log_sigma, root, root_share, log_tail, logit, place = parameters[:6].tolist()
-        slow = 1.0 / (1.0 + math.exp(-logit))
+        log_sigma, root, root_share, log_tail, slow, place = parameters[:6].tolist()
         return _Parts(
             math.exp(log_sigma) * self.unit_px,
             math.exp(-(root**2)) * self.aperture_px,

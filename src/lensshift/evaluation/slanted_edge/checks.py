@@ -20,6 +20,8 @@ _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
 _LEAST_BEND_PX = 0.05
 _LEAST_LINES = 8
+_LARGEST_RISE = 0.5  # of the extent of the region across the edge
+_FEWEST_LEVELS = 4
 _ENDS_OF_RANGE = (0.0, 255.0, 1023.0, 4095.0, 16383.0, 65535.0)  # of 8 to 16 bits
 _NO_NOISE = 1e-9  # of the contrast
 
@@ -40,8 +42,13 @@ def doubted(
     values : [n] the pixels of the region
     out : number of pixels that were left out as they stand out
     """
-    found = []
-    if not result.contrast >= _LEAST_CONTRAST:
+    found = _shape(values, result)
+    if result.dark + result.bright <= 0.0:
+        found.append(
+            f"the levels of the edge, {result.dark:.3g} and {result.bright:.3g}, are not positive: "
+            "was too much of the black level taken off?"
+        )
+    elif not result.contrast >= _LEAST_CONTRAST:
         found.append(
             f"the contrast of the edge is {100 * result.contrast:.1f} %, "
             f"expected {100 * _LEAST_CONTRAST:.0f} % or more"
@@ -82,6 +89,24 @@ def warn_of(found: list[str], region: object) -> None:
     """Warn once for each doubt."""
     for doubt in found:
         warnings.warn(f"edge in {region}: {doubt}", QualityWarning, stacklevel=3)
+
+
+def _shape(values: Vector, result: EdgeResult) -> list[str]:
+    """Of black and white alone, or without plateaus, a profile is the model's own."""
+    found, place = [], result.region
+    count = np.unique(values).size
+    if count < _FEWEST_LEVELS:
+        found.append(f"the pixels have {count} levels only: the profile of the edge is lost")
+    wide = place.col_stop - place.col_start
+    if result.orientation != "vertical":
+        wide = place.row_stop - place.row_start
+    rise_px = result.rise_mm.value / result.pitch_mm
+    if rise_px > _LARGEST_RISE * wide:
+        found.append(
+            f"the edge is {rise_px:.0f} px wide (10 to 90 %) in a region of {wide}: no plateau is "
+            "seen; choose a wider region"
+        )
+    return found
 
 
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:

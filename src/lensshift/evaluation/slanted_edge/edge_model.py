@@ -36,7 +36,7 @@ class Tail(NamedTuple):
         R(x) = k w / (pi (x^2 + w^2)) + (1 - k) exp(-|x| / w) / 2 w
 
     Diffraction and rough surfaces fall as slowly as the first, light scattered in glass and
-    between pixels as fast as the second.
+    between pixels as fast as the second; k below 0 falls faster still.
 
     Parameters
     ----------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import sici
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.gathering import gather
@@ -26,6 +27,7 @@ DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
 _ESF_STEP = 0.1
 _MOST_PLACES = 8
+_SEEN = 0.05  # of the pixels lie beyond what counts as the ends of the region
 _WORSE = 0.5  # of the log posterior
 _SETTLED_PX = 3e-3  # a move whose square changes no pixel
 _FARTHEST_MOVE_PX = 0.5  # at a time
@@ -87,18 +89,22 @@ def fit_edge(
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     samples = take_samples(edge, noise, aperture_px, light)
+    sigma = max(noise.dark_sigma, edge.rounding.sigma)
     starts = [edge.geometry]
     if edge.geometry.size > 2:  # bends of an edge that is nearly upright may be the pixels
         straight = np.zeros_like(edge.geometry)
         straight[0] = edge.start_angle_rad
         starts.append(straight)
-    placed = [_placed(edge, samples, noise.dark_sigma, aperture_px, one) for one in starts]
+    placed = [_placed(edge, samples, sigma, aperture_px, one) for one in starts]
     _, likelihood, best = min(placed, key=lambda one: one[0])
     posterior = drawn_around(likelihood, best, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
     gathered = likelihood.gathered
-    curves = _Curves(likelihood, frequency_cpp)
-    modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients)
+    curves = _Curves(likelihood, frequency_cpp, np.quantile(edge.normal_px, (_SEEN, 1.0 - _SEEN)))
+    # The optimum follows the tail's law beyond the region, half of the draws only in part.
+    drawn = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
+    missing = np.append(0.0, np.maximum(drawn, 0.0))
+    modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
     geometry = _moved(likelihood, parameters, levels)
     factors = levels[:, 0], coefficients[:, 0]
     return EdgeFit(
@@ -221,11 +227,22 @@ def _whole_draws(
     return whole[0], whole[1], whole[2]
 
 
+def _beyond(frequency_cpp: Vector, end_px: float) -> Vector:
+    """Return the transform of light that falls as 1 / x^2 beyond a distance, 1 at frequency 0.
+
+    integral from 1 of cos(z t) / t^2 dt = cos z + z (Si(z) - pi / 2),   z = 2 pi f end
+    """
+    turn = 2.0 * np.pi * frequency_cpp * end_px
+    return np.asarray(np.cos(turn) + turn * (sici(turn)[0] - 0.5 * np.pi))
+
+
 class _Curves:
     """Turns draws of the edge into MTF, ESF and LSF."""
 
-    def __init__(self, likelihood: EdgeLikelihood, frequency_cpp: Vector) -> None:
+    def __init__(self, likelihood: EdgeLikelihood, frequency_cpp: Vector, ends_px: Vector) -> None:
         self._base, self._frequency_cpp = likelihood.base, frequency_cpp
+        self._ends_px = ends_px
+        self._beyond = np.stack([_beyond(frequency_cpp, abs(end)) for end in ends_px.tolist()])
         basis = likelihood.basis
         reach = round(_ESF_HALF_WIDTH / _ESF_STEP)
         half = np.arange(-2 * reach - 1, 2 * reach + 2) * 0.5 * _ESF_STEP * likelihood.unit_px
@@ -236,16 +253,21 @@ class _Curves:
         self._values = basis.values(self.normal_px)
 
     def of(
-        self, parameters: Matrix, factor: Vector, coefficients: Matrix
+        self, parameters: Matrix, factor: Vector, coefficients: Matrix, missing: Vector
     ) -> tuple[Matrix, Matrix, Matrix]:
-        """Return MTF [f k], ESF [d k] and LSF [d k]."""
+        """Return MTF [f k], ESF [d k] and LSF [d k].
+
+        Of the light that the base model sends beyond the region, a share `missing` [k] is none.
+        """
         other = np.any(parameters[:, 1:] != parameters[:, :-1], axis=0)
         number = np.concatenate([[0], np.cumsum(other)])  # of the parameters in each draw
         unlike = parameters[:, np.concatenate([[True], other])]
-        response = np.column_stack(
-            [self._base.response(self._half_steps_px, one) for one in unlike.T]
-        )[:, number]
+        places_px = np.concatenate([self._half_steps_px, self._ends_px])
+        response = np.column_stack([self._base.response(places_px, one) for one in unlike.T])
+        response, ends = response[:-2, number], response[-2:, number]
         base = self._base.transforms(self._frequency_cpp, unlike)[:, number]
+        far = missing * np.stack([ends[0], 1.0 - ends[1]])
+        base = base - self._beyond.T @ far
         transform = factor * base + self._transforms @ coefficients
         contrast = transform[0].real
         steps_px = self._half_steps_px[2::2] - self._half_steps_px[:-2:2]

@@ -44,7 +44,7 @@ class Gathered:
     fixed : [n f] columns F as the pixels see them: a level, turn and bends of the edge, light
     powers : [n k] Legendre polynomials along the edge
     seen : the columns V, the response itself first
-    count : number of whitened pixels
+    count : number of whitened pixels, those rounded alike as one
     squares, fixed_values, fixed_fixed : y^T y, F^T y [f], F^T F [f f]
     splines : [j+f+1 j] and
     node_sums : of each power [j+f+1 g]: sums of splines, fixed columns and values with both
@@ -58,7 +58,7 @@ class Gathered:
     fixed: Matrix
     powers: Matrix
     seen: tuple[Seen, ...]
-    count: int
+    count: float
     squares: float
     fixed_values: Vector
     fixed_fixed: Matrix
@@ -122,7 +122,7 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
         fixed=fixed,
         powers=powers,
         seen=seen,
-        count=len(right),
+        count=samples.unlike * len(right),
         squares=float(sums[-1, -1]),
         fixed_values=sums[:-1, -1],
         fixed_fixed=sums[:-1, :-1],

@@ -74,12 +74,23 @@ def find_edge(
     return line
 
 
-def explained_share(x_px: Vector, y_px: Vector, values: Vector) -> float:
-    """Return the share of the variance that one straight step explains, 0 to 1."""
+def explained_share(
+    x_px: Vector, y_px: Vector, values: Vector, near_rad: float | None = None
+) -> float:
+    """Return the share of the variance that one straight step explains, 0 to 1.
+
+    Parameters
+    ----------
+    x_px, y_px, values : [n] the pixels
+    near_rad : direction of its normal to within a few degrees, any if None
+    """
     variance = float(np.var(values)) * values.size
     if variance <= 0.0:
         return 0.0
-    return _best_step(x_px, y_px, values)[0] / variance
+    if near_rad is None:
+        return _best_step(x_px, y_px, values)[0] / variance
+    near = near_rad + _ANGLE_STEP_RAD * np.arange(1 - _COARSE, _COARSE)
+    return max(_steps(x_px, y_px, values - values.mean(), near))[0] / variance
 
 
 def _best_split(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, float]:

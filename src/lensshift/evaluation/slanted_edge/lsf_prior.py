@@ -21,15 +21,17 @@ _ROOT_SHRINKAGE = (0.0, 0.25)
 # A halo is positive, sharpening negative, and most lenses have little of either.
 _ROOT_TAIL = (0.0, 0.35)
 _LOG_TAIL_WIDTH = (np.log(1.5), 0.8)
-_LOGIT_SLOW = (0.0, 1.5)
+# Both ways of falling lie well inside: at a limit, errors would go to one side only and no interval
+# would hold the truth.
+_SLOW = (0.5, 0.5)
 _PLACE = (0.0, np.inf)  # of the base, against the splines
-_LOG_AMPLITUDE = (np.log(0.05), 1.5)
+_LOG_AMPLITUDE = (np.log(0.05), 0.7)
 _LOG_LENGTH = (np.log(1.1), 0.35)
 _LOG_TAIL = (np.log(1.0), 0.6)
 _LOGIT_SYMMETRY = (2.0, 2.0)
 HYPER_PRIOR = np.array(
     [
-        *(_LOG_SIGMA, _ROOT_SHRINKAGE, _ROOT_TAIL, _LOG_TAIL_WIDTH, _LOGIT_SLOW, _PLACE),
+        *(_LOG_SIGMA, _ROOT_SHRINKAGE, _ROOT_TAIL, _LOG_TAIL_WIDTH, _SLOW, _PLACE),
         *(_LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY),
     ]
 )
@@ -37,14 +39,14 @@ BASE_HYPERS = 6  # the first are of the base model, the others of the splines
 HYPERS = len(HYPER_PRIOR)
 HYPER_BOUNDS = np.array(
     [
-        *((-2.5, 2.0), (-1.1, 1.1), (-1.0, 1.0), (-1.0, 3.0), (-5.0, 5.0), (-1.0, 1.0)),
+        *((-2.5, 2.0), (-1.1, 1.1), (-1.0, 1.0), (-1.0, 3.0), (-1.0, 2.0), (-1.0, 1.0)),
         *((-9.0, 0.5), (-1.4, 1.1), (-1.4, 3.5), (-8.0, 8.0)),
     ]
 )
 # At shrinkage 0 and tail 0 the likelihood is level and would hold a descent: start beside it.
 START = np.array([*HYPER_PRIOR[:1, 0], 0.2, 0.2, *HYPER_PRIOR[3:, 0]])
 # Typical sizes of a step.
-STEPS = np.array([0.1, 0.1, 0.1, 0.3, 1.0, 0.005, 0.5, 0.2, 0.3, 1.0])
+STEPS = np.array([0.1, 0.1, 0.1, 0.3, 0.2, 0.005, 0.5, 0.2, 0.3, 1.0])
 PLACE = 5  # which of the parameters is the place of the base, in units of the width
 
 

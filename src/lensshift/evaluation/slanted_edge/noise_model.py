@@ -14,6 +14,7 @@ from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 _LARGEST_ORDER = 3
 _SIGNIFICANT = 1e-3
 _NOISELESS = 1e-4  # of the contrast
+_WHOLE = 1e-3  # of a step: nearer to a whole number of steps is rounded
 _LARGEST_SUM = 0.8  # of a prediction: a smoother noise is not told from uneven light
 _BLOCK = 4
 _FEWEST_BLOCKS = 8
@@ -77,8 +78,55 @@ class NoiseModel:
         return (matrix @ scaled).tocsr()
 
 
+@dataclass(frozen=True, slots=True)
+class Rounding:
+    """What whole numbers do to pixels whose noise is too small to dither them.
+
+    Parameters
+    ----------
+    sigma : deviation of a single pixel by rounding; 0 where values are not whole numbers of a step
+    alike : [n] how many pixels have the value of each
+    """
+
+    sigma: float
+    alike: Vector
+
+    def shared(self, sigma: Vector) -> Vector:
+        """Return [n]: the variance by which to raise that of pixels that share an error.
+
+            m s^2 / 12 exp(-4 pi^2 v / s^2),   s the step, v the variance of noise before rounding
+
+        All m pixels that are rounded to one value are off by the same: together they count as one.
+        Noise of half a step takes that error away (the factor is the square of the first harmonic).
+
+        Parameters
+        ----------
+        sigma : [n] deviations of the pixels
+
+        Source: Widrow and Kollar, Quantization Noise, 2008, of the characteristic function.
+        """
+        if self.sigma == 0.0:
+            return np.zeros_like(self.alike)
+        before = np.maximum((sigma / self.sigma) ** 2 - 1.0, 0.0)
+        return np.asarray(self.alike * self.sigma**2 * np.exp(-(np.pi**2) / 3.0 * before))
+
+
+def rounding_of(values: Vector) -> Rounding:
+    """Return how values [n] are rounded."""
+    levels, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    steps = np.diff(levels)
+    step = float(np.min(steps, initial=np.inf))
+    whole = np.isfinite(step) and np.all(np.abs(steps / step - np.rint(steps / step)) < _WHOLE)
+    sigma = step / np.sqrt(12.0) if whole and levels.size > 2 else 0.0
+    return Rounding(float(sigma), counts[which].astype(np.float64))
+
+
 def plateau_tilt_matters(
-    values: Vector, places: NDArray[np.intp], sides: list[Mask], columns: Matrix
+    values: Vector,
+    places: NDArray[np.intp],
+    sides: list[Mask],
+    columns: Matrix,
+    least: float = 0.0,
 ) -> bool:
     """Tell whether planes describe the plateaus better than constants do (F test).
 
@@ -90,7 +138,9 @@ def plateau_tilt_matters(
     places : [n 3] frame, row, column
     sides : masks of the plateaus
     columns : [n k] the slopes
+    least : deviation of what is not worth a plane, as that of rounding
     """
+    least = max(least, _NOISELESS)
     plain = tilted = 0.0
     blocks = 0
     for side in sides:
@@ -105,8 +155,8 @@ def plateau_tilt_matters(
         plain, tilted, blocks = plain + y @ y, tilted + rest @ rest, blocks + y.size
     terms = 2 * columns.shape[1]
     freedom = blocks - terms - 2
-    if tilted <= (_NOISELESS**2) * blocks:
-        return bool(plain > _NOISELESS**2 * blocks)
+    if tilted <= least**2 * blocks:
+        return bool(plain > least**2 * blocks)
     ratio = (plain - tilted) / terms / (tilted / freedom)
     return bool(f_distribution.sf(ratio, terms, freedom) < _SIGNIFICANT)
 

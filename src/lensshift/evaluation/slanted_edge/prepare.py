@@ -19,16 +19,19 @@ from lensshift.evaluation.slanted_edge.nodes import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.noise_model import (
     Mask,
     NoiseModel,
+    Rounding,
     estimate_noise,
     few_factors,
     noise_of_covariance,
     plateau_tilt_matters,
+    rounding_of,
 )
 from lensshift.evaluation.slanted_edge.samples import (
     EdgeSamples,
     distance_px,
 )
 
+_SHARED = 0.1  # of the variance: less is not worth a weight
 # In units of the edge's own width:
 _HALF_WIDTH = 6.0  # where plateaus begin, to a first look
 _LARGEST_REACH = 32.0  # of the splines: a ghost farther away is taken for part of the plateau
@@ -88,6 +91,11 @@ class UprightEdge:
     def normal_px(self) -> Vector:
         """Signed distance of every pixel from the first guess."""
         return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
+
+    @property
+    def rounding(self) -> Rounding:
+        """How the pixels are rounded."""
+        return rounding_of(self.scaled)
 
     @property
     def basis(self) -> SplineBasis:
@@ -174,6 +182,7 @@ def learn_noise(
     covariance : of the noise, if it is known; see `noise_of_covariance`
     """
     sides, places = edge.plateaus(), edge.pixels.places
+    step_sigma = edge.rounding.sigma
     # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
     # what changes across the edge; what changes along it tells uneven light.
     rest = edge.scaled - edge.free_response()
@@ -185,10 +194,10 @@ def learn_noise(
     bowl = even + both[:, 1::2] @ factors[1::2]
     if tilt is not None:
         order = int(tilt)
-    elif plateau_tilt_matters(bowl, places, sides, along[:, 1:]):
+    elif plateau_tilt_matters(bowl, places, sides, along[:, 1:], step_sigma):
         order = 2
     else:
-        order = int(plateau_tilt_matters(rest, places, sides, along[:, :1]))
+        order = int(plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
     if covariance is not None:
         return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
     return estimate_noise(even if order else rest, places, sides), order
@@ -205,17 +214,26 @@ def take_samples(
     aperture_px : side of the pixel
     light : order of the uneven illumination
     """
-    whitener = None
-    if not noise.is_plain:
+    relative = np.ones(edge.scaled.size)
+    if noise.dark_sigma != noise.bright_sigma:
         response = edge_response(
             edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
         )
-        whitener = noise.whitener(edge.pixels.places, noise.relative_sigma(response))
+        relative = noise.relative_sigma(response)
+    rounding = edge.rounding
+    # By themselves, and with what they share with pixels of the same value.
+    own = np.maximum((noise.dark_sigma * relative) ** 2, rounding.sigma**2)
+    share = rounding.shared(np.sqrt(own)) / np.maximum(own, np.finfo(float).tiny)
+    rounded = bool(np.max(share) > _SHARED)
+    if rounded:
+        relative = np.sqrt(own * (1.0 + share) / own.min())
+    plain = noise.is_plain and not rounded
     return EdgeSamples(
         across_px=edge.across_px,
         along_px=edge.along_px,
         half_length_px=edge.half_length_px,
         light=light,
         values=edge.scaled,
-        whitener=whitener,
+        whitener=None if plain else noise.whitener(edge.pixels.places, relative),
+        unlike=float(np.mean(1.0 / (1.0 + share))) if rounded else 1.0,
     )

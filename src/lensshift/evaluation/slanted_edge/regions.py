@@ -92,14 +92,16 @@ def find_regions(image: Image) -> list[Region]:
         for sign in (1, -1):
             ridges = _Ridges(steep, crest & (sign * across > 0))
             for lines, places in _segments(ridges.crest):
-                region = _around(ridges, lines, places)
+                region, slope_rad = _around(ridges, lines, places)
                 if region is None:
                     continue
+                normal_rad = -slope_rad
                 if axis == 0:
+                    normal_rad = 0.5 * np.pi + slope_rad
                     region = Region(
                         region.col_start, region.col_stop, region.row_start, region.row_stop
                     )
-                if _share(image, region, noise) > _LEAST_SHARE:
+                if _share(image, region, noise, normal_rad) > _LEAST_SHARE:
                     found.append((len(lines), region))
     if not found:
         raise ValueError(
@@ -116,7 +118,7 @@ def _noise_of(image: Image) -> float:
     return float(np.median(np.abs(mixed))) / 0.6745 / 2.0
 
 
-def _share(image: Image, region: Region, noise: float) -> float:
+def _share(image: Image, region: Region, noise: float, normal_rad: float | None = None) -> float:
     """Return the share of the variance, but for that of the noise, that one step explains."""
     row, col = np.nonzero(np.isfinite(image[region.slices]))
     values = image[region.slices][row, col]
@@ -126,7 +128,7 @@ def _share(image: Image, region: Region, noise: float) -> float:
     x_px, y_px = col[::every].astype(np.float64), row[::every].astype(np.float64)
     variance = float(np.var(values[::every]))
     rest = max(variance - noise**2, 0.0)
-    share = explained_share(x_px, y_px, values[::every])
+    share = explained_share(x_px, y_px, values[::every], normal_rad)
     return share * variance / rest if rest > 0.1 * noise**2 else 0.0
 
 
@@ -168,11 +170,16 @@ def _split(
     return _split(lines[: worst + 1], places[: worst + 1]) + _split(lines[worst:], places[worst:])
 
 
-def _around(ridges: _Ridges, lines: NDArray[np.intp], places: NDArray[np.intp]) -> Region | None:
-    """Return the region of one straight crest, None if it is short, bent, upright or cramped."""
+def _around(
+    ridges: _Ridges, lines: NDArray[np.intp], places: NDArray[np.intp]
+) -> tuple[Region | None, float]:
+    """Return the region of one straight crest and its angle against the lines.
+
+    There is none if the crest is short, bent, upright or cramped.
+    """
     first, last = int(lines[0]) + _CORNER_PX, int(lines[-1]) + 1 - _CORNER_PX
     if last - first < _LEAST_LENGTH_PX:
-        return None
+        return None, 0.0
     inside = (lines >= first) & (lines < last)
     line, place = lines[inside], places[inside]
     slope = float(np.polyfit(line, place, 1)[0])
@@ -180,9 +187,9 @@ def _around(ridges: _Ridges, lines: NDArray[np.intp], places: NDArray[np.intp]) 
     straight = np.std(place - np.polyval(bend, line)) < _STRAIGHT_PX
     angle, crossed_px = abs(np.arctan(slope)), abs(slope) * (last - first)
     if not straight or not _LEAST_ANGLE <= angle <= _LARGEST_ANGLE:
-        return None
+        return None, 0.0
     if crossed_px < _LEAST_CROSSED_PX:
-        return None
+        return None, 0.0
     own = float(np.median(ridges.strength[line, place]))
     best: Region | None = None
     best_px = _LEAST_HALF_WIDTH_PX - 1
@@ -201,7 +208,7 @@ def _around(ridges: _Ridges, lines: NDArray[np.intp], places: NDArray[np.intp]) 
             best = Region(low, high, max(start, 0), min(stop, ridges.strength.shape[1]))
         if best_px >= _GOOD_HALF_WIDTH_PX:
             break
-    return best
+    return best, float(np.arctan(slope))
 
 
 def _room(strength: Image, centre: Image, own: float) -> tuple[int, int]:

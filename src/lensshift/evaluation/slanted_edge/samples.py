@@ -24,6 +24,7 @@ class EdgeSamples:
     light : order of the uneven illumination: 0 even, 1 a plane, 2 a bowl
     values : [n] the pixels
     whitener : [m n] what makes their noise white, None for nothing
+    unlike : share of the pixels that tell something of their own, see `Rounding`
     """
 
     across_px: Vector
@@ -32,6 +33,7 @@ class EdgeSamples:
     light: int
     values: Vector
     whitener: sparse.csr_array | None
+    unlike: float = 1.0
 
     def normal_px(self, geometry: Vector) -> Vector:
         """Return the signed distance of each pixel from the edge."""
