@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
 
+from lensshift.camera import LensOptics
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.glass import glass_called, refractive_index, successor
 from lensshift.optics.lens import Lens
+from lensshift.optics.lens_file import load_lens
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
 from lensshift.optics.zmx import load_zmx, parse_zmx
+from lensshift.pipeline.experiment_file import named_optics
 
 FIELD, POINTS = np.array([0.01, -0.02]), pupil_grid(7)
 D_NM = 587.5618
@@ -158,6 +161,14 @@ def test_encodings_ends_of_lines_and_what_follows(kind: str, end: str, tmp_path:
     junk = b"\r" if "16" in kind else b"\x1a\0\0\0\xff%"
     (tmp_path / "lens.zmx").write_bytes(text.encode(kind) + junk)
     same_rays(parse_zmx(zmx(*SINGLET)), load_zmx(tmp_path / "lens.zmx"))
+
+
+def test_a_zemax_file_is_a_lens_wherever_lenses_are_named(tmp_path: Path) -> None:
+    (tmp_path / "Lens.ZMX").write_text(zmx(*SINGLET))
+    same_rays(parse_zmx(zmx(*SINGLET)), load_lens(tmp_path / "Lens.ZMX"))
+    optics = named_optics(str(tmp_path / "Lens.ZMX"), 1)
+    assert isinstance(optics, LensOptics)
+    assert optics.lens == load_lens(tmp_path / "Lens.ZMX")
 
 
 def test_without_an_aperture_the_stop_is_as_wide_as_its_surface() -> None:

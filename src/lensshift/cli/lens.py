@@ -58,7 +58,8 @@ FieldOption = Annotated[
     typer.Option("--field-deg", help="Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."),
 ]
 HighestOption = Annotated[
-    float, typer.Option("--highest-lpmm", min=0.1, help="Highest frequency of the curves.")
+    float | None,
+    typer.Option("--highest-lpmm", min=0.1, help="End of the curves; 2.5 times LR Nyquist if not."),
 ]
 FastOption = Annotated[
     bool, typer.Option("--fast", help="Geometric times diffraction MTF instead of the exact one.")
@@ -66,7 +67,7 @@ FastOption = Annotated[
 ShowOption = Annotated[ShowFigure, typer.Option("--figure", help="What --plot draws.")]
 MtfFigureOption = Annotated[MtfFigure, typer.Option("--figure", help="What --plot draws.")]
 
-_CURVE_STEPS = 80
+_CURVE_STEPS, _CURVES_NYQUIST = 80, 2.5
 
 
 @lens_verbs.callback()
@@ -154,7 +155,7 @@ def mtf(
     field_deg: FieldOption = None,
     sensor: SensorOption = SENSOR,
     pitch_mm: PitchOption = PITCH_MM,
-    highest_lpmm: HighestOption = 8.0,
+    highest_lpmm: HighestOption = None,
     band_nm: BandOption = 0.0,
     fast: FastOption = False,
     wavelength_nm: WavelengthOption = None,
@@ -189,7 +190,8 @@ def mtf(
         travel_mm = diagonal_mm(model, moved, shift_px, grid)
         band = band_of(model, band_nm)
         nyquist_lpmm = 0.5 / max(grid.pitch_mm)
-        frequency = np.linspace(0.0, highest_lpmm, _CURVE_STEPS + 1)
+        highest = highest_lpmm or _CURVES_NYQUIST * nyquist_lpmm
+        frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
         frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
         curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, fast)
         at = {
@@ -210,7 +212,7 @@ def mtf(
         write_plot(
             current,
             plot,
-            lambda: mtf_figure(figure, model, moved, travel_mm, grid, fields_tan),
+            lambda: mtf_figure(figure, model, moved, travel_mm, grid, fields_tan, highest),
         )
 
 

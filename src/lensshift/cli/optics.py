@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -71,9 +70,8 @@ def read_lens(
 ) -> Lens:
     """Read a lens file or a built-in lens."""
     from lensshift.optics.lens_file import load_lens
-    from lensshift.optics.zmx import load_zmx
 
-    lens = load_zmx(name) if Path(name).suffix.lower() == ".zmx" else load_lens(name)
+    lens = load_lens(name)
     if wavelength_nm is not None:
         lens = replace(lens, wavelength_nm=wavelength_nm)
     return lens if temperature_c is None else replace(lens, temperature_c=temperature_c)
@@ -160,10 +158,14 @@ def mtf_figure(
     travel_mm: tuple[float, float],
     grid: Grid,
     fields_tan: list[tuple[float, float]],
+    highest_lpmm: float,
 ) -> Any:
     """Draw the MTF of a lens."""
     if kind is MtfFigure.CURVES:
-        return figure_of("lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan)
+        return figure_of(
+            "lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan,
+            highest_lpmm=highest_lpmm,
+        )  # fmt: skip
     if kind is MtfFigure.SECTIONS:
         return figure_of("lens_aberrations", "sections_figure", model, grid, fields_tan)
     frequency_lpmm = 1.0 / max(grid.pitch_mm)
