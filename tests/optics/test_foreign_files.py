@@ -8,10 +8,13 @@ import pytest
 from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
 
 from lensshift.camera import LensOptics
+from lensshift.cli.optics import LightOptions, read_lens
 from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.grid import Grid
 from lensshift.optics.glass import glass_called, refractive_index, successor
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import load_lens
+from lensshift.optics.movers import which_mover
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
@@ -79,6 +82,20 @@ def test_a_glass_whose_constants_end_before_the_light_is_replaced_with_a_note() 
     )
     with pytest.raises(DataError, match="wavelength from"):
         parse_zmx(text.replace("WAVM 1 0.5875618", "WAVM 1 10.6"))
+
+
+def test_other_light_than_that_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "lens.zmx").write_text(zmx(FAR, FRONT.replace("N-BK7", "SK16"), BACK, IMAGE))
+    lens = read_lens(str(tmp_path / "lens.zmx"), LightOptions(850.0))
+    assert lens.elements[0].glass == ("N-SK16",)
+    assert lens.indices()[0][0] == refractive_index("N-SK16", 850.0)
+
+
+def test_what_has_no_power_moves_no_image() -> None:
+    front, back = (one.replace("CURV 0.02", "CURV 0").replace("CURV -0.01", "CURV 0")
+                   for one in (FRONT, BACK))  # fmt: skip
+    with pytest.raises(ValueError, match="expected a lens with power"):
+        which_mover(parse_zmx(zmx(FAR, front, back, IMAGE)), Grid((5, 9), (0.1, 0.1)))
 
 
 def test_extended_odd_aspheres_and_diffractive_surfaces_without_phase() -> None:

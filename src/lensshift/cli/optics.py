@@ -84,10 +84,17 @@ class MtfFigure(StrEnum):
 
 def read_lens(name: str, light: LightOptions | None = None) -> Lens:
     """Read a lens file or a built-in lens."""
+    from lensshift.optics.glass import glass_in_light
     from lensshift.optics.lens_file import load_lens
 
     lens = load_lens(name)
     given = {} if light is None else asdict(light)
+    if light is not None and light.wavelength_nm is not None:
+        nm = light.wavelength_nm
+        given["elements"] = tuple(
+            replace(one, glass=tuple(glass_in_light(glass, nm) for glass in one.glass))
+            for one in lens.elements
+        )
     return replace(lens, **{name: one for name, one in given.items() if one is not None})
 
 

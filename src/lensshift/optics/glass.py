@@ -13,6 +13,7 @@ REFERENCE_TEMPERATURE_C = 20.0
 AIR = "air"
 
 _D_UM, _F_UM, _C_UM, _G_UM = 0.5875618, 0.4861327, 0.6562725, 0.4358343
+_SAME_INDEX = 5e-4
 _MODEL_RANGE_NM = (350.0, 2000.0)  # about the visible; beyond 1 um it is a guess
 BY_CODE = "index and Abbe number"  # all that is known of a glass
 _NO_CHANGE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -194,6 +195,22 @@ def successor(name: str) -> str | None:
             if one not in (upper, f"{upper}A") and one in _shipped():
                 return one
     return None
+
+
+def glass_in_light(name: str, wavelength_nm: float) -> str:
+    """Return a glass, or one that is like it where its constants end before the light.
+
+    The successor if its n_d is within 5e-4, else the model glass of n_d and Abbe number; the glass
+    itself where it is known, or nothing is known of the visible.
+    """
+    low_nm, high_nm = glass_data(name).range_nm
+    if low_nm <= wavelength_nm <= high_nm or not low_nm < 1e3 * _C_UM < high_nm:
+        return name
+    at_d, at_f, at_c = (refractive_index(name, 1e3 * um) for um in (_D_UM, _F_UM, _C_UM))
+    newer = successor(name)
+    if newer is not None and abs(refractive_index(newer, 1e3 * _D_UM) - at_d) < _SAME_INDEX:
+        return newer
+    return model_glass(at_d, (at_d - 1.0) / (at_f - at_c))
 
 
 def model_glass(index_d: float, abbe: float, partial: float = 0.0) -> str:

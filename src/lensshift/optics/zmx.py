@@ -18,8 +18,8 @@ from lensshift.optics.glass import (
     REFERENCE_TEMPERATURE_C,
     glass_called,
     glass_data,
+    glass_in_light,
     model_glass,
-    refractive_index,
     successor,
 )
 from lensshift.optics.lens import Lens
@@ -43,8 +43,7 @@ _LIKE_ASPHERE = ("BINARY_1", "BINARY_2")  # even aspheres, where their phase is 
 _TERMS_PER_POWER = {"XASPHERE": 2, "XODDASPH": 1}  # steps of the powers of r / unit
 _MOST_PARAMETERS = 8  # an even asphere ends with r^16, an odd one with r^8
 _DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
-_D_LINE_UM, _F_LINE_NM, _C_LINE_NM = 0.5875618, 486.1327, 656.2725
-_SAME_INDEX = 5e-4
+_D_LINE_UM = 0.5875618
 
 
 @dataclass(slots=True)
@@ -288,20 +287,13 @@ def _lens(content: _File) -> Lens:
 
 def _glass_of_light(entry: Entry, wavelength_nm: float, notes: list[str]) -> None:
     """Replace a glass whose constants do not hold for the light by one that is like it."""
-    name, data = entry.glass, glass_data(entry.glass)
-    low_nm, high_nm = data.range_nm
-    if low_nm <= wavelength_nm <= high_nm or not low_nm < _C_LINE_NM < high_nm:
-        return
-    index, *ends = (refractive_index(name, nm) for nm in (1e3 * _D_LINE_UM, _F_LINE_NM, _C_LINE_NM))
-    newer = successor(name)
-    if newer is not None and abs(refractive_index(newer, 1e3 * _D_LINE_UM) - index) < _SAME_INDEX:
-        entry.glass = newer
-    else:
-        entry.glass = model_glass(index, (index - 1.0) / (ends[0] - ends[1]))
-    taken = f"as {newer}" if entry.glass == newer else "from its index and Abbe number"
-    notes.append(
-        f"surface {entry.number}: {name}, known from {low_nm:g} to {high_nm:g} nm, taken {taken}"
-    )
+    name, (low_nm, high_nm) = entry.glass, glass_data(entry.glass).range_nm
+    entry.glass = glass_in_light(name, wavelength_nm)
+    if entry.glass != name:
+        told = "from its index and Abbe number" if ":" in entry.glass else f"as {entry.glass}"
+        notes.append(
+            f"surface {entry.number}: {name}, known from {low_nm:g} to {high_nm:g} nm, taken {told}"
+        )
 
 
 def _shape(entry: Entry, mm: float) -> None:
