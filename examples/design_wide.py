@@ -21,7 +21,8 @@ from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import format_lens
 from lensshift.optics.mtf import led_band
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.refine import Limits, Task, ray_error_um, refine
+from lensshift.optics.refine import ray_error_um, refine
+from lensshift.optics.task import Limits, Task
 from lensshift.optics.variables import Freedom
 from lensshift.optics.which import edge_fields, least_mtf
 

@@ -252,7 +252,7 @@ def test_fold_mirrors_only_fold() -> None:
     [
         ("TYPE TOROIDAL; CURV 0.01; DISZ 3; GLAS N-BK7", "no surface of revolution"),
         ("TYPE DGRATING; DISZ 3; GLAS N-BK7", "diffracts"),
-        ("TYPE BINARY_2; XDAT 2 -5.0; DISZ 3; GLAS N-BK7", "diffracts"),
+        ("TYPE BINARY_2; XDAT 3 -5.0; DISZ 3; GLAS N-BK7", "diffracts"),
         ("TYPE PARAXIAL; PARM 1 100; DISZ 3", "ideal lens"),
         ("TYPE SUPERCON; DISZ 3", "shape is not known"),
     ],
@@ -267,7 +267,7 @@ def test_entries_that_do_not_touch_the_light_are_skipped() -> None:
         "COMM front; MEMO 4; NOTE 0 what a lens; SLAB 3; FIMP ; COAT AR; HIDE 0 0; MIRR 2 0; "
         "PPAR 1; PZUP 3 1 0; MAZH 0 0; MEMA 12.5 0 0; POPS 0 0; XDAT 5 0 0"
     )
-    header = "VERS 140124\nGCAT SCHOTT INFRARED\nPRIM 2\nFTYP 0 0 3\nMNUM 2 1\nPUPD 0 0\nRAIM 0 0"
+    header = "VERS 140124\nGCAT SCHOTT INFRARED\nPRIM 2\nFTYP 0 0 3\nMNUM 1 1\nPUPD 0 0\nRAIM 0 0"
     header += "\nROPD 2\nPICB 1\nXFLN 0 0 0\nYFLN 0 10 20\nWAVM 24 0.55 1\nBLNK"
     text = zmx(FAR, f"{FRONT}; {noise}", BACK, IMAGE, header=header) + "\nTOL TOFF 0\nMOFF 0 1"
     one, other = parse_zmx(text), parse_zmx(zmx(*SINGLET))

@@ -56,7 +56,7 @@ def left_by_a_solver(
     offset_px: np.ndarray, error_px: float, place_px: float, noise: float, seed: int
 ) -> float:
     """Return the mean square error of pixels half the size, of one random periodic scene."""
-    side, fine = 30, 4  # the scene has detail up to two cycles per pixel
+    side, fine = 22, 4  # the scene has detail up to two cycles per pixel
     rng = np.random.default_rng(seed)
     along = np.fft.fftfreq(side * fine) * fine
     frequency = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)

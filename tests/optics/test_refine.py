@@ -17,8 +17,9 @@ from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import Band, fast_mtf, led_band
 from lensshift.optics.otf import exact_mtf
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.refine import Limits, Task, ray_error_um, refine
+from lensshift.optics.refine import ray_error_um, refine
 from lensshift.optics.spots import distortion, spots
+from lensshift.optics.task import Limits, Task
 from lensshift.optics.variables import Freedom, Variables, is_plate
 from lensshift.optics.which import edge_fields, least_mtf
 

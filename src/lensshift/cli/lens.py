@@ -2,71 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from lensshift.cli.lens_design import budget, optimise, tolerance
-from lensshift.cli.lens_field import field
+from lensshift.cli.lens_design import budget, check_out, optimise, tolerance, write_lens
+from lensshift.cli.lens_field import field as lens_field
 from lensshift.cli.lens_refine import refine
 from lensshift.cli.lens_report import report
 from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
 from lensshift.cli.optics import (
-    PITCH_MM,
-    SENSOR,
     SHIFT_PX,
     BandOption,
-    ElementOption,
-    LensArgument,
+    LensOptions,
+    MoveOptions,
     MtfFigure,
-    PitchOption,
-    SensorOption,
-    ShiftOption,
     ShowFigure,
-    TemperatureOption,
-    WavelengthOption,
     band_of,
     diagonal_mm,
     element_of,
     figure_of,
     mtf_figure,
+    opened,
     parse_fields_tan,
     read_lens,
-    sensor_grid,
     show_figure,
 )
-from lensshift.cli.session import DebugOption, JsonOption, session
-from lensshift.cli.verbs import verb_group
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import argument, option, verb, verb_group
 
 if TYPE_CHECKING:
     from lensshift.optics.lens import Lens
 
 lens_verbs = verb_group()
 
-lens_verbs.command()(field)
-lens_verbs.command()(optimise)
-lens_verbs.command()(refine)
-lens_verbs.command()(tolerance)
-lens_verbs.command()(budget)
-lens_verbs.command()(report)
+for one in (lens_field, optimise, refine, tolerance, budget, report):
+    lens_verbs.command()(one)
 
 
-FieldOption = Annotated[
-    list[str] | None,
-    typer.Option("--field-deg", help="Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."),
-]
-HighestOption = Annotated[
-    float, typer.Option("--highest-lpmm", min=0.1, help="Highest frequency of the curves.")
-]
-FastOption = Annotated[
-    bool, typer.Option("--fast", help="Geometric times diffraction MTF instead of the exact one.")
-]
-ShowOption = Annotated[ShowFigure, typer.Option("--figure", help="What --plot draws.")]
-MtfFigureOption = Annotated[MtfFigure, typer.Option("--figure", help="What --plot draws.")]
-
-_CURVE_STEPS = 80
+_CURVE_STEPS, _CURVES_NYQUIST = 80, 2.5
 
 
 @lens_verbs.callback()
@@ -84,20 +58,19 @@ def group() -> None:
     """
 
 
+@dataclass(frozen=True, slots=True)
+class ShowOptions:
+    """Options of `lensshift lens show`."""
+
+    of: LensOptions
+    move: MoveOptions = field(default_factory=MoveOptions)
+    figure: ShowFigure = option(ShowFigure.LAYOUT, "What --plot draws.")
+    plot: PlotOption = None
+
+
 @lens_verbs.command()
-def show(
-    lens: LensArgument,
-    element: ElementOption = 1,
-    shift_px: ShiftOption = SHIFT_PX,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    wavelength_nm: WavelengthOption = None,
-    temperature_c: TemperatureOption = None,
-    figure: ShowOption = ShowFigure.LAYOUT,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("tracing the lens")
+def show(current: Session, asked: ShowOptions) -> None:
     """Show a lens: its elements, its paraxial data, the travel of one element for a shift.
 
     \b
@@ -106,65 +79,68 @@ def show(
       lensshift lens show petzval_b --figure spots --plot spots.png
       lensshift lens show petzval_b --figure fans --plot fans.png
     """
-    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
-        from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
+    from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
 
-        check_outputs([], None, plot)
-        model = read_lens(lens, wavelength_nm, temperature_c)
-        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
-        data = paraxial(model)
-        gains = decenter_gains(model)
-        current.say(f"{model.name or lens}, {model.wavelength_nm:g} nm, {model.temperature_c:g} C")
-        rows = []
-        for number, (part, indices) in enumerate(
-            zip(model.elements, model.indices(), strict=True), start=1
-        ):
-            focal_mm, gain = focal_length_mm(part, indices), float(gains[number - 1])
-            gap_mm = model.gaps_mm[number - 1]
-            current.say(
-                f"  {number} {part.name or 'element':<18.18} f {focal_mm:9.3f} mm, "
-                f"{part.length_mm:6.3f} mm {' + '.join(part.glass):<12} "
-                f"then {gap_mm:8.3f} mm air, image moves {gain:+.4f} mm per mm"
-            )
-            rows.append({"name": part.name, "focal_length_mm": focal_mm, "gap_mm": gap_mm})
-            rows[-1] |= {"length_mm": part.length_mm, "glass": part.glass, "gain": gain}
-        for name, value in asdict(data).items():
-            unit = " mm" if name.endswith("_mm") else ""
-            label = name.removesuffix("_mm").replace("_", " ")
-            current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
-        travel_mm = diagonal_mm(model, moved, shift_px, grid)
+    check_outputs([], None, asked.plot)
+    model, grid = opened(asked.of)
+    element, shift_px = asked.move.element, asked.move.shift_px
+    moved = element_of(model, element)
+    data = paraxial(model)
+    gains = decenter_gains(model)
+    current.say(
+        f"{model.name or asked.of.lens}, {model.wavelength_nm:g} nm, {model.temperature_c:g} C"
+    )
+    rows = []
+    for number, (part, indices) in enumerate(
+        zip(model.elements, model.indices(), strict=True), start=1
+    ):
+        focal_mm, gain = focal_length_mm(part, indices), float(gains[number - 1])
+        gap_mm = model.gaps_mm[number - 1]
         current.say(
-            f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
-            f"along columns, {1e3 * travel_mm[0]:.2f} um along rows"
+            f"  {number} {part.name or 'element':<18.18} f {focal_mm:9.3f} mm, "
+            f"{part.length_mm:6.3f} mm {' + '.join(part.glass):<12} "
+            f"then {gap_mm:8.3f} mm air, image moves {gain:+.4f} mm per mm"
         )
-        current.result |= {"lens": model.name or lens, "elements": rows, **asdict(data)}
-        current.result |= {"element": element, "shift_px": shift_px, "travel_mm": travel_mm}
-        write_plot(
-            current,
-            plot,
-            lambda: show_figure(figure, model, moved, travel_mm, grid),
-        )
+        rows.append({"name": part.name, "focal_length_mm": focal_mm, "gap_mm": gap_mm})
+        rows[-1] |= {"length_mm": part.length_mm, "glass": part.glass, "gain": gain}
+    for name, value in asdict(data).items():
+        unit = " mm" if name.endswith("_mm") else ""
+        label = name.removesuffix("_mm").replace("_", " ")
+        current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
+    travel_mm = diagonal_mm(model, moved, shift_px, grid)
+    current.say(
+        f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
+        f"along columns, {1e3 * travel_mm[0]:.2f} um along rows"
+    )
+    current.result |= {"lens": model.name or asked.of.lens, "elements": rows, **asdict(data)}
+    current.result |= {"element": element, "shift_px": shift_px, "travel_mm": travel_mm}
+    write_plot(
+        current, asked.plot, lambda: show_figure(asked.figure, model, moved, travel_mm, grid)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class MtfOptions:
+    """Options of `lensshift lens mtf`."""
+
+    of: LensOptions
+    move: MoveOptions = field(default_factory=MoveOptions)
+    field_deg: list[str] | None = option(
+        None, "Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."
+    )
+    highest_lpmm: float | None = option(
+        None, "End of the curves; 2.5 times LR Nyquist if not.", min=0.1
+    )
+    band_nm: BandOption = 0.0
+    fast: bool = option(False, "Geometric times diffraction MTF instead of the exact one.")
+    csv: CsvOption = None
+    figure: MtfFigure = option(MtfFigure.CURVES, "What --plot draws.")
+    plot: PlotOption = None
 
 
 @lens_verbs.command()
-def mtf(
-    lens: LensArgument,
-    element: ElementOption = 1,
-    shift_px: ShiftOption = SHIFT_PX,
-    field_deg: FieldOption = None,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    highest_lpmm: HighestOption = 8.0,
-    band_nm: BandOption = 0.0,
-    fast: FastOption = False,
-    wavelength_nm: WavelengthOption = None,
-    temperature_c: TemperatureOption = None,
-    csv: CsvOption = None,
-    figure: MtfFigureOption = MtfFigure.CURVES,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("tracing the lens")
+def mtf(current: Session, asked: MtfOptions) -> None:
     """Compute the MTF of a lens, at rest and with one element moved.
 
     Along columns and along rows at every field; the moved element shifts the image by --shift-px
@@ -177,41 +153,41 @@ def mtf(
       lensshift lens mtf petzval_b --figure focus --plot focus.png
       lensshift lens mtf petzval_b --figure sections --plot sections.png
     """
-    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
-        import numpy as np
+    import numpy as np
 
-        from lensshift.optics.mtf import diffraction_limit
+    from lensshift.optics.mtf import diffraction_limit
 
-        check_outputs([], csv, plot)
-        model = read_lens(lens, wavelength_nm, temperature_c)
-        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
-        fields_tan = parse_fields_tan(field_deg)
-        travel_mm = diagonal_mm(model, moved, shift_px, grid)
-        band = band_of(model, band_nm)
-        nyquist_lpmm = 0.5 / max(grid.pitch_mm)
-        frequency = np.linspace(0.0, highest_lpmm, _CURVE_STEPS + 1)
-        frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
-        curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, fast)
-        at = {
-            label: np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
-            for label, values in curves.items()
-        }
-        current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
-        for label, (low, high) in at.items():
-            current.say(f"{label:<42}{low:8.4f}  {high:8.4f}")
-        limit = diffraction_limit(model, frequency)
-        low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, limit.modulation)
-        current.say(f"{'diffraction limit':<42}{low:8.4f}  {high:8.4f}")
-        current.result |= {"lens": model.name or lens, "nyquist_lpmm": nyquist_lpmm}
-        current.result |= {"travel_mm": travel_mm, "frequency_lpmm": frequency}
-        current.result |= {"mtf": curves, "diffraction_limit": limit.modulation}
-        columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit.modulation}
-        write_table(current, csv, {name.replace(",", ";"): row for name, row in columns.items()})
-        write_plot(
-            current,
-            plot,
-            lambda: mtf_figure(figure, model, moved, travel_mm, grid, fields_tan),
-        )
+    check_outputs([], asked.csv, asked.plot)
+    model, grid = opened(asked.of)
+    moved = element_of(model, asked.move.element)
+    fields_tan = parse_fields_tan(asked.field_deg)
+    travel_mm = diagonal_mm(model, moved, asked.move.shift_px, grid)
+    band = band_of(model, asked.band_nm)
+    nyquist_lpmm = 0.5 / max(grid.pitch_mm)
+    highest = asked.highest_lpmm or _CURVES_NYQUIST * nyquist_lpmm
+    frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
+    frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
+    curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, asked.fast)
+    at = {
+        label: np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
+        for label, values in curves.items()
+    }
+    current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
+    for label, (low, high) in at.items():
+        current.say(f"{label:<42}{low:8.4f}  {high:8.4f}")
+    limit = diffraction_limit(model, frequency)
+    low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, limit.modulation)
+    current.say(f"{'diffraction limit':<42}{low:8.4f}  {high:8.4f}")
+    current.result |= {"lens": model.name or asked.of.lens, "nyquist_lpmm": nyquist_lpmm}
+    current.result |= {"travel_mm": travel_mm, "frequency_lpmm": frequency}
+    current.result |= {"mtf": curves, "diffraction_limit": limit.modulation}
+    columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit.modulation}
+    write_table(current, asked.csv, {name.replace(",", ";"): row for name, row in columns.items()})
+    write_plot(
+        current,
+        asked.plot,
+        lambda: mtf_figure(asked.figure, model, moved, travel_mm, grid, fields_tan, highest),
+    )
 
 
 def _curves(
@@ -250,19 +226,19 @@ def _curves(
     return curves
 
 
+@dataclass(frozen=True, slots=True)
+class WhichOptions:
+    """Options of `lensshift lens which`."""
+
+    of: LensOptions
+    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
+    csv: CsvOption = None
+    plot: PlotOption = None
+
+
 @lens_verbs.command()
-def which(
-    lens: LensArgument,
-    shift_px: ShiftOption = SHIFT_PX,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    wavelength_nm: WavelengthOption = None,
-    temperature_c: TemperatureOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("tracing the lens")
+def which(current: Session, asked: WhichOptions) -> None:
     """Compare what can move: each element decentred or tilted, a tilted plate, the sensor.
 
     Stroke, evenness of the shift, cross-talk between the axes, MTF. The least MTF is that over the
@@ -273,31 +249,31 @@ def which(
     Example:
       lensshift lens which petzval_a
     """
-    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
-        from lensshift.optics.movers import which_mover
-        from lensshift.optics.which import format_movers
+    from lensshift.optics.movers import which_mover
+    from lensshift.optics.which import format_movers
 
-        check_outputs([], csv, plot)
-        model = read_lens(lens, wavelength_nm, temperature_c)
-        movers = which_mover(model, sensor_grid(sensor, pitch_mm), shift_px=shift_px)
-        current.say(format_movers(movers))
-        rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
-        current.result |= {"lens": model.name or lens, "movers": rows}
-        write_table(current, csv, {name: [row[name] for row in rows] for name in rows[0]})
-        write_plot(current, plot, lambda: figure_of("lenses", "which_figure", movers))
+    check_outputs([], asked.csv, asked.plot)
+    model, grid = opened(asked.of)
+    movers = which_mover(model, grid, shift_px=asked.shift_px)
+    current.say(format_movers(movers))
+    rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
+    current.result |= {"lens": model.name or asked.of.lens, "movers": rows}
+    write_table(current, asked.csv, {name: [row[name] for row in rows] for name in rows[0]})
+    write_plot(current, asked.plot, lambda: figure_of("lenses", "which_figure", movers))
+
+
+@dataclass(frozen=True, slots=True)
+class ConvertOptions:
+    """Options of `lensshift lens convert`."""
+
+    source: str = argument("Lens file (.toml, .zmx) or built-in lens.")
+    target: Path = argument("File to write, .toml or .zmx.")
+    glass_catalogue: list[Path] | None = option(None, "Glasses of a maker (.agf); repeatable.")
 
 
 @lens_verbs.command()
-def convert(
-    source: Annotated[str, typer.Argument(help="Lens file (.toml, .zmx) or built-in lens.")],
-    target: Annotated[Path, typer.Argument(help="File to write, .toml or .zmx.")],
-    glass_catalogue: Annotated[
-        list[Path] | None,
-        typer.Option("--glass-catalogue", help="Glasses of a maker (.agf); repeatable."),
-    ] = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("tracing the lens")
+def convert(current: Session, asked: ConvertOptions) -> None:
     """Convert a lens between lens files (TOML) and sequential Zemax files.
 
     A TOML file brings the glasses of a catalogue with it, so that other commands need none.
@@ -307,19 +283,13 @@ def convert(
       lensshift lens convert petzval_a petzval_a.zmx
       lensshift lens convert bought.zmx bought.toml --glass-catalogue maker.agf
     """
-    with session(as_json=as_json, debug=debug, doing="tracing the lens") as current:
-        from lensshift.optics.agf import load_glass_catalogue
-        from lensshift.optics.lens_file import save_lens
-        from lensshift.optics.zmx_writer import save_zmx
+    from lensshift.optics.agf import load_glass_catalogue
 
-        writers = {".toml": save_lens, ".zmx": save_zmx}
-        writer = writers.get(target.suffix.lower())
-        if writer is None:
-            raise typer.BadParameter(f"expected {target} to end in {' or '.join(writers)}")
-        check_outputs([Path(source)], target, None)
-        for catalogue in glass_catalogue or []:
-            load_glass_catalogue(catalogue)
-        model = read_lens(source)
-        writer(model, target)
-        current.result |= {"source": source, "target": target, "elements": len(model.elements)}
-        current.say(f"wrote {target}: {len(model.elements)} elements")
+    source, target = asked.source, asked.target
+    check_out(target, Path(source))
+    for catalogue in asked.glass_catalogue or []:
+        load_glass_catalogue(catalogue)
+    model = read_lens(source)
+    write_lens(model, target)
+    current.result |= {"source": source, "target": target, "elements": len(model.elements)}
+    current.say(f"wrote {target}: {len(model.elements)} elements")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import MISSING, asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,21 +19,19 @@ from lensshift.cli.measured import (
     write_table,
 )
 from lensshift.cli.optics import (
-    PITCH_MM,
-    SENSOR,
     SHIFT_PX,
     BandOption,
-    ElementOption,
-    LensArgument,
-    PitchOption,
-    SensorOption,
-    ShiftOption,
+    LensOptions,
+    MoveOptions,
+    SensorOptions,
     element_of,
     figure_of,
+    opened,
     read_lens,
     sensor_grid,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
+from lensshift.cli.session import Progress, Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from lensshift.optics.design import Design
@@ -41,72 +39,8 @@ if TYPE_CHECKING:
     from lensshift.optics.lens import Element, Lens
     from lensshift.optics.tolerance import ToleranceResult
 
-PlacesArgument = Annotated[
-    list[str],
-    typer.Argument(help="The lens for each place, or several to choose from: al2550,eo33944."),
-]
-FocalOption = Annotated[float, typer.Option("--focal-length-mm", help="Kept exactly.")]
-ObjectOption = Annotated[
-    float, typer.Option("--object-mm", help="From the object to the first vertex.")
-]
-StopOption = Annotated[float, typer.Option("--stop-mm", help="Diameter of the stop.")]
-BackOption = Annotated[
-    float, typer.Option("--back-focal-mm", help="Least distance from the last vertex to sensor.")
-]
-MtfOption = Annotated[float, typer.Option("--mtf", help="Wanted at the corner, centred and moved.")]
-ErrorOption = Annotated[
-    float, typer.Option("--shift-error-px", help="Largest error of the shift over the sensor.")
-]
-MoverOption = Annotated[
-    int | None,
-    typer.Option("--element", min=1, help="The element that moves, from 1; each if not given."),
-]
-KeepOption = Annotated[
-    int, typer.Option("--keep", min=1, help="Trains that are optimised after a first look.")
-]
 BestOption = Annotated[
     Path | None, typer.Option("-o", "--out", help="Write the lens found (.toml or .zmx).")
-]
-BuildsOption = Annotated[int, typer.Option("--builds", min=1, help="Random builds.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
-LimitOption = Annotated[float, typer.Option("--limit", help="MTF that a good build keeps.")]
-DecenterOption = Annotated[float, typer.Option("--decenter-mm", min=0.0, help="Of each element.")]
-TiltOption = Annotated[float, typer.Option("--tilt-deg", min=0.0, help="Of each element.")]
-GapOption = Annotated[float, typer.Option("--gap-mm", min=0.0, help="Of each gap.")]
-ShareOption = Annotated[
-    float, typer.Option("--focal-share", min=0.0, help="Of the focal length of each element.")
-]
-IndexOption = Annotated[float, typer.Option("--index", min=0.0, help="Of each refractive index.")]
-RepeatabilityOption = Annotated[
-    float, typer.Option("--repeatability-um", min=0.0, help="Standard deviation of where it stops.")
-]
-BacklashOption = Annotated[
-    float, typer.Option("--backlash-um", min=0.0, help="Between approaches from the two sides.")
-]
-EncoderOption = Annotated[
-    float, typer.Option("--encoder-um", min=0.0, help="One step of the encoder.")
-]
-DriftOption = Annotated[
-    float, typer.Option("--drift-um", min=0.0, help="From the first frame of a burst to the last.")
-]
-NoiseOption = Annotated[
-    float, typer.Option("--noise", help="Of a pixel: standard deviation as a share of full scale.")
-]
-
-
-WaveOption = Annotated[float, typer.Option("--wavelength-nm", help="Of the light.")]
-HeatOption = Annotated[float, typer.Option("--temperature-c", help="Of glass and air.")]
-CoverOption = Annotated[
-    str,
-    typer.Option(
-        "--cover", help="A plate before the sensor: glass, its mm, mm of air: N-BK7,1,0.5."
-    ),
-]
-BehindOption = Annotated[
-    int, typer.Option("--stop-behind", min=0, help="Elements in front of the stop.")
-]
-PlaceOption = Annotated[
-    float, typer.Option("--stop-at-mm", help="The stop behind the vertex in front of it.")
 ]
 
 
@@ -117,39 +51,37 @@ class GoalKind(StrEnum):
     PICTURE = "picture"
 
 
-GoalOption = Annotated[GoalKind, typer.Option("--goal", help="What designs are ranked by.")]
-ActuatorOption = Annotated[
-    float,
-    typer.Option("--actuator-um", min=0.0, help="Standard deviation of where the element stops."),
-]
+@dataclass(frozen=True, slots=True)
+class OptimiseOptions:
+    """Options of `lensshift lens optimise`."""
+
+    places: list[str] = argument(
+        "The lens for each place, or several to choose from: al2550,eo33944."
+    )
+    focal_length_mm: float = option(MISSING, "Kept exactly.")
+    object_mm: float = option(math.inf, "From the object to the first vertex.")
+    stop_mm: float = option(20.0, "Diameter of the stop.")
+    back_focal_mm: float = option(2.0, "Least distance from the last vertex to sensor.")
+    element: int | None = option(None, "The element that moves, from 1; each if not given.", min=1)
+    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
+    shift_error_px: float = option(0.01, "Largest error of the shift over the sensor.")
+    mtf: float = option(0.9, "Wanted at the corner, centred and moved.")
+    wavelength_nm: float = option(850.0, "Of the light.")
+    band_nm: BandOption = 0.0
+    temperature_c: float = option(20.0, "Of glass and air.")
+    cover: str = option("", "A plate before the sensor: glass, its mm, mm of air: N-BK7,1,0.5.")
+    stop_behind: int = option(0, "Elements in front of the stop.", min=0)
+    stop_at_mm: float = option(0.0, "The stop behind the vertex in front of it.")
+    sensor: SensorOptions = field(default_factory=SensorOptions)
+    keep: int = option(8, "Trains that are optimised after a first look.", min=1)
+    goal: GoalKind = option(GoalKind.MTF, "What designs are ranked by.")
+    actuator_um: float = option(1.0, "Standard deviation of where the element stops.", min=0.0)
+    noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
+    out: BestOption = None
 
 
-def optimise(
-    places: PlacesArgument,
-    focal_length_mm: FocalOption,
-    object_mm: ObjectOption = math.inf,
-    stop_mm: StopOption = 20.0,
-    back_focal_mm: BackOption = 2.0,
-    element: MoverOption = None,
-    shift_px: ShiftOption = SHIFT_PX,
-    shift_error_px: ErrorOption = 0.01,
-    mtf: MtfOption = 0.9,
-    wavelength_nm: WaveOption = 850.0,
-    band_nm: BandOption = 0.0,
-    temperature_c: HeatOption = 20.0,
-    cover: CoverOption = "",
-    stop_behind: BehindOption = 0,
-    stop_at_mm: PlaceOption = 0.0,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    keep: KeepOption = 8,
-    goal: GoalOption = GoalKind.MTF,
-    actuator_um: ActuatorOption = 1.0,
-    noise: NoiseOption = 0.005,
-    out: BestOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def optimise(current: Session, asked: OptimiseOptions) -> None:
     """Find gaps, orientations and the element to move for a train of stock lenses.
 
     Maximises the least MTF over the sensor at twice its Nyquist frequency, centred and moved, at
@@ -166,31 +98,31 @@ def optimise(
       lensshift lens optimise al2550,eo33944 al2550,eo33944 lc4210,eo45030 --focal-length-mm 42.7 \\
         --object-mm 3500 --element 1 -o best.toml
     """
-    with session(as_json=as_json, debug=debug) as current:
-        from lensshift.optics.goal import Goal
-        from lensshift.optics.lens import Stop
-        from lensshift.optics.mtf import led_band
-        from lensshift.optics.stock import format_designs
+    from lensshift.optics.goal import Goal
+    from lensshift.optics.lens import Stop
+    from lensshift.optics.mtf import led_band
+    from lensshift.optics.stock import format_designs
 
-        check_out(out)
-        plate, air_mm = _cover(cover)
-        wanted = Goal(
-            sensor_grid(sensor, pitch_mm), focal_length_mm, object_mm, Stop(stop_mm, stop_at_mm),
-            back_focal_mm, shift_px=shift_px, shift_error_px=shift_error_px, mtf=mtf,
-            wavelength_nm=wavelength_nm, temperature_c=temperature_c, stop_behind=stop_behind,
-            band=led_band(wavelength_nm, band_nm) if band_nm > 0 else None,
-            cover=plate, cover_mm=air_mm,
-        )  # fmt: skip
-        designs = _designs(places, wanted, element, keep)
-        if goal is GoalKind.PICTURE:
-            designs = _by_picture(current, designs, wanted, actuator_um, noise)
-        current.say(format_designs(designs))
-        met = sum(design.meets(wanted) for design in designs)
-        current.say(f"{met} of {len(designs)} designs meet the goal")
-        current.result |= {"met": met, "designs": [_row(design) for design in designs]}
-        if out is not None:
-            write_lens(designs[0].lens, out)
-            current.say(f"wrote {out}")
+    check_out(asked.out)
+    plate, air_mm = _cover(asked.cover)
+    wanted = Goal(
+        sensor_grid(asked.sensor), asked.focal_length_mm, asked.object_mm,
+        Stop(asked.stop_mm, asked.stop_at_mm), asked.back_focal_mm, shift_px=asked.shift_px,
+        shift_error_px=asked.shift_error_px, mtf=asked.mtf, wavelength_nm=asked.wavelength_nm,
+        temperature_c=asked.temperature_c, stop_behind=asked.stop_behind,
+        band=led_band(asked.wavelength_nm, asked.band_nm) if asked.band_nm > 0 else None,
+        cover=plate, cover_mm=air_mm,
+    )  # fmt: skip
+    designs = _designs(asked.places, wanted, asked.element, asked.keep)
+    if asked.goal is GoalKind.PICTURE:
+        designs = _by_picture(current, designs, wanted, asked.actuator_um, asked.noise)
+    current.say(format_designs(designs))
+    met = sum(design.meets(wanted) for design in designs)
+    current.say(f"{met} of {len(designs)} designs meet the goal")
+    current.result |= {"met": met, "designs": [_row(design) for design in designs]}
+    if asked.out is not None:
+        write_lens(designs[0].lens, asked.out)
+        current.say(f"wrote {asked.out}")
 
 
 def _cover(text: str) -> tuple[Element | None, float]:
@@ -250,9 +182,9 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
         progress.close()
 
 
-def check_out(out: Path | None) -> None:
+def check_out(out: Path | None, *sources: Path) -> None:
     """Complain before the work about a lens that cannot be written."""
-    check_outputs([], out, None)
+    check_outputs(list(sources), out, None)
     if out is not None and out.suffix.lower() not in (".toml", ".zmx"):
         raise typer.BadParameter(f"expected {out} to end in .toml or .zmx")
 
@@ -273,25 +205,26 @@ def _row(design: Design) -> dict[str, Any]:
     return row | {"turned": design.turned, "gaps_mm": design.lens.gaps_mm}
 
 
-def tolerance(
-    lens: LensArgument,
-    element: ElementOption = 1,
-    builds: BuildsOption = 1000,
-    limit: LimitOption = 0.9,
-    decenter_mm: DecenterOption = 0.05,
-    tilt_deg: TiltOption = 0.1,
-    gap_mm: GapOption = 0.05,
-    focal_share: ShareOption = 0.01,
-    index: IndexOption = 0.0005,
-    shift_px: ShiftOption = SHIFT_PX,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    seed: SeedOption = 0,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class ToleranceOptions:
+    """Options of `lensshift lens tolerance`."""
+
+    of: LensOptions
+    move: MoveOptions = field(default_factory=MoveOptions)
+    builds: int = option(1000, "Random builds.", min=1)
+    limit: float = option(0.9, "MTF that a good build keeps.")
+    decenter_mm: float = option(0.05, "Of each element.", min=0.0)
+    tilt_deg: float = option(0.1, "Of each element.", min=0.0)
+    gap_mm: float = option(0.05, "Of each gap.", min=0.0)
+    focal_share: float = option(0.01, "Of the focal length of each element.", min=0.0)
+    index: float = option(0.0005, "Of each refractive index.", min=0.0)
+    seed: int = option(0, "Seed of the random numbers.", min=0)
+    csv: CsvOption = None
+    plot: PlotOption = None
+
+
+@verb()
+def tolerance(current: Session, asked: ToleranceOptions) -> None:
     """Build a lens many times at random, and set each tolerance to its limit alone.
 
     The sensor is refocused in every build; MTF at twice LR Nyquist, at rest and for the four
@@ -301,41 +234,42 @@ def tolerance(
     Example:
       lensshift lens tolerance petzval_search --element 2 --builds 1000 --plot tolerance.png
     """
-    with session(as_json=as_json, debug=debug) as current:
-        from lensshift.optics.tolerance import (
-            Tolerances,
-            format_sensitivity,
-            sensitivity_table,
-            tolerance_analysis,
-        )
+    from lensshift.optics.tolerance import (
+        Tolerances,
+        format_sensitivity,
+        sensitivity_table,
+        tolerance_analysis,
+    )
 
-        check_outputs([], csv, plot)
-        model, grid = read_lens(lens), sensor_grid(sensor, pitch_mm)
-        moved = element_of(model, element)
-        limits = Tolerances(decenter_mm, math.radians(tilt_deg), gap_mm, focal_share, index)
-        table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
-        progress = Progress("building")
-        try:
-            found = tolerance_analysis(
-                model, moved, grid, limits, builds=builds, seed=seed, shift_px=shift_px,
-                on_progress=progress.count,
-            )  # fmt: skip
-        finally:
-            progress.close()
-        current.say(format_sensitivity(table))
-        _say_builds(current, found, builds, limit)
-        current.result |= {"lens": model.name or lens, "element": element}
-        current.result["sensitivity"] = [
-            asdict(row) | {"element": row.element + 1} for row in table
-        ]
-        columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
-        columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
-        write_table(current, csv, columns)
-        write_plot(
-            current,
-            plot,
-            lambda: figure_of("lens_build", "tolerance_figure", found, limit, table=table),
-        )
+    check_outputs([], asked.csv, asked.plot)
+    model, grid = opened(asked.of)
+    shift_px, builds = asked.move.shift_px, asked.builds
+    moved = element_of(model, asked.move.element)
+    limits = Tolerances(
+        asked.decenter_mm, math.radians(asked.tilt_deg), asked.gap_mm, asked.focal_share,
+        asked.index,
+    )  # fmt: skip
+    table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
+    progress = Progress("building")
+    try:
+        found = tolerance_analysis(
+            model, moved, grid, limits, builds=builds, seed=asked.seed, shift_px=shift_px,
+            on_progress=progress.count,
+        )  # fmt: skip
+    finally:
+        progress.close()
+    current.say(format_sensitivity(table))
+    _say_builds(current, found, builds, asked.limit)
+    current.result |= {"lens": model.name or asked.of.lens, "element": asked.move.element}
+    current.result["sensitivity"] = [asdict(row) | {"element": row.element + 1} for row in table]
+    columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
+    columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
+    write_table(current, asked.csv, columns)
+    write_plot(
+        current,
+        asked.plot,
+        lambda: figure_of("lens_build", "tolerance_figure", found, asked.limit, table=table),
+    )
 
 
 def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: float) -> None:
@@ -355,21 +289,22 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
     current.result |= {"limit": limit, "yield": share, "frequency_lpmm": found.frequency_lpmm}
 
 
-def budget(
-    lens: LensArgument,
-    element: ElementOption = 1,
-    repeatability_um: RepeatabilityOption = 0.0,
-    backlash_um: BacklashOption = 0.0,
-    encoder_um: EncoderOption = 0.0,
-    drift_um: DriftOption = 0.0,
-    noise: NoiseOption = 0.005,
-    shift_px: ShiftOption = SHIFT_PX,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class BudgetOptions:
+    """Options of `lensshift lens budget`."""
+
+    of: LensOptions
+    move: MoveOptions = field(default_factory=MoveOptions)
+    repeatability_um: float = option(0.0, "Standard deviation of where it stops.", min=0.0)
+    backlash_um: float = option(0.0, "Between approaches from the two sides.", min=0.0)
+    encoder_um: float = option(0.0, "One step of the encoder.", min=0.0)
+    drift_um: float = option(0.0, "From the first frame of a burst to the last.", min=0.0)
+    noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
+    plot: PlotOption = None
+
+
+@verb("computing the budget")
+def budget(current: Session, asked: BudgetOptions) -> None:
     """Tell what the errors of an actuator cost: micrometres, pixels, lost resolution.
 
     The losses are those of simulated bursts of four frames whose shifts were wrong by as much,
@@ -379,20 +314,19 @@ def budget(
     Example:
       lensshift lens budget petzval_search --element 2 --repeatability-um 1 --backlash-um 5
     """
-    with session(as_json=as_json, debug=debug, doing="computing the budget") as current:
-        from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
+    from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
 
-        check_outputs([], None, plot)
-        model, grid = read_lens(lens), sensor_grid(sensor, pitch_mm)
-        found = actuator_budget(
-            model,
-            element_of(model, element),
-            grid,
-            Actuator(repeatability_um, backlash_um, encoder_um, drift_um),
-            noise=noise,
-            shift_px=shift_px,
-        )
-        current.say(format_budget(found))
-        current.result |= {"lens": model.name or lens, "noise": noise}
-        current.result |= asdict(found) | {"element": element}
-        write_plot(current, plot, lambda: figure_of("lens_build", "budget_figure", found))
+    check_outputs([], None, asked.plot)
+    model, grid = opened(asked.of)
+    found = actuator_budget(
+        model,
+        element_of(model, asked.move.element),
+        grid,
+        Actuator(asked.repeatability_um, asked.backlash_um, asked.encoder_um, asked.drift_um),
+        noise=asked.noise,
+        shift_px=asked.move.shift_px,
+    )
+    current.say(format_budget(found))
+    current.result |= {"lens": model.name or asked.of.lens, "noise": asked.noise}
+    current.result |= asdict(found) | {"element": asked.move.element}
+    write_plot(current, asked.plot, lambda: figure_of("lens_build", "budget_figure", found))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from dataclasses import field as group
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -14,57 +15,45 @@ from lensshift.cli.optics import (
     PITCH_MM,
     SENSOR,
     LensArgument,
-    TemperatureOption,
-    WavelengthOption,
+    LightOptions,
+    SensorOptions,
     element_of,
     figure_of,
     read_lens,
     sensor_grid,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
     from lensshift.core.lens_field import LensField, Motion
 
-MovingOption = Annotated[
-    int, typer.Option("--element", min=0, help="Element that moves, from 1; 0: the sensor moves.")
-]
-TiltOption = Annotated[bool, typer.Option("--tilt", help="The element tilts, as a plate does.")]
-BurstOption = Annotated[
-    Path | None, typer.Option("--burst", help="Take sensor and pitch from this burst.")
-]
-SensorOption = Annotated[
-    str | None, typer.Option("--sensor", help=f"Pixels as columns x rows; default: {SENSOR}.")
-]
-PitchOption = Annotated[
-    str | None,
-    typer.Option("--pitch-mm", help=f"Pixel pitch: one number, or row,col; default: {PITCH_MM}."),
-]
-ReachOption = Annotated[
-    float | None,
-    typer.Option("--reach-px", min=0.0, help="Largest shift that it has to hold for; default: 1."),
-]
-OutOption = Annotated[Path | None, typer.Option("-o", "--out", help="Lens field to write (.nc).")]
+
+@dataclass(frozen=True, slots=True)
+class FieldOptions:
+    """Options of `lensshift lens field`."""
+
+    lens: LensArgument
+    element: int = option(1, "Element that moves, from 1; 0: the sensor moves.", min=0)
+    tilt: bool = option(False, "The element tilts, as a plate does.", "--tilt")
+    sensor: str | None = option(None, f"Pixels as columns x rows; default: {SENSOR}.")
+    pitch_mm: str | None = option(
+        None, f"Pixel pitch: one number, or row,col; default: {PITCH_MM}."
+    )
+    burst: Path | None = option(None, "Take sensor and pitch from this burst.")
+    reach_px: float | None = option(
+        None, "Largest shift that it has to hold for; default: 1.", min=0.0
+    )
+    out: Path | None = option(None, "Lens field to write (.nc).", "-o")
+    pattern: PatternOption = Pattern.SQUARE
+    light: LightOptions = group(default_factory=LightOptions)
+    csv: CsvOption = None
+    plot: PlotOption = None
 
 
-def field(
-    lens: LensArgument,
-    element: MovingOption = 1,
-    tilt: TiltOption = False,
-    sensor: SensorOption = None,
-    pitch_mm: PitchOption = None,
-    burst: BurstOption = None,
-    reach_px: ReachOption = None,
-    out: OutOption = None,
-    pattern: PatternOption = Pattern.SQUARE,
-    wavelength_nm: WavelengthOption = None,
-    temperature_c: TemperatureOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def field(current: Session, asked: FieldOptions) -> None:
     """Fit how shift and blur vary over the sensor while an element moves.
 
     The file holds polynomials over the sensor and the place of the element; `reconstruct
@@ -77,34 +66,34 @@ def field(
       lensshift reconstruct burst.nc --lens-field field.nc
       lensshift lens field plate.toml --element 4 --tilt --burst burst.nc -o field.nc
     """
-    with session(as_json=as_json, debug=debug) as current:
-        from lensshift.core.pattern import named_pattern_px
-        from lensshift.io import save_lens_field
-        from lensshift.optics.field import lens_field
+    from lensshift.core.pattern import named_pattern_px
+    from lensshift.io import save_lens_field
+    from lensshift.optics.field import lens_field
 
-        _check_out(out, burst, lens)
-        check_outputs([], csv, plot)
-        wanted_px = named_pattern_px(pattern.value)
-        if reach_px is not None and reach_px < abs(wanted_px).max():
-            raise typer.BadParameter(
-                f"--reach-px {reach_px:g} is less than the {abs(wanted_px).max():.3g} px of the "
-                f"pattern {pattern.value}"
-            )
-        model = read_lens(lens, wavelength_nm, temperature_c)
-        if tilt and not element:
-            raise typer.BadParameter("--tilt is of an element, counted from 1, not of the sensor")
-        moved = element_of(model, element) if element else None
-        motion: Motion | None = "tilt" if tilt else None
-        grid = _grid(sensor, pitch_mm, burst)
-        found = lens_field(model, grid, moved, motion=motion, reach_px=reach_px)
-        if not found.lens:
-            found = _named(found, Path(lens).stem)
-        if out is not None:
-            save_lens_field(found, out)
-        _say(current, found, wanted_px, csv, plot)
-        if out is not None:
-            current.say(f"wrote {out}")
-            current.result["files"] = [out]
+    out, reach_px, pattern = asked.out, asked.reach_px, asked.pattern
+    _check_out(out, asked.burst, asked.lens)
+    check_outputs([], asked.csv, asked.plot)
+    wanted_px = named_pattern_px(pattern.value)
+    if reach_px is not None and reach_px < abs(wanted_px).max():
+        raise typer.BadParameter(
+            f"--reach-px {reach_px:g} is less than the {abs(wanted_px).max():.3g} px of the "
+            f"pattern {pattern.value}"
+        )
+    model = read_lens(asked.lens, asked.light)
+    if asked.tilt and not asked.element:
+        raise typer.BadParameter("--tilt is of an element, counted from 1, not of the sensor")
+    moved = element_of(model, asked.element) if asked.element else None
+    motion: Motion | None = "tilt" if asked.tilt else None
+    grid = _grid(asked)
+    found = lens_field(model, grid, moved, motion=motion, reach_px=reach_px)
+    if not found.lens:
+        found = _named(found, Path(asked.lens).stem)
+    if out is not None:
+        save_lens_field(found, out)
+    _say(current, found, wanted_px, asked.csv, asked.plot)
+    if out is not None:
+        current.say(f"wrote {out}")
+        current.result["files"] = [out]
 
 
 def _named(field: LensField, name: str) -> LensField:
@@ -113,14 +102,14 @@ def _named(field: LensField, name: str) -> LensField:
     return replace(field, lens=name)
 
 
-def _grid(sensor: str | None, pitch_mm: str | None, burst: Path | None) -> Grid:
-    if burst is None:
-        return sensor_grid(sensor or SENSOR, pitch_mm or PITCH_MM)
-    if sensor is not None or pitch_mm is not None:
+def _grid(asked: FieldOptions) -> Grid:
+    if asked.burst is None:
+        return sensor_grid(SensorOptions(asked.sensor or SENSOR, asked.pitch_mm or PITCH_MM))
+    if asked.sensor is not None or asked.pitch_mm is not None:
         raise typer.BadParameter("--burst says what --sensor and --pitch-mm say; give one of both")
     from lensshift.io import load_burst
 
-    return load_burst(burst).grid
+    return load_burst(asked.burst).grid
 
 
 def _check_out(out: Path | None, burst: Path | None, lens: str) -> None:

@@ -3,111 +3,59 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from dataclasses import MISSING, dataclass
+from typing import TYPE_CHECKING
 
 from lensshift.cli.lens_design import BestOption, check_out, write_lens
 from lensshift.cli.measured import parse_numbers
-from lensshift.cli.optics import (
-    PITCH_MM,
-    SENSOR,
-    BandOption,
-    LensArgument,
-    PitchOption,
-    SensorOption,
-    TemperatureOption,
-    WavelengthOption,
-    band_of,
-    element_of,
-    read_lens,
-    sensor_grid,
-)
-from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
+from lensshift.cli.optics import BandOption, LensOptions, band_of, element_of, opened
+from lensshift.cli.session import Progress, Session
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
     from lensshift.optics.lens import Lens
-    from lensshift.optics.refine import Task
-
-FocalOption = Annotated[float, typer.Option("--focal-length-mm", help="Kept.")]
-FNumberOption = Annotated[float, typer.Option("--f-number", help="Kept, by the stop.")]
-MadeOption = Annotated[
-    str,
-    typer.Option(
-        "--made", help="Elements made to order, from 1: 1,3. All but plates if not given."
-    ),
-]
-AspheresOption = Annotated[
-    int, typer.Option("--aspheres", min=0, help="Terms A4, A6, ... of aspheric elements.")
-]
-AsphericOption = Annotated[
-    str, typer.Option("--aspheric", help="Elements with aspheres, from 1. All that are made.")
-]
-ConicsOption = Annotated[bool, typer.Option("--conics", help="Conics of aspheric elements too.")]
-ThicknessesOption = Annotated[
-    bool, typer.Option("--thicknesses/--radii-only", help="Also thicknesses of glass.")
-]
-StopOption = Annotated[
-    bool, typer.Option("--move-stop/--keep-stop", help="The place of a stop between elements.")
-]
-GrowOption = Annotated[
-    str,
-    typer.Option("--grow", help="Shares of aperture and field to go through: 0.4,0.7,1."),
-]
-StepsOption = Annotated[int, typer.Option("--steps", min=1, help="Of the solver, each time.")]
-GlassOption = Annotated[
-    str, typer.Option("--glass-mm", help="Least and most thickness of glass: 0.8,5.")
-]
-EdgeOption = Annotated[float, typer.Option("--edge-mm", min=0.0, help="Least at its edge.")]
-AirOption = Annotated[float, typer.Option("--air-mm", min=0.0, help="Least between elements.")]
-BackOption = Annotated[
-    float, typer.Option("--back-focal-mm", min=0.0, help="Least in front of the sensor.")
-]
-TrackOption = Annotated[
-    float, typer.Option("--track-mm", min=0.0, help="Most from first vertex to sensor.")
-]
-DistortionOption = Annotated[
-    float, typer.Option("--distortion", min=0.0, help="Most in the corner, as a share.")
-]
-HeatOption = Annotated[
-    str, typer.Option("--temperatures-c", help="Sharp at each of these with one focus: -10,60.")
-]
+    from lensshift.optics.task import Task
 
 
-def refine(
-    lens: LensArgument,
-    focal_length_mm: FocalOption,
-    f_number: FNumberOption,
-    made: MadeOption = "",
-    thicknesses: ThicknessesOption = True,
-    aspheres: AspheresOption = 0,
-    aspheric: AsphericOption = "",
-    conics: ConicsOption = False,
-    move_stop: StopOption = True,
-    grow: GrowOption = "1",
-    steps: StepsOption = 60,
-    glass_mm: GlassOption = "0.8,inf",
-    edge_mm: EdgeOption = 0.4,
-    air_mm: AirOption = 0.05,
-    back_focal_mm: BackOption = 0.3,
-    track_mm: TrackOption = math.inf,
-    distortion: DistortionOption = math.inf,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    wavelength_nm: WavelengthOption = None,
-    band_nm: BandOption = 0.0,
-    temperature_c: TemperatureOption = None,
-    temperatures_c: HeatOption = "",
-    out: BestOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class RefineOptions:
+    """Options of `lensshift lens refine`."""
+
+    of: LensOptions
+    focal_length_mm: float = option(MISSING, "Kept.")
+    f_number: float = option(MISSING, "Kept, by the stop.")
+    made: str = option("", "Elements made to order, from 1: 1,3. All but plates if not given.")
+    thicknesses: bool = option(True, "Also thicknesses of glass.", "--thicknesses/--radii-only")
+    aspheres: int = option(0, "Terms A4, A6, ... of aspheric elements.", min=0)
+    aspheric: str = option("", "Elements with aspheres, from 1. All that are made.")
+    conics: bool = option(False, "Conics of aspheric elements too.", "--conics")
+    move_stop: bool = option(
+        True, "The place of a stop between elements.", "--move-stop/--keep-stop"
+    )
+    grow: str = option("1", "Shares of aperture and field to go through: 0.4,0.7,1.")
+    steps: int = option(60, "Of the solver, each time.", min=1)
+    starts: int = option(1, "Forms to begin from, all but the first drawn at random.", min=1)
+    seed: int = option(0, "Of these.", min=0)
+    glass_mm: str = option("0.8,inf", "Least and most thickness of glass: 0.8,5.")
+    edge_mm: float = option(0.4, "Least at its edge.", min=0.0)
+    air_mm: float = option(0.05, "Least between elements.", min=0.0)
+    back_focal_mm: float = option(0.3, "Least in front of the sensor.", min=0.0)
+    track_mm: float = option(math.inf, "Most from first vertex to sensor.", min=0.0)
+    distortion: float = option(math.inf, "Most in the corner, as a share.", min=0.0)
+    band_nm: BandOption = 0.0
+    temperatures_c: str = option("", "Sharp at each of these with one focus: -10,60.")
+    out: BestOption = None
+
+
+@verb("refining the lens")
+def refine(current: Session, asked: RefineOptions) -> None:
     """Find curvatures, thicknesses, gaps and aspheres of a lens from a starting form.
 
     Least squares of ray errors over the sensor, the light and the temperatures. Elements that are
     not made to order are stock lenses and stay whole; plates in front of the sensor stay, too.
-    A rough form needs --grow, and spheres before aspheres. The least MTF is that of `lens which`.
+    A rough form needs --grow, and spheres before aspheres; --starts looks at random forms beside
+    the one given, and refines that and the best three. The least MTF is that of `lens which`.
 
     \b
     Example:
@@ -115,33 +63,38 @@ def refine(
         --pitch-mm 0.015 --track-mm 25 --grow 0.4,0.5,0.6,0.7,0.8,0.9,1 -o spheres.toml
       lensshift lens refine petzval_a.toml --focal-length-mm 42.7 --f-number 2.1 --made 3
     """
-    with session(as_json=as_json, debug=debug, doing="refining the lens") as current:
-        from lensshift.optics.refine import Limits, Task
-        from lensshift.optics.refine import refine as found_by
-        from lensshift.optics.variables import Freedom
+    from lensshift.optics.starts import refine_from_several
+    from lensshift.optics.task import Limits, Task
+    from lensshift.optics.variables import Freedom
 
-        check_out(out)
-        start = read_lens(lens, wavelength_nm, temperature_c)
-        low_mm, high_mm = parse_numbers(glass_mm, 2, "two thicknesses like 0.8,5")
-        limits = Limits((low_mm, high_mm), edge_mm, air_mm, back_focal_mm, track_mm, distortion)
-        grid, heat_c = sensor_grid(sensor, pitch_mm), _numbers(temperatures_c)
-        task = Task(grid, focal_length_mm, f_number, limits, band_of(start, band_nm), heat_c)
-        numbers, of_aspheres = _elements(start, made), _elements(start, aspheric)
-        freedom = Freedom(
-            numbers, thicknesses=thicknesses, conics=conics, aspheres=aspheres,
-            aspheric=of_aspheres, stop=move_stop,
+    check_out(asked.out)
+    start, grid = opened(asked.of)
+    low_mm, high_mm = parse_numbers(asked.glass_mm, 2, "two thicknesses like 0.8,5")
+    limits = Limits(
+        (low_mm, high_mm), asked.edge_mm, asked.air_mm, asked.back_focal_mm, asked.track_mm,
+        asked.distortion,
+    )  # fmt: skip
+    task = Task(
+        grid, asked.focal_length_mm, asked.f_number, limits, band_of(start, asked.band_nm),
+        _numbers(asked.temperatures_c),
+    )  # fmt: skip
+    numbers, of_aspheres = _elements(start, asked.made), _elements(start, asked.aspheric)
+    freedom = Freedom(
+        numbers, thicknesses=asked.thicknesses, conics=asked.conics, aspheres=asked.aspheres,
+        aspheric=of_aspheres, stop=asked.move_stop,
+    )  # fmt: skip
+    progress = Progress("refining", preparing=True)
+    try:
+        found = refine_from_several(
+            start, task, freedom, starts=asked.starts, seed=asked.seed,
+            grow=_numbers(asked.grow), steps=asked.steps, on_progress=progress.count,
         )  # fmt: skip
-        progress = Progress("refining", preparing=True)
-        try:
-            found = found_by(
-                start, task, freedom, grow=_numbers(grow), steps=steps, on_progress=progress.count
-            )
-        finally:
-            progress.close()
-        _say(current, start, found, task)
-        if out is not None:
-            write_lens(found, out)
-            current.say(f"wrote {out}")
+    finally:
+        progress.close()
+    _say(current, start, found, task)
+    if asked.out is not None:
+        write_lens(found, asked.out)
+        current.say(f"wrote {asked.out}")
 
 
 def _say(current: Session, start: Lens, found: Lens, task: Task) -> None:

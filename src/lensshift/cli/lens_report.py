@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from lensshift.cli.measured import check_outputs
 from lensshift.cli.optics import (
-    PITCH_MM,
-    SENSOR,
-    SHIFT_PX,
     BandOption,
-    ElementOption,
-    LensArgument,
-    PitchOption,
-    SensorOption,
-    ShiftOption,
-    TemperatureOption,
-    WavelengthOption,
+    LensOptions,
+    MoveOptions,
     band_of,
     diagonal_mm,
     element_of,
     figure_of,
-    read_lens,
-    sensor_grid,
+    opened,
 )
-from lensshift.cli.session import DebugOption, JsonOption, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
@@ -37,24 +29,21 @@ if TYPE_CHECKING:
     from lensshift.optics.mtf import Band
     from lensshift.report.page import Page
 
-PageOption = Annotated[Path | None, typer.Option("-o", "--out", help="Page to write (.html).")]
-
 _SHARES = (0.0, 0.7, 1.0)  # of the way from the centre to the corner
 
 
-def report(
-    lens: LensArgument,
-    element: ElementOption = 1,
-    out: PageOption = None,
-    shift_px: ShiftOption = SHIFT_PX,
-    sensor: SensorOption = SENSOR,
-    pitch_mm: PitchOption = PITCH_MM,
-    band_nm: BandOption = 0.0,
-    wavelength_nm: WavelengthOption = None,
-    temperature_c: TemperatureOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """Options of `lensshift lens report`."""
+
+    of: LensOptions
+    move: MoveOptions = field(default_factory=MoveOptions)
+    out: Path | None = option(None, "Page to write (.html).", "-o")
+    band_nm: BandOption = 0.0
+
+
+@verb("examining the lens")
+def report(current: Session, asked: ReportOptions) -> None:
     """Examine a lens: sharpness, focus, light and distortion over the field, with all figures.
 
     For each field: MTF along it (T) and across (S), where both focus, the light in a pixel and in
@@ -66,31 +55,29 @@ def report(
       lensshift lens report petzval_a -o petzval_a.html
       lensshift lens report petzval_b --band-nm 40 --json
     """
-    with session(as_json=as_json, debug=debug, doing="examining the lens") as current:
-        from lensshift.optics.aberrations import sensor_fields
+    from lensshift.optics.aberrations import sensor_fields
 
-        check_outputs([], out, None)
-        if out is not None and out.suffix.lower() != ".html":
-            raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
-        model = read_lens(lens, wavelength_nm, temperature_c)
-        grid, moved = sensor_grid(sensor, pitch_mm), element_of(model, element)
-        band = band_of(model, band_nm)
-        fields = sensor_fields(model, grid, _SHARES)
-        rows = [_row(model, grid, field, band) for field in fields]
-        for name in rows[0]:
-            values = [
-                row[name] if isinstance(row[name], str) else f"{row[name]:.4g}" for row in rows
-            ]
-            current.say(f"{name:<32}" + "".join(f"{value:>12}" for value in values))
-        current.result |= {"lens": model.name or lens, "fields": rows}
-        if out is not None:
-            page = _page(model, lens, moved, shift_px, grid, band)
-            page.heading("Over the field")
-            page.table(rows)
-            _figures(page, model, moved, shift_px, grid, fields, band)
-            page.save(out)
-            current.say(f"wrote {out}")
-            current.result["files"] = [out]
+    out, shift_px = asked.out, asked.move.shift_px
+    check_outputs([], out, None)
+    if out is not None and out.suffix.lower() != ".html":
+        raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
+    model, grid = opened(asked.of)
+    moved = element_of(model, asked.move.element)
+    band = band_of(model, asked.band_nm)
+    fields = sensor_fields(model, grid, _SHARES)
+    rows = [_row(model, grid, field, band) for field in fields]
+    for name in rows[0]:
+        values = [row[name] if isinstance(row[name], str) else f"{row[name]:.4g}" for row in rows]
+        current.say(f"{name:<32}" + "".join(f"{value:>12}" for value in values))
+    current.result |= {"lens": model.name or asked.of.lens, "fields": rows}
+    if out is not None:
+        page = _page(model, asked.of.lens, moved, shift_px, grid, band)
+        page.heading("Over the field")
+        page.table(rows)
+        _figures(page, model, moved, shift_px, grid, fields, band)
+        page.save(out)
+        current.say(f"wrote {out}")
+        current.result["files"] = [out]
 
 
 def _row(lens: Lens, grid: Grid, field_tan: Any, band: Band | None) -> dict[str, Any]:

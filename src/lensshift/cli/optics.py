@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lensshift.cli.inputs import parse_pitch_mm
 from lensshift.cli.measured import parse_numbers
+from lensshift.cli.verbs import option
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
@@ -22,28 +22,44 @@ LensArgument = Annotated[
     str,
     typer.Argument(help="Lens file (.toml or .zmx), or the name of a built-in lens: petzval_a."),
 ]
-ElementOption = Annotated[
-    int, typer.Option("--element", min=1, help="The element that moves, counted from 1.")
-]
-SensorOption = Annotated[str, typer.Option("--sensor", help="Pixels as columns x rows.")]
-PitchOption = Annotated[
-    str, typer.Option("--pitch-mm", help="Pixel pitch: one number, or row,col.")
-]
-ShiftOption = Annotated[
-    float, typer.Option("--shift-px", help="Shift of the image along both axes, in pixels.")
-]
-WavelengthOption = Annotated[
-    float | None, typer.Option("--wavelength-nm", help="Of the light; that of the lens if not.")
-]
-TemperatureOption = Annotated[
-    float | None, typer.Option("--temperature-c", help="Of glass and air.")
-]
-
 BandOption = Annotated[
     float, typer.Option("--band-nm", min=0.0, help="Full width at half maximum of the light.")
 ]
 
 SENSOR, PITCH_MM, SHIFT_PX = "64x16", "0.155", 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class SensorOptions:
+    """The sensor behind a lens."""
+
+    sensor: str = option(SENSOR, "Pixels as columns x rows.")
+    pitch_mm: str = option(PITCH_MM, "Pixel pitch: one number, or row,col.")
+
+
+@dataclass(frozen=True, slots=True)
+class LightOptions:
+    """What a lens is looked at in."""
+
+    wavelength_nm: float | None = option(None, "Of the light; that of the lens if not.")
+    temperature_c: float | None = option(None, "Of glass and air.")
+
+
+@dataclass(frozen=True, slots=True)
+class MoveOptions:
+    """What moves, and how far."""
+
+    element: int = option(1, "The element that moves, counted from 1.", min=1)
+    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
+
+
+@dataclass(frozen=True, slots=True)
+class LensOptions:
+    """A lens in its light, before its sensor."""
+
+    lens: LensArgument
+    light: LightOptions = field(default_factory=LightOptions)
+    sensor: SensorOptions = field(default_factory=SensorOptions)
 
 
 class ShowFigure(StrEnum):
@@ -66,27 +82,35 @@ class MtfFigure(StrEnum):
     SECTIONS = "sections"
 
 
-def read_lens(
-    name: str, wavelength_nm: float | None = None, temperature_c: float | None = None
-) -> Lens:
+def read_lens(name: str, light: LightOptions | None = None) -> Lens:
     """Read a lens file or a built-in lens."""
+    from lensshift.optics.glass import glass_in_light
     from lensshift.optics.lens_file import load_lens
-    from lensshift.optics.zmx import load_zmx
 
-    lens = load_zmx(name) if Path(name).suffix.lower() == ".zmx" else load_lens(name)
-    if wavelength_nm is not None:
-        lens = replace(lens, wavelength_nm=wavelength_nm)
-    return lens if temperature_c is None else replace(lens, temperature_c=temperature_c)
+    lens = load_lens(name)
+    given = {} if light is None else asdict(light)
+    if light is not None and light.wavelength_nm is not None:
+        nm = light.wavelength_nm
+        given["elements"] = tuple(
+            replace(one, glass=tuple(glass_in_light(glass, nm) for glass in one.glass))
+            for one in lens.elements
+        )
+    return replace(lens, **{name: one for name, one in given.items() if one is not None})
 
 
-def sensor_grid(sensor: str, pitch_mm: str) -> Grid:
+def opened(asked: LensOptions) -> tuple[Lens, Grid]:
+    """Return the lens and the grid of its sensor."""
+    return read_lens(asked.lens, asked.light), sensor_grid(asked.sensor)
+
+
+def sensor_grid(asked: SensorOptions) -> Grid:
     """Return the grid of "64x16" pixels (columns x rows)."""
     from lensshift.core.grid import Grid
 
-    cols, times, rows = sensor.lower().partition("x")
+    cols, times, rows = asked.sensor.lower().partition("x")
     if not (times and rows.strip().isdigit() and cols.strip().isdigit()):
-        raise typer.BadParameter(f"expected a sensor like 64x16, got {sensor!r}")
-    return Grid((int(rows), int(cols)), parse_pitch_mm(pitch_mm))
+        raise typer.BadParameter(f"expected a sensor like 64x16, got {asked.sensor!r}")
+    return Grid((int(rows), int(cols)), parse_pitch_mm(asked.pitch_mm))
 
 
 def element_of(lens: Lens, number: int) -> int:
@@ -160,10 +184,14 @@ def mtf_figure(
     travel_mm: tuple[float, float],
     grid: Grid,
     fields_tan: list[tuple[float, float]],
+    highest_lpmm: float,
 ) -> Any:
     """Draw the MTF of a lens."""
     if kind is MtfFigure.CURVES:
-        return figure_of("lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan)
+        return figure_of(
+            "lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan,
+            highest_lpmm=highest_lpmm,
+        )  # fmt: skip
     if kind is MtfFigure.SECTIONS:
         return figure_of("lens_aberrations", "sections_figure", model, grid, fields_tan)
     frequency_lpmm = 1.0 / max(grid.pitch_mm)

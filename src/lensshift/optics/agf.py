@@ -102,10 +102,11 @@ def decode(path: str | Path) -> str:
     except OSError as error:
         raise DataError(f"cannot read: {error.strerror or error}", source=path) from error
     try:
+        even = raw[: len(raw) // 2 * 2]  # a file of UTF-16 may end within a character
         if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return raw.decode("utf-16")
+            return even.decode("utf-16")
         if b"\0" in raw[:200]:  # UTF-16 without its mark: every other byte of plain text is 0
-            return raw.decode("utf-16-be" if raw[:1] == b"\0" else "utf-16-le")
+            return even.decode("utf-16-be" if raw[:1] == b"\0" else "utf-16-le")
         try:
             return raw.decode("utf-8-sig")
         except UnicodeDecodeError:

@@ -29,6 +29,7 @@ _MARGIN = 1.02  # of the states, for what is not linear
 # Degrees over the sensor and over the states, tried in this order until the fit is good enough.
 _DEGREES = ((6, 4), (8, 5), (11, 6))
 _SPOT_DEGREES = ((5, 2), (8, 3))
+_CONVERGES = 0.3  # of the error that the degree before left: what is no polynomial leaves more
 _SHIFT_PX = 1e-7  # what a shift may be off by: a tenth of what is promised
 _REACH_PX = 1.0  # all patterns reach less than half of it
 _DOUBTFUL_PX = 1e-3  # far below what costs anything (docs/lens.md)
@@ -229,9 +230,10 @@ def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> t
         found = np.einsum("ip,jq,ar,bs,pqrsc->ijabc", to_n, to_n, to_m, to_m, at_nodes,
                           optimize=True)  # fmt: skip
         error = float(np.abs(_values(found, places, states) - traced).max())
+        converges = error < _CONVERGES * least
         if error < least:
             best, least = found, error
-        if least < goal:
+        if least < goal or not converges:
             break
     return best, least
 

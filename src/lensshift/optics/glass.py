@@ -13,7 +13,9 @@ REFERENCE_TEMPERATURE_C = 20.0
 AIR = "air"
 
 _D_UM, _F_UM, _C_UM, _G_UM = 0.5875618, 0.4861327, 0.6562725, 0.4358343
+_SAME_INDEX = 5e-4
 _MODEL_RANGE_NM = (350.0, 2000.0)  # about the visible; beyond 1 um it is a guess
+BY_CODE = "index and Abbe number"  # all that is known of a glass
 _NO_CHANGE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 # Exponents of the wavelength in the polynomials for n^2.
@@ -106,7 +108,8 @@ GLASSES = {
 _OTHER_NAMES = {
     **dict.fromkeys(
         ("F_SILICA", "FUSED SILICA", "SILICA", "UVFS", "SUPRASIL", "INFRASIL", "QUARTZ", "SIO2",
-         "COR7980", "C79-80", "7980", "HPFS", "FUSEDSILICA", "FS", "LITHOSIL-Q", "JGS1"),
+         "COR7980", "C79-80", "7980", "HPFS", "FUSEDSILICA", "FS", "LITHOSIL-Q", "JGS1",
+         "HERASIL", "HOMOSIL", "CORNING7980"),
         "fused silica",
     ),
     **dict.fromkeys(("BK7", "NBK7", "N-BK7HT", "BK7HT"), "N-BK7"),
@@ -115,11 +118,24 @@ _OTHER_NAMES = {
     **dict.fromkeys(("POLYSTYRENE", "STYRENE", "PS"), "POLYSTYR"),
     **dict.fromkeys(("ZEONEX", "ZEONEX_E48R", "COP"), "E48R"),
     **dict.fromkeys(("SI", "SILICON_SPECIAL"), "SILICON"),
-    **dict.fromkeys(("GE", "GERMANIUM_SPECIAL"), "GERMANIUM"),
-    **dict.fromkeys(("ZNS_BROAD", "ZNS_IR", "CLEARTRAN", "ZNS_CLEAR"), "ZNS"),
+    **dict.fromkeys(("GE", "GERMANIUM_SPECIAL", "GE_OLD"), "GERMANIUM"),
+    **dict.fromkeys(("ZNS_BROAD", "ZNS_IR", "CLEARTRAN", "ZNS_CLEAR", "ZNS_VIS"), "ZNS"),
     **dict.fromkeys(("ZNSE_IR",), "ZNSE"),
     **dict.fromkeys(("AL2O3", "SAPHIRE"), "SAPPHIRE"),
-    "B270": "model:1.523:58.57:0",  # SCHOTT data sheet B 270
+    "BD2": "BD-2",
+    "BD-6": "BD6",
+    # Known by index and Abbe number, from the data sheets of SCHOTT, LightPath, Osaka Gas
+    # Chemicals, Mitsubishi Gas Chemical, Mitsui, Zeon and Polyplastics.
+    "B270": "model:1.523:58.57:0",
+    **dict.fromkeys(("C0550", "CO550", "CO-550"), "model:1.605:50.42:0"),
+    **dict.fromkeys(("ECO550", "ECO-550"), "model:1.6055:50.28:0"),
+    "OKP4": "model:1.607:27.0:0",
+    "OKP4HT": "model:1.632:23.4:0",
+    **dict.fromkeys(("EP5000", "EP-5000"), "model:1.636:23.9:0"),
+    "APL5014CL": "model:1.5445:56.0:0",
+    **dict.fromkeys(("480R", "ZEONEX_480R"), "model:1.525:56.2:0"),
+    **dict.fromkeys(("K26R", "ZEONEX_K26R"), "model:1.535:55.8:0"),
+    **dict.fromkeys(("TOPAS5013", "TOPAS_5013LS-01", "COC"), "model:1.533:56.2:0"),
 }  # fmt: skip
 
 _added: dict[str, Glass] = {}
@@ -176,9 +192,25 @@ def successor(name: str) -> str | None:
     upper = name.upper()
     for newer in (f"N-{upper}", re.sub(r"^([A-Z]+)N(\d)", r"N-\1\2", upper), upper.rstrip("MAB")):
         for one in (newer, f"{newer}A"):
-            if one != upper and one in _shipped():
+            if one not in (upper, f"{upper}A") and one in _shipped():
                 return one
     return None
+
+
+def glass_in_light(name: str, wavelength_nm: float) -> str:
+    """Return a glass, or one that is like it where its constants end before the light.
+
+    The successor if its n_d is within 5e-4, else the model glass of n_d and Abbe number; the glass
+    itself where it is known, or nothing is known of the visible.
+    """
+    low_nm, high_nm = glass_data(name).range_nm
+    if low_nm <= wavelength_nm <= high_nm or not low_nm < 1e3 * _C_UM < high_nm:
+        return name
+    at_d, at_f, at_c = (refractive_index(name, 1e3 * um) for um in (_D_UM, _F_UM, _C_UM))
+    newer = successor(name)
+    if newer is not None and abs(refractive_index(newer, 1e3 * _D_UM) - at_d) < _SAME_INDEX:
+        return newer
+    return model_glass(at_d, (at_d - 1.0) / (at_f - at_c))
 
 
 def model_glass(index_d: float, abbe: float, partial: float = 0.0) -> str:
@@ -239,7 +271,7 @@ def _model(name: str) -> Glass:
     ratio = 0.6438 - 0.001682 * abbe + partial
     system = np.stack([terms[0], terms[1] - terms[2], terms[3] - terms[1]])
     constants = np.linalg.solve(system, [index_d, width, ratio * width])
-    return Glass("conrady", tuple(map(float, constants)), source="index and Abbe number")
+    return Glass("conrady", tuple(map(float, constants)), source=BY_CODE)
 
 
 def refractive_index(

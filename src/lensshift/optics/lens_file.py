@@ -17,6 +17,7 @@ from lensshift.optics.glass import (
     is_shipped,
 )
 from lensshift.optics.lens import Element, Lens, Stop, Surface
+from lensshift.optics.zmx import load_zmx
 
 _LENS_KEYS = {"name", "wavelength_nm", "temperature_c", "object_mm", "stop", "element", "glass"}
 _STOP_KEYS = {"diameter_mm", "position_mm", "rides_on"}
@@ -37,7 +38,7 @@ def lens_names() -> tuple[str, ...]:
 
 
 def load_lens(path_or_name: str | Path) -> Lens:
-    """Read a lens from a TOML file, or one of `lens_names()`.
+    """Read a lens from a TOML or .zmx file, or one of `lens_names()`.
 
     Angles are in degrees in the file, (row, col) pairs as in the program, elements numbered from
     1; `inf` is a plane surface, an object at infinity, a surface without an edge.
@@ -47,7 +48,14 @@ def load_lens(path_or_name: str | Path) -> Lens:
     DataError
         If the file is missing, is not TOML, or describes no lens: with file, element, surface
         and line.
+
+    Warns
+    -----
+    QualityWarning
+        As `load_zmx`.
     """
+    if Path(path_or_name).suffix.lower() == ".zmx":
+        return load_zmx(path_or_name)
     if str(path_or_name) in lens_names():
         folder = resources.files("lensshift.optics") / "prescriptions"
         text = (folder / f"{path_or_name}.toml").read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Surface, cover_glass
+from lensshift.optics.paraxial import paraxial
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build
 from lensshift.optics.variables import is_plate
@@ -65,6 +66,7 @@ def which_mover(
     ValueError
         As in `which_element`.
     """
+    paraxial(lens)  # refuses a lens without power before the work
     rows = list(which_element(lens, grid, shift_px=shift_px, frequency_lpmm=frequency_lpmm))
     frequency = judged_lpmm(grid, frequency_lpmm)
     plates = [number for number, one in enumerate(lens.elements) if is_plate(one)]

@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import QualityWarning
-from lensshift.core.grid import Grid
 from lensshift.optics.lens import Element, Lens, Surface
-from lensshift.optics.mtf import Band
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.sequential import trimmed
+from lensshift.optics.task import Task
 from lensshift.optics.trace import RayBundle, trace
 from lensshift.optics.variables import Freedom, Variables
 
@@ -31,69 +30,6 @@ _STEP = 1e-6
 _ROOM = 1.03  # of a surface over its highest ray
 _AIM_STEPS, _MOST_AIM = 4, 1.1  # of fields, and by how much each at most
 _STEEPEST = 0.85  # sine of the largest slope of a surface
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What a lens must keep to be made.
-
-    Parameters
-    ----------
-    glass_mm : (least, most) thickness on the axis of elements that are made
-    edge_mm : least thickness of their glass at the edge
-    air_mm : least air between elements, on the axis and at the edge
-    back_focal_mm : least distance from the last vertex, of a cover if there is one, to the sensor
-    track_mm : largest distance from the first vertex to the sensor
-    distortion : largest share that the corner of the image may be off, to either side
-
-    Raises
-    ------
-    ValueError
-        If a number is negative.
-    """
-
-    glass_mm: tuple[float, float] = (0.8, math.inf)
-    edge_mm: float = 0.4
-    air_mm: float = 0.05
-    back_focal_mm: float = 0.3
-    track_mm: float = math.inf
-    distortion: float = math.inf
-
-    def __post_init__(self) -> None:
-        numbers = (*self.glass_mm, self.edge_mm, self.air_mm, self.back_focal_mm, self.track_mm)
-        if not all(number >= 0 for number in (*numbers, self.distortion)):
-            raise ValueError(f"expected limits of at least 0, got {numbers}, {self.distortion}")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
-    """What a lens has to do.
-
-    Parameters
-    ----------
-    grid : of the sensor; fields reach to its corner
-    focal_length_mm, f_number : kept; the stop is as wide as they want
-    limits : of what can be made
-    band : the light; the wavelength of the lens alone if None
-    temperatures_c : at which it has to be sharp with one place of the sensor; that of the lens if
-        empty
-    shares : fields, of the half diagonal of the sensor
-    """
-
-    grid: Grid
-    focal_length_mm: float
-    f_number: float
-    limits: Limits = Limits()
-    band: Band | None = None
-    temperatures_c: tuple[float, ...] = ()
-    shares: tuple[float, ...] = (0.0, 0.35, 0.6, 0.8, 1.0)
-
-    def __post_init__(self) -> None:
-        if not (self.focal_length_mm > 0 and self.f_number > 0 and self.shares):
-            raise ValueError(
-                f"expected positive focal length and f-number, and fields, got "
-                f"{self.focal_length_mm} mm, {self.f_number} and {self.shares}"
-            )
 
 
 def refine(
@@ -167,6 +103,12 @@ def ray_error_um(lens: Lens, task: Task) -> Array:
         error_mm, _, _ = bench.traced(warm)
         spread.append(1e3 * np.sqrt(np.nansum(error_mm**2, axis=(0, 2, 3))))
     return np.asarray(np.max(spread, axis=0))
+
+
+def merit(lens: Lens, task: Task, freedom: Freedom, share: float = 1.0) -> float:
+    """Return what `refine` makes least of a lens, at a share of aperture and field."""
+    bench = _Bench(lens, task, freedom, share)
+    return float(np.sum(bench.errors(bench.variables.start()) ** 2))
 
 
 def _straight(element: Element) -> Element:

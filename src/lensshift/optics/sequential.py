@@ -211,11 +211,11 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
         elif kind == "OBNA":
             pupil_mm = 2.0 * math.tan(math.asin(min(value, 1.0))) * (lens.object_mm + position_mm)
         diameter_mm = pupil_mm / abs(scale)
-        if diameter_mm > widest_mm:
+        if diameter_mm > widest_mm * (1.0 + 2.0 * _ROUNDING):
             notes.append(
                 f"stop of {diameter_mm:.4g} mm clipped to the surface beside it, {widest_mm:.4g} mm"
             )
-            diameter_mm = widest_mm
+        diameter_mm = min(diameter_mm, widest_mm)
     try:
         return replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
     except ValueError as error:
@@ -235,28 +235,32 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
         if entry.mirror and group:  # behind it light is in the same glass again
             entry.glass = entries[group[-1]].glass
         plane = not (entry.curvature_per_mm or entry.asphere or entry.radial)
+        if group and entry.mirror and plane:
+            continue  # in glass: a prism, whose path is unfolded
         if entry.glass or group or (entry.mirror and not plane):
             group.append(number)
         if group and not entry.glass:
             yield group
             group = []
     if group:
-        raise DataError("expected air in front of the image", field=entries[-1].where())
+        raise DataError(
+            "expected air in front of the image: is the file cut off?", field=entries[-1].where()
+        )
 
 
 def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Element:
-    ahead = 1.0 if frames[0].axes[2, 2] > 0 else -1.0  # of light along the axis of the surface
-    axis, lengths_mm = _axis(entries, frames, ahead)
+    axis, ahead, thickness_mm = _axis(entries, frames)
     x, y, z = axis
     tilt_rad = (math.atan2(y, z), math.asin(max(-1.0, min(1.0, x))))
-    leans_rad = [_lean_rad(frame, ahead, axis, tilt_rad) for frame in frames]
-    surfaces, thickness_mm = [], []
-    for entry, length_mm, lean_rad in zip(entries, lengths_mm, leans_rad, strict=True):
-        surface = _surface(entry, notes)
-        surfaces.append(replace(surface if ahead > 0 else surface.reversed(), tilt_rad=lean_rad))
-        ahead = -ahead if entry.mirror else ahead
-        thickness_mm.append(ahead * length_mm)
-    for number, length_mm in enumerate(thickness_mm[:-1]):
+    leans_rad = [
+        _lean_rad(frame, one, axis, tilt_rad) for frame, one in zip(frames, ahead, strict=True)
+    ]
+    shapes = [_surface(entry, notes) for entry in entries]
+    surfaces = [
+        replace(shape if one > 0 else shape.reversed(), tilt_rad=lean_rad)
+        for shape, one, lean_rad in zip(shapes, ahead, leans_rad, strict=True)
+    ]
+    for number, length_mm in enumerate(thickness_mm):
         surfaces[number : number + 2] = trimmed(
             surfaces[number], surfaces[number + 1], length_mm, entries[number].number, notes
         )
@@ -264,8 +268,8 @@ def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Ele
         return Element(
             surfaces=tuple(surfaces),
             glass=tuple(entry.glass for entry in entries[:-1]),
-            thickness_mm=tuple(thickness_mm[:-1]),
-            name=entries[0].comment or f"surfaces {entries[0].number}-{entries[-1].number}",
+            thickness_mm=tuple(thickness_mm),
+            name=entries[0].comment or _numbers(entries),
             decenter_mm=(float(frames[0].origin[1]), float(frames[0].origin[0])),
             tilt_rad=tilt_rad,
         )
@@ -275,24 +279,37 @@ def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Ele
         raise DataError(str(error), field=entries[0].where()) from error
 
 
-def _axis(
-    entries: list[Entry], frames: list[Frame], ahead: float
-) -> tuple[NDArray[np.float64], list[float]]:
-    """Return the axis (x, y, z) of an element, and how far it is from each surface to the next.
+def _numbers(entries: list[Entry]) -> str:
+    first, last = entries[0].number, entries[-1].number
+    return f"surface {first}" if first == last else f"surfaces {first}-{last}"
 
-    That of its surfaces if they share one, else the line through their vertices.
+
+def _axis(
+    entries: list[Entry], frames: list[Frame]
+) -> tuple[NDArray[np.float64], list[float], list[float]]:
+    """Return the axis (x, y, z) of an element, the senses of its surfaces, and their distances.
+
+    The axis of its surfaces if they share one, else the line through their vertices. Those that
+    light meets from behind, as unfolded mirrors show them, have the sense -1.
     """
-    axis = ahead * frames[0].axes[:, 2]
+    axis = math.copysign(1.0, frames[0].axes[2, 2]) * frames[0].axes[:, 2]
+    ahead = [math.copysign(1.0, frame.axes[:, 2] @ axis) for frame in frames]
     from_first = np.array([frame.origin - frames[0].origin for frame in frames])
-    lean = max(float(np.abs(ahead * frame.axes[:, 2] - axis).max()) for frame in frames)
+    normals = np.array([one * frame.axes[:, 2] for frame, one in zip(frames, ahead, strict=True)])
     aside_mm = np.abs(from_first - np.outer(from_first @ axis, axis)).max()
-    if any(entry.mirror for entry in entries) or max(lean, aside_mm) < _CLOSE:
-        return axis, [entry.distance_mm for entry in entries]
-    axis = from_first[-1] / np.linalg.norm(from_first[-1])
-    away = from_first @ axis
-    if np.abs(from_first - np.outer(away, axis)).max() > _CLOSE:
-        raise DataError("expected the vertices of an element on one line", field=entries[0].where())
-    return axis, [float(ahead * length) for length in (*np.diff(away), 0.0)]
+    mirrors = any(entry.mirror for entry in entries)
+    if not mirrors and max(np.abs(normals - axis).max(), aside_mm) >= _CLOSE:
+        axis = from_first[-1] / np.linalg.norm(from_first[-1])
+        if np.abs(from_first - np.outer(from_first @ axis, axis)).max() > _CLOSE:
+            raise DataError(
+                "expected the vertices of an element on one line", field=entries[0].where()
+            )
+    apart_mm = np.diff(from_first @ axis)
+    return axis, ahead, [
+        math.copysign(written.distance_mm, length)  # to the last digit, where it is the same
+        if abs(abs(written.distance_mm) - abs(length)) < _CLOSE else float(length)
+        for written, length in zip(entries[:-1], apart_mm, strict=True)
+    ]  # fmt: skip
 
 
 def _lean_rad(
@@ -309,9 +326,10 @@ def _lean_rad(
 def _surface(entry: Entry, notes: list[str]) -> Surface:
     semi_mm = min(entry.semi_diameter_mm or math.inf, entry.clear_mm)
     bend = math.sqrt(max(0.0, 1.0 + entry.conic)) * abs(entry.curvature_per_mm)
-    if math.isfinite(semi_mm) and bend * semi_mm > 1.0:
+    if math.isfinite(semi_mm) and bend * semi_mm > 1.0 - _ROUNDING:
+        if bend * semi_mm > 1.0 + _ROUNDING:
+            notes.append(f"surface {entry.number}: clipped to {1.0 / bend:.4g} mm, where it ends")
         semi_mm = (1.0 - _ROUNDING) / bend
-        notes.append(f"surface {entry.number}: clipped to {semi_mm:.4g} mm, where it ends")
     try:
         return Surface(
             radius_mm=1.0 / entry.curvature_per_mm if entry.curvature_per_mm else math.inf,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,8 +14,11 @@ from numpy.typing import NDArray
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
+    BY_CODE,
     REFERENCE_TEMPERATURE_C,
     glass_called,
+    glass_data,
+    glass_in_light,
     model_glass,
     successor,
 )
@@ -23,28 +27,20 @@ from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 
 _LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 _FAR_MM = 1e9  # programs write such a distance for infinity
-_KNOWN = ("STANDARD", "EVENASPH", "ODDASPHE", "XASPHERE", "COORDBRK")
-_NO_REVOLUTION = "which is no surface of revolution"
-_DIFFRACTS = "which diffracts light"
-_REASONS = {
-    "TOROIDAL": _NO_REVOLUTION,
-    "CYLINDER": _NO_REVOLUTION,
-    "BICONICX": _NO_REVOLUTION,
-    "TILTSURF": _NO_REVOLUTION,
-    "IRREGULA": _NO_REVOLUTION,
-    "XPOLYNOM": _NO_REVOLUTION,
-    "BINARY_1": _DIFFRACTS,
-    "BINARY_2": _DIFFRACTS,
-    "BINARY_3": _DIFFRACTS,
-    "DGRATING": _DIFFRACTS,
-    "HOLOGRM1": _DIFFRACTS,
-    "HOLOGRM2": _DIFFRACTS,
-    "FRESNELS": "whose grooves scatter light",
-    "PARAXIAL": "an ideal lens, which has no surfaces to trace",
-    "USERSURF": "whose shape is in a program of its own",
-    "NONSEQCO": "in which light takes no fixed order of surfaces",
-}
+_KNOWN = ("STANDARD", "EVENASPH", "ODDASPHE", "XASPHERE", "XODDASPH", "COORDBRK")
+_REASONS = {  # by what the names of types begin with or contain
+    "GRIN|GRADI": "in which the index varies",
+    "BINARY|GRAT|HOLO|PHA|ZONE": "which diffracts light",
+    "FRESNEL": "whose grooves scatter light",
+    "PARAX|ABCD": "an ideal lens, which has no surfaces to trace",
+    "USER|DLL": "whose shape is in a program of its own",
+    "NONSEQ": "in which light takes no fixed order of surfaces",
+    "BIREF|JONES": "which treats polarisations differently",
+    "TORO|CYL|BICON|TILTS|IRREG|POLY|ZERN|CHEB|GRID|OFFAX|SLIDE|PERIOD|NURB|FREEF":
+        "which is no surface of revolution",
+}  # fmt: skip
 _LIKE_ASPHERE = ("BINARY_1", "BINARY_2")  # even aspheres, where their phase is 0
+_TERMS_PER_POWER = {"XASPHERE": 2, "XODDASPH": 1}  # steps of the powers of r / unit
 _MOST_PARAMETERS = 8  # an even asphere ends with r^16, an odd one with r^8
 _DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
 _D_LINE_UM = 0.5875618
@@ -59,7 +55,8 @@ class _File:
     mm: float = 1.0
     wavelengths_um: dict[int, float] = field(default_factory=dict)
     primary: int = 1
-    aperture: tuple[str, float] = ("FLOA", 0.0)
+    aperture: tuple[str, float] | None = None
+    catalogues: tuple[str, ...] = ()
     temperature_c: float = REFERENCE_TEMPERATURE_C
     notes: list[str] = field(default_factory=list)
 
@@ -109,7 +106,7 @@ def parse_zmx(text: str) -> Lens:
 
 def _read(text: str) -> _File:
     content = _File()
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(re.split("\r\n|[\r\n\0\x1a]", text), start=1):
         words = line.split()
         if not words:
             continue
@@ -130,6 +127,8 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
     key, values = words[0], words[1:]
     if key == "SURF":
         content.entries.append(Entry(int(values[0]), line))
+    elif key == "MNUM" and int(values[0]) > 1:
+        content.notes.append(f"one of {values[0]} configurations, that in which it was saved")
     elif content.entries:
         _read_surface_line(content, content.entries[-1], key, values, line)
     elif key == "MODE" and values[0] != "SEQ":
@@ -147,14 +146,19 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
         content.wavelengths_um[int(values[0])] = float(values[1])
     elif key in ("WAVL", "WAVN"):
         content.wavelengths_um.update({i: float(v) for i, v in enumerate(values, start=1)})
+    elif key == "GCAT":
+        content.catalogues = tuple(map(str.upper, values))
     elif key == "PWAV":
         content.primary = int(values[0])
     elif key == "ENVD":
         content.temperature_c = _finite(values[0])
+    elif key == "FLOA":
+        content.aperture = ("FLOA", 0.0)
     elif key in ("ENPD", "FNUM", "OBNA"):
         value = float(values[0])
         if key == "ENPD" and value == 0:
-            return  # none is set: the stop is as wide as its surface
+            content.aperture = ("FLOA", 0.0)  # none is set: the stop is as wide as its surface
+            return
         if not value > 0:
             raise DataError(f"expected a positive {key}, got {values[0]}", field=f"line {line}")
         working = key == "FNUM" and len(values) > 1 and values[1] == "1"
@@ -190,6 +194,9 @@ def _read_surface_line(
         entry.clear_mm = mm * _finite(values[1])
         if float(values[0]) > 0:
             content.notes.append(f"surface {entry.number}: its central obstruction is left out")
+    elif key == "OBDC" and any(map(float, values[:2])):
+        content.notes.append(f"surface {entry.number}: its aperture lies aside, and is left out")
+        entry.clear_mm = math.inf
     elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
         content.notes.append(f"surface {entry.number}: aperture {key} is left out")
     elif key == "COMM":
@@ -197,8 +204,8 @@ def _read_surface_line(
     elif key == "GLAS":
         if values[0].upper() == "MIRROR":
             entry.mirror = True
-        else:
-            entry.glass, note = _glass(values, entry, line)
+        elif entry.type in (*_KNOWN, *_LIKE_ASPHERE):  # others are refused for what they are
+            entry.glass, note = _glass(values, entry, line, content.catalogues)
             content.notes += [note] if note else []
     elif key == "STOP":
         entry.is_stop = True
@@ -211,7 +218,9 @@ def _finite(word: str) -> float:
     return value
 
 
-def _glass(values: list[str], entry: Entry, line: int) -> tuple[str, str]:
+def _glass(
+    values: list[str], entry: Entry, line: int, catalogues: tuple[str, ...]
+) -> tuple[str, str]:
     """Return the glass of a line and what has to be said about it; no glass for air."""
     name = values[0]
     numbers = [float(word) for word in values[3:6]]
@@ -223,8 +232,12 @@ def _glass(values: list[str], entry: Entry, line: int) -> tuple[str, str]:
             raise ValueError(f"expected an index, got {index}")
         return ("" if index == 1.0 else model_glass(index, abbe or 1e5, partial)), ""
     known = glass_called(name)
+    if "CDGM" in catalogues[: (*catalogues, "SCHOTT").index("SCHOTT")]:
+        known = glass_called(f"{name}_CDGM") or known  # a name that SCHOTT has for another glass
     if known is not None:
-        return known, ""
+        by_code = glass_data(known).source.startswith(BY_CODE)
+        note = f"surface {entry.number}: glass {name} is known by index and Abbe number only"
+        return known, note if by_code and not name[:1].isdigit() else ""
     newer = successor(name)
     if newer is not None:
         return newer, f"surface {entry.number}: glass {name} taken as {newer}, which replaced it"
@@ -247,25 +260,47 @@ def _lens(content: _File) -> Lens:
         content.notes.append("no wavelength is given: taken as 587.6 nm")
     if content.primary not in content.wavelengths_um:
         raise DataError(f"expected a wavelength number {content.primary}", field="PWAV")
+    wavelength_nm = 1e3 * content.wavelengths_um[content.primary]
+    if content.aperture is None:
+        content.notes.append("no aperture is given: the stop is taken as wide as its surface")
     for entry in content.entries[1:-1]:
         _shape(entry, content.mm)
+        if entry.glass:
+            _glass_of_light(entry, wavelength_nm, content.notes)
+    image = content.entries[-1]
+    if image.curvature_per_mm:
+        content.notes.append("the image surface is curved: taken as the plane at its vertex")
+    if image.distance_mm:
+        content.notes.append(f"surface {image.number}, the last, has more behind it: a part?")
     if content.entries[0].distance_mm >= _FAR_MM:
         content.entries[0].distance_mm = math.inf
     return lens_of_entries(
         content.entries,
         _frames(content.entries),
-        content.aperture,
-        1e3 * content.wavelengths_um[content.primary],
+        content.aperture or ("FLOA", 0.0),
+        wavelength_nm,
         content.name,
         temperature_c=content.temperature_c,
         notes=content.notes,
     )
 
 
+def _glass_of_light(entry: Entry, wavelength_nm: float, notes: list[str]) -> None:
+    """Replace a glass whose constants do not hold for the light by one that is like it."""
+    name, (low_nm, high_nm) = entry.glass, glass_data(entry.glass).range_nm
+    entry.glass = glass_in_light(name, wavelength_nm)
+    if entry.glass != name:
+        told = "from its index and Abbe number" if ":" in entry.glass else f"as {entry.glass}"
+        notes.append(
+            f"surface {entry.number}: {name}, known from {low_nm:g} to {high_nm:g} nm, taken {told}"
+        )
+
+
 def _shape(entry: Entry, mm: float) -> None:
     """Turn the parameters of a surface into the terms of its sag, or refuse it."""
     value = entry.parameters
-    if entry.type in _LIKE_ASPHERE and not any(entry.extra.values()):
+    phase = [term for number, term in entry.extra.items() if number > 2]  # after count and radius
+    if entry.type in _LIKE_ASPHERE and not (any(phase) and value.get(0, 1.0)):
         entry.type = "EVENASPH"
     if entry.type == "COORDBRK":
         value.update({axis: mm * value.get(axis, 0.0) for axis in (1, 2)})
@@ -276,15 +311,19 @@ def _shape(entry: Entry, mm: float) -> None:
     elif entry.type == "ODDASPHE":
         terms = [value.get(i, 0.0) * mm ** (1 - i) for i in range(1, _MOST_PARAMETERS + 1)]
         entry.radial = _trimmed(terms)
-    elif entry.type == "XASPHERE":  # terms of (r / unit)^2, (r / unit)^4, ...
+    elif entry.type in _TERMS_PER_POWER:  # of r / unit
+        step = _TERMS_PER_POWER[entry.type]
         count, unit_mm = int(entry.extra.get(1, 0.0)), mm * entry.extra.get(2, 1.0)
         if not (0 <= count <= 240 and unit_mm > 0):
             raise DataError("expected terms and a radius above 0", field=entry.where())
-        terms = [mm * entry.extra.get(2 + i, 0.0) / unit_mm ** (2 * i) for i in range(1, count + 1)]
-        entry.radial = _trimmed([0.0, *terms[:1]])
-        entry.asphere = _trimmed(terms[1:])
+        terms = [
+            mm * entry.extra.get(2 + i, 0.0) / unit_mm ** (step * i) for i in range(1, count + 1)
+        ]
+        entry.radial = _trimmed([0.0, *terms[:1]] if step == 2 else terms)
+        entry.asphere = _trimmed(terms[1:]) if step == 2 else ()
     elif entry.type != "STANDARD":
-        reason = _REASONS.get(entry.type, "whose shape is not known here")
+        told = (why for names, why in _REASONS.items() if re.search(names, entry.type))
+        reason = next(told, "whose shape is not known here")
         raise DataError(
             f"line {entry.line_of_type}: expected a surface of type {', '.join(_KNOWN)}, got "
             f"{entry.type}, {reason}",

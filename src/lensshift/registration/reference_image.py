@@ -101,17 +101,18 @@ def _slopes(knots: Floats, rows: list[Any], cols: list[Any]) -> Floats:
 def _fitted(frames: Floats, weight: Floats, operators: list[Any], start: Floats) -> Floats:
     """Return the knots of the penalised least-squares spline (conjugate gradients)."""
     stiffness = _STIFFNESS * len(frames) * float(weight.mean())
+    back = [(row.T.tocsr(), col.T.tocsr()) for row, col in operators]  # once, not in each pass
 
     def normal(knots: Floats) -> Floats:
         total = stiffness * _stiff(knots)
-        for w, (row, col) in zip(weight, operators, strict=True):
-            total += _seen(w * _seen(knots, row, col), row.T, col.T)
+        for w, (row, col), (up, left) in zip(weight, operators, back, strict=True):
+            total += _seen(w * _seen(knots, row, col), up, left)
         return total
 
     knots = start.copy()
     residual = -normal(knots)
-    for y, w, (row, col) in zip(frames, weight, operators, strict=True):
-        residual += _seen(w * y, row.T, col.T)
+    for y, w, (up, left) in zip(frames, weight, back, strict=True):
+        residual += _seen(w * y, up, left)
     direction = residual.copy()
     size = first = float(np.sum(residual**2))
     for _ in range(_PASSES):

@@ -21,7 +21,7 @@ from lensshift.optics.aberrations import (
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band, diffraction_limit
 from lensshift.optics.psf import point_spread
-from lensshift.optics.spots import distortion
+from lensshift.optics.spots import distortion, spots
 from lensshift.report import curves
 from lensshift.report.style import (
     BLUE,
@@ -51,7 +51,8 @@ _FREQUENCIES = 41
 _WIDTH_IN = 9.0
 _SIDES = 121
 _NEAR_AXIS = 1e-3  # of the corner: where the scale of the image is that of the middle
-_PSF_PIXELS = 1.3  # that a picture of a point shows
+_PSF_PIXELS = 1.3  # that a picture of a point shows at least
+_PSF_RADII, _PSF_RINGS = 1.6, 4  # rms radii of a spot that is wider, and rings to find it
 _TINY = 1e-4  # of the peak: where the grey scale ends
 
 
@@ -127,6 +128,7 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
         focus.set_ylabel("height of the image (mm)")
         departure.plot(percent, height_mm, color=BLUE)
         departure.axvline(0.0, color=LIGHT, linewidth=0.9, zorder=1.0)
+        departure.locator_params(axis="x", nbins=4)
         departure.set_xlabel("distortion against the middle (%)")
         departure.set_title(f"{percent[-1]:+.2f} % in the corner")
         bright.plot(light, height_mm, color=BLUE)
@@ -214,8 +216,10 @@ def psf_figure(
     """
     pixel_um = 1e3 * np.asarray(grid.pitch_mm)
     largest_um = float(pixel_um.max())
-    reach_um = 0.5 * _PSF_PIXELS * largest_um
-    side_mm = np.linspace(0.0, 1.5e-3 * largest_um, _SIDES)
+    seen = [spots(lens, field, rings=_PSF_RINGS) for field in fields_tan]
+    spot_um = _PSF_RADII * 1e3 * max(float(spot.rms_radius_mm) for spot in seen)
+    reach_um = max(0.5 * _PSF_PIXELS * largest_um, spot_um)
+    side_mm = np.linspace(0.0, 1e-3 * max(1.5 * largest_um, 2.0 * spot_um), _SIDES)
     found = [point_spread(lens, field, float(side_mm[-1]), band=band) for field in fields_tan]
     with styled():
         figure = new_figure(max(6.0, 0.8 + 2.8 * len(fields_tan)), 6.2)

@@ -233,7 +233,7 @@ def spots_figure(
             together_um = np.concatenate(both)
             wide_um = max(0.6 * float(pixel_um.max()), float(np.abs(together_um).max()))
             low_um, high_um = np.quantile(together_um, (1.0 - _MOST, _MOST), axis=0)
-            close_um = _ROOM * max(0.5 * float((high_um - low_um).max()), airy_um)
+            close_um = min(wide_um, _ROOM * max(0.5 * float((high_um - low_um).max()), airy_um))
             for axes, (row_um, col_um), reach_um in (
                 (wide, (0.0, 0.0), wide_um),
                 (close, 0.5 * (low_um + high_um), close_um),

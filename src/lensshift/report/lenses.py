@@ -155,7 +155,6 @@ def mtf_figure(
         above.set_xlabel("")
         above.set_ylabel(f"modulation {along}")
         below.axhline(0.0, color=GREY, linewidth=0.9, zorder=1.0)
-        curves.mark_frequency(below, 0.5 / max(grid.pitch_mm), "")
         below.set_xlabel("spatial frequency on the sensor (LP/mm)")
         below.set_ylabel("moved minus rest")
     return figure
@@ -327,7 +326,8 @@ def _draw_sensor(axes: Axes, grid: Grid, frequency_lpmm: Floats, azimuth_rad: fl
     published = paper_sensor_limit(frequency_lpmm, along_mm)
     axes.plot(frequency_lpmm, aperture, "--", color=INK, linewidth=1.0, label="pixel |sinc|")
     axes.plot(frequency_lpmm, published, ":", color=INK, linewidth=1.0, label="pixel sinc$^2$")
-    curves.mark_frequency(axes, 0.5 / max(grid.pitch_mm), "LR Nyquist")
+    if 0.5 / along_mm < frequency_lpmm[-1]:
+        curves.mark_frequency(axes, 0.5 / along_mm, "LR Nyquist")
 
 
 def _direction(azimuth_rad: float) -> str:

@@ -1,0 +1,203 @@
+"""Zemax files as others write them: glasses of several makers, prisms, encodings, what is said."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
+
+from lensshift.camera import LensOptics
+from lensshift.cli.optics import LightOptions, read_lens
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.grid import Grid
+from lensshift.optics.glass import glass_called, refractive_index, successor
+from lensshift.optics.lens import Lens
+from lensshift.optics.lens_file import load_lens
+from lensshift.optics.movers import which_mover
+from lensshift.optics.paraxial import paraxial
+from lensshift.optics.pupil import pupil_grid
+from lensshift.optics.trace import trace
+from lensshift.optics.zmx import load_zmx, parse_zmx
+from lensshift.pipeline.experiment_file import named_optics
+
+FIELD, POINTS = np.array([0.01, -0.02]), pupil_grid(7)
+D_NM = 587.5618
+
+
+def same_rays(one: Lens, other: Lens) -> None:
+    rays = [trace(lens, FIELD, POINTS).position_mm for lens in (one, other)]
+    assert rays[1] == pytest.approx(rays[0], abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("glass", "wavelength_nm", "index", "within"),
+    [  # published: the papers and data sheets that the shipped catalogue names
+        ("ZNSE", 10600.0, 2.4028, 2e-4),
+        ("ZNS_BROAD", 10000.0, 2.2002, 1e-3),
+        ("WATER", 589.3, 1.3334, 1e-4),
+        ("KRS5", 10000.0, 2.3707, 1e-3),
+        ("IG6", 10000.0, 2.7775, 1e-3),
+        ("AMTIR1", 10000.0, 2.4976, 2e-3),
+        ("YAG", D_NM, 1.8332, 5e-4),
+        ("CSI", 10000.0, 1.7392, 1e-3),
+        ("SK7", D_NM, 1.60729, 1e-5),
+        ("LASFN30", D_NM, 1.80318, 1e-5),
+        ("BAFN10", D_NM, 1.67003, 1e-5),
+        ("F4", D_NM, 1.61659, 1e-5),
+        ("BAF4", D_NM, 1.60562, 1e-5),
+    ],
+)
+def test_glasses_that_files_of_others_name(
+    glass: str, wavelength_nm: float, index: float, within: float
+) -> None:
+    name = glass_called(glass) or successor(glass)
+    assert name is not None
+    assert refractive_index(name, wavelength_nm) == pytest.approx(index, abs=within)
+
+
+def test_a_name_that_two_makers_have_goes_by_the_catalogues_of_the_file() -> None:
+    front = FRONT.replace("N-BK7", "F4")
+    for catalogues, index_d in (("SCHOTT MISC", 1.61659), ("CDGM MISC", 1.62005)):
+        text = zmx(FAR, front, BACK, IMAGE, header=f"GCAT {catalogues}")
+        if catalogues.startswith("CDGM"):
+            lens = parse_zmx(text)
+        else:
+            with pytest.warns(QualityWarning, match="F4 is known by index and Abbe number only"):
+                lens = parse_zmx(text)
+        assert lens.indices()[0][0] == pytest.approx(index_d, abs=2e-5)
+    assert successor("K4") is None  # K4A of CDGM is another glass
+
+
+def test_a_glass_whose_constants_end_before_the_light_is_replaced_with_a_note() -> None:
+    text = zmx(FAR, FRONT.replace("N-BK7", "SK16"), BACK, IMAGE)
+    assert parse_zmx(text).elements[0].glass == ("SK16",)
+    infrared = text.replace("WAVM 1 0.5875618", "WAVM 1 0.94")
+    with pytest.warns(QualityWarning, match="SK16, known from 400 to 700 nm, taken as N-SK16"):
+        assert parse_zmx(infrared).elements[0].glass == ("N-SK16",)
+    with pytest.warns(QualityWarning, match="taken from its index and Abbe number"):
+        lens = parse_zmx(infrared.replace("SK16", "SF12"))
+    assert refractive_index(lens.elements[0].glass[0], D_NM) == pytest.approx(
+        refractive_index("SF12", D_NM), abs=1e-9
+    )
+    with pytest.raises(DataError, match="wavelength from"):
+        parse_zmx(text.replace("WAVM 1 0.5875618", "WAVM 1 10.6"))
+
+
+def test_other_light_than_that_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "lens.zmx").write_text(zmx(FAR, FRONT.replace("N-BK7", "SK16"), BACK, IMAGE))
+    lens = read_lens(str(tmp_path / "lens.zmx"), LightOptions(850.0))
+    assert lens.elements[0].glass == ("N-SK16",)
+    assert lens.indices()[0][0] == refractive_index("N-SK16", 850.0)
+
+
+def test_what_has_no_power_moves_no_image() -> None:
+    front, back = (one.replace("CURV 0.02", "CURV 0").replace("CURV -0.01", "CURV 0")
+                   for one in (FRONT, BACK))  # fmt: skip
+    with pytest.raises(ValueError, match="expected a lens with power"):
+        which_mover(parse_zmx(zmx(FAR, front, back, IMAGE)), Grid((5, 9), (0.1, 0.1)))
+
+
+def test_extended_odd_aspheres_and_diffractive_surfaces_without_phase() -> None:
+    shapes = {
+        "ODDASPHE": f"PARM 3 {0.01 / 8**3!r}; PARM 4 {0.002 / 8**4!r}",
+        "XODDASPH": "XDAT 1 4; XDAT 2 8; XDAT 5 0.01; XDAT 6 0.002",
+        "EVENASPH": "PARM 2 1e-6",
+        "BINARY_2": "PARM 2 1e-6; XDAT 1 2; XDAT 2 8; XDAT 3 0; XDAT 4 0",
+        "BINARY_1": "PARM 0 0; PARM 2 1e-6; XDAT 1 2; XDAT 2 8; XDAT 3 -80; XDAT 4 0",
+    }
+    odd, odd_too, even, second, first = (
+        parse_zmx(zmx(FAR, FRONT.replace("TYPE STANDARD", f"TYPE {t}; {p}"), BACK, IMAGE))
+        for t, p in shapes.items()
+    )
+    same_rays(odd, odd_too)
+    same_rays(even, second)
+    same_rays(even, first)
+
+
+def test_a_prism_that_folds_is_the_plate_of_its_glass() -> None:
+    turn = "TYPE COORDBRK; PARM 3 45; DISZ {}"
+    glass = "CURV 0; DISZ {}; GLAS N-BK7; DIAM 9 1"
+    near = BACK.replace("DISZ 60", "DISZ 5")
+    straight = ("TYPE STANDARD; " + glass.format(20), "TYPE STANDARD; CURV 0; DISZ 30; DIAM 9 1")
+    folded = (
+        "TYPE STANDARD; " + glass.format(10), turn.format(0),
+        "TYPE STANDARD; CURV 0; DISZ 0; GLAS MIRROR", turn.format(-10),
+        "TYPE STANDARD; CURV 0; DISZ -30; DIAM 9 1",
+    )  # fmt: skip
+    plate, prism = (parse_zmx(zmx(FAR, FRONT, near, *p, IMAGE)) for p in (straight, folded))
+    assert prism.elements[1].thickness_mm == pytest.approx((20.0,), abs=1e-12)
+    same_rays(plate, prism)
+
+
+def test_a_half_ball_reaches_to_its_equator() -> None:
+    ball = "STOP; TYPE STANDARD; CURV 0.2; DISZ 5; GLAS N-BK7; DIAM 5 1"
+    lens = parse_zmx(zmx(FAR, ball, "TYPE STANDARD; CURV 0; DISZ 5; DIAM 5 1", IMAGE))
+    index = lens.indices()[0][0]
+    assert paraxial(lens).focal_length_mm == pytest.approx(5.0 / (index - 1.0))
+    assert lens.elements[0].surfaces[0].semi_diameter_mm == pytest.approx(5.0, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("PWAV 1", "PWAV 1\nMNUM 3 2", "one of 3 configurations"),
+        ("SURF 3\n  TYPE STANDARD", "SURF 3\n  TYPE STANDARD\n  CURV -0.02", "image surface is c"),
+        ("  DISZ 0", "  DISZ 4", "surface 3, the last, has more behind it"),
+        ("  STOP", "  STOP\n  CLAP 0 5 0\n  OBDC 0 20", "surface 1: its aperture lies aside"),
+    ],
+)
+def test_what_is_taken_otherwise_is_said(old: str, new: str, said: str) -> None:
+    text = zmx(*SINGLET)
+    assert text.count(old) == 1
+    with pytest.warns(QualityWarning, match=said):
+        same_rays(parse_zmx(text), parse_zmx(text.replace(old, new)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("GRINSUR5", "in which the index varies"),
+        ("SZERNPHA", "which diffracts light"),
+        ("ZERNSAG", "no surface of revolution"),
+        ("GRIDSAG", "no surface of revolution"),
+        ("PARAX_XY", "an ideal lens"),
+        ("BIREF_IN", "treats polarisations differently"),
+    ],
+)
+def test_the_kind_of_a_surface_is_the_reason_before_its_glass(kind: str, reason: str) -> None:
+    with pytest.raises(DataError, match=f"got {kind}, .*{reason}"):
+        parse_zmx(zmx(FAR, f"STOP; TYPE {kind}; DISZ 3; GLAS SLW-1.8", BACK, IMAGE))
+
+
+@pytest.mark.parametrize("kind", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig", "iso-8859-1"])
+@pytest.mark.parametrize("end", ["\r\n", "\n", "\r"])
+def test_encodings_ends_of_lines_and_what_follows(kind: str, end: str, tmp_path: Path) -> None:
+    # \x85 ends a line for Python, in a name it is the dots of "f\xfcr \x85" only.
+    text = zmx(*SINGLET, header="NAME f\xfcr \x85SURF").replace("\n", end)
+    junk = b"\r" if "16" in kind else b"\x1a\0\0\0\xff%"
+    (tmp_path / "lens.zmx").write_bytes(text.encode(kind) + junk)
+    same_rays(parse_zmx(zmx(*SINGLET)), load_zmx(tmp_path / "lens.zmx"))
+
+
+def test_a_zemax_file_is_a_lens_wherever_lenses_are_named(tmp_path: Path) -> None:
+    (tmp_path / "Lens.ZMX").write_text(zmx(*SINGLET))
+    same_rays(parse_zmx(zmx(*SINGLET)), load_lens(tmp_path / "Lens.ZMX"))
+    optics = named_optics(str(tmp_path / "Lens.ZMX"), 1)
+    assert isinstance(optics, LensOptics)
+    assert optics.lens == load_lens(tmp_path / "Lens.ZMX")
+
+
+def test_without_an_aperture_the_stop_is_as_wide_as_its_surface() -> None:
+    text = zmx(*SINGLET)
+    with pytest.warns(QualityWarning, match="no aperture is given"):
+        lens = parse_zmx(text.replace("ENPD 10", ""))
+    same_rays(parse_zmx(text.replace("ENPD 10", "FLOA")), lens)
+
+
+def test_a_file_that_is_cut_off_is_refused() -> None:
+    text = zmx(*SINGLET)
+    for number in (1, 2):
+        with pytest.raises(DataError, match=r"cut off|at least one surface"):
+            parse_zmx(text[: text.index(f"SURF {number + 1}")])
+    assert math.isinf(parse_zmx(text).object_mm)
