@@ -42,7 +42,10 @@ class Pattern(StrEnum):
 
 
 BurstArgument = Annotated[
-    Path, typer.Argument(help="A burst file, or an image stack (TIFF, NPY, NPZ, folder of images).")
+    Path,
+    typer.Argument(
+        help="A burst file, or an image stack (TIFF, NPY, NPZ, FITS, folder of images)."
+    ),
 ]
 PatternOption = Annotated[Pattern, typer.Option("--pattern", help="Where the image is sent.")]
 
