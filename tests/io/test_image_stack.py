@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from lensshift import Burst, reconstruct
+from lensshift import Burst, reconstruct, register
 from lensshift.core.errors import DataError
 from lensshift.io import OffsetTable, export_burst, load_burst, load_image_stack, save_burst
 from lensshift.io.image_file import load_frames, load_named_arrays
@@ -553,3 +553,21 @@ def test_half_precision_becomes_single(tmp_path: Path) -> None:
     amplitude = load(tmp_path / "a.npy")
     assert amplitude.dtype == np.float32
     np.testing.assert_array_equal(amplitude, frames)
+
+
+def test_what_a_masked_array_hides_is_not_valid() -> None:
+    frames = frames_of("f8")
+    hidden = np.where(frames > 200, np.nan, frames)
+    masked = np.ma.masked_invalid(hidden)
+    np.testing.assert_array_equal(Burst.from_arrays(masked).valid, frames <= 200)
+    both = Burst.from_arrays(masked, np.ma.masked_less(1 + frames, 50.0))
+    np.testing.assert_array_equal(both.valid, (frames <= 200) & (1 + frames >= 50))
+    assert Burst.from_arrays(masked, valid=frames < 100).valid.sum() == (frames < 100).sum()
+
+
+def test_arrays_are_told_what_makes_a_burst_of_them(tmp_path: Path) -> None:
+    for call in (reconstruct, register, lambda x: save_burst(x, tmp_path / "a.nc")):
+        with pytest.raises(TypeError, match=r"got ndarray; Burst\.from_arrays"):
+            call(frames_of("f8"))
+    with pytest.raises(DataError, match="pitch_mm: expected one or two numbers"):
+        Burst.from_arrays(frames_of("f8"), pitch_mm=(1, 2, 3))

@@ -104,7 +104,7 @@ def _load_fits(path: str | Path) -> NDArray[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about cards
         warnings.filterwarnings("error", ".*truncated")
-        with fits.open(path, memmap=False) as file:
+        with Path(path).open("rb") as raw, fits.open(raw) as file:  # its own it may leave open
             images = [page for page in file if page.is_image and page.shape]
             images = [page for page in images if page.name == "AMPLITUDE"] or images
             sizes = {page.shape[-2:] for page in images}
