@@ -76,8 +76,11 @@ class Kind(Enum):
 
 def kind_of(path: Path) -> Kind:
     """Tell what a file or folder holds."""
+    from lensshift.io.capture_file import is_capture
     from lensshift.io.container_reader import is_hdf5, read_schema
 
+    if is_capture(path):
+        return Kind.BURST
     if path.is_dir() or not is_hdf5(path):
         return Kind.STACK
     schema = read_schema(path)

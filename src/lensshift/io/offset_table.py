@@ -57,7 +57,7 @@ def load_offsets(path: str | Path) -> OffsetTable:
     if suffix not in (".csv", ".txt", ".tsv", ".json"):
         raise DataError(f"expected shifts in a .csv or .json file, got {suffix!r}", source=path)
     with reading(path):
-        text = read_text(path).removeprefix("\ufeff")
+        text = read_text(path)
         return _from_json(text) if suffix == ".json" else _from_csv(text)
 
 
