@@ -511,8 +511,9 @@ def test_fits_as_cube_extensions_and_compressed(tmp_path: Path, dtype: str) -> N
 def test_fits_of_our_own_and_wrong_ones(tmp_path: Path) -> None:
     fits = pytest.importorskip("astropy.io.fits")
     burst = Burst.from_arrays(frames_of("f4"), 1 + frames_of("f4"), offset_px=OFFSETS, pitch_mm=0.1)
-    export_burst(burst, tmp_path / "a.fits")
-    np.testing.assert_array_equal(load(tmp_path / "a.fits"), burst.amplitude)
+    for name in ("a.fits", "a.ome.tif"):
+        export_burst(burst, tmp_path / name)
+        np.testing.assert_array_equal(load(tmp_path / name), burst.amplitude)
     fits.PrimaryHDU(frames_of("f4")).writeto(tmp_path / "cube.fits")
     (tmp_path / "cut.fits").write_bytes((tmp_path / "cube.fits").read_bytes()[:-2700])
     (tmp_path / "junk.fits").write_bytes(b"SIMPLE  = nonsense" * 99)

@@ -132,9 +132,9 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
             raise DataError("damaged or cut short: there is no page in it")
         sizes = {(one.shape, one.dtype) for one in series}
         if len(sizes) > 1:
-            told = ", ".join(sorted(f"{shape} {dtype}" for shape, dtype in sizes))
-            raise DataError(f"expected pages of one size and type, got {told:.200}; one file each")
-        page = file.pages.first
+            found = ", ".join(sorted(f"{shape} {dtype}" for shape, dtype in sizes))
+            raise DataError(f"expected pages of one size and type, got {found:.200}; one file each")
+        page, told = file.pages.first, file.ome_metadata or ""
         if page.photometric not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
         if page.compression not in TIFFFILE_COMPRESSIONS:
@@ -145,12 +145,14 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
         check_unpacked(claimed, size, "pages")
         if len(series) > 1:  # pages that were written one by one
             return np.concatenate([_pages(one) for one in series])
-        return _pages(series[0])
+        return _pages(series[0], ours="<Channel" in told and 'Name="amplitude"' in told)
 
 
-def _pages(series: Any) -> NDArray[Any]:
-    """Return the frames [frame row col] of a series of pages."""
+def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:
+    """Return the frames [frame row col] of a series of pages; of our exports the amplitude."""
     values = series.asarray()
+    if ours and "C" in series.axes:  # beside it lie distance, deviations ...
+        values = values.take(0, axis=series.axes.index("C"))
     if "S" in series.axes and not _are_frames(series, values):
         values = _grey(np.moveaxis(values, series.axes.index("S"), -1))
     if values.ndim < 2:
