@@ -33,7 +33,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Frame
 from lensshift.io.calibration_file import save_calibration
-from lensshift.io.capture_file import CaptureWriter
+from lensshift.io.capture_file import CaptureWriter, FrameRecord
 from lensshift.optics.shift import decenter_for_shift
 
 Call = Callable[..., Any]
@@ -113,6 +113,23 @@ def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Pa
     resumed = call("capture", rig_file, "-o", out, "--resume")
     assert resumed.exit_code == 0, resumed.output
     assert f"nothing to do: {out} is complete, 4 frames" in resumed.stdout
+
+
+def test_verbs_read_what_a_killed_capture_left(call: Call, tmp_path: Path) -> None:
+    cut, image = tmp_path / "cut.nc", np.random.default_rng(3).random((5, 7))
+    with CaptureWriter.create(cut, {"plan": "square", "pitch_mm": [0.1, 0.2]}) as journal:
+        for k in range(3):
+            where_px = np.array([0.25 * k, -0.5])
+            journal.append(
+                FrameRecord(
+                    step=k, amplitude=image + k, valid=image > 0, offset_px=where_px, time_s=k
+                )
+            )
+    told = json.loads(call("info", cut, "--json").stdout)
+    assert (told["kind"], told["frame_count"]) == ("burst", 3)
+    assert told["offset_px"][2] == [0.5, -0.5]
+    assert call("convert", cut, tmp_path / "a.npz").exit_code == 0
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npz")["amplitude"][1], image + 1)
 
 
 def test_an_unfinished_capture_is_set_aside(call: Call, rig_file: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from lensshift import Burst, reconstruct
+from lensshift import Burst, reconstruct, register
 from lensshift.core.errors import DataError
 from lensshift.io import OffsetTable, export_burst, load_burst, load_image_stack, save_burst
 from lensshift.io.image_file import load_frames, load_named_arrays
@@ -319,7 +319,7 @@ def test_folders_and_names(tmp_path: Path) -> None:
     assert "holds no image" in message_of(tmp_path)
     assert "no such file" in message_of(tmp_path / "none.tif")
     (tmp_path / "a.jpg").write_bytes(b"x")
-    assert "expected .tif, .tiff, .png, .npy or .npz" in message_of(tmp_path / "a.jpg")
+    assert "expected .tif, .tiff, .png, .npy, .fits, .fit or .npz" in message_of(tmp_path / "a.jpg")
     np.save(tmp_path / "1.npy", np.ones((5, 7)))
     save_png(tmp_path / "1.png", np.ones((5, 7), "u1"))
     assert "holds .npy and .png files" in message_of(tmp_path)
@@ -476,3 +476,99 @@ def test_pixels_that_are_no_numbers_are_not_valid(tmp_path: Path) -> None:
     valid = load_image_stack(tmp_path / "a.tif", OFFSETS).valid
     assert valid is not None
     np.testing.assert_array_equal(valid, np.isfinite(frames))
+
+
+def test_pages_that_were_written_one_by_one(tmp_path: Path) -> None:
+    frames = frames_of("u2")
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for frame in frames:
+            file.write(frame, contiguous=False)
+    np.testing.assert_array_equal(load(tmp_path / "a.tif"), frames)
+    with tifffile.TiffWriter(tmp_path / "b.tif") as file:
+        for rows in (5, 4):
+            file.write(frames[0, :rows], contiguous=False)
+    assert "expected pages of one size and type, got (4, 7) uint16, (5, 7) uint16" in message_of(
+        tmp_path / "b.tif"
+    )
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "i2", "f4", "f8"])
+def test_fits_as_cube_extensions_and_compressed(tmp_path: Path, dtype: str) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    frames = frames_of(dtype)
+    images = [fits.ImageHDU(frame) for frame in frames]
+    fits.PrimaryHDU(frames).writeto(tmp_path / "cube.fits")
+    fits.HDUList([fits.PrimaryHDU(), *images]).writeto(tmp_path / "pages.fit")
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(frames, quantize_level=0)]).writeto(
+        tmp_path / "packed.fits"
+    )
+    for name in ("cube.fits", "pages.fit", "packed.fits"):
+        amplitude = load(tmp_path / name)
+        assert amplitude.dtype == frames.dtype
+        np.testing.assert_array_equal(amplitude, frames)
+
+
+def test_fits_of_our_own_and_wrong_ones(tmp_path: Path) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    burst = Burst.from_arrays(frames_of("f4"), 1 + frames_of("f4"), offset_px=OFFSETS, pitch_mm=0.1)
+    for name in ("a.fits", "a.ome.tif"):
+        export_burst(burst, tmp_path / name)
+        np.testing.assert_array_equal(load(tmp_path / name), burst.amplitude)
+    fits.PrimaryHDU(frames_of("f4")).writeto(tmp_path / "cube.fits")
+    (tmp_path / "cut.fits").write_bytes((tmp_path / "cube.fits").read_bytes()[:-2700])
+    (tmp_path / "junk.fits").write_bytes(b"SIMPLE  = nonsense" * 99)
+    table = fits.BinTableHDU.from_columns([fits.Column("a", "D", array=np.ones(3))])
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(tmp_path / "table.fits")
+    unlike = [fits.ImageHDU(np.ones((5, cols))) for cols in (3, 4)]
+    fits.HDUList([fits.PrimaryHDU(), *unlike]).writeto(tmp_path / "unlike.fits")
+    header = fits.PrimaryHDU(np.ones((2, 3, 4), "f4")).header
+    header["NAXIS1"] = header["NAXIS2"] = 1_000_000
+    (tmp_path / "claims.fits").write_text(header.tostring(padding=True) + " " * 2880)
+    assert "one size, got none" in message_of(tmp_path / "table.fits")
+    assert "one size, got (5, 3), (5, 4)" in message_of(tmp_path / "unlike.fits")
+    for name in ("cut.fits", "junk.fits", "claims.fits"):
+        message_of(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (np.zeros(SHAPE, [("a", "f4")]), "expected numbers"),
+        (np.zeros(SHAPE, "M8[s]"), "expected numbers"),
+        (np.zeros((0, 5, 7)), "holds no pixel"),
+        (np.full(SHAPE, -3.4e38, "f4"), "expected values up to 1e+15, got 3.4e+38; write NaN"),
+    ],
+)
+def test_arrays_that_are_no_pictures(tmp_path: Path, values: np.ndarray, said: str) -> None:
+    np.save(tmp_path / "a.npy", values)
+    np.savez(tmp_path / "a.npz", frames=values)
+    assert said in message_of(tmp_path / "a.npy")
+    message = message_of(tmp_path / "a.npz")
+    assert said in message
+    assert "frames" in message
+
+
+def test_half_precision_becomes_single(tmp_path: Path) -> None:
+    frames = frames_of("f2")
+    np.save(tmp_path / "a.npy", frames)
+    amplitude = load(tmp_path / "a.npy")
+    assert amplitude.dtype == np.float32
+    np.testing.assert_array_equal(amplitude, frames)
+
+
+def test_what_a_masked_array_hides_is_not_valid() -> None:
+    frames = frames_of("f8")
+    hidden = np.where(frames > 200, np.nan, frames)
+    masked = np.ma.masked_invalid(hidden)
+    np.testing.assert_array_equal(Burst.from_arrays(masked).valid, frames <= 200)
+    both = Burst.from_arrays(masked, np.ma.masked_less(1 + frames, 50.0))
+    np.testing.assert_array_equal(both.valid, (frames <= 200) & (1 + frames >= 50))
+    assert Burst.from_arrays(masked, valid=frames < 100).valid.sum() == (frames < 100).sum()
+
+
+def test_arrays_are_told_what_makes_a_burst_of_them(tmp_path: Path) -> None:
+    for call in (reconstruct, register, lambda x: save_burst(x, tmp_path / "a.nc")):
+        with pytest.raises(TypeError, match=r"got ndarray; Burst\.from_arrays"):
+            call(frames_of("f8"))
+    with pytest.raises(DataError, match="pitch_mm: expected one or two numbers"):
+        Burst.from_arrays(frames_of("f8"), pitch_mm=(1, 2, 3))

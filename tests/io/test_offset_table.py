@@ -44,12 +44,30 @@ def test_deviation_and_source(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "content",
+    [
+        "# of the stage, in px\nrow,col\n-.25,.5\n# moved\n1,2\n",
+        "Row;Col\n-0,25;0,5\n1;2\n",
+        "row\tcol\r\n-0.25\t0.5\r\n1\t2\r\n",
+        '"frame";"row";"col"\n1;1;2\n;;\n0;-0,25;0,5\n',
+    ],
+)
+def test_tables_as_other_programs_write_them(tmp_path: Path, content: str) -> None:
+    for name in ("a.csv", "a.txt"):
+        (tmp_path / name).write_text(content)
+        np.testing.assert_array_equal(
+            load_offsets(tmp_path / name).offset_px, [[-0.25, 0.5], [1, 2]]
+        )
+
+
+@pytest.mark.parametrize(
     ("content", "said"),
     [
         ("", "empty"),
         ("\n", "line 1: expected the header"),
         ("x,y\n1,2\n", "line 1: expected the header"),
-        ("row;col\n1;2\n", "line 1: expected the header"),
+        ("row col\n1 2\n", "line 1: expected the header"),
+        ("row,col\n0,5,0,5\n", "line 2: expected 2 values, got 4"),
         ("row,col,sigma_rwo\n1,2,3\n", "line 1: expected the header"),
         ("row,col,col\n1,2,3\n", "line 1: expected the header"),
         ("row,col,sigma_row\n1,2,3\n", "line 1: expected sigma_row and sigma_col"),
@@ -101,8 +119,8 @@ def test_bad_json_names_the_field(tmp_path: Path, content: str, said: str) -> No
 def test_bad_bytes_and_names(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes(b"row,col\n\xff\xfe,1\n")
     message_of_loading(tmp_path / "a.csv")
-    (tmp_path / "a.txt").write_text("row,col\n0,0\n")
-    assert "expected shifts in a .csv or .json file" in message_of_loading(tmp_path / "a.txt")
+    (tmp_path / "a.xls").write_text("row,col\n0,0\n")
+    assert "expected shifts in a .csv or .json file" in message_of_loading(tmp_path / "a.xls")
     assert "no such file" in message_of_loading(tmp_path / "none.csv")
     assert "folder" in message_of_loading(tmp_path)
 

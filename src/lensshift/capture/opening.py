@@ -302,6 +302,8 @@ def _stage(table: _Table, folder: Path, home: str | None, on_homing: OnHoming | 
     rest = {name: value for name, value in table.items() if name not in ("row", "col", "kind")}
     settings = built(AptSettings, rest, "stage")
     row, col = (str(fit(table[axis], str | int, f"stage.{axis}")) for axis in ("row", "col"))
+    if row == col:
+        raise DataError(f"expected a port other than that of row, {row!r}", field="stage.col")
     return open_apt_stage(row, col, settings, on_homing)
 
 

@@ -15,7 +15,6 @@ from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
-BURST_SUFFIXES = (".nc", ".nc4", ".h5", ".hdf5")
 IMAGE_SUFFIXES = (".npz", ".tif", ".tiff", ".fits", ".fit")
 
 
@@ -92,17 +91,18 @@ def _convert_stream(current: Session, asked: ConvertOptions) -> None:
 
 def _convert_burst(asked: ConvertOptions) -> None:
     from lensshift.io import export_burst, save_burst
+    from lensshift.io.reading import CONTAINER_SUFFIXES
 
     target = asked.target
     suffix = target.suffix.lower()
-    if suffix not in (*BURST_SUFFIXES, *IMAGE_SUFFIXES):
+    if suffix not in (*CONTAINER_SUFFIXES, *IMAGE_SUFFIXES):
         raise typer.BadParameter(
-            f"{target}: a burst becomes a burst file ({', '.join(BURST_SUFFIXES)}), .npz, .tif, "
-            ".ome.tif or .fits"
+            f"{target}: a burst becomes a burst file ({', '.join(CONTAINER_SUFFIXES)}), .npz, "
+            ".tif, .ome.tif or .fits"
         )
     burst = load_input_burst(asked.source, asked.stack)
     burst = replace(burst, intrinsics=asked.points.intrinsics(burst.grid, burst.intrinsics))
-    if suffix in BURST_SUFFIXES:
+    if suffix in CONTAINER_SUFFIXES:
         save_burst(burst, target)
     else:
         export_burst(burst, target)

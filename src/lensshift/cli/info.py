@@ -42,7 +42,7 @@ def info(current: Session, asked: InfoOptions) -> None:
       lensshift info --devices
     """
     from lensshift.io import load_reconstruction
-    from lensshift.io.container_reader import read_schema
+    from lensshift.io.container_reader import is_hdf5, read_schema
 
     if asked.devices:
         from lensshift.cli.devices import say_ports
@@ -66,7 +66,7 @@ def info(current: Session, asked: InfoOptions) -> None:
         say_field(current, load_lens_field(file))
         return
     kind = kind_of(file)
-    schema = None if kind is Kind.STACK else read_schema(file)
+    schema = read_schema(file) if file.is_file() and is_hdf5(file) else None
     current.result |= {"file": file, "kind": kind.value, "schema": schema}
     heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
     if kind is Kind.RECONSTRUCTION:

@@ -42,7 +42,10 @@ class Pattern(StrEnum):
 
 
 BurstArgument = Annotated[
-    Path, typer.Argument(help="A burst file, or an image stack (TIFF, NPY, NPZ, folder of images).")
+    Path,
+    typer.Argument(
+        help="A burst file, or an image stack (TIFF, NPY, NPZ, FITS, folder of images)."
+    ),
 ]
 PatternOption = Annotated[Pattern, typer.Option("--pattern", help="Where the image is sent.")]
 
@@ -73,8 +76,11 @@ class Kind(Enum):
 
 def kind_of(path: Path) -> Kind:
     """Tell what a file or folder holds."""
+    from lensshift.io.capture_file import is_capture
     from lensshift.io.container_reader import is_hdf5, read_schema
 
+    if is_capture(path):
+        return Kind.BURST
     if path.is_dir() or not is_hdf5(path):
         return Kind.STACK
     schema = read_schema(path)

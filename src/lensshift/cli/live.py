@@ -159,6 +159,7 @@ def _replay(path: Path, asked: LiveOptions) -> Source:
     from lensshift.io import load_burst
     from lensshift.io.capture_file import is_capture
     from lensshift.io.container_reader import is_hdf5
+    from lensshift.io.image_file import IMAGE_SUFFIXES
     from lensshift.live.sources import BurstSource, CameraSource
 
     pitch_mm = parse_pitch_mm(asked.pitch_mm)
@@ -166,6 +167,10 @@ def _replay(path: Path, asked: LiveOptions) -> Source:
         raise typer.BadParameter(f"there is no {path}")
     if path.is_file() and (is_hdf5(path) or is_capture(path)):
         return BurstSource(load_burst(path), path.name, rate_hz=asked.rate_hz)
+    if path.suffix.lower() in (*IMAGE_SUFFIXES, ".npz"):
+        raise typer.BadParameter(
+            f"{path} is no recording; make it one: lensshift convert {path} burst.nc --offsets CSV"
+        )
     camera = ReplayCamera(
         path,
         pitch_mm=pitch_mm,

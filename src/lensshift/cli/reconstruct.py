@@ -18,7 +18,7 @@ from lensshift.cli.recording import is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import verb
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 
 if TYPE_CHECKING:
     from lensshift.core.point_cloud import PointCloud
@@ -156,9 +156,15 @@ def _reconstruct(
     rows, cols = burst.grid.shape
     source, points, count = asked.burst, asked.points, burst.frame_count
     current.say(f"{source}: {count} frames of {rows} x {cols} px, offsets {burst.offset_source}")
+    if count == 1:
+        current.warn("one frame tells no more than its pixels: frames at other shifts do",
+                     QualityWarning, "", 0)  # fmt: skip
     start_s = time.perf_counter()
     with closing(Progress(f"reconstructing with {settings['method']}", preparing=True)) as progress:
-        result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
+        try:
+            result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
+        except DataError as error:
+            raise error.in_file(source) from error
     seconds = time.perf_counter() - start_s
     save_reconstruction(result, files.result)
     for path in files.exports:

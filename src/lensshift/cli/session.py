@@ -26,7 +26,9 @@ DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback o
 T = TypeVar("T")
 
 # What can go wrong without a fault in this program.
-_FAILURES = (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError)
+_FAILURES = (
+    ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError, ArithmeticError,
+)  # fmt: skip
 # Package -> the extra that brings it.
 _EXTRAS = {
     "matplotlib": "plot", "skimage": "deconvolution", "xarray": "notebook", "pandas": "notebook",

@@ -24,6 +24,12 @@ def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
     return frames
 
 
+def unmasked(*arrays: ArrayLike | None) -> NDArray[np.bool_] | None:
+    """Return where no array of `numpy.ma` is masked, or None if none of them is such an array."""
+    masks = [~np.ma.getmaskarray(one) for one in arrays if isinstance(one, np.ma.MaskedArray)]
+    return np.logical_and.reduce(masks) if masks else None
+
+
 def as_valid(valid: NDArray[Any] | None, frames: NDArray[Any]) -> NDArray[np.bool_]:
     """Return a mask of the frames' shape in which not everything is False; None: all True."""
     if valid is None:

@@ -128,7 +128,8 @@ class StageMap:
 
     def __post_init__(self) -> None:
         if self.px_per_mm.shape != (2, 2) or not np.all(np.isfinite(self.px_per_mm)):
-            raise ValueError(f"expected a finite px_per_mm [2 2], got {self.px_per_mm.shape}")
+            told = self.px_per_mm.tolist()
+            raise ValueError(f"expected a px_per_mm of 2 x 2 finite numbers, got {told!r:.80}")
         if self.field_px_per_mm is not None and self.field_px_per_mm.shape[2:] != (2, 2):
             raise ValueError(
                 f"expected field_px_per_mm [row col 2 2], got {self.field_px_per_mm.shape}"

@@ -42,7 +42,7 @@ def read_text(path: str | Path) -> str:
         if path.stat().st_size > _MAX_TEXT_BYTES:
             raise DataError(f"is too large for a text of settings ({_MAX_TEXT_BYTES} bytes)",
                             source=path)  # fmt: skip
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # with the mark that editors on Windows write
     except OSError as error:
         raise DataError(f"cannot be read: {error.strerror or error}", source=path) from error
     except UnicodeDecodeError as error:

@@ -20,6 +20,7 @@ from lensshift.core.burst_checks import (
     as_phasors,
     as_valid,
     check_finite_where_valid,
+    unmasked,
 )
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.frame import Frame as Frame
@@ -163,9 +164,9 @@ class Burst(Shown, AsDataset, AsTable):
 
         Parameters
         ----------
-        amplitude, distance_m, valid : [frame row col]; complex amplitudes
-            [frequency frame row col] are the phasors of several frequencies, and the amplitude
-            then that of the highest
+        amplitude, distance_m, valid : [frame row col]; what `numpy.ma` masks is not valid;
+            complex amplitudes [frequency frame row col] are the phasors of several frequencies,
+            and the amplitude then that of the highest
         offset_px : [frame 2] as (row, col); None: unknown, for `register` to find
         pitch_mm : LR pixel pitch, one number or (row, col); 1 if it does not matter
         fields : any other field of `Burst`
@@ -180,18 +181,21 @@ class Burst(Shown, AsDataset, AsTable):
         QualityWarning
             If the frequency or the distances can hardly be in Hz and m.
         """
+        valid = unmasked(amplitude, distance_m) if valid is None else valid
         given = np.asarray(amplitude)
         frequencies = as_frequencies(modulation_hz)
         if given.ndim == 4 and given.dtype.kind == "c":
             fields["phasors"] = as_phasors(given, frequencies)
             given = np.abs(given[int(np.argmax(np.asarray(frequencies, np.float64)))])
         frames = as_frames(given, "amplitude")
-        pitch = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), (2,))
+        pitch = np.ravel(np.asarray(pitch_mm, dtype=np.float64))
+        if pitch.size not in (1, 2):
+            raise DataError(f"expected one or two numbers, got {pitch_mm}", field="pitch_mm")
         if offset_px is None:
             fields.setdefault("offset_source", "unknown" if len(frames) > 1 else "planned")
         rows, cols = (int(n) for n in frames.shape[1:])
         try:
-            grid = Grid((rows, cols), (float(pitch[0]), float(pitch[1])))
+            grid = Grid((rows, cols), (float(pitch[0]), float(pitch[-1])))
         except ValueError as error:
             raise DataError(str(error), field="pitch_mm") from error
         burst = cls(
@@ -240,6 +244,15 @@ class Burst(Shown, AsDataset, AsTable):
             phasors=None if self.phasors is None else self.phasors[:, index],
             raw={name: values[index] for name, values in self.raw.items()},
             **optional,
+        )
+
+
+def expect_burst(value: object) -> None:
+    """Raise a `TypeError` that says what makes a burst, unless this is one."""
+    if not isinstance(value, Burst):
+        raise TypeError(
+            f"expected a Burst, got {type(value).__name__}; Burst.from_arrays makes one of arrays, "
+            "load_burst and load_image_stack of files"
         )
 
 

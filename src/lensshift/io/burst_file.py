@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.core.types import Burst
+from lensshift.core.types import Burst, expect_burst
 from lensshift.io.capture_file import burst_of_capture, is_capture, read_capture
 from lensshift.io.container_reader import Container, open_container
 from lensshift.io.container_writer import (
@@ -66,6 +66,7 @@ def save_burst(burst: Burst, path: str | Path) -> None:
     DataError
         If the file cannot be written, or a dtype or `meta` cannot be stored.
     """
+    expect_burst(burst)
     try:
         attributes = _attributes(burst)
     except DataError as error:

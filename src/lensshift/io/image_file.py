@@ -1,8 +1,9 @@
-"""Frames from single image files: TIFF, PNG, NPY and NPZ."""
+"""Frames from single image files: TIFF, PNG, NPY, NPZ and FITS."""
 
 from __future__ import annotations
 
 import logging
+import math
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,10 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.io.reading import check_held, check_unpacked, reading, require_file, unpacked_bytes
+from lensshift.io.container_reader import is_hdf5
+from lensshift.io.reading import (
+    CONTAINER_SUFFIXES,
+    check_held,
+    check_unpacked,
+    reading,
+    require_file,
+    unpacked_bytes,
+)
 
 TIFF_SUFFIXES = (".tif", ".tiff")
-IMAGE_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy")
+FITS_SUFFIXES = (".fits", ".fit")
+IMAGE_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy", *FITS_SUFFIXES)
 _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
 _CHANNEL_MODES = ("LA", "RGB", "RGBA")
 _PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
@@ -27,12 +37,15 @@ _ADVICE = "save it as greyscale of 8 or 16 bits first"
 def load_frames(path: str | Path) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
-    Integers stay integers. Colour images are taken only if their channels are equal.
+    Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS
+    file: the extension AMPLITUDE, else all images, if they have one size.
 
     Raises
     ------
     DataError
         If the file is missing, damaged, of another kind or not greyscale.
+    ImportError
+        If a FITS file is asked for and astropy is not installed.
     """
     require_file(path)
     suffix = Path(path).suffix.lower()
@@ -43,6 +56,11 @@ def load_frames(path: str | Path) -> NDArray[Any]:
             return _load_pillow(path)
         if suffix == ".npy":
             return _load_npy(path)
+        if suffix in FITS_SUFFIXES:
+            return _load_fits(path)
+        if suffix in CONTAINER_SUFFIXES:
+            ours = is_hdf5(path)
+            raise DataError("no image, but a netCDF file" if ours else "not a netCDF-4/HDF5 file")
         raise DataError(f"expected {', '.join(IMAGE_SUFFIXES)} or .npz, got {suffix!r:.40}")
 
 
@@ -77,6 +95,28 @@ def _load_npy(path: str | Path) -> NDArray[Any]:
     return np.array(values)
 
 
+def _load_fits(path: str | Path) -> NDArray[Any]:
+    try:
+        from astropy.io import fits
+    except ImportError as error:
+        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
+    size = Path(path).stat().st_size
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about cards
+        warnings.filterwarnings("error", ".*truncated")
+        with Path(path).open("rb") as raw, fits.open(raw) as file:  # its own it may leave open
+            images = [page for page in file if page.is_image and page.shape]
+            images = [page for page in images if page.name == "AMPLITUDE"] or images
+            sizes = {page.shape[-2:] for page in images}
+            if len(sizes) != 1 or any(len(page.shape) not in (2, 3) for page in images):
+                shapes = ", ".join(str(page.shape) for page in images) or "none"
+                raise DataError(f"expected images or a cube of images of one size, got {shapes}")
+            bits = sum(abs(page.header["BITPIX"]) * math.prod(page.shape) for page in images)
+            check_unpacked(bits // 8, size, "images")
+            stacks = [page.data.reshape(-1, *page.shape[-2:]) for page in images]
+            return np.concatenate([one.astype(one.dtype.newbyteorder("=")) for one in stacks])
+
+
 def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
     with Path(path).open("rb") as file:
         if file.read(len(signature)) != signature:
@@ -88,24 +128,41 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
 
     with strict_tifffile(), tifffile.TiffFile(path) as file:
         series = file.series
-        if len(series) != 1:
-            raise DataError(f"expected pages of one size, got {len(series)} kinds of pages")
-        page = file.pages.first
+        if not series:
+            raise DataError("damaged or cut short: there is no page in it")
+        sizes = {(one.shape, one.dtype) for one in series}
+        if len(sizes) > 1:
+            found = ", ".join(sorted(f"{shape} {dtype}" for shape, dtype in sizes))
+            raise DataError(f"expected pages of one size and type, got {found:.200}; one file each")
+        page, told = file.pages.first, file.ome_metadata or ""
         if page.photometric not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
         if page.compression not in TIFFFILE_COMPRESSIONS:
             return _load_pillow(path)
         size = Path(path).stat().st_size
-        check_held(series[0].shape, series[0].nbytes, size, "pages")
-        check_unpacked(series[0].nbytes, size, "pages")
-        values = series[0].asarray()
-        if "S" in series[0].axes and not _are_frames(series[0], values):
-            values = _grey(np.moveaxis(values, series[0].axes.index("S"), -1))
+        claimed = sum(one.nbytes for one in series)
+        check_held((len(series), *series[0].shape), claimed, size, "pages")
+        check_unpacked(claimed, size, "pages")
+        if len(series) > 1:  # pages that were written one by one
+            return np.concatenate([_pages(one) for one in series])
+        return _pages(series[0], ours="<Channel" in told and 'Name="amplitude"' in told)
+
+
+def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:
+    """Return the frames [frame row col] of a series of pages; of our exports the amplitude."""
+    values = series.asarray()
+    if ours and "C" in series.axes:  # beside it lie distance, deviations ...
+        values = values.take(0, axis=series.axes.index("C"))
+    if "S" in series.axes and not _are_frames(series, values):
+        values = _grey(np.moveaxis(values, series.axes.index("S"), -1))
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
-    frames = values.reshape(-1, *values.shape[-2:])
+    frames: NDArray[Any] = values.reshape(-1, *values.shape[-2:])
     if values.ndim > 3 and frames.shape[0] != max(values.shape[:-2]):
-        raise DataError(f"expected one stack of frames, got axes {series[0].axes} {values.shape}")
+        raise DataError(
+            f"expected one stack of frames, got axes {series.axes} {values.shape}; "
+            "save one channel or depth of it"
+        )
     return frames
 
 

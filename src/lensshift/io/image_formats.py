@@ -10,13 +10,13 @@ import numpy as np
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io.atomic import written_whole
+from lensshift.io.image_file import FITS_SUFFIXES
 from lensshift.io.picture_layers import PictureLayer, picture_layers
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
 
 OME_ENDINGS = (".ome.tif", ".ome.tiff")
-FITS_ENDINGS = (".fits", ".fit")
 
 
 def is_ome(path: str | Path) -> bool:
@@ -26,7 +26,7 @@ def is_ome(path: str | Path) -> bool:
 
 def is_fits(path: str | Path) -> bool:
     """Tell whether a name asks for FITS."""
-    return Path(path).suffix.lower() in FITS_ENDINGS
+    return Path(path).suffix.lower() in FITS_SUFFIXES
 
 
 def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""Bursts from image stacks: TIFF, PNG, NPY and NPZ with shifts from CSV or JSON."""
+"""Bursts from image stacks: TIFF, PNG, NPY, NPZ and FITS with shifts from CSV or JSON."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from lensshift.io.reading import reading
 from lensshift.io.tiff_scale import pixel_size_mm
 
 FRAME_KEYS = ("amplitude", "frames", "LR")
+_GREATEST = 1e15  # beyond it sums of squares leave single precision
 _STACKS = ("distance_m", "valid")
 _PLAIN = ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm", "time_s")
 _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
@@ -44,8 +45,8 @@ def load_image_stack(
 
     Parameters
     ----------
-    source : a multi-page TIFF, an NPY or NPZ file, a folder of images (sorted by the numbers in
-        their names), or the image files in order
+    source : a multi-page TIFF, an NPY, NPZ or FITS file, a folder of images (sorted by the numbers
+        in their names), or the image files in order
     offsets : [frame 2] (row, col) in LR pixels, or the CSV or JSON file that holds them (see
         `load_offsets`); None takes `offset_px` of an NPZ file, or leaves them to `register`
     pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file, the
@@ -100,6 +101,8 @@ def load_stack_fields(
 
 def _plain_fields(frames: NDArray[Any], *first: Path) -> dict[str, Any]:
     """Return the frames, which of their pixels are numbers, and how large these are if told."""
+    if first:
+        frames = _usable(frames, first[0])
     fields: dict[str, Any] = {"amplitude": frames}
     if frames.ndim == 3 and not np.isfinite(frames).all():
         fields["valid"] = np.isfinite(frames)
@@ -138,7 +141,8 @@ def _concatenate(paths: list[Path]) -> NDArray[Any]:
         expected = stacks[0] if stacks else frames
         if frames.ndim != 3 or frames.shape[1:] != expected.shape[1:]:
             raise DataError(
-                f"expected {expected.shape[1:]} pixels as in {paths[0].name}, got {frames.shape}",
+                f"expected {expected.shape[1:]} pixels as in {paths[0].name}, got "
+                f"{frames.shape[1:]}",
                 source=path,
             )
         if frames.dtype != expected.dtype:
@@ -163,10 +167,30 @@ def _stack(values: NDArray[Any], frame_axis: int, path: Path, field: str = "") -
     return np.ascontiguousarray(np.moveaxis(values, frame_axis, 0))
 
 
+def _usable(frames: NDArray[Any], path: Path, field: str = "") -> NDArray[Any]:
+    """Return frames of numbers that single precision can calculate with."""
+    if frames.dtype.kind not in "iufc":
+        raise DataError(f"expected numbers, got dtype {frames.dtype}", field=field, source=path)
+    if not frames.size:
+        raise DataError(f"holds no pixel, shape {frames.shape}", field=field, source=path)
+    if frames.dtype == np.float16:  # of which neither the solver nor netCDF knows
+        frames = frames.astype(np.float32)
+    largest = np.abs(frames[np.isfinite(frames)]).max(initial=0) if frames.dtype.kind in "fc" else 0
+    if largest > _GREATEST:
+        raise DataError(
+            f"expected values up to {_GREATEST:g}, got {largest:.3g}; write NaN where nothing was "
+            "measured, or scale the values",
+            field=field,
+            source=path,
+        )
+    return frames
+
+
 def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
     arrays = load_named_arrays(path)
     name = _frames_name(path, arrays, key)
-    fields: dict[str, Any] = {"amplitude": _stack(arrays[name], frame_axis, path, name)}
+    frames = _usable(_stack(arrays[name], frame_axis, path, name), path, name)
+    fields: dict[str, Any] = {"amplitude": frames}
     for stack in _STACKS:
         if stack in arrays and stack != name:
             fields[stack] = _stack(arrays[stack], frame_axis, path, stack)

@@ -42,8 +42,10 @@ def load_offsets(path: str | Path) -> OffsetTable:
     """Read shifts in LR pixels from a file.
 
     CSV: a header `row,col`, optionally with `frame` (from 0, in any order), `sigma_row` and
-    `sigma_col`; one line a frame. JSON: `{"offset_px": [[row, col], ...]}`, optionally with
-    `offset_sigma_px` and `offset_source`.
+    `sigma_col`; one line a frame; lines that begin with # are skipped. Where the header has
+    semicolons or tabs instead, numbers may have a decimal comma.
+    JSON: `{"offset_px": [[row, col], ...]}`, optionally with `offset_sigma_px` and
+    `offset_source`.
 
     Raises
     ------
@@ -52,21 +54,28 @@ def load_offsets(path: str | Path) -> OffsetTable:
     """
     require_file(path)
     suffix = Path(path).suffix.lower()
-    if suffix not in (".csv", ".json"):
+    if suffix not in (".csv", ".txt", ".tsv", ".json"):
         raise DataError(f"expected shifts in a .csv or .json file, got {suffix!r}", source=path)
     with reading(path):
-        text = read_text(path).removeprefix("\ufeff")
-        return _from_csv(text) if suffix == ".csv" else _from_json(text)
+        text = read_text(path)
+        return _from_json(text) if suffix == ".json" else _from_csv(text)
 
 
 def _from_csv(text: str) -> OffsetTable:
-    lines = csv.reader(text.splitlines(), skipinitialspace=True)
-    header = [name.strip() for name in next(lines, [])]
+    numbered = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip(" \t;,") and not line.lstrip().startswith("#")
+    ]
+    first = numbered[0][1] if numbered else ""
+    mark = next((mark for mark in ";\t" if mark in first), ",")
+    lines = csv.reader((line for _, line in numbered), delimiter=mark, skipinitialspace=True)
+    header = [name.strip().lower() for name in next(lines, [])]
     _check_header(header)
     rows: list[dict[str, float]] = []
-    for cells in lines:
-        if any(cell.strip() for cell in cells):
-            rows.append(_csv_row(header, cells, f"line {lines.line_num}"))
+    for cells, (number, _) in zip(lines, numbered[1:], strict=False):
+        found = cells if mark == "," else [cell.replace(",", ".") for cell in cells]
+        rows.append(_csv_row(header, found, f"line {number}"))
     if not rows:
         raise DataError("expected one line a frame below the header, got none", field="row")
     if "frame" in header:
@@ -90,7 +99,7 @@ def _check_header(header: list[str]) -> None:
     if unknown or missing or len(set(header)) != len(header):
         raise DataError(
             f"expected the header row,col (and perhaps frame, sigma_row, sigma_col), "
-            f"got {','.join(header)!r:.80}",
+            f"got {','.join(header)!r:.80}; row: down, y; col: to the right, x",
             field="line 1",
         )
     if ("sigma_row" in header) != ("sigma_col" in header):

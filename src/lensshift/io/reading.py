@@ -19,6 +19,7 @@ from lensshift.core.errors import DataError
 if TYPE_CHECKING:
     from numpy.lib.npyio import NpzFile
 
+CONTAINER_SUFFIXES = (".nc", ".nc4", ".h5", ".hdf5")
 # What h5py, tifffile, Pillow and NumPy raise when a file is damaged.
 _READ_ERRORS = (
     OSError,

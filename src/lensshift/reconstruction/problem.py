@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, ShiftField
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
@@ -169,7 +169,7 @@ def make_problem(
         model = forward_model(burst.grid.shape, scale, burst.offset_px, blur=blur)
     weight = (usable & model.inside).astype(np.float64)
     if not weight.any():
-        raise ValueError("no valid pixel sees the scene; are the offsets in pixels?")
+        raise DataError("no valid pixel sees the scene; are they in pixels?", field="offset_px")
     if keep_outside:
         weight = usable.astype(np.float64)
     least = None

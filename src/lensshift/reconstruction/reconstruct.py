@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
-from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status
+from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
 from lensshift.forward.blur import Blur
 from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.memory import Memory
@@ -129,8 +129,8 @@ def reconstruct(
         the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
         changes, or ("auto") the response that was told is too wide.
     """
-    if prior_weight is not None:
-        options["prior_weight"] = prior_weight
+    expect_burst(burst)
+    options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, told = chosen.name, chosen.settings
     request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst
+from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
@@ -76,6 +76,7 @@ def register(
         If a shift has a standard error above 0.05 px or may be another one (scenes that repeat,
         without planned offsets), or the search did not settle.
     """
+    expect_burst(burst)
     frames = frames_of(burst, channel)
     _check(burst, method, reference, use_given)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
