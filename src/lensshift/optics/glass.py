@@ -124,8 +124,8 @@ _OTHER_NAMES = {
     **dict.fromkeys(("AL2O3", "SAPHIRE"), "SAPPHIRE"),
     "BD2": "BD-2",
     "BD-6": "BD6",
-    # Known by index and Abbe number, from the data sheets of SCHOTT, LightPath, Osaka Gas
-    # Chemicals, Mitsubishi Gas Chemical, Mitsui, Zeon and Polyplastics.
+    # Known by index and Abbe number as SCHOTT, LightPath, Osaka Gas Chemicals, Mitsubishi Gas
+    # Chemical, Mitsui, Zeon and Polyplastics state them; not compared with a second source.
     "B270": "model:1.523:58.57:0",
     **dict.fromkeys(("C0550", "CO550", "CO-550"), "model:1.605:50.42:0"),
     **dict.fromkeys(("ECO550", "ECO-550"), "model:1.6055:50.28:0"),
