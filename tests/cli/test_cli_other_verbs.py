@@ -67,7 +67,7 @@ def test_result_to_picture(call: Call, result_file: Path, bits: str, mode: str) 
             "a reconstruction becomes .tif, .ome.tif, .fits, .png, .npz, .ply, .pcd, .mcap or .rrd",
         ),
         ("none.nc", "b.nc", 1, "there is no such file"),
-        ("text.nc", "b.nc", 1, "expected .tif, .tiff, .png, .npy or .npz"),
+        ("text.nc", "b.nc", 1, "not a netCDF-4/HDF5 file"),
         ("burst.nc", "none/b.nc", 1, "there is no folder"),
     ],
 )

@@ -600,5 +600,5 @@ def test_a_std_that_is_not_computed_yet_is_plain_data() -> None:
 
 
 def test_offsets_far_beyond_the_frame_are_refused() -> None:
-    with pytest.raises(ValueError, match="offsets in pixels"):
+    with pytest.raises(ValueError, match="are they in pixels"):
         reconstruct(make_burst(_noisy(), SQUARE_PX + 500.0))

@@ -111,11 +111,11 @@ def solved(
     found, misfit = run(noise)
     if misfit.curable and not misfit.off_px and not request.shifts_doubted:
         misfit = _seen_otherwise(problem, noise, misfit, request)
-    told_px, width_px = request.told_blur_px, None
+    # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
+    told_px, width_px = request.told_blur_px if problem.even_noise else None, None
     if told_px is not None and not request.shifts_doubted and held is None:
         width_px = fitting_width_px(problem, found.image, noise, told_px)
     left, weighed, used = misfit, noise, problem.weight > 0
-    # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
     wrong = misfit.explain(request.frames or range(len(used))) if problem.even_noise else None
     if width_px is not None:
         wrong = (

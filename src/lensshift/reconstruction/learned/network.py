@@ -23,8 +23,8 @@ Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the w
 
 # Of the files, so that a damaged installation says so; written by training/export.py.
 WEIGHTS_SHA256 = {
-    "square": "8a13072406d23cc9996c1ecec159e17bee1c6e349980aa7feff255b953389c93",
-    "brightness": "321cdf562ae6b2248183d5a1cc7c68d0b38022cc1cdb3f6ce44769fc27a55475",
+    "square": "61bce4ef6e4047da37cd0a219be7dc39f9d352bd28f63dc25649cc33ad37e228",
+    "brightness": "a1262ea9848a1c643d625eb2b2666c7add3a3f6e527f5442a77203b546f27789",
     "phasor": "cefa804fee062bd98f15d6137c9b504578781aeab2c71067798f57bde1272576",
 }
 

@@ -27,7 +27,7 @@ from lensshift.reconstruction.learned.turn import turn_of
 
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --calibrate); the likelihood alone makes std too wide, by tails.
-STD_SCALE = {"brightness": 0.82, "square": 0.96}
+STD_SCALE = {"brightness": 0.87, "square": 1.01}
 # Larger pictures are solved in tiles, so that memory is bounded. Nothing reaches farther than the
 # halo but what is far below the noise (tests/reconstruction/test_learned.py).
 TILE_HR_PX, HALO_HR_PX = 640, 32
