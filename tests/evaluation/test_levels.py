@@ -15,7 +15,10 @@ def test_a_gamma_is_undone(gamma: float) -> None:
     light = np.linspace(0.0, 1.0, 21).reshape(3, 7)
     np.testing.assert_allclose(linear_light(light ** (1.0 / gamma), gamma), light, atol=1e-12)
     whole = np.rint(65535 * light ** (1.0 / gamma)).astype(np.uint16)
-    np.testing.assert_allclose(linear_light(whole, gamma) / 65535, light, atol=1e-3)
+    # Half a level of rounding is much light where the curve is steep.
+    rounded = (np.abs((whole + half) / 65535) ** gamma for half in (-0.5, 0.5))
+    wide = np.maximum(*(np.abs(edge - light) for edge in rounded)) + 1e-9
+    assert np.all(np.abs(linear_light(whole, gamma) / 65535 - light) <= wide)
 
 
 def test_a_measured_curve_is_undone_between_its_points() -> None:
