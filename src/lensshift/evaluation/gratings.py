@@ -150,15 +150,13 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     light = np.linalg.qr(background)[0]
     rest = values - light @ (light.T @ values)
 
+    def phase_of(where: Floats) -> Floats:
+        along_mm = row_mm * np.sin(where[0]) + col_mm * np.cos(where[0])
+        return np.asarray(2.0 * np.pi * frequency_lpmm * (1.0 + where[1]) * along_mm)
+
     def strength(where: Floats) -> float:
         """Return minus what a wave explains beside the uneven light."""
-        phase = (
-            2.0
-            * np.pi
-            * frequency_lpmm
-            * (1.0 + where[1])
-            * (row_mm * np.sin(where[0]) + col_mm * np.cos(where[0]))
-        )
+        phase = phase_of(where)
         waves = np.column_stack([np.cos(phase), np.sin(phase)])
         waves -= light @ (light.T @ waves)
         told = waves.T @ rest
@@ -173,7 +171,7 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
         options={"initial_simplex": [[start, 0.0], [start + step / 2, 0.0], [start, 0.01]]},
     ).x  # fmt: skip
     f = frequency_lpmm * (1.0 + best[1])
-    phase = 2.0 * np.pi * f * (row_mm * np.sin(best[0]) + col_mm * np.cos(best[0]))
+    phase = phase_of(best)
     orders = [1]
     if profile == "square":  # harmonics beyond the Nyquist frequency are aliases, and faint
         most = int(0.5 / (max(pixels.pitch_mm) * f))
