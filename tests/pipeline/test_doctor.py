@@ -338,9 +338,10 @@ def test_from_no_rig_file_to_a_filed_calibration_of_an_askew_rig(tmp_path: Path)
         assert ran.exit_code == 0, ran.output + ran.stderr
         assert error_px(rig, out / "calibration.json") <= 0.01
     told = json.loads(ran.stdout)
-    assert told["verdict"].startswith("HEALTHY")
     named = {one["name"] for one in told["findings"]}
-    assert named == {"axes swapped", "axis mirrored", "stage turned", "other scale"}
+    # A machine that is too busy to fetch its datagrams loses them, and hears of it.
+    assert told["verdict"].startswith("DOUBT losses" if "losses" in named else "HEALTHY")
+    assert named - {"losses"} == {"axes swapped", "axis mirrored", "stage turned", "other scale"}
     assert abs(told["axes"]["turn_deg"]) == pytest.approx(3.0, abs=0.6)
     np.testing.assert_allclose(told["axes"]["play_mm"], 0.010, atol=0.002)
     assert told["error_budget_px"]["shift"] < 0.02
