@@ -275,13 +275,13 @@ def _chi_square(
     )
 
 
-def _some(values: Array) -> Array:
+def some_pixels(values: Array) -> Array:
     """Return pixels [... pixel] of pictures [... row col], spread over all where they are many."""
     flat = values.reshape(*values.shape[:-2], -1)
     return flat[..., :: max(1, flat.shape[-1] // MOST_PIXELS) | 1]
 
 
-def _fits(terms: Array, variance: Array, r: Array, on: Mask) -> tuple[Array, Array]:
+def fits(terms: Array, variance: Array, r: Array, on: Mask) -> tuple[Array, Array]:
     """Return the weighted least-squares coefficients [frame term] and their covariance.
 
     Parameters
@@ -309,15 +309,15 @@ def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Arra
     Where a frame contradicts more than it usually does, it counts less: that is not its light.
     Neither is what goes with its slopes, the last of `terms` [frame term row col].
     """
-    on = _some(used)
+    on = some_pixels(used)
     enough = on.sum(axis=-1) >= WINDOW_PX**2
     if not enough.any():
         return 0.0
     on, r, terms, variance, doubt = (
-        v[enough] for v in (on, *(_some(v) for v in (r, terms, variance, doubt)))
+        v[enough] for v in (on, *(some_pixels(v) for v in (r, terms, variance, doubt)))
     )
     odd = np.maximum(doubt / np.maximum(_middle(doubt, on), 1e-12), 1.0)
-    fit = _fits(terms, variance * odd**2, r, on)[0][:, None]
+    fit = fits(terms, variance * odd**2, r, on)[0][:, None]
     rest = _middle(np.abs(r - (fit @ terms)[:, 0]), on) / GAUSSIAN_MEDIAN
     rest = np.maximum(rest, LEAST_REST * np.sqrt(_middle(variance, on)))[:, 0]
     own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
@@ -334,11 +334,11 @@ def _elsewhere(
     contradict. Outliers count as far as they are like the others.
     """
     wider = variance * np.maximum(np.abs(r) ** 2 / variance / OUTLIER_SQUARE, 1.0)
-    on = _some(used)
+    on = some_pixels(used)
     enough = on.sum(axis=-1) >= WINDOW_PX**2
-    known = _some(slopes.swapaxes(0, 1))
-    fits, covariance = _fits(known, _some(wider), _some(r), on)
-    shifts = np.where(enough[:, None], -fits, 0.0)
+    known = some_pixels(slopes.swapaxes(0, 1))
+    found, covariance = fits(known, some_pixels(wider), some_pixels(r), on)
+    shifts = np.where(enough[:, None], -found, 0.0)
     error = np.where(enough, np.sqrt(np.trace(covariance, axis1=1, axis2=2)), np.inf)
     off_px, everywhere = {}, True
     for k, (down, right) in enumerate(shifts - np.median(shifts, axis=0)):

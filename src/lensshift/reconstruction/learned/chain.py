@@ -118,7 +118,10 @@ class LearnedPrior(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Bursts in units of their noise: frames y, their relative sigma and weight 1 / sigma^2."""
+    """Bursts in units of their noise: frames y, their relative sigma and weight 1 / sigma^2.
+
+    `alike` believes all pixels alike, also those that contradict.
+    """
 
     A: LinearOperator
     y: Picture
@@ -128,6 +131,7 @@ class Chain:
     scale: int
     turn: Turn
     on: Kernels
+    alike: bool = False
 
     def run(
         self,
@@ -184,6 +188,8 @@ class Chain:
     ) -> Single:
         """Return the weights after Huber: what a pixel may be off by grows with its neighbours."""
         xp = self.on.xp
+        if self.alike:
+            return self.weight
         square = self._around(used * size * size)
         around = xp.sqrt(xp.clip(square, 0, None) / (share + 1e-6))
         limit = forgive * self.sigma + doubt * around

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
+from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
@@ -20,6 +22,7 @@ from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
 from lensshift.reconstruction.problem import Problem, blur_width_px
+from lensshift.reconstruction.sharpness import as_sharp_as_most, moments_px2, told
 
 Array = NDArray[Any]
 
@@ -44,6 +47,8 @@ LOW_PASS_PX, OF_TWO_PASSES = 1.5, 11 / 6
 # Nearer than this, LR pixels, samples lie on the pixels of a grid; the finest that there is; and
 # how much around a doubted part is looked at, the reach of the solver.
 NODE_PX, MOST_SCALE, AROUND_PX = 0.05, 8, 16
+# After the second, what is taken off frames that were shaken changes no more.
+SHARPENINGS = 2
 # Fewer frames show no frequency that a scene hardly reaches.
 LEAST_FRAMES = 3
 
@@ -100,34 +105,34 @@ def solved(
     kept = _recalled(problem, memory)
     held, rested = (kept.held, kept.misfit) if kept else (None, None)
 
-    def run(noise: NDArray[np.float64]) -> tuple[Solution, Misfit]:
-        # Of the pixel: the networks have seen few responses that are much wider.
-        width_px = blur_width_px(problem.model.blur)
-        # Distances are no light that pixels average, on which those of the square were trained.
-        general = not problem.even_noise
-        asked = Asked(problem.model, problem.y, noise, width_px, on_stage, held, general)
+    # Of the pixel: the networks have seen few responses that are much wider.
+    pixel_px = blur_width_px(problem.model.blur)
+    # Distances are no light that pixels average, on which those of the square were trained.
+    general = not problem.even_noise
+    asked = Asked(problem.model, problem.y, noise, pixel_px, on_stage, held, general)
+
+    def run(asked: Asked) -> tuple[Solution, Misfit]:
         return _solved_once(problem, asked, request, rested)
 
-    found, misfit = run(noise)
+    found, misfit = run(asked)
+    shaken: dict[int, Array] = {}
+    if memory is None and not general and not asked.of_phasors:
+        asked, found, misfit, shaken = _as_they_fit(asked, found, misfit, run, request)
+        problem, noise = replace(problem, y=asked.y), asked.sigma
     if misfit.curable and not misfit.off_px and not request.shifts_doubted:
         misfit = _seen_otherwise(problem, noise, misfit, request)
-    # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
-    told_px, width_px = request.told_blur_px if problem.even_noise else None, None
-    if told_px is not None and not request.shifts_doubted and held is None:
-        width_px = fitting_width_px(problem, found.image, noise, told_px)
+    sharper = None if held is not None else _sharper_than_told(problem, found, noise, request)
     left, weighed, used = misfit, noise, problem.weight > 0
-    wrong = misfit.explain(request.frames or range(len(used))) if problem.even_noise else None
-    if width_px is not None:
-        wrong = (
-            f"the frames are sharper than psf_sigma_px {told_px:g} lets them be: "
-            f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
-        )
-    elif misfit.curable and not request.shifts_doubted:
+    wrong = sharper or _refuted_by(misfit, shaken, request.frames or range(len(used)))
+    if not problem.even_noise:
+        # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
+        wrong = None
+    if sharper is None and misfit.curable and not request.shifts_doubted:
         believed = misfit.weight(of_phasors=problem.y.dtype.kind == "c")
         weighed = np.where(
             believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
         )
-        found, left = run(weighed)
+        found, left = run(replace(asked, sigma=weighed))
     if memory is not None:
         still = None if wrong or left.curable or left.lit else left
         age = kept.age + 1 if kept and rested else 1
@@ -144,6 +149,29 @@ def solved(
     sizes = std if std.ndim == 2 else std[:2]
     sizes[...] = np.hypot(sizes, left.unexplained)
     return _judged(estimate, wrong, used, request), std
+
+
+def _sharper_than_told(
+    problem: Problem, found: Solution, noise: NDArray[np.float64], request: Request
+) -> str | None:
+    """Say that the frames hold more detail than the width of blur that was told lets through."""
+    told_px = request.told_blur_px
+    if told_px is None or request.shifts_doubted or not problem.even_noise:
+        return None
+    width_px = fitting_width_px(problem, found.image, noise, told_px)
+    if width_px is None:
+        return None
+    return (
+        f"the frames are sharper than psf_sigma_px {told_px:g} lets them be: "
+        f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
+    )
+
+
+def _refuted_by(misfit: Misfit, shaken: dict[int, Array], names: Sequence[int]) -> str | None:
+    """Say what the frames contradict, if they do."""
+    said = [told(shaken, names)] if shaken else []
+    other = misfit.explain(names)
+    return "; and ".join([*said, *([other] if other else [])]) or None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,22 +207,54 @@ def _recalled(problem: Problem, memory: Memory | None) -> Kept | None:
     return kept if kept.age < len(problem.y) else replace(kept, misfit=None)
 
 
+def _picture(asked: Asked, request: Request) -> Solution:
+    """Return the picture, found where the request says."""
+    there = request.device
+    return solve_together([asked])[0] if there is None else there.solve(asked)
+
+
 def _solved_once(
     problem: Problem, asked: Asked, request: Request, rested: Misfit | None = None
 ) -> tuple[Solution, Misfit]:
     """Return picture and misfit; that of a picture that rests is known already."""
     A, noise = problem.model.operator, asked.sigma
-    there = request.device
-    found = solve_together([asked])[0] if there is None else there.solve(asked)
+    found = _picture(asked, request)
     if asked.of_phasors:
         weight = found.weight / np.where(np.isfinite(noise), noise, np.inf) ** 2
         low_hr_px = LOW_PASS_PX * problem.scale
-        image, of_means = with_means_of(A, found.image, problem.y, weight, low_hr_px)
+        image, of_means = with_means_of(A, found.image, asked.y, weight, low_hr_px)
         std = np.stack([*np.hypot(found.std[:2], of_means), of_means])
         found = replace(found, image=image, std=std)
     if rested is not None:
         return found, rested
-    return found, find_misfit(A, found.image, problem.y, noise, problem.scale)
+    return found, find_misfit(A, found.image, asked.y, noise, problem.scale)
+
+
+def _as_they_fit(
+    asked: Asked,
+    found: Solution,
+    misfit: Misfit,
+    run: Callable[[Asked], tuple[Solution, Misfit]],
+    request: Request,
+) -> tuple[Asked, Solution, Misfit, dict[int, Array]]:
+    """Return what is asked and found of frames that are not all as sharp or as noisy as told.
+
+    And the moments of the frames that are less sharp than the others.
+    """
+    A, y, scale = asked.model.operator, asked.y, asked.model.scale
+    shaken: dict[int, Array] = {}
+    for _ in range(SHARPENINGS):
+        moments = moments_px2(A, found.image, y, asked.sigma, scale)
+        moments = {k: own for k, own in moments.items() if k not in misfit.off_px}
+        if not moments:
+            break
+        shaken = moments
+        asked = replace(asked, y=as_sharp_as_most(A, found.image, y, scale, shaken))
+        found, misfit = run(asked)
+    if refuted(asked, found):
+        asked = as_predicted(asked, lambda other: _picture(other, request))
+        found, misfit = run(asked)
+    return asked, found, misfit, shaken
 
 
 def _seen_otherwise(

@@ -76,6 +76,7 @@ class Asked:
     on_stage : called with the number of the stage and the misfit in units of the noise
     held : of an earlier solution, in the units of y: only the last stage is done
     general : take the weights of all geometries, also where there are some for this one alone
+    alike : believe all pixels alike, also those that contradict
     """
 
     model: ForwardModel
@@ -85,6 +86,7 @@ class Asked:
     on_stage: OnStage | None = None
     held: tuple[Held, ...] | None = None
     general: bool = False
+    alike: bool = False
 
     @property
     def of_phasors(self) -> bool:
@@ -104,7 +106,15 @@ class Asked:
         model, held = self.model, self.held and id(self.held)
         places = [taps.position_hr_px.tobytes() for taps in (model.rows, model.cols)]
         places += [] if model.spot_px2 is None else [model.spot_px2.tobytes()]
-        kinds = (self.of_phasors, self.general, held, self.blur_px, model.scale, model.blur)
+        kinds = (
+            self.of_phasors,
+            self.general,
+            self.alike,
+            held,
+            self.blur_px,
+            model.scale,
+            model.blur,
+        )
         return (self.y.shape, *kinds, *places)
 
     def unit(self) -> tuple[float, complex | float, float]:
@@ -168,7 +178,7 @@ def _solved(asked: Sequence[Asked], on: Kernels) -> list[Solution]:
 
     found = _in_tiles(
         _prior(first.weights), first.model, np.stack(y), np.stack(sigma), first.blur_px,
-        on_stage, held, on,
+        on_stage, held, on, first.alike,
     )  # fmt: skip
     scale = STD_SCALE.get(first.weights, 1.0)
     return [_in_units(found, n, scale, *unit) for n, unit in enumerate(units)]
@@ -222,6 +232,7 @@ def _in_tiles(
     on_stage: Callable[[int, Any], None],
     held: tuple[Held, ...] | None,
     on: Kernels,
+    alike: bool,
 ) -> Solution:
     """Return the solution of bursts in units of their noise, on their own axis."""
     used = np.isfinite(sigma)
@@ -238,7 +249,7 @@ def _in_tiles(
         operator = on.operator(model if whole else model.crop(*part))
         chain = Chain(
             operator, on.there(y[frames]), on.there(relative[frames]), on.there(weight[frames]),
-            facts, model.scale, turn, on,
+            facts, model.scale, turn, on, alike,
         )  # fmt: skip
         start = None if held is None else held[number].through(on.there)
         *found, half_done = chain.run(prior, on_stage, start)
