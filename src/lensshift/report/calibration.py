@@ -63,39 +63,39 @@ def add_calibration(page: Page, fit: ScanFit, psnr_loss_db: float, mtf50_loss: f
         )
 
 
+@styled()
 def residual_figure(fit: ScanFit) -> Figure:
     """Draw what the calibration leaves: arrows over the stage range, and histograms."""
-    with styled():
-        figure = new_figure(9.0, 3.6)
-        arrows, spread = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-        _draw_arrows(arrows, fit)
-        _draw_spread(spread, fit.residual_px)
+    figure = new_figure(9.0, 3.6)
+    arrows, spread = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _draw_arrows(arrows, fit)
+    _draw_spread(spread, fit.residual_px)
     return figure
 
 
+@styled()
 def drift_figure(fit: ScanFit) -> Figure:
     """Draw the shift that neither stage nor play explains, over time."""
-    with styled():
-        figure = new_figure(9.0, 2.8)
-        axes = figure.subplots()
-        known = fit.burst.time_s is not None
-        time = np.arange(len(fit.residual_px), dtype=np.float64)
-        if fit.burst.time_s is not None:
-            time = fit.burst.time_s - fit.burst.time_s[0]
-        for axis, colour, marker in ((0, BLUE, "o"), (1, RED, "s")):
-            line = fit.calibration.drift_px_per_s[axis] * (time - time.mean())
-            axes.plot(time, line, color=colour, linewidth=1.2)
-            axes.plot(
-                time, line + fit.residual_px[:, axis], marker, color=colour, markersize=3.5,
-                label=_NAMES[axis],
-            )  # fmt: skip
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
-        axes.set_xlabel("time (s)" if known else "number of the frame")
-        axes.set_ylabel("shift (px)")
-        legend_above(axes, "not made by the stage")
+    figure = new_figure(9.0, 2.8)
+    axes = figure.subplots()
+    known = fit.burst.time_s is not None
+    time = np.arange(len(fit.residual_px), dtype=np.float64)
+    if fit.burst.time_s is not None:
+        time = fit.burst.time_s - fit.burst.time_s[0]
+    for axis, colour, marker in ((0, BLUE, "o"), (1, RED, "s")):
+        line = fit.calibration.drift_px_per_s[axis] * (time - time.mean())
+        axes.plot(time, line, color=colour, linewidth=1.2)
+        axes.plot(
+            time, line + fit.residual_px[:, axis], marker, color=colour, markersize=3.5,
+            label=_NAMES[axis],
+        )  # fmt: skip
+    axes.axhline(0.0, color=GREY, linewidth=0.7)
+    axes.set(xlabel="time (s)" if known else "number of the frame", ylabel="shift (px)")
+    legend_above(axes, "not made by the stage")
     return figure
 
 
+@styled()
 def field_figure(fit: ScanFit) -> Figure:
     """Draw how the shift varies over the sensor for a move along each axis.
 
@@ -118,24 +118,23 @@ def field_figure(fit: ScanFit) -> Figure:
     step = max(1, int(np.ceil(max(rows, cols) / _MOST_ARROWS)))
     row, col = np.arange(step // 2, rows, step), np.arange(step // 2, cols, step)
     beside = rows > cols
-    with styled():
-        high = 4.6 if beside else 1.4 + 2 * 8.4 * rows / cols + 0.9
-        figure = new_figure(9.0, min(high, 9.0))
-        panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
-        for axis, axes in enumerate(panels):
-            part = differing[axis][np.ix_(row, col)]
-            arrows = axes.quiver(
-                *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy",
-                scale_units="xy", scale=unit_px / (1.6 * step), width=0.0022, color=BLUE,
-            )  # fmt: skip
-            axes.quiverkey(
-                arrows, 0.9, 1.06, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
-                fontproperties={"size": SMALL_PT},
-            )  # fmt: skip
-            axes.set(aspect="equal", xlim=(-2, cols + 1), ylim=(rows + 1, -2))
-            axes.set(xlabel="col (px)", ylabel="row (px)")
-            worst_px = float(np.linalg.norm(differing[axis], axis=-1).max())
-            axes.set_title(f"move along {_NAMES[axis]}: up to {worst_px:.4f} px")
+    high = 4.6 if beside else 1.4 + 2 * 8.4 * rows / cols + 0.9
+    figure = new_figure(9.0, min(high, 9.0))
+    panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
+    for axis, axes in enumerate(panels):
+        part = differing[axis][np.ix_(row, col)]
+        arrows = axes.quiver(
+            *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy",
+            scale_units="xy", scale=unit_px / (1.6 * step), width=0.0022, color=BLUE,
+        )  # fmt: skip
+        axes.quiverkey(
+            arrows, 0.9, 1.06, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
+            fontproperties={"size": SMALL_PT},
+        )  # fmt: skip
+        axes.set(aspect="equal", xlim=(-2, cols + 1), ylim=(rows + 1, -2))
+        axes.set(xlabel="col (px)", ylabel="row (px)")
+        worst_px = float(np.linalg.norm(differing[axis], axis=-1).max())
+        axes.set_title(f"move along {_NAMES[axis]}: up to {worst_px:.4f} px")
     return figure
 
 

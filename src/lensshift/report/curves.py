@@ -131,10 +131,8 @@ def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str, *, column
     columns : of the legend
     """
     axes.axhline(0.5, color=FAINT, linewidth=1.4, zorder=0.5)
-    axes.set_xlim(0.0, highest)
-    axes.set_ylim(0.0, _room_above(axes))
-    axes.set_xlabel(f"spatial frequency ({unit})")
-    axes.set_ylabel("modulation")
+    axes.set(xlim=(0.0, highest), ylim=(0.0, _room_above(axes)))
+    axes.set(xlabel=f"spatial frequency ({unit})", ylabel="modulation")
     legend_above(axes, title, columns)
 
 

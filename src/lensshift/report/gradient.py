@@ -40,6 +40,7 @@ class MeasuredLines:
         return np.atleast_2d(np.asarray(self.values, dtype=np.float64))
 
 
+@styled()
 def gradient_figure(
     gradient: EdgeGradient,
     values: ArrayLike,
@@ -73,23 +74,21 @@ def gradient_figure(
             raise ValueError(
                 f"expected {len(one.gradient.lines)} lines as measured, got {len(one.lines)}"
             )
-    with styled():
-        figure = new_figure(9.0, 3.9)
-        profiles, slopes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
-        for number, one in enumerate(measured):
-            _draw_profiles(profiles, one, colour_of(number), length)
-            _draw_slopes(slopes, one, colour_of(number))
-        reach_mm = _SHOWN_WIDTHS * max(float(one.gradient.width_mm.max()) for one in measured)
-        profiles.set_xlim(-reach_mm, reach_mm)
-        profiles.set_xlabel(f"distance from the edge along the line ({length})")
-        profiles.set_ylabel(f"value ({unit})" if unit else "value")
-        legend_above(profiles, "lines across the edge: limits and gradient", columns=1)
-        slopes.set_xlim(-0.7, max(len(one.lines) for one in measured) - 0.3)
-        slopes.set_ylim(0.0, 1.1 * slopes.dataLim.y1)
-        slopes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        slopes.set_xlabel("line")
-        slopes.set_ylabel(f"gradient (share of the step per {length})")
-        legend_above(slopes, "gradient of every line", columns=1)
+    figure = new_figure(9.0, 3.9)
+    profiles, slopes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    for number, one in enumerate(measured):
+        _draw_profiles(profiles, one, colour_of(number), length)
+        _draw_slopes(slopes, one, colour_of(number))
+    reach_mm = _SHOWN_WIDTHS * max(float(one.gradient.width_mm.max()) for one in measured)
+    profiles.set_xlim(-reach_mm, reach_mm)
+    profiles.set_xlabel(f"distance from the edge along the line ({length})")
+    profiles.set_ylabel(f"value ({unit})" if unit else "value")
+    legend_above(profiles, "lines across the edge: limits and gradient", columns=1)
+    slopes.set_xlim(-0.7, max(len(one.lines) for one in measured) - 0.3)
+    slopes.set_ylim(0.0, 1.1 * slopes.dataLim.y1)
+    slopes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    slopes.set(xlabel="line", ylabel=f"gradient (share of the step per {length})")
+    legend_above(slopes, "gradient of every line", columns=1)
     return figure
 
 

@@ -192,8 +192,7 @@ def _burst_figure(burst: Burst) -> Figure:
         place.errorbar(across, down, yerr=row_px, xerr=col_px, fmt="o", color=BLUE, markersize=4)
         for number, at in enumerate(zip(across, down, strict=True)):
             note(place, str(number), at, (3.0, 3.0))
-        place.set_title(f"offsets, {burst.offset_source}")
-        place.set_xlabel("content moved right (px)")
+        place.set(title=f"offsets, {burst.offset_source}", xlabel="content moved right (px)")
         place.set_ylabel("content moved down (px)")
         place.invert_yaxis()
         place.set_aspect("equal", adjustable="datalim")

@@ -33,6 +33,7 @@ class _Panel:
     measured: str
 
 
+@styled()
 def result_figure(
     result: Reconstruction,
     reference: Mapping[str, NDArray[Any]] | None = None,
@@ -64,39 +65,38 @@ def result_figure(
     heights_in = [high_in]
     if below is not None:
         heights_in.append(_CLOUD_IN * below.shape[0] / below.shape[1] + _TITLE_IN)
-    with styled():
-        figure = new_figure(wide_in, sum(heights_in) + 0.4)
-        parts: Any = figure.subfigures(len(heights_in), 1, squeeze=False, height_ratios=heights_in)
-        axes = parts[0, 0].subplots(down, across, squeeze=False)
-        for spare in axes.flat:
-            spare.set_axis_off()
-        for number, panels in enumerate(lists):
-            for place, panel in enumerate(panels):
-                at = divmod(number * most + place, across) if beside else (place, number)
-                _draw(axes[at], panel)
-        if cloud is not None:
-            one = parts[1, 0].subplots()
-            one.imshow(below, interpolation="antialiased")
-            said = f"{len(cloud)} points, those between surfaces left out"
-            one.set_title(said, fontsize=SMALL_PT)
-            one.set_axis_off()
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    figure = new_figure(wide_in, sum(heights_in) + 0.4)
+    parts: Any = figure.subfigures(len(heights_in), 1, squeeze=False, height_ratios=heights_in)
+    axes = parts[0, 0].subplots(down, across, squeeze=False)
+    for spare in axes.flat:
+        spare.set_axis_off()
+    for number, panels in enumerate(lists):
+        for place, panel in enumerate(panels):
+            at = divmod(number * most + place, across) if beside else (place, number)
+            _draw(axes[at], panel)
+    if cloud is not None:
+        one = parts[1, 0].subplots()
+        one.imshow(below, interpolation="antialiased")
+        said = f"{len(cloud)} points, those between surfaces left out"
+        one.set_title(said, fontsize=SMALL_PT)
+        one.set_axis_off()
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
     return figure
 
 
+@styled()
 def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
     """Draw one channel and its standard deviation below each other or side by side."""
     panels = _panels("image", estimate, None)
     rows, cols = estimate.image.shape
     across = len(panels) if 2 * rows > cols else 1
     high_in = wide_in / across * rows / cols * 0.85 + _TITLE_IN
-    with styled():
-        figure = new_figure(wide_in, high_in * len(panels) / across + 0.2)
-        for axes, panel in zip(
-            figure.subplots(len(panels) // across, across, squeeze=False).flat, panels, strict=True
-        ):
-            axes.set_axis_off()
-            _draw(axes, panel)
+    figure = new_figure(wide_in, high_in * len(panels) / across + 0.2)
+    for axes, panel in zip(
+        figure.subplots(len(panels) // across, across, squeeze=False).flat, panels, strict=True
+    ):
+        axes.set_axis_off()
+        _draw(axes, panel)
     return figure
 
 
