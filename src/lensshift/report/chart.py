@@ -254,16 +254,12 @@ def _zone_table(edges: Sequence[ChartEdge], unit: str, factor: float) -> list[di
 
 
 def _focus_table(fits: dict[str, FocusFit], unit: str) -> list[dict[str, Any]]:
-    return [
-        {"zone": zone, "best focus": f"{_with_error(one)}", f"MTF50 ({unit})": peak}
-        for zone, one in fits.items()
-        for peak in [one.mtf50_lpmm]
-    ]
-
-
-def _with_error(one: FocusFit) -> str:
-    error = f" +- {one.sigma:.2g}" if np.isfinite(one.sigma) else ""
-    return f"{one.focus:.4g}{error}"
+    rows: list[dict[str, Any]] = []
+    for zone, one in fits.items():
+        error = f" +- {one.sigma:.2g}" if np.isfinite(one.sigma) else ""
+        told = {"zone": zone, "best focus": f"{one.focus:.4g}{error}"}
+        rows.append(told | {f"MTF50 ({unit})": one.mtf50_lpmm})
+    return rows
 
 
 def _short(row: dict[str, Any]) -> dict[str, Any]:
@@ -282,13 +278,3 @@ def _short(row: dict[str, Any]) -> dict[str, Any]:
         if name.startswith("mtf_at_") and not name.endswith(("_low", "_high"))
     }
     return shown | {"notes": row["notes"] if row["usable"] else f"not used: {row['notes']}"}
-
-
-__all__ = [
-    "annotated_figure",
-    "chart_page",
-    "field_figure",
-    "focus_figure",
-    "height_figure",
-    "sharpest",
-]

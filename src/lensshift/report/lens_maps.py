@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from lensshift.core.grid import Grid
     from lensshift.core.motion import ShiftField
     from lensshift.optics.lens import Lens
-    from lensshift.optics.spots import Spots
 
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
@@ -203,7 +202,8 @@ def spots_figure(
         [spots(lens, field, build=build, rings=_SPOT_RINGS) for build in builds]
         for field in fields_tan
     ]
-    rays_um = [[_rays_um(spot) for spot in both] for both in found]
+    # The landing points [n 2] of the rays that arrive, from the centroid.
+    rays_um = [[1e3 * spot.ray_mm[spot.weight > 0] for spot in both] for both in found]
     pixel_um = 1e3 * np.asarray(grid.pitch_mm)
     ring = f"Airy ring, {airy_um:.2g} um, at {lens.wavelength_nm:g} nm"
     figure = style.new_figure(max(5.0, 0.8 + 2.4 * len(fields_tan)), 5.8)
@@ -288,8 +288,3 @@ def _draw_spots(
         Circle((0.0, 0.0), airy_um, fill=False, edgecolor=style.INK, zorder=3.0, label=ring)
     )
     axes.set_aspect("equal")
-
-
-def _rays_um(spot: Spots) -> Floats:
-    """Return the landing points [n 2] of the rays that arrive, from the centroid."""
-    return np.asarray(1e3 * spot.ray_mm[spot.weight > 0])

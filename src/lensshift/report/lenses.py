@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lensshift.evaluation.limits import paper_sensor_limit, pixel_aperture_mtf
 from lensshift.optics.layout import layout
@@ -117,7 +117,11 @@ def mtf_figure(
     for number, field in enumerate(fields_tan):
         row_deg, col_deg = np.rad2deg(np.arctan(field))
         name, colour = f"{row_deg:.1f}/{col_deg:.1f} degrees", style.colour_of(number)
-        found = _mtf_of(lens, element, travel_mm, field, frequency_lpmm, azimuth_rad)
+        builds = (moving(lens, element, sign * np.asarray(travel_mm)) for sign, _, _ in _STATES)
+        found = [
+            np.abs(exact_otf(lens, field, frequency_lpmm, azimuth_rad, build=build)[0])
+            for build in builds
+        ]
         for values, (_, dashes, state) in zip(found, _STATES, strict=True):
             label = f"{name} {state}"
             above.plot(frequency_lpmm, values, dashes, color=colour, label=label)
@@ -127,7 +131,8 @@ def mtf_figure(
     curves.draw_limits(above, [diffraction_limit(lens, frequency_lpmm)], highest_lpmm)
     um = ", ".join(f"{1e3 * travel:.1f}" for travel in travel_mm)
     title = f"{lens.name or 'lens'}, element {element + 1} moved by ({um}) um (row, column)"
-    along = _direction(azimuth_rad)
+    turn_deg = round(np.rad2deg(azimuth_rad))
+    along = {0: "along columns", 90: "along rows"}.get(turn_deg, f"at {turn_deg} degrees")
     curves.finish_mtf_axes(above, highest_lpmm, "LP/mm", title, columns=3)
     above.set(xlabel="", ylabel=f"modulation {along}")
     below.axhline(0.0, color=style.GREY, linewidth=0.9, zorder=1.0)
@@ -257,22 +262,6 @@ def _draw_names(axes: Axes, section: Layout, moved: Polyline, mm_per_pt: float) 
     axes.set_ylim(low_mm - room_mm[-1], top_mm + room_mm[1])
 
 
-def _mtf_of(
-    lens: Lens,
-    element: int,
-    travel_mm: Pair,
-    field_tan: ArrayLike,
-    frequency_lpmm: Floats,
-    azimuth_rad: float,
-) -> list[Floats]:
-    """Return the MTF at rest, moved and moved the other way."""
-    builds = [moving(lens, element, sign * np.asarray(travel_mm)) for sign, _, _ in _STATES]
-    found = [
-        exact_otf(lens, field_tan, frequency_lpmm, azimuth_rad, build=build)[0] for build in builds
-    ]
-    return [np.asarray(np.abs(values), dtype=np.float64) for values in found]
-
-
 def _draw_sensor(axes: Axes, grid: Grid, frequency_lpmm: Floats, azimuth_rad: float) -> None:
     aperture = pixel_aperture_mtf(frequency_lpmm, grid.pitch_mm, angle_rad=azimuth_rad)
     row_mm, col_mm = grid.pitch_mm
@@ -284,8 +273,3 @@ def _draw_sensor(axes: Axes, grid: Grid, frequency_lpmm: Floats, azimuth_rad: fl
     )
     if 0.5 / along_mm < frequency_lpmm[-1]:
         curves.mark_frequency(axes, 0.5 / along_mm, "LR Nyquist")
-
-
-def _direction(azimuth_rad: float) -> str:
-    named = {0: "along columns", 90: "along rows"}
-    return named.get(round(np.rad2deg(azimuth_rad)), f"at {np.rad2deg(azimuth_rad):.0f} degrees")

@@ -17,7 +17,8 @@ from lensshift.evaluation.siemens import SiemensResult
 from lensshift.evaluation.zone_plate import ZonePlateResult
 from lensshift.report import curves, images, style
 
-Pitch = float | tuple[float, float]
+Pair = tuple[float, float]
+Pitch = float | Pair
 
 _RINGS_SHOWN = 3  # named a, b, c
 _WEDGE_RAD = np.pi / 12  # of the curves along rows and columns
@@ -53,7 +54,8 @@ def star_figure(
     picture, sides_mm = images.plain_image(image), pitch_pair_mm(pitch_mm)
     chosen = np.unique(np.linspace(0, star.radius_mm.size - 1, _RINGS_SHOWN).round().astype(int))
     named = [(star.mtf, "all directions")] if star.sectors else [(star.mtf, "star")]
-    named += [(curve, f"{_sector_deg(k, star)} degrees") for k, curve in enumerate(star.sectors)]
+    turn_deg = 360 / max(1, len(star.sectors))
+    named += [(curve, f"{round(turn_deg * k)} degrees") for k, curve in enumerate(star.sectors)]
     figure = style.new_figure(style.WIDTH_IN, 6.4)
     top, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.6, 1.0))[:, 0]
     left, right = top.subplots(1, 2, width_ratios=(1.45, 1.0))
@@ -69,7 +71,9 @@ def star_figure(
         place = star.mtf.frequency_lpmm[ring] * factor
         samples = f"{star.pixels_per_cycle[ring]:.1f} px per cycle"
         axes.set_title(f"{letter}: {place:.3g} {unit}, {samples}")
-        _mark_ring(left, place, float(star.mtf.modulation[ring]), letter)
+        modulation = float(star.mtf.modulation[ring])
+        left.plot(place, modulation, "o", color=style.RED, markersize=4.5)
+        _write(left, letter, place, modulation, (0.0, 7.0))
     return figure
 
 
@@ -100,10 +104,8 @@ def zone_plate_figure(
     named = [(plate.radial, "all directions"), (plate.row, "along rows (up, down)")]
     named += [(plate.col, "along columns (left, right)")]
     if plate.folded is not None:
-        named += [
-            (plate.folded[0], "folded, along rows"),
-            (plate.folded[1], "folded, along columns"),
-        ]
+        rows, cols = plate.folded
+        named += [(rows, "folded, along rows"), (cols, "folded, along columns")]
     figure = style.new_figure(style.WIDTH_IN, 4.4)
     left, right = figure.subplots(1, 2, width_ratios=(1.45, 1.0))
     title = "response to the zone plate, with 95 % bands"
@@ -137,20 +139,14 @@ def _draw_curves(
     curves.finish_mtf_axes(axes, 1.02 * highest_lpmm * factor, unit, title)
 
 
-def _draw_center(axes: Axes, center_px: tuple[float, float], sides_mm: tuple[float, float]) -> None:
+def _draw_center(axes: Axes, center_px: Pair, sides_mm: Pair) -> None:
     axes.plot(
         center_px[1], center_px[0], "+", color=style.BLUE, markersize=9.0, markeredgewidth=1.4
     )
     axes.set_aspect(sides_mm[0] / sides_mm[1])
 
 
-def _draw_ring(
-    axes: Axes,
-    center_px: tuple[float, float],
-    sides_mm: tuple[float, float],
-    radius_mm: float,
-    letter: str,
-) -> None:
+def _draw_ring(axes: Axes, center_px: Pair, sides_mm: Pair, radius_mm: float, letter: str) -> None:
     axes.add_patch(
         Ellipse(
             (center_px[1], center_px[0]),
@@ -166,23 +162,12 @@ def _draw_ring(
     _write(axes, letter, center_px[1], top_px, (0.0, -9.0))
 
 
-def _mark_ring(axes: Axes, frequency: float, modulation: float, letter: str) -> None:
-    axes.plot(frequency, modulation, "o", color=style.RED, markersize=4.5)
-    _write(axes, letter, frequency, modulation, (0.0, 7.0))
-
-
-def _write(axes: Axes, text: str, x: float, y: float, away_pt: tuple[float, float]) -> None:
+def _write(axes: Axes, text: str, x: float, y: float, away_pt: Pair) -> None:
     how = {"ha": "center", "va": "center", "color": style.RED, "fontweight": "bold"}
     style.note(axes, text, (x, y), away_pt, fontsize=None, **how)
 
 
-def _draw_wedge(
-    axes: Axes,
-    center_px: tuple[float, float],
-    sides_mm: tuple[float, float],
-    axis: tuple[float, float],
-    colour: str,
-) -> None:
+def _draw_wedge(axes: Axes, center_px: Pair, sides_mm: Pair, axis: Pair, colour: str) -> None:
     """Draw the two lines through the centre that bound the pixels about an axis (row, col)."""
     far_mm = 1e3 * max(sides_mm)  # cut by the axes
     for turn_rad in (-_WEDGE_RAD, _WEDGE_RAD):
@@ -197,9 +182,7 @@ def _draw_wedge(
         )
 
 
-def _draw_wave(
-    axes: Axes, star: SiemensResult, ring: int, picture: Floats, sides_mm: tuple[float, float]
-) -> None:
+def _draw_wave(axes: Axes, star: SiemensResult, ring: int, picture: Floats, sides_mm: Pair) -> None:
     """Draw the pixels of one ring over the phase, freed of uneven light, and the fitted wave."""
     phase, values, modulation = ring_wave(star, ring, picture, sides_mm)
     axes.plot(phase, values, ".", color=style.GREY, markersize=2.5, alpha=0.6)
@@ -209,7 +192,7 @@ def _draw_wave(
 
 
 def ring_wave(
-    star: SiemensResult, ring: int, picture: Floats, sides_mm: tuple[float, float]
+    star: SiemensResult, ring: int, picture: Floats, sides_mm: Pair
 ) -> tuple[Floats, Floats, float]:
     """Return phase in cycles and value over mean of the pixels of a ring, and the modulation.
 
@@ -242,7 +225,3 @@ def ring_wave(
     shift_rad = float(np.arctan2(found[1], found[0]))
     phase = (cycles * angle_rad - shift_rad) / (2.0 * np.pi)
     return np.mod(phase + 0.5, 1.0) - 0.5, even, float(np.hypot(found[0], found[1]) / mean)
-
-
-def _sector_deg(number: int, star: SiemensResult) -> int:
-    return round(360 * number / len(star.sectors))
