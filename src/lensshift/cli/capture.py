@@ -94,8 +94,8 @@ def capture(current: Session, asked: CaptureOptions) -> None:
         counts = dict(opened.camera.counts())
     seconds = time.monotonic() - start_s
     current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
-    current.say(f"wrote {asked.out}")
-    current.result |= _summary(burst, counts) | {"seconds": seconds, "files": [asked.out]}
+    current.wrote(asked.out)
+    current.result |= _summary(burst, counts) | {"seconds": seconds}
 
 
 def _set_aside(current: Session, out: Path) -> None:
@@ -226,11 +226,6 @@ def _losses(counts: Any) -> str:
 
 
 def _summary(burst: Burst, counts: dict[str, int]) -> dict[str, Any]:
-    return {
-        "frame_count": burst.frame_count,
-        "shape": burst.grid.shape,
-        "offset_px": burst.offset_px,
-        "offset_source": burst.offset_source,
-        "stage_mm": burst.stage_mm,
-        "counts": counts,
-    }
+    names = ("frame_count", "offset_px", "offset_source", "stage_mm")
+    told = {name: getattr(burst, name) for name in names}
+    return {**told, "shape": burst.grid.shape, "counts": counts}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 import typer
 
@@ -16,13 +16,6 @@ from lensshift.cli.verbs import argument, option, verb
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
 IMAGE_SUFFIXES = (".npz", ".tif", ".tiff", ".fits", ".fit")
-
-
-class Bits(StrEnum):
-    """Depth of a PNG pixel."""
-
-    EIGHT = "8"
-    SIXTEEN = "16"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +29,7 @@ class ConvertOptions:
         metavar="OUT",
     )
     stack: StackOptions = field(default_factory=StackOptions)
-    bits: Bits = option(Bits.EIGHT, "Depth of a PNG pixel.")
+    bits: Literal["8", "16"] = option("8", "Depth of a PNG pixel.")
     points: PointOptions = field(default_factory=PointOptions)
     window: int | None = option(None, "Number of the picture of a sequence.", min=0)
 
@@ -128,7 +121,7 @@ def _convert_result(current: Session, asked: ConvertOptions) -> tuple[float, flo
     limits = export_reconstruction(
         result,
         target,
-        bits=16 if asked.bits is Bits.SIXTEEN else 8,
+        bits=16 if asked.bits == "16" else 8,
         keep_flying=points.keep_flying,
         normals=points.normals,
     )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lensshift.capture.emulators.rig import EmulatedWorld
 
 emulate = verb_group(
-    help="Emulate devices over their real protocols until Ctrl-C, on this computer only.",
+    help="Emulate devices over their real protocols until Ctrl-C, on this computer only."
 )
 
 JsonOption = Annotated[

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -20,34 +20,17 @@ if TYPE_CHECKING:
     from lensshift.core.types import Burst, Reconstruction
 
 
-class FrameAxis(StrEnum):
-    """Where the frames lie in an NPY or NPZ array."""
-
-    FIRST = "first"
-    LAST = "last"
-
-    @property
-    def number(self) -> int:
-        """The axis as NumPy counts."""
-        return 0 if self is FrameAxis.FIRST else -1
-
-
-class Pattern(StrEnum):
-    """Where the image is sent in each frame, see `lensshift.core.pattern`."""
-
-    SQUARE = "square"
-    NINE = "3x3"
-    SIXTEEN = "4x4"
-    STILL = "still"
-
-
 BurstArgument = Annotated[
     Path,
     typer.Argument(
         help="A burst file, or an image stack (TIFF, NPY, NPZ, FITS, folder of images)."
     ),
 ]
-PatternOption = Annotated[Pattern, typer.Option("--pattern", help="Where the image is sent.")]
+PatternOption = Annotated[
+    Literal["square", "3x3", "4x4", "still"],  # of `lensshift.core.pattern`
+    typer.Option("--pattern", help="Where the image is sent."),
+]
+FRAME_AXES = {"first": 0, "last": -1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +42,9 @@ class StackOptions:
     )
     pitch_mm: str | None = option(None, "Pixel pitch of an image stack: one number, or row,col.")
     key: str | None = option(None, "Name of the frames in an NPZ file.")
-    frame_axis: FrameAxis = option(FrameAxis.FIRST, "Where the frames lie in an NPY or NPZ array.")
+    frame_axis: Literal["first", "last"] = option(
+        "first", "Where the frames lie in an NPY or NPZ array."
+    )
     modulation_hz: list[float] | None = option(
         None, "Modulation frequency of an image stack; again for each further one."
     )
@@ -114,7 +99,7 @@ def _load(path: Path, options: StackOptions) -> Burst:
             options.offsets,
             pitch_mm=pitch_mm,
             key=options.key,
-            frame_axis=options.frame_axis.number,
+            frame_axis=FRAME_AXES[options.frame_axis],
             modulation_hz=options.modulation_hz,
         )
     if kind is not Kind.BURST:
@@ -169,6 +154,15 @@ def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -
         if place in taken:
             raise typer.BadParameter(f"{output} {taken[place]}; choose another name")
         taken[place] = "is written twice"
+
+
+def check_files(inputs: Iterable[Path | None], outputs: Sequence[Path]) -> None:
+    """Complain before the work about files that would be overwritten or cannot be written."""
+    from lensshift.io.atomic import writable_target
+
+    refuse_overwriting(inputs, outputs)
+    for path in outputs:
+        writable_target(path)
 
 
 def beside(source: Path, ending: str) -> Path:

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from lensshift.cli.lens_design import budget, check_out, optimise, tolerance, write_lens
 from lensshift.cli.lens_field import field as lens_field
 from lensshift.cli.lens_refine import refine
 from lensshift.cli.lens_report import report
-from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
+from lensshift.cli.measured import (
+    CsvOption,
+    Outputs,
+    PlotOption,
+    check_outputs,
+    write_plot,
+    write_table,
+)
 from lensshift.cli.optics import (
     SHIFT_PX,
     BandOption,
     LensOptions,
     MoveOptions,
-    MtfFigure,
-    ShowFigure,
     band_of,
     diagonal_mm,
     element_of,
-    figure_of,
-    mtf_figure,
+    lens_figures,
     opened,
     parse_fields_tan,
     read_lens,
-    show_figure,
+    spread_fields_tan,
 )
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb, verb_group
@@ -64,7 +68,9 @@ class ShowOptions:
 
     of: LensOptions
     move: MoveOptions = field(default_factory=MoveOptions)
-    figure: ShowFigure = option(ShowFigure.LAYOUT, "What --plot draws.")
+    figure: Literal["layout", "spots", "distortion", "fans", "psf", "field"] = option(
+        "layout", "What --plot draws."
+    )
     plot: PlotOption = None
 
 
@@ -81,7 +87,7 @@ def show(current: Session, asked: ShowOptions) -> None:
     """
     from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
 
-    check_outputs([], None, asked.plot)
+    check_outputs([], plot=asked.plot)
     model, grid = opened(asked.of)
     element, shift_px = asked.move.element, asked.move.shift_px
     moved = element_of(model, element)
@@ -114,9 +120,9 @@ def show(current: Session, asked: ShowOptions) -> None:
     )
     current.result |= {"lens": model.name or asked.of.lens, "elements": rows, **asdict(data)}
     current.result |= {"element": element, "shift_px": shift_px, "travel_mm": travel_mm}
-    write_plot(
-        current, asked.plot, lambda: show_figure(asked.figure, model, moved, travel_mm, grid)
-    )
+    fields_tan = spread_fields_tan(model, grid, (0.0, 0.5, 1.0))
+    name, of, options = lens_figures(model, moved, travel_mm, grid, fields_tan)[asked.figure]
+    write_plot(current, asked.plot, name, *of, **options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +140,7 @@ class MtfOptions:
     band_nm: BandOption = 0.0
     fast: bool = option(False, "Geometric times diffraction MTF instead of the exact one.")
     csv: CsvOption = None
-    figure: MtfFigure = option(MtfFigure.CURVES, "What --plot draws.")
+    figure: Literal["curves", "field", "focus", "sections"] = option("curves", "What --plot draws.")
     plot: PlotOption = None
 
 
@@ -168,26 +174,19 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
     frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
     curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, asked.fast)
-    at = {
-        label: np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
-        for label, values in curves.items()
-    }
+    limit = diffraction_limit(model, frequency).modulation
     current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
-    for label, (low, high) in at.items():
+    for label, values in (curves | {"diffraction limit": limit}).items():
+        low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
         current.say(f"{label:<42}{low:8.4f}  {high:8.4f}")
-    limit = diffraction_limit(model, frequency)
-    low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, limit.modulation)
-    current.say(f"{'diffraction limit':<42}{low:8.4f}  {high:8.4f}")
     current.result |= {"lens": model.name or asked.of.lens, "nyquist_lpmm": nyquist_lpmm}
     current.result |= {"travel_mm": travel_mm, "frequency_lpmm": frequency}
-    current.result |= {"mtf": curves, "diffraction_limit": limit.modulation}
-    columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit.modulation}
+    current.result |= {"mtf": curves, "diffraction_limit": limit}
+    columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit}
     write_table(current, asked.csv, {name.replace(",", ";"): row for name, row in columns.items()})
-    write_plot(
-        current,
-        asked.plot,
-        lambda: mtf_figure(asked.figure, model, moved, travel_mm, grid, fields_tan, highest),
-    )
+    figures = lens_figures(model, moved, travel_mm, grid, fields_tan, highest_lpmm=highest)
+    drawn, of, options = figures["map" if asked.figure == "field" else asked.figure]
+    write_plot(current, asked.plot, drawn, *of, **options)
 
 
 def _curves(
@@ -213,11 +212,9 @@ def _curves(
             ("at rest", None),
             ("moved", moving(model, element, np.asarray(travel_mm))),
         ):
-            if fast:
-                found = fast_mtf(model, (row_tan, col_tan), frequency_lpmm, build=build, band=band)
-            else:
-                field = (row_tan, col_tan)
-                found = np.abs(exact_otf(model, field, frequency_lpmm, build=build, band=band))
+            mtf_of = fast_mtf if fast else exact_otf
+            field = (row_tan, col_tan)
+            found = np.abs(mtf_of(model, field, frequency_lpmm, build=build, band=band))
             for direction, values in zip(("columns", "rows"), found, strict=True):
                 label = f"{row_deg:.1f}/{col_deg:.1f} deg, along {direction}, {name}"
                 curves[label] = values
@@ -232,8 +229,7 @@ class WhichOptions:
 
     of: LensOptions
     shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
-    csv: CsvOption = None
-    plot: PlotOption = None
+    to: Outputs = field(default_factory=Outputs)
 
 
 @lens_verbs.command()
@@ -252,14 +248,14 @@ def which(current: Session, asked: WhichOptions) -> None:
     from lensshift.optics.movers import which_mover
     from lensshift.optics.which import format_movers
 
-    check_outputs([], asked.csv, asked.plot)
+    check_outputs([], asked.to.csv, asked.to.plot)
     model, grid = opened(asked.of)
     movers = which_mover(model, grid, shift_px=asked.shift_px)
     current.say(format_movers(movers))
     rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
     current.result |= {"lens": model.name or asked.of.lens, "movers": rows}
-    write_table(current, asked.csv, {name: [row[name] for row in rows] for name in rows[0]})
-    write_plot(current, asked.plot, lambda: figure_of("lenses", "which_figure", movers))
+    write_table(current, asked.to.csv, {name: [row[name] for row in rows] for name in rows[0]})
+    write_plot(current, asked.to.plot, "lenses.which_figure", movers)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import MISSING, asdict, dataclass, field
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from lensshift.cli.measured import (
-    CsvOption,
+    Outputs,
     PlotOption,
     check_outputs,
     parse_numbers,
@@ -25,7 +25,6 @@ from lensshift.cli.optics import (
     MoveOptions,
     SensorOptions,
     element_of,
-    figure_of,
     opened,
     read_lens,
     sensor_grid,
@@ -42,13 +41,6 @@ if TYPE_CHECKING:
 BestOption = Annotated[
     Path | None, typer.Option("-o", "--out", help="Write the lens found (.toml or .zmx).")
 ]
-
-
-class GoalKind(StrEnum):
-    """What a search of lenses ranks them by."""
-
-    MTF = "mtf"
-    PICTURE = "picture"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +66,7 @@ class OptimiseOptions:
     stop_at_mm: float = option(0.0, "The stop behind the vertex in front of it.")
     sensor: SensorOptions = field(default_factory=SensorOptions)
     keep: int = option(8, "Trains that are optimised after a first look.", min=1)
-    goal: GoalKind = option(GoalKind.MTF, "What designs are ranked by.")
+    goal: Literal["mtf", "picture"] = option("mtf", "What designs are ranked by.")
     actuator_um: float = option(1.0, "Standard deviation of where the element stops.", min=0.0)
     noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
     out: BestOption = None
@@ -114,7 +106,7 @@ def optimise(current: Session, asked: OptimiseOptions) -> None:
         cover=plate, cover_mm=air_mm,
     )  # fmt: skip
     designs = _designs(asked.places, wanted, asked.element, asked.keep)
-    if asked.goal is GoalKind.PICTURE:
+    if asked.goal == "picture":
         designs = _by_picture(current, designs, wanted, asked.actuator_um, asked.noise)
     current.say(format_designs(designs))
     met = sum(design.meets(wanted) for design in designs)
@@ -167,8 +159,7 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
     stock = [[read_lens(name.strip()) for name in place.split(",")] for place in places]
     if element is not None and element > len(stock):
         raise typer.BadParameter(f"expected an element from 1 to {len(stock)}, got {element}")
-    progress = Progress("optimising")
-    try:
+    with closing(Progress("optimising")) as progress:
         if element is not None and all(len(place) == 1 for place in stock):
             parts = [part for place in stock for part in place[0].elements]
             name = " + ".join(part.name for part in parts)
@@ -178,13 +169,11 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
             return (best,)
         movers = None if element is None else [element - 1]
         return search_stock(stock, goal, movers=movers, keep=keep, on_progress=progress.count)
-    finally:
-        progress.close()
 
 
 def check_out(out: Path | None, *sources: Path) -> None:
     """Complain before the work about a lens that cannot be written."""
-    check_outputs(list(sources), out, None)
+    check_outputs(list(sources), out)
     if out is not None and out.suffix.lower() not in (".toml", ".zmx"):
         raise typer.BadParameter(f"expected {out} to end in .toml or .zmx")
 
@@ -219,8 +208,7 @@ class ToleranceOptions:
     focal_share: float = option(0.01, "Of the focal length of each element.", min=0.0)
     index: float = option(0.0005, "Of each refractive index.", min=0.0)
     seed: int = option(0, "Seed of the random numbers.", min=0)
-    csv: CsvOption = None
-    plot: PlotOption = None
+    to: Outputs = field(default_factory=Outputs)
 
 
 @verb()
@@ -241,7 +229,7 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         tolerance_analysis,
     )
 
-    check_outputs([], asked.csv, asked.plot)
+    check_outputs([], asked.to.csv, asked.to.plot)
     model, grid = opened(asked.of)
     shift_px, builds = asked.move.shift_px, asked.builds
     moved = element_of(model, asked.move.element)
@@ -250,25 +238,20 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         asked.index,
     )  # fmt: skip
     table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
-    progress = Progress("building")
-    try:
+    with closing(Progress("building")) as progress:
         found = tolerance_analysis(
             model, moved, grid, limits, builds=builds, seed=asked.seed, shift_px=shift_px,
             on_progress=progress.count,
         )  # fmt: skip
-    finally:
-        progress.close()
     current.say(format_sensitivity(table))
     _say_builds(current, found, builds, asked.limit)
     current.result |= {"lens": model.name or asked.of.lens, "element": asked.move.element}
     current.result["sensitivity"] = [asdict(row) | {"element": row.element + 1} for row in table]
     columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
     columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
-    write_table(current, asked.csv, columns)
+    write_table(current, asked.to.csv, columns)
     write_plot(
-        current,
-        asked.plot,
-        lambda: figure_of("lens_build", "tolerance_figure", found, asked.limit, table=table),
+        current, asked.to.plot, "lens_build.tolerance_figure", found, asked.limit, table=table
     )
 
 
@@ -316,7 +299,7 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     """
     from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
 
-    check_outputs([], None, asked.plot)
+    check_outputs([], plot=asked.plot)
     model, grid = opened(asked.of)
     found = actuator_budget(
         model,
@@ -329,4 +312,4 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     current.say(format_budget(found))
     current.result |= {"lens": model.name or asked.of.lens, "noise": asked.noise}
     current.result |= asdict(found) | {"element": asked.move.element}
-    write_plot(current, asked.plot, lambda: figure_of("lens_build", "budget_figure", found))
+    write_plot(current, asked.plot, "lens_build.budget_figure", found)

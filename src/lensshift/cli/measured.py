@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from csv import writer as csv_writer
 from dataclasses import dataclass, replace
-from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -21,6 +21,7 @@ from lensshift.cli.inputs import (
     parse_pitch_mm,
     refuse_overwriting,
 )
+from lensshift.cli.verbs import argument, option
 from lensshift.core.errors import QualityWarning
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
     from lensshift.cli.session import Session
 
-ImageArgument = Annotated[Path, typer.Argument(help="Image, burst file or reconstruction.")]
 PitchOption = Annotated[
     str | None,
     typer.Option(
@@ -41,7 +41,6 @@ RegionOption = Annotated[
     str | None,
     typer.Option("--region", help="Region in pixels: row start,row stop,col start,col stop."),
 ]
-FrameOption = Annotated[int, typer.Option(min=0, help="Frame of IMAGE, if it holds several.")]
 KeyOption = Annotated[
     str | None,
     typer.Option("--key", help="Array of an NPZ file; amplitude or distance of other files."),
@@ -58,40 +57,36 @@ FocalOption = Annotated[
 ]
 
 
-class ColourChannel(StrEnum):
-    """What of a colour photograph is measured."""
+@dataclass(frozen=True, slots=True)
+class ImageOptions:
+    """The image that is measured."""
 
-    LUMINANCE = "luminance"
-    RED = "red"
-    GREEN = "green"
-    BLUE = "blue"
+    image: Path = argument("Image, burst file or reconstruction.")
+    pitch_mm: PitchOption = None
+    frame: int = option(0, "Frame of IMAGE, if it holds several.", min=0)
+    key: KeyOption = None
 
 
-ChannelOption = Annotated[
-    ColourChannel | None,
-    typer.Option("--channel", help="Of a colour photograph; luminance, of a mosaic green."),
-]
-GammaOption = Annotated[
-    float | None,
-    typer.Option("--gamma", help="Light = level^gamma; 2.2 for sRGB photographs. Else linear."),
-]
-OecfOption = Annotated[
-    Path | None, typer.Option("--oecf", help="Instead: CSV of the measured curve, level,light.")
-]
-BayerOption = Annotated[
-    str | None,
-    typer.Option("--bayer", help="Raw mosaic, as RGGB; pixels are then those of one colour."),
-]
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """Where the numbers go, beside the screen."""
+
+    csv: CsvOption = None
+    plot: PlotOption = None
 
 
 @dataclass(frozen=True, slots=True)
 class PhotoOptions:
     """How the levels of a photograph become light."""
 
-    channel: ColourChannel | None = None
-    gamma: float | None = None
-    oecf: Path | None = None
-    bayer: str | None = None
+    channel: Literal["luminance", "red", "green", "blue"] | None = option(
+        None, "Of a colour photograph; luminance, of a mosaic green."
+    )
+    gamma: float | None = option(
+        None, "Light = level^gamma; 2.2 for sRGB photographs. Else linear."
+    )
+    oecf: Path | None = option(None, "Instead: CSV of the measured curve, level,light.")
+    bayer: str | None = option(None, "Raw mosaic, as RGGB; pixels are then those of one colour.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,14 +139,12 @@ def measured_image(
     return Measured(values, pitch, pitch_mm is not None)
 
 
-def measured_photograph(
-    path: Path,
-    pitch_mm: str | None,
-    options: PhotoOptions,
-    *,
-    key: str | None = None,
-    frame: int = 0,
-) -> Measured:
+def measured_of(asked: ImageOptions) -> Measured:
+    """Read the image that is asked for."""
+    return measured_image(asked.image, asked.pitch_mm, key=asked.key, frame=asked.frame)
+
+
+def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     """Read one image; of a photograph one channel, as linear light."""
     from lensshift.evaluation.levels import bayer_frames, linear_light, one_channel
     from lensshift.io.photograph import (
@@ -161,26 +154,25 @@ def measured_photograph(
         load_photograph,
     )
 
-    suffix = path.suffix.lower()
+    path, pitch_mm, suffix = asked.image, asked.pitch_mm, asked.image.suffix.lower()
     if suffix not in PHOTOGRAPH_SUFFIXES and options == PhotoOptions():
-        return measured_image(path, pitch_mm, key=key, frame=frame)
+        return measured_of(asked)
     if options.gamma is not None and options.oecf is not None:
         raise typer.BadParameter("expected --gamma or --oecf, not both")
     curve = options.gamma if options.oecf is None else load_oecf(options.oecf)
     if suffix in PHOTOGRAPH_SUFFIXES:
-        levels = load_photograph(path, frame=frame)
+        levels = load_photograph(path, frame=asked.frame)
         pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
         read = Measured(levels, pitch, pitch_mm is not None)
     else:
-        read = measured_image(path, pitch_mm, key=key, frame=frame)
+        read = measured_of(asked)
     if curve is None and suffix in JPEG_SUFFIXES:
         warnings.warn(
             f"{path.name}: the levels are taken for light; those of a JPEG rarely are: --gamma 2.2",
             QualityWarning,
             stacklevel=2,
         )
-    light = linear_light(read.values, curve)
-    channel = None if options.channel is None else options.channel.value
+    light, channel = linear_light(read.values, curve), options.channel
     if options.bayer is None:
         return replace(read, values=one_channel(light, channel))
     values, offset_px = bayer_frames(one_channel(light), options.bayer, channel or "green")
@@ -249,6 +241,16 @@ def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
     return row_start, row_stop, col_start, col_stop
 
 
+def scaled(
+    region: tuple[int, int, int, int] | None, scale: int
+) -> tuple[int, int, int, int] | None:
+    """Return a region in pixels that are `scale` times finer."""
+    if region is None:
+        return None
+    row_start, row_stop, col_start, col_stop = (scale * end for end in region)
+    return row_start, row_stop, col_start, col_stop
+
+
 def slices_of(region: tuple[int, int, int, int] | None, shape: tuple[int, ...]) -> Any:
     """Return the slices of a region, of the whole image for None."""
     rows, cols = shape
@@ -270,7 +272,9 @@ def parse_numbers(text: str, count: int, expected: str) -> tuple[float, ...]:
     return numbers
 
 
-def check_outputs(inputs: Sequence[Path | None], csv: Path | None, plot: Path | None) -> None:
+def check_outputs(
+    inputs: Sequence[Path | None], csv: Path | None = None, plot: Path | None = None
+) -> None:
     """Complain before the work about files that cannot be written."""
     refuse_overwriting(inputs, [path for path in (csv, plot) if path is not None])
     if plot is not None:
@@ -293,14 +297,21 @@ def write_table(current: Session, csv: Path | None, columns: Mapping[str, Any]) 
     current.say(f"wrote {csv}")
 
 
-def write_plot(current: Session, plot: Path | None, draw: Callable[[], Figure]) -> None:
-    """Draw a figure and write it."""
+def write_plot(current: Session, plot: Path | None, name: str, *of: Any, **options: Any) -> None:
+    """Draw a figure and write it, see `drawn`."""
     if plot is None:
         return
     from lensshift.report.save import save_figure
 
-    save_figure(draw(), plot)
+    save_figure(drawn(name, *of, **options), plot)
     current.say(f"wrote {plot}")
+
+
+def drawn(name: str, *of: Any, **options: Any) -> Figure:
+    """Draw one of the figures of `lensshift.report`, as in "edges.gain_figure"."""
+    module, _, draw = name.partition(".")
+    figure: Figure = getattr(import_module(f"lensshift.report.{module}"), draw)(*of, **options)
+    return figure
 
 
 def interval_row(number: Any, factor: float = 1.0) -> dict[str, float]:

@@ -14,8 +14,7 @@ def _method_names() -> list[str]:
 
 
 MethodOption = Annotated[
-    str,
-    typer.Option(help="Method; `lensshift methods` lists them.", autocompletion=_method_names),
+    str, typer.Option(help="Method; `lensshift methods` lists them.", autocompletion=_method_names)
 ]
 WeightOption = Annotated[
     str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')

@@ -37,14 +37,12 @@ def methods(current: Session, asked: MethodsOptions) -> None:
     chosen = {key: one for key, one in METHODS.items() if asked.method in (None, key)}
     width = max(map(len, chosen))
     for key, one in chosen.items():
+        options = described_options(one)
+        current.result[key] = {"summary": one.summary, "options": options}
         current.say(f"{key:<{width}}  {one.summary}")
-        for option in described_options(one):
+        for option in options:
             default = "found or chosen" if option["default"] is None else option["default"]
             current.say(f"{'':<{width}}    {option['name']}={default}  ({option['expected']})")
-    current.result |= {
-        key: {"summary": one.summary, "options": described_options(one)}
-        for key, one in chosen.items()
-    }
 
 
 def described_options(method: type[Method]) -> list[dict[str, Any]]:

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
 from lensshift.cli.measured import (
-    BayerOption,
-    ChannelOption,
-    CsvOption,
     FocalOption,
-    FrameOption,
-    GammaOption,
-    ImageArgument,
-    KeyOption,
+    ImageOptions,
     Measured,
-    OecfOption,
+    Outputs,
     PhotoOptions,
-    PitchOption,
-    PlotOption,
     RegionOption,
     Unit,
     check_outputs,
@@ -32,7 +22,8 @@ from lensshift.cli.measured import (
     write_plot,
     write_table,
 )
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli.session import Session
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,46 +32,41 @@ if TYPE_CHECKING:
     from lensshift.evaluation.slanted_edge import EdgeResult, Interval
 
 
-class EdgeMethod(StrEnum):
-    """How an edge is measured."""
+@dataclass(frozen=True, slots=True)
+class EdgeOptions:
+    """How an edge is measured, and where its MTF is read off."""
 
-    ML = "ml"
-    SFRMAT3 = "sfrmat3"
-    SFRMAT5 = "sfrmat5"
+    method: Literal["ml", "sfrmat3", "sfrmat5"] = option(
+        "ml", "Maximum likelihood, or a published algorithm to compare with."
+    )
+    order: int | None = option(None, "Of sfrmat5: of the polynomial of the edge, 5.")
+    window: Literal["tukey", "hamming"] | None = option(None, "Of sfrmat5: tukey or hamming.")
+    aperture_px: float | None = option(None, "Of ml: side of the largest pixel that is thought of.")
+    tilt: bool | None = option(
+        None, "Of ml: light is uneven, or not; else it is found out.", "--tilt/--no-tilt"
+    )
+    at: list[float] | None = option(
+        None, "Frequency at which the MTF is wanted; again for each further one."
+    )
+
+    def given(self) -> dict[str, Any]:
+        """Return the options of `measure_edges` that were given."""
+        told = {name: value for name, value in asdict(self).items() if value is not None}
+        return {name: value for name, value in told.items() if name != "at"}
 
 
-class Window(StrEnum):
-    """Window of sfrmat5."""
+@dataclass(frozen=True, slots=True)
+class MtfOptions:
+    """Options of `lensshift evaluate mtf`."""
 
-    TUKEY = "tukey"
-    HAMMING = "hamming"
+    of: ImageOptions
+    region: RegionOption = None
+    joint: bool = option(False, "Fit all frames of a burst file together.")
+    edges: EdgeOptions = EdgeOptions()
+    photo: PhotoOptions = field(default_factory=PhotoOptions)
+    focal_length_mm: FocalOption = None
+    to: Outputs = field(default_factory=Outputs)
 
-
-JointOption = Annotated[
-    bool, typer.Option("--joint", help="Fit all frames of a burst file together.")
-]
-MethodOption = Annotated[
-    EdgeMethod,
-    typer.Option("--method", help="Maximum likelihood, or a published algorithm to compare with."),
-]
-OrderOption = Annotated[
-    int | None, typer.Option("--order", help="Of sfrmat5: of the polynomial of the edge, 5.")
-]
-WindowOption = Annotated[
-    Window | None, typer.Option("--window", help="Of sfrmat5: tukey or hamming.")
-]
-ApertureOption = Annotated[
-    float | None,
-    typer.Option("--aperture-px", help="Of ml: side of the largest pixel that is thought of."),
-]
-TiltOption = Annotated[
-    bool | None,
-    typer.Option("--tilt/--no-tilt", help="Of ml: light is uneven, or not; else it is found out."),
-]
-AtOption = Annotated[
-    list[float] | None,
-    typer.Option("--at", help="Frequency at which the MTF is wanted; again for each further one."),
-]
 
 # Name in the result, name for people, what it is.
 NUMBERS = (
@@ -95,29 +81,8 @@ NUMBERS = (
 )
 
 
-def mtf(
-    image: ImageArgument,
-    pitch_mm: PitchOption = None,
-    region: RegionOption = None,
-    joint: JointOption = False,
-    method: MethodOption = EdgeMethod.ML,
-    order: OrderOption = None,
-    window: WindowOption = None,
-    aperture_px: ApertureOption = None,
-    tilt: TiltOption = None,
-    at: AtOption = None,
-    channel: ChannelOption = None,
-    gamma: GammaOption = None,
-    oecf: OecfOption = None,
-    bayer: BayerOption = None,
-    focal_length_mm: FocalOption = None,
-    frame: FrameOption = 0,
-    key: KeyOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("measuring edges")
+def mtf(current: Session, asked: MtfOptions) -> None:
     """Measure the MTF of slanted edges, with 95 % intervals.
 
     Every edge of the image is found and measured, unless a region is given; numbers of several
@@ -130,36 +95,48 @@ def mtf(
       lensshift evaluate mtf photo.jpg --gamma 2.2 --channel green --at 0.1 --at 0.25
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
-    with session(as_json=as_json, debug=debug, doing="measuring edges") as current:
-        from lensshift.evaluation.slanted_edge import measure_edges
+    place = parse_region(asked.region)
+    check_outputs([asked.of.image], asked.to.csv, asked.to.plot)
+    measured = (
+        measured_frames(asked.of.image, key=asked.of.key)
+        if asked.joint
+        else measured_photograph(asked.of, asked.photo)
+    )
+    unit = frequency_unit(measured, asked.focal_length_mm)
+    results = edges_of(measured, place, **asked.edges.given())
+    curve, frequency = _tell(current, results, unit, measured.length, asked.edges.at or [])
+    current.result["image"] = asked.of.image
+    first = "frequency_lpmm" if asked.focal_length_mm is None else "frequency_cycles_per_mrad"
+    columns = {first: frequency, "modulation": curve.modulation}
+    columns |= {} if curve.std is None else {"std": curve.std}
+    write_table(current, asked.to.csv, columns)
+    shown = measured.values if measured.values.ndim == 2 else measured.values[0]
+    write_plot(
+        current,
+        asked.to.plot,
+        "edges.edge_figure",
+        results,
+        shown,
+        unit=unit.name,
+        factor=unit.factor,
+    )
 
-        place = parse_region(region)
-        check_outputs([image], csv, plot)
-        photo = PhotoOptions(channel, gamma, oecf, bayer)
-        measured = (
-            measured_frames(image, key=key)
-            if joint
-            else measured_photograph(image, pitch_mm, photo, key=key, frame=frame)
-        )
-        chosen = {"order": order, "window": window, "aperture_px": aperture_px, "tilt": tilt}
-        unit = frequency_unit(measured, focal_length_mm)
-        results = measure_edges(
-            measured.values,
-            measured.pitch_mm,
-            region=place,
-            method=method.value,
-            offset_px=measured.offset_px,
-            valid=measured.valid,
-            scale=measured.scale,
-            **method_options(**chosen),
-        )
-        curve, frequency = _tell(current, results, unit, measured.length, at or [])
-        current.result["image"] = image
-        first = "frequency_lpmm" if focal_length_mm is None else "frequency_cycles_per_mrad"
-        columns = {first: frequency, "modulation": curve.modulation}
-        columns |= {} if curve.std is None else {"std": curve.std}
-        write_table(current, csv, columns)
-        write_plot(current, plot, lambda: _figure(results, measured, unit))
+
+def edges_of(
+    measured: Measured, region: tuple[int, int, int, int] | None, **options: Any
+) -> list[EdgeResult]:
+    """Measure the edges of an image, or of a region of it."""
+    from lensshift.evaluation.slanted_edge import measure_edges
+
+    return measure_edges(
+        measured.values,
+        measured.pitch_mm,
+        region=region,
+        offset_px=measured.offset_px,
+        valid=measured.valid,
+        scale=measured.scale,
+        **options,
+    )
 
 
 def _tell(
@@ -186,13 +163,6 @@ def _tell(
     current.result["mtf"] = {"frequency": frequency, "frequency_lpmm": curve.frequency_lpmm}
     current.result["mtf"] |= {"modulation": curve.modulation, "std": curve.std}
     return curve, frequency
-
-
-def _figure(results: Sequence[EdgeResult], measured: Measured, unit: Unit) -> Any:
-    from lensshift.report.edges import edge_figure
-
-    shown = measured.values if measured.values.ndim == 2 else measured.values[0]
-    return edge_figure(results, shown, unit=unit.name, factor=unit.factor)
 
 
 def say_edge(current: Session, result: EdgeResult, unit: Unit, length: str) -> None:
@@ -224,11 +194,6 @@ def at_rows(curve: MtfCurve, unit: Unit, at: Sequence[float]) -> list[dict[str, 
     return [
         {"frequency": one} | interval_row(modulation_at(curve, one / unit.factor)) for one in at
     ]
-
-
-def method_options(**chosen: Any) -> Any:
-    """Return the options of `measure_edges` that were given."""
-    return {name: value for name, value in chosen.items() if value is not None}
 
 
 def _say_numbers(
@@ -273,8 +238,9 @@ def edge_row(result: EdgeResult, unit: Unit) -> dict[str, Any]:
         row[name] = interval_row(getattr(result, name))
     for name in ("mtf50", "mtf30", "mtf10"):
         row[name] = interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
-    for name in ("method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm"):
+    for name in (
+        "method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm",
+        "beyond_nyquist", "usable",
+    ):  # fmt: skip
         row[name] = getattr(result, name)
-    row["beyond_nyquist"] = result.beyond_nyquist
-    row |= {"notes": list(result.notes), "usable": result.usable}
-    return row
+    return row | {"notes": list(result.notes)}

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import beside, load_input_burst, refuse_overwriting
+from lensshift.cli.inputs import beside, check_files, load_input_burst
 from lensshift.cli.method_options import check_method, parse_frames, parse_options, parse_weight
 from lensshift.cli.points import CLOUD_SUFFIXES, refuse_points
-from lensshift.cli.reconstruct_options import Channel, ReconstructOptions
+from lensshift.cli.reconstruct_options import ReconstructOptions
 from lensshift.cli.recording import is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
 from lensshift.cli.session import Progress, Session
@@ -50,7 +50,7 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
       lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
     """
     settings: dict[str, Any] = {
-        "scale": asked.scale, "method": asked.method, "channel": asked.channel.value,
+        "scale": asked.scale, "method": asked.method, "channel": asked.channel,
         "prior_weight": parse_weight(asked.prior_weight), "frames": parse_frames(asked.frames),
         "noise_sigma": asked.noise_sigma, "fill_factor": asked.fill_factor,
         "non_negative": asked.non_negative, "photometric": asked.photometric,
@@ -77,7 +77,7 @@ def _looking(burst: Burst, asked: ReconstructOptions, files: _Files) -> Burst:
     complex_frames = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
     phasors = complex_frames or burst.phasors is not None
     distances = burst.distance_m is not None or phasors
-    distances = distances and asked.channel is not Channel.AMPLITUDE
+    distances = distances and asked.channel != "amplitude"
     refuse_points(files.exports, intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)
 
@@ -133,9 +133,10 @@ def describe(estimate: Estimate) -> dict[str, Any]:
 
 
 def say_channels(current: Session, result: Reconstruction) -> None:
-    """Print what is worth knowing about each channel."""
+    """Print and hand back what is worth knowing about each channel."""
+    channels = current.result["channels"] = {}
     for name, estimate in result.channels.items():
-        known = describe(estimate)
+        known = channels[name] = describe(estimate)
         current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
         for label in ("prior_weight", "noise_sigma", "noise_gain"):
             if known[label] is not None:
@@ -181,7 +182,7 @@ def _reconstruct(
         undone += " and the spots of the lens field" if settings.get("lens_field") else ""
         current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}{undone}")
     say_channels(current, result)
-    current.say("wrote " + ", ".join(str(path) for path in files.all))
+    current.wrote(*files.all)
     current.result |= {
         "input": source,
         "frame_count": count,
@@ -189,10 +190,8 @@ def _reconstruct(
         "scale": result.scale,
         "shape": shape,
         "seconds": seconds,
-        "channels": {name: describe(part) for name, part in result.channels.items()},
         "flying_share": None if result.flying is None else float(result.flying.mean()),
         "settings": dict(result.settings),
-        "files": files.all,
     }
 
 
@@ -228,8 +227,6 @@ def _points(result: Reconstruction) -> PointCloud | None:
 
 def _plan(asked: ReconstructOptions) -> _Files:
     """Decide all names, and complain before the work rather than after it."""
-    from lensshift.io.atomic import writable_target
-
     result, exports = asked.out or beside(asked.burst, f"_x{asked.scale}.nc"), asked.export or []
     if result.suffix.lower() in EXPORT_SUFFIXES:
         raise typer.BadParameter(
@@ -241,7 +238,5 @@ def _plan(asked: ReconstructOptions) -> _Files:
                 f"{path}: expected a name that ends in {', '.join(EXPORT_SUFFIXES)}"
             )
     files = _Files(result, result.with_name(f"{result.stem}_preview.png"), tuple(exports))
-    refuse_overwriting((asked.burst, asked.stack.offsets), files.all)
-    for path in files.all:
-        writable_target(path)
+    check_files((asked.burst, asked.stack.offsets), files.all)
     return files

@@ -11,7 +11,7 @@ import typer
 
 from lensshift.cli.devices import YesOption
 from lensshift.cli.method_options import check_method
-from lensshift.cli.reconstruct import describe, say_channels
+from lensshift.cli.reconstruct import say_channels
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb
 
@@ -95,14 +95,7 @@ def _say(current: Session, summary: RunSummary) -> None:
             f"{name:<14} distance RMSE {1e3 * numbers['edge_rmse_m']:.1f} mm at edges, "
             f"{1e3 * numbers['flat_rmse_m']:.1f} mm elsewhere"
         )
-    current.say("wrote " + ", ".join(str(path) for path in summary.files))
-    current.result |= {
-        "method": result.method,
-        "scale": result.scale,
-        "shape": shape,
-        "seconds": summary.seconds,
-        "fidelity": summary.fidelity,
-        "depth": summary.depth,
-        "channels": {name: describe(part) for name, part in result.channels.items()},
-        "files": summary.files,
-    }
+    current.wrote(*summary.files)
+    current.tell(result, "method scale")
+    current.tell(summary, "seconds fidelity depth")
+    current.result |= {"shape": shape}

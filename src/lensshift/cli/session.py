@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
@@ -65,6 +66,15 @@ class Session:
             self.waiting.close()
         if not self.as_json:
             typer.echo(printable(text))
+
+    def wrote(self, *files: Path) -> None:
+        """Say which files were written, and hand back their names."""
+        self.say("wrote " + ", ".join(map(str, files)))
+        self.result["files"] = files
+
+    def tell(self, value: object, names: str) -> None:
+        """Hand back some attributes of a value, by their names with blanks between."""
+        self.result |= {name: getattr(value, name) for name in names.split()}
 
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
