@@ -97,8 +97,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
         chart_page(
             edges,
             [(one.name, one.first) for one in pictures],
-            unit=unit.name,
-            factor=unit.factor,
+            **unit.shown(),
             at_lpmm=wanted,
             acutances=acutances,
             series=[row | {"mtf50": row["mtf50_lpmm"] * unit.factor} for row in series],

@@ -218,6 +218,10 @@ class Unit:
     name: str
     factor: float = 1.0
 
+    def shown(self) -> dict[str, Any]:
+        """Return what the figures of `lensshift.report` ask for."""
+        return {"unit": self.name, "factor": self.factor}
+
 
 def frequency_unit(measured: Measured, focal_length_mm: float | None) -> Unit:
     """Return the unit in which frequencies are shown."""

@@ -111,15 +111,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     columns |= {} if curve.std is None else {"std": curve.std}
     write_table(current, asked.to.csv, columns)
     shown = measured.values if measured.values.ndim == 2 else measured.values[0]
-    write_plot(
-        current,
-        asked.to.plot,
-        "edges.edge_figure",
-        results,
-        shown,
-        unit=unit.name,
-        factor=unit.factor,
-    )
+    write_plot(current, asked.to.plot, "edges.edge_figure", results, shown, **unit.shown())
 
 
 def edges_of(

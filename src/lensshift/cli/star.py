@@ -87,9 +87,7 @@ def star(current: Session, asked: StarOptions) -> None:
     columns = _columns(found.mtf, unit) | {"radius": found.radius_mm, "pixels": found.count}
     write_table(current, asked.to.csv, columns)
     shown = (found, measured.values, measured.pitch_mm)
-    write_plot(
-        current, asked.to.plot, "stars.star_figure", *shown, unit=unit.name, factor=unit.factor
-    )
+    write_plot(current, asked.to.plot, "stars.star_figure", *shown, **unit.shown())
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,14 +128,7 @@ def zone(current: Session, asked: ZoneOptions) -> None:
         _say_curve(current, getattr(found, name), unit, name)
     write_table(current, asked.to.csv, _columns(found.radial, unit))
     shown = (found, measured.values, measured.pitch_mm)
-    write_plot(
-        current,
-        asked.to.plot,
-        "stars.zone_plate_figure",
-        *shown,
-        unit=unit.name,
-        factor=unit.factor,
-    )
+    write_plot(current, asked.to.plot, "stars.zone_plate_figure", *shown, **unit.shown())
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +36,7 @@ from lensshift.core.showing import AsDataset, AsTable, Shown
 from lensshift.core.units import doubt_about_units
 
 OffsetSource = Literal["planned", "calibrated", "registered", "unknown"]
-OFFSET_SOURCES: tuple[OffsetSource, ...] = ("planned", "calibrated", "registered", "unknown")
+OFFSET_SOURCES: tuple[OffsetSource, ...] = get_args(OffsetSource)
 
 
 class Status(Enum):
@@ -50,14 +50,10 @@ class Status(Enum):
     NOT_FINITE = "the estimate is not finite"
 
 
-_OPTIONAL_OF_FRAMES = (
-    "distance_m",
-    "valid",
-    "offset_sigma_px",
-    "stage_mm",
-    "stage_commanded_mm",
-    "time_s",
-)
+# Fields of a burst that have one entry a frame, if they are known.
+FRAME_FIELDS = (
+    "distance_m", "valid", "offset_sigma_px", "stage_mm", "stage_commanded_mm", "time_s",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -236,7 +232,7 @@ class Burst(Shown, AsDataset, AsTable):
         def pick(values: NDArray[Any] | None) -> Any:
             return None if values is None else values[index]
 
-        optional = {name: pick(getattr(self, name)) for name in _OPTIONAL_OF_FRAMES}
+        optional = {name: pick(getattr(self, name)) for name in FRAME_FIELDS}
         return replace(
             self,
             amplitude=self.amplitude[index],

@@ -32,6 +32,7 @@ from lensshift.io.container_writer import (
     Allocated,
     Variable,
     flag_attributes,
+    measured,
     pixel_centres,
     sealed_text,
     to_json,
@@ -72,11 +73,7 @@ def save_burst(burst: Burst, path: str | Path) -> None:
     except DataError as error:
         raise error.in_file(path) from error
     write_container(
-        path,
-        schema=SCHEMA,
-        axes=_AXES,
-        variables=_variables(burst),
-        attributes=attributes,
+        path, schema=SCHEMA, axes=_AXES, variables=_variables(burst), attributes=attributes
     )
 
 
@@ -102,11 +99,8 @@ def load_burst(path: str | Path) -> Burst:
     if is_capture(path):
         return burst_of_capture(*read_capture(path), Path(path))
     with open_container(path, SCHEMA) as container:
-        raw = {
-            name.removeprefix(_RAW): container.array(name)
-            for name in container.names()
-            if name.startswith(_RAW)
-        }
+        own = [name for name in container.names() if name.startswith(_RAW)]
+        raw = {name.removeprefix(_RAW): container.array(name) for name in own}
         return _burst(container, (), raw=raw)
 
 
@@ -241,22 +235,22 @@ def _burst(
 
 def _variables(burst: Burst) -> dict[str, Variable]:
     label = "complex phasor" if np.iscomplexobj(burst.amplitude) else "modulation amplitude"
-    variables = {"amplitude": Variable(_AXES, burst.amplitude, {"units": "1", "long_name": label})}
+    variables = {"amplitude": measured(_AXES, burst.amplitude, "1", label)}
     if burst.distance_m is not None:
-        described = {"units": "m", "long_name": "distance", "comment": "radial, camera frame"}
-        variables["distance"] = Variable(_AXES, burst.distance_m, described)
+        of = {"comment": "radial, camera frame"}
+        variables["distance"] = measured(_AXES, burst.distance_m, "m", "distance", **of)
     if burst.phasors is not None:
-        described = {"units": "1", "long_name": "phasor of each modulation frequency"}
-        variables["phasors"] = Variable(("frequency", *_AXES), burst.phasors, described)
-    variables["flags"] = Variable(_AXES, _flags(burst), flag_attributes("invalid"))
+        label = "phasor of each modulation frequency"
+        variables["phasors"] = measured(("frequency", *_AXES), burst.phasors, "1", label)
+    invalid = np.zeros(burst.amplitude.shape) if burst.valid is None else ~burst.valid
+    variables["flags"] = Variable(_AXES, invalid.astype(np.uint8), flag_attributes("invalid"))
     for field, (name, units, label) in _PAIRS.items():
         pairs = getattr(burst, field)
         for index, axis in enumerate(("row", "col") if pairs is not None else ()):
-            described = {"units": units, "long_name": f"{label}, along {axis}s"}
-            variables[f"{name}_{axis}"] = Variable(("frame",), pairs[:, index], described)
+            along = f"{label}, along {axis}s"
+            variables[f"{name}_{axis}"] = measured(("frame",), pairs[:, index], units, along)
     if burst.time_s is not None:
-        described = {"units": "s", "long_name": "time of the frame"}
-        variables["time"] = Variable(("frame",), burst.time_s, described)
+        variables["time"] = measured(("frame",), burst.time_s, "s", "time of the frame")
     for name, values in burst.raw.items():
         variables[f"{_RAW}{name}"] = Variable(_raw_axes(burst, name, values), values)
     variables |= intrinsics_variables(burst.intrinsics)
@@ -271,12 +265,6 @@ def _raw_axes(burst: Burst, name: str, values: NDArray[Any]) -> tuple[str, ...]:
     if values.shape == burst.amplitude.shape:
         return _AXES
     return ("frame", *(f"{name}_{axis}" for axis in range(1, values.ndim)))
-
-
-def _flags(burst: Burst) -> NDArray[np.uint8]:
-    if burst.valid is None:
-        return np.zeros(burst.amplitude.shape, dtype=np.uint8)
-    return np.where(burst.valid, np.uint8(0), _INVALID)
 
 
 def _frequencies(burst: Burst) -> Any:

@@ -26,7 +26,7 @@ import numpy as np
 from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.core.settings import parse_json
-from lensshift.core.types import Burst
+from lensshift.core.types import FRAME_FIELDS, Burst
 from lensshift.io.atomic import writable_target
 from lensshift.io.container_writer import to_json
 from lensshift.io.reading import reading, require_file, unpacked_bytes
@@ -36,10 +36,6 @@ _HEAD = struct.Struct("<8sQI")
 _LARGEST = 1 << 31  # bytes of a record: more is damage
 _SCHEMA = "lensshift-capture/1"
 _RAW = "raw_"
-_STACKED = (
-    "distance_m", "valid", "offset_px", "time_s", "offset_sigma_px", "stage_mm",
-    "stage_commanded_mm",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -266,7 +262,7 @@ def burst_of_capture(
     names = set.intersection(*(set(one) for one in each))
     try:
         stacked = {name: np.stack([one[name] for one in each]) for name in names}
-        known = {name: stacked.get(name) for name in _STACKED}
+        known = {name: stacked.get(name) for name in ("offset_px", *FRAME_FIELDS)}
         return Burst.from_arrays(
             stacked["amplitude"],
             pitch_mm=header["pitch_mm"],

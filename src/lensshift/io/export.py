@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.intrinsics import points_m
-from lensshift.core.types import Burst, Estimate, Reconstruction
+from lensshift.core.types import FRAME_FIELDS, Burst, Estimate, Reconstruction
 from lensshift.io.atomic import written_whole
 from lensshift.io.container_writer import to_json
 from lensshift.io.image_file import TIFF_SUFFIXES
@@ -18,17 +18,7 @@ from lensshift.io.intrinsics_fields import intrinsics_fields
 from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
 from lensshift.io.tiff_scale import SOFTWARE
 
-_BURST_ARRAYS = (
-    "amplitude",
-    "distance_m",
-    "valid",
-    "offset_px",
-    "offset_sigma_px",
-    "stage_mm",
-    "stage_commanded_mm",
-    "time_s",
-    "modulation_hz",
-)
+_BURST_ARRAYS = ("amplitude", "offset_px", "modulation_hz", *FRAME_FIELDS)
 
 
 def export_image(

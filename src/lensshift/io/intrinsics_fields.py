@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.intrinsics import Intrinsics, Pinhole, PixelDirections
-from lensshift.io.container_writer import Variable
+from lensshift.io.container_writer import Variable, measured
 
 _COUNTS = {"focal_px": 2, "centre_px": 2, "distortion": 5}
 NAMES = (*_COUNTS, "direction")
@@ -36,8 +36,8 @@ def intrinsics_variables(intrinsics: Intrinsics | None) -> dict[str, Variable]:
     """Return the variables of a container: directions of pixels, if there are any."""
     if not isinstance(intrinsics, PixelDirections):
         return {}
-    described = {"units": "1", "long_name": "direction of the pixel: right, down, forward"}
-    return {"direction": Variable(("row", "col", "xyz"), intrinsics.direction, described)}
+    dims, meaning = ("row", "col", "xyz"), "direction of the pixel: right, down, forward"
+    return {"direction": measured(dims, intrinsics.direction, "1", meaning)}
 
 
 def intrinsics_attributes(intrinsics: Intrinsics | None) -> dict[str, NDArray[np.float64]]:

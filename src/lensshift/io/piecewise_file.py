@@ -20,7 +20,7 @@ from lensshift.core.errors import DataError
 from lensshift.io.atomic import writable_target
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import Allocated, Variable, sealed_text, write_hdf5
+from lensshift.io.container_writer import Allocated, Variable, measured, sealed_text, write_hdf5
 
 WRITTEN = "written"
 
@@ -74,9 +74,9 @@ class PiecewiseFile:
         target = writable_target(path)
         part = target.with_name(f"{target.name}.part")
         first = next(iter(variables.values()))
-        said = {"units": "1", "long_name": "1 where the piece was written"}
         space = Allocated((first.values.shape[0],), np.dtype("<u1"))
-        variables = {**variables, WRITTEN: Variable((first.dims[0],), space, said)}
+        written = measured((first.dims[0],), space, "1", "1 where the piece was written")
+        variables = {**variables, WRITTEN: written}
         spaces = {k: v.values for k, v in variables.items() if isinstance(v.values, Allocated)}
         if not part.exists():
             _check_room(target, spaces)
@@ -90,14 +90,14 @@ class PiecewiseFile:
                 )
                 raise DataError(problem, source=path)
             starts = {name: container.start_of(name) for name in spaces}
-            written = container.array(WRITTEN) != 0
+            there = container.array(WRITTEN) != 0
         file = part.open("r+b", buffering=0)
         try:
             lock(file, part)
         except DataError:
             file.close()
             raise
-        return cls(target, part, file, starts, spaces, written)
+        return cls(target, part, file, starts, spaces, there)
 
     def write(self, first: int, pieces: Mapping[str, NDArray[Any]]) -> None:
         """Write consecutive pieces of all arrays; they count once all of them are there.

@@ -66,9 +66,7 @@ def read_packets(file: BinaryIO, name: str) -> Iterator[Packet]:
             yield packet
     except _CutOffError:
         warnings.warn(
-            f"{name}: the file is cut off after {count} packets",
-            QualityWarning,
-            stacklevel=3,
+            f"{name}: the file is cut off after {count} packets", QualityWarning, stacklevel=3
         )
 
 

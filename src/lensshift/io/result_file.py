@@ -32,6 +32,7 @@ from lensshift.io.container_reader import Container, open_container
 from lensshift.io.container_writer import (
     Variable,
     flag_attributes,
+    measured,
     pixel_centres,
     sealed_text,
     to_json,
@@ -45,7 +46,7 @@ from lensshift.io.intrinsics_fields import (
 )
 
 SCHEMA = "lensshift-reconstruction/1"
-_AXES = ("row", "col")
+_AXES, _LR_AXES = ("row", "col"), ("frame", "lr_row", "lr_col")
 # Channel -> unit, what it is
 CHANNELS = {"amplitude": ("1", "amplitude"), "distance": ("m", "radial distance, camera frame")}
 _FLYING = np.uint8(1)
@@ -151,8 +152,6 @@ def _channel_variables(name: str, estimate: Estimate) -> dict[str, Variable]:
 
     units, label = CHANNELS[name]
     described: dict[str, Any] = {
-        "units": units,
-        "long_name": label,
         "status": sealed_text(estimate.status.name.lower()),
         "notes": sealed_text(to_json(estimate.notes, f"{name}@notes")),
     }
@@ -160,27 +159,21 @@ def _channel_variables(name: str, estimate: Estimate) -> dict[str, Variable]:
         value = getattr(estimate, number)
         described[number] = None if value is None else np.float64(value)
     described |= phase_attributes(estimate)
-    variables = {name: Variable(_AXES, np.asarray(estimate.image), described)}
+    variables = {name: measured(_AXES, estimate.image, units, label, **described)}
     maps = {
         "std": (estimate.std, units, f"standard deviation of {label}"),
         "misfit": (estimate.misfit, "1", f"mean square residual of {label} in units of its noise"),
     }
     for part, (values, unit, meaning) in maps.items():
         if values is not None:
-            described = {"units": unit, "long_name": meaning}
-            variables[f"{name}_{part}"] = Variable(_AXES, np.asarray(values), described)
+            variables[f"{name}_{part}"] = measured(_AXES, values, unit, meaning)
     if estimate.confidence is not None:
-        variables[f"{name}_confidence"] = Variable(
-            ("frame", "lr_row", "lr_col"),
-            np.asarray(estimate.confidence),
-            {"units": "1", "long_name": f"weight of the LR pixels of {label}"},
-        )
+        meaning = f"weight of the LR pixels of {label}"
+        variables[f"{name}_confidence"] = measured(_LR_AXES, estimate.confidence, "1", meaning)
     if estimate.objective:
-        variables[f"{name}_objective"] = Variable(
-            (f"{name}_iteration",),
-            np.asarray(estimate.objective, dtype=np.float64),
-            {"units": "1", "long_name": f"objective of {label} after each iteration"},
-        )
+        steps, meaning = (f"{name}_iteration",), f"objective of {label} after each iteration"
+        objective = np.asarray(estimate.objective, dtype=np.float64)
+        variables[f"{name}_objective"] = measured(steps, objective, "1", meaning)
     return variables
 
 
