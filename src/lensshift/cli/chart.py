@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lensshift.cli.inputs import parse_pitch_mm, refuse_overwriting
-from lensshift.cli.measured import (
+from lensshift.cli import outputs
+from lensshift.cli.images import (
     FocalOption,
     ImageOptions,
     Measured,
@@ -19,10 +19,8 @@ from lensshift.cli.measured import (
     frequency_unit,
     interval_row,
     measured_photograph,
-    parse_numbers,
-    write_plot,
-    write_table,
 )
+from lensshift.cli.inputs import parse_numbers, parse_pitch_mm, refuse_overwriting
 from lensshift.cli.mtf import EdgeOptions
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb
@@ -64,8 +62,8 @@ def chart(current: Session, asked: ChartOptions) -> None:
     """
     from lensshift.evaluation.chart_series import focus_series, measure_chart
 
-    outputs = [path for path in (asked.report, asked.csv) if path is not None]
-    refuse_overwriting([*asked.images, asked.photo.oecf], outputs)
+    written = [path for path in (asked.report, asked.csv) if path is not None]
+    refuse_overwriting([*asked.images, asked.photo.oecf], written)
     pictures, pitch = _pictures(asked)
     unit = frequency_unit(pitch, asked.focal_length_mm)
     with closing(Progress("measuring edges")) as progress:
@@ -111,17 +109,17 @@ def _pictures(asked: ChartOptions) -> tuple[list[Photograph], Measured]:
     """Return the photographs, and the first as it was read, with the pitch of all."""
     from lensshift.evaluation.chart_series import Photograph
 
-    images, focus, count = asked.images, asked.focus, len(asked.images)
+    paths, focus, count = asked.images, asked.focus, len(asked.images)
     expected = f"a focus for each of {count} photographs, as 0,10,20"
     places = range(count) if focus is None else parse_numbers(focus, count, expected)
     if asked.pitch_mm is not None:
         parse_pitch_mm(asked.pitch_mm)
-    read = [measured_photograph(ImageOptions(one, asked.pitch_mm), asked.photo) for one in images]
+    read = [measured_photograph(ImageOptions(one, asked.pitch_mm), asked.photo) for one in paths]
     if len({one.pitch_mm for one in read}) > 1:
         raise ValueError("expected photographs with one pitch, got several")
-    names = [path.name for path in images]
+    names = [path.name for path in paths]
     if len(set(names)) < len(names):
-        names = [str(path) for path in images]
+        names = [str(path) for path in paths]
     pictures = [
         Photograph(name, one.values, float(place), one.offset_px)
         for name, one, place in zip(names, read, places, strict=True)
@@ -200,7 +198,7 @@ def _write_rows(
     for name in rows[0]:
         shown = f"{name}_{suffix}" if name.partition("_")[0] in told else name
         columns[shown] = [row[name] for row in rows]
-    write_table(current, csv, columns)
+    outputs.write_table(current, csv, columns)
 
 
 def _annotated(
@@ -218,4 +216,4 @@ def _annotated(
     for one in pictures:
         here = [edge for edge in edges if edge.image == one.name]
         name = folder / f"{Path(one.name).stem}_edges.png"
-        write_plot(current, name, "chart.annotated_figure", one.first, here, unit.name)
+        outputs.write_plot(current, name, "chart.annotated_figure", one.first, here, unit.name)

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli.measured import (
+from lensshift.cli import outputs
+from lensshift.cli.images import (
     Measured,
-    Outputs,
     PitchOption,
-    check_outputs,
+    measured_frames,
     measured_image,
     parse_region,
     slices_of,
-    write_plot,
-    write_table,
 )
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
@@ -55,7 +53,7 @@ class DepthOptions:
     frame: int = option(0, "Frame of IMAGE, if it holds several.", min=0)
     key: str | None = option(None, "Array of an NPZ file; distance for burst and reconstruction.")
     truth_key: str | None = option(None, "The same for TRUTH.")
-    to: Outputs = field(default_factory=Outputs)
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring distances")
@@ -70,7 +68,7 @@ def depth(current: Session, asked: DepthOptions) -> None:
     """
     image, truth = asked.image, asked.truth
     place = parse_region(asked.plane)
-    check_outputs([image, truth], asked.to.csv, asked.to.plot)
+    outputs.check([image, truth], asked.to.csv, asked.to.plot)
     measured = _distance_image(image, asked.pitch_mm, asked.key, asked.frame)
     options: dict[str, Any] = {
         "scale": asked.scale or measured.scale, "noise_m": asked.noise_m,
@@ -91,9 +89,13 @@ def depth(current: Session, asked: DepthOptions) -> None:
         _noise(current, image)
     told = current.result.items()
     numbers = {k: v for k, v in told if isinstance(v, int | float) and not isinstance(v, bool)}
-    write_table(current, asked.to.csv, {"name": list(numbers), "value": list(numbers.values())})
+    outputs.write_table(
+        current, asked.to.csv, {"name": list(numbers), "value": list(numbers.values())}
+    )
     seen: dict[str, Any] = {"valid": measured.valid, **options}
-    write_plot(current, asked.to.plot, "depth.depth_figure", measured.values, true_m, **seen)
+    outputs.write_plot(
+        current, asked.to.plot, "depth.depth_figure", measured.values, true_m, **seen
+    )
 
 
 def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: int) -> Measured:
@@ -187,7 +189,6 @@ def _plane(
 
 
 def _noise(current: Session, path: Path) -> None:
-    from lensshift.cli.measured import measured_frames
     from lensshift.evaluation.noise import temporal_noise
 
     frames = measured_frames(path, key=_SOURCE)

@@ -10,7 +10,7 @@ from lensshift.cli.chart import chart
 from lensshift.cli.depth import depth
 from lensshift.cli.gain import gain
 from lensshift.cli.gradient import gradient
-from lensshift.cli.inputs import load_input_image
+from lensshift.cli.images import measured_image
 from lensshift.cli.mtf import mtf
 from lensshift.cli.session import Session
 from lensshift.cli.star import frc, resolution, star, zone
@@ -59,8 +59,8 @@ def fidelity(current: Session, asked: FidelityOptions) -> None:
     from lensshift.evaluation import fidelity as measure
 
     peak = asked.peak
-    values = load_input_image(asked.image, key=asked.key, frame=asked.frame)
-    truth = load_input_image(asked.truth, key=asked.truth_key)
+    values = measured_image(asked.image, None, key=asked.key, frame=asked.frame).values
+    truth = measured_image(asked.truth, None, key=asked.truth_key).values
     if truth.dtype.kind in "ui" and truth.max() > peak:
         told = f"the truth has integers up to {truth.max()} but white is {peak:g}; set --peak"
         warnings.warn(told, QualityWarning, stacklevel=1)

@@ -1,4 +1,4 @@
-"""`lensshift evaluate gain`: how much finer one image of a target is than another."""
+"""`lensshift evaluate gain`: how much images.finer one image of a target is than another."""
 
 from __future__ import annotations
 
@@ -6,19 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensshift.cli.measured import (
-    KeyOption,
-    Outputs,
-    Unit,
-    check_outputs,
-    finer,
-    measured_frames,
-    measured_image,
-    parse_region,
-    scaled,
-    write_plot,
-    write_table,
-)
+from lensshift.cli import images, outputs
 from lensshift.cli.mtf import edge_row, edges_of
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
@@ -35,14 +23,14 @@ _RATIOS = (("mtf50", "MTF50"), ("mtf10", "MTF10"), ("width", "10-90 width"))
 class GainOptions:
     """Options of `lensshift evaluate gain`."""
 
-    fine: Path = argument("The finer image, such as a reconstruction.")
+    fine: Path = argument("The images.finer image, such as a reconstruction.")
     coarse: Path = argument("The coarser image, such as a burst file.")
     pitch_mm: str | None = option(None, "Pixel pitch of COARSE, if it is a plain image.")
     region: str | None = option(None, "Region in pixels of COARSE: row start,stop,col start,stop.")
     joint: bool = option(False, "Measure all frames of COARSE jointly.")
     frame: int = option(0, "Frame of COARSE, if it holds several.", min=0)
-    key: KeyOption = None
-    to: Outputs = field(default_factory=Outputs)
+    key: images.KeyOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring edges")
@@ -60,15 +48,15 @@ def gain(current: Session, asked: GainOptions) -> None:
     from lensshift.evaluation.gain import average_gain, pair_edges, resolution_gain
 
     fine, coarse, key = asked.fine, asked.coarse, asked.key
-    place = parse_region(asked.region)
-    check_outputs([fine, coarse], asked.to.csv, asked.to.plot)
+    place = images.parse_region(asked.region)
+    outputs.check([fine, coarse], asked.to.csv, asked.to.plot)
     below = (
-        measured_frames(coarse, key=key)
+        images.measured_frames(coarse, key=key)
         if asked.joint
-        else measured_image(coarse, asked.pitch_mm, key=key, frame=asked.frame)
+        else images.measured_image(coarse, asked.pitch_mm, key=key, frame=asked.frame)
     )
-    above, scale = finer(measured_image(fine, None, key=key), below)
-    pairs = pair_edges(edges_of(above, scaled(place, scale)), edges_of(below, place), scale)
+    above, scale = images.finer(images.measured_image(fine, None, key=key), below)
+    pairs = pair_edges(edges_of(above, images.scaled(place, scale)), edges_of(below, place), scale)
     if not pairs:
         raise ValueError("expected an edge that both images show, got none; give --region")
     gains = [resolution_gain(first, second) for first, second in pairs]
@@ -79,15 +67,17 @@ def gain(current: Session, asked: GainOptions) -> None:
     if len(gains) > 1:
         current.say(f"mean of {len(gains)} edges")
         _say(current, mean)
-    unit = Unit("LP/mm" if below.has_pitch else "cycles/px")
+    unit = images.Unit("LP/mm" if below.has_pitch else "cycles/px")
     current.result |= {"fine": fine, "coarse": coarse, "scale": scale, "unit": unit.name}
     edges = [
         {"gain": asdict(one), "fine": edge_row(first, unit), "coarse": edge_row(second, unit)}
         for (first, second), one in zip(pairs, gains, strict=True)
     ]
     current.result |= {"gain": asdict(mean), "edges": edges}
-    write_table(current, asked.to.csv, _table(gains))
-    write_plot(current, asked.to.plot, "edges.gain_figure", *pairs[0], gains[0], unit=unit.name)
+    outputs.write_table(current, asked.to.csv, _table(gains))
+    outputs.write_plot(
+        current, asked.to.plot, "edges.gain_figure", *pairs[0], gains[0], unit=unit.name
+    )
 
 
 def _say(current: Session, found: ResolutionGain) -> None:

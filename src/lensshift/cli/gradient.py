@@ -6,21 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lensshift.cli.measured import (
-    ImageOptions,
-    Measured,
-    Outputs,
-    RegionOption,
-    check_outputs,
-    finer,
-    measured_image,
-    measured_of,
-    parse_region,
-    scaled,
-    slices_of,
-    write_plot,
-    write_table,
-)
+from lensshift.cli import images, outputs
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import option, verb
 
@@ -37,9 +23,9 @@ _DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
 class GradientOptions:
     """Options of `lensshift evaluate gradient`."""
 
-    of: ImageOptions
+    of: images.ImageOptions
     against: Path | None = option(None, "A coarser image of the same scene; gives the ratio.")
-    region: RegionOption = None
+    region: images.RegionOption = None
     line: int | None = option(None, "One line of the region; all of them if not.", min=0)
     along: Literal["col", "row"] = option(
         "col", "Axis of the lines: col crosses an upright edge, row a level one."
@@ -53,7 +39,7 @@ class GradientOptions:
     plateaus: Literal["median", "extremes"] = option(
         "median", "Medians beside the edge, or the extremes as the paper takes."
     )
-    to: Outputs = field(default_factory=Outputs)
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring gradients")
@@ -72,11 +58,11 @@ def gradient(current: Session, asked: GradientOptions) -> None:
     from lensshift.evaluation.edge_gradient import edge_gradient
 
     against, key = asked.against, asked.of.key
-    place = parse_region(asked.region)
-    check_outputs([asked.of.image, against], asked.to.csv, asked.to.plot)
-    fine = measured_of(replace(asked.of, pitch_mm=None) if against else asked.of)
-    coarse = None if against is None else measured_image(against, asked.of.pitch_mm, key=key)
-    fine, scale = (fine, 1) if coarse is None else finer(fine, coarse)
+    place = images.parse_region(asked.region)
+    outputs.check([asked.of.image, against], asked.to.csv, asked.to.plot)
+    fine = images.measured_of(replace(asked.of, pitch_mm=None) if against else asked.of)
+    coarse = None if against is None else images.measured_image(against, asked.of.pitch_mm, key=key)
+    fine, scale = (fine, 1) if coarse is None else images.finer(fine, coarse)
     cut = asked.share or (_DISTANCE_SHARE if key == "distance" else _SHARE)
     options: dict[str, Any] = {"share": cut, "limits": asked.limits, "plateaus": asked.plateaus}
     lines, step_mm = _lines(fine, place, asked, scale)
@@ -89,18 +75,23 @@ def gradient(current: Session, asked: GradientOptions) -> None:
         _compare(current, found, edge_gradient(coarse_lines, step_mm=coarse_mm, **options))
     columns = {"line": list(range(len(found.lines))), "slope": found.slope_per_mm}
     columns |= {"normalised": found.normalised_per_mm, "width": found.width_mm}
-    write_table(current, asked.to.csv, columns)
+    outputs.write_table(current, asked.to.csv, columns)
     told = {"step_mm": step_mm, "length": fine.length}
-    write_plot(current, asked.to.plot, "gradient.gradient_figure", found, lines, **told)
+    outputs.write_plot(current, asked.to.plot, "gradient.gradient_figure", found, lines, **told)
 
 
 def _lines(
-    measured: Measured, region: tuple[int, int, int, int] | None, asked: GradientOptions, scale: int
+    measured: images.Measured,
+    region: tuple[int, int, int, int] | None,
+    asked: GradientOptions,
+    scale: int,
 ) -> tuple[NDArray[Any], float]:
     """Return the lines [line n] and the distance of their samples."""
     import numpy as np
 
-    part = np.asarray(measured.values[slices_of(scaled(region, scale), measured.values.shape)])
+    part = np.asarray(
+        measured.values[images.slices_of(images.scaled(region, scale), measured.values.shape)]
+    )
     upright, line = asked.along == "col", asked.line
     lines = part if upright else part.T
     if line is not None:

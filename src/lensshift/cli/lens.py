@@ -6,32 +6,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from lensshift.cli import optics, outputs
 from lensshift.cli.lens_design import budget, check_out, optimise, tolerance, write_lens
 from lensshift.cli.lens_field import field as lens_field
 from lensshift.cli.lens_refine import refine
 from lensshift.cli.lens_report import report
-from lensshift.cli.measured import (
-    CsvOption,
-    Outputs,
-    PlotOption,
-    check_outputs,
-    write_plot,
-    write_table,
-)
-from lensshift.cli.optics import (
-    SHIFT_PX,
-    BandOption,
-    LensOptions,
-    MoveOptions,
-    band_of,
-    diagonal_mm,
-    element_of,
-    lens_figures,
-    opened,
-    parse_fields_tan,
-    read_lens,
-    spread_fields_tan,
-)
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb, verb_group
 
@@ -66,12 +45,12 @@ def group() -> None:
 class ShowOptions:
     """Options of `lensshift lens show`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.LensOptions
+    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
     figure: Literal["layout", "spots", "distortion", "fans", "psf", "field"] = option(
         "layout", "What --plot draws."
     )
-    plot: PlotOption = None
+    plot: outputs.PlotOption = None
 
 
 @lens_verbs.command()
@@ -87,10 +66,10 @@ def show(current: Session, asked: ShowOptions) -> None:
     """
     from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
 
-    check_outputs([], plot=asked.plot)
-    model, grid = opened(asked.of)
+    outputs.check([], plot=asked.plot)
+    model, grid = optics.opened(asked.of)
     element, shift_px = asked.move.element, asked.move.shift_px
-    moved = element_of(model, element)
+    moved = optics.element_of(model, element)
     data = paraxial(model)
     gains = decenter_gains(model)
     current.say(
@@ -113,35 +92,35 @@ def show(current: Session, asked: ShowOptions) -> None:
         unit = " mm" if name.endswith("_mm") else ""
         label = name.removesuffix("_mm").replace("_", " ")
         current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
-    travel_mm = diagonal_mm(model, moved, shift_px, grid)
+    travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
     current.say(
         f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
         f"along columns, {1e3 * travel_mm[0]:.2f} um along rows"
     )
     current.result |= {"lens": model.name or asked.of.lens, "elements": rows, **asdict(data)}
     current.result |= {"element": element, "shift_px": shift_px, "travel_mm": travel_mm}
-    fields_tan = spread_fields_tan(model, grid, (0.0, 0.5, 1.0))
-    name, of, options = lens_figures(model, moved, travel_mm, grid, fields_tan)[asked.figure]
-    write_plot(current, asked.plot, name, *of, **options)
+    fields_tan = optics.spread_fields_tan(model, grid, (0.0, 0.5, 1.0))
+    name, of, options = optics.lens_figures(model, moved, travel_mm, grid, fields_tan)[asked.figure]
+    outputs.write_plot(current, asked.plot, name, *of, **options)
 
 
 @dataclass(frozen=True, slots=True)
 class MtfOptions:
     """Options of `lensshift lens mtf`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.LensOptions
+    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
     field_deg: list[str] | None = option(
         None, "Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."
     )
     highest_lpmm: float | None = option(
         None, "End of the curves; 2.5 times LR Nyquist if not.", min=0.1
     )
-    band_nm: BandOption = 0.0
+    band_nm: optics.BandOption = 0.0
     fast: bool = option(False, "Geometric times diffraction MTF instead of the exact one.")
-    csv: CsvOption = None
+    csv: outputs.CsvOption = None
     figure: Literal["curves", "field", "focus", "sections"] = option("curves", "What --plot draws.")
-    plot: PlotOption = None
+    plot: outputs.PlotOption = None
 
 
 @lens_verbs.command()
@@ -163,12 +142,12 @@ def mtf(current: Session, asked: MtfOptions) -> None:
 
     from lensshift.optics.mtf import diffraction_limit
 
-    check_outputs([], asked.csv, asked.plot)
-    model, grid = opened(asked.of)
-    moved = element_of(model, asked.move.element)
-    fields_tan = parse_fields_tan(asked.field_deg)
-    travel_mm = diagonal_mm(model, moved, asked.move.shift_px, grid)
-    band = band_of(model, asked.band_nm)
+    outputs.check([], asked.csv, asked.plot)
+    model, grid = optics.opened(asked.of)
+    moved = optics.element_of(model, asked.move.element)
+    fields_tan = optics.parse_fields_tan(asked.field_deg)
+    travel_mm = optics.diagonal_mm(model, moved, asked.move.shift_px, grid)
+    band = optics.band_of(model, asked.band_nm)
     nyquist_lpmm = 0.5 / max(grid.pitch_mm)
     highest = asked.highest_lpmm or _CURVES_NYQUIST * nyquist_lpmm
     frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
@@ -183,10 +162,12 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     current.result |= {"travel_mm": travel_mm, "frequency_lpmm": frequency}
     current.result |= {"mtf": curves, "diffraction_limit": limit}
     columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit}
-    write_table(current, asked.csv, {name.replace(",", ";"): row for name, row in columns.items()})
-    figures = lens_figures(model, moved, travel_mm, grid, fields_tan, highest_lpmm=highest)
+    outputs.write_table(
+        current, asked.csv, {name.replace(",", ";"): row for name, row in columns.items()}
+    )
+    figures = optics.lens_figures(model, moved, travel_mm, grid, fields_tan, highest_lpmm=highest)
     drawn, of, options = figures["map" if asked.figure == "field" else asked.figure]
-    write_plot(current, asked.plot, drawn, *of, **options)
+    outputs.write_plot(current, asked.plot, drawn, *of, **options)
 
 
 def _curves(
@@ -227,9 +208,9 @@ def _curves(
 class WhichOptions:
     """Options of `lensshift lens which`."""
 
-    of: LensOptions
-    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
-    to: Outputs = field(default_factory=Outputs)
+    of: optics.LensOptions
+    shift_px: float = option(optics.SHIFT_PX, "Shift of the image along both axes, in pixels.")
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @lens_verbs.command()
@@ -248,14 +229,16 @@ def which(current: Session, asked: WhichOptions) -> None:
     from lensshift.optics.movers import which_mover
     from lensshift.optics.which import format_movers
 
-    check_outputs([], asked.to.csv, asked.to.plot)
-    model, grid = opened(asked.of)
+    outputs.check([], asked.to.csv, asked.to.plot)
+    model, grid = optics.opened(asked.of)
     movers = which_mover(model, grid, shift_px=asked.shift_px)
     current.say(format_movers(movers))
     rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
     current.result |= {"lens": model.name or asked.of.lens, "movers": rows}
-    write_table(current, asked.to.csv, {name: [row[name] for row in rows] for name in rows[0]})
-    write_plot(current, asked.to.plot, "lenses.which_figure", movers)
+    outputs.write_table(
+        current, asked.to.csv, {name: [row[name] for row in rows] for name in rows[0]}
+    )
+    outputs.write_plot(current, asked.to.plot, "lenses.which_figure", movers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +268,7 @@ def convert(current: Session, asked: ConvertOptions) -> None:
     check_out(target, Path(source))
     for catalogue in asked.glass_catalogue or []:
         load_glass_catalogue(catalogue)
-    model = read_lens(source)
+    model = optics.read_lens(source)
     write_lens(model, target)
     current.result |= {"source": source, "target": target, "elements": len(model.elements)}
     current.say(f"wrote {target}: {len(model.elements)} elements")

@@ -10,25 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from lensshift.cli.measured import (
-    Outputs,
-    PlotOption,
-    check_outputs,
-    parse_numbers,
-    write_plot,
-    write_table,
-)
-from lensshift.cli.optics import (
-    SHIFT_PX,
-    BandOption,
-    LensOptions,
-    MoveOptions,
-    SensorOptions,
-    element_of,
-    opened,
-    read_lens,
-    sensor_grid,
-)
+from lensshift.cli import optics, outputs
+from lensshift.cli.inputs import parse_numbers
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb
 
@@ -55,16 +38,16 @@ class OptimiseOptions:
     stop_mm: float = option(20.0, "Diameter of the stop.")
     back_focal_mm: float = option(2.0, "Least distance from the last vertex to sensor.")
     element: int | None = option(None, "The element that moves, from 1; each if not given.", min=1)
-    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
+    shift_px: float = option(optics.SHIFT_PX, "Shift of the image along both axes, in pixels.")
     shift_error_px: float = option(0.01, "Largest error of the shift over the sensor.")
     mtf: float = option(0.9, "Wanted at the corner, centred and moved.")
     wavelength_nm: float = option(850.0, "Of the light.")
-    band_nm: BandOption = 0.0
+    band_nm: optics.BandOption = 0.0
     temperature_c: float = option(20.0, "Of glass and air.")
     cover: str = option("", "A plate before the sensor: glass, its mm, mm of air: N-BK7,1,0.5.")
     stop_behind: int = option(0, "Elements in front of the stop.", min=0)
     stop_at_mm: float = option(0.0, "The stop behind the vertex in front of it.")
-    sensor: SensorOptions = field(default_factory=SensorOptions)
+    sensor: optics.SensorOptions = field(default_factory=optics.SensorOptions)
     keep: int = option(8, "Trains that are optimised after a first look.", min=1)
     goal: Literal["mtf", "picture"] = option("mtf", "What designs are ranked by.")
     actuator_um: float = option(1.0, "Standard deviation of where the element stops.", min=0.0)
@@ -98,7 +81,7 @@ def optimise(current: Session, asked: OptimiseOptions) -> None:
     check_out(asked.out)
     plate, air_mm = _cover(asked.cover)
     wanted = Goal(
-        sensor_grid(asked.sensor), asked.focal_length_mm, asked.object_mm,
+        optics.sensor_grid(asked.sensor), asked.focal_length_mm, asked.object_mm,
         Stop(asked.stop_mm, asked.stop_at_mm), asked.back_focal_mm, shift_px=asked.shift_px,
         shift_error_px=asked.shift_error_px, mtf=asked.mtf, wavelength_nm=asked.wavelength_nm,
         temperature_c=asked.temperature_c, stop_behind=asked.stop_behind,
@@ -156,7 +139,7 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
     from lensshift.optics.design import optimise_gaps
     from lensshift.optics.stock import search_stock
 
-    stock = [[read_lens(name.strip()) for name in place.split(",")] for place in places]
+    stock = [[optics.read_lens(name.strip()) for name in place.split(",")] for place in places]
     if element is not None and element > len(stock):
         raise typer.BadParameter(f"expected an element from 1 to {len(stock)}, got {element}")
     with closing(Progress("optimising")) as progress:
@@ -173,7 +156,7 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
 
 def check_out(out: Path | None, *sources: Path) -> None:
     """Complain before the work about a lens that cannot be written."""
-    check_outputs(list(sources), out)
+    outputs.check(list(sources), out)
     if out is not None and out.suffix.lower() not in (".toml", ".zmx"):
         raise typer.BadParameter(f"expected {out} to end in .toml or .zmx")
 
@@ -198,8 +181,8 @@ def _row(design: Design) -> dict[str, Any]:
 class ToleranceOptions:
     """Options of `lensshift lens tolerance`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.LensOptions
+    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
     builds: int = option(1000, "Random builds.", min=1)
     limit: float = option(0.9, "MTF that a good build keeps.")
     decenter_mm: float = option(0.05, "Of each element.", min=0.0)
@@ -208,7 +191,7 @@ class ToleranceOptions:
     focal_share: float = option(0.01, "Of the focal length of each element.", min=0.0)
     index: float = option(0.0005, "Of each refractive index.", min=0.0)
     seed: int = option(0, "Seed of the random numbers.", min=0)
-    to: Outputs = field(default_factory=Outputs)
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb()
@@ -229,10 +212,10 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         tolerance_analysis,
     )
 
-    check_outputs([], asked.to.csv, asked.to.plot)
-    model, grid = opened(asked.of)
+    outputs.check([], asked.to.csv, asked.to.plot)
+    model, grid = optics.opened(asked.of)
     shift_px, builds = asked.move.shift_px, asked.builds
-    moved = element_of(model, asked.move.element)
+    moved = optics.element_of(model, asked.move.element)
     limits = Tolerances(
         asked.decenter_mm, math.radians(asked.tilt_deg), asked.gap_mm, asked.focal_share,
         asked.index,
@@ -249,8 +232,8 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
     current.result["sensitivity"] = [asdict(row) | {"element": row.element + 1} for row in table]
     columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
     columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
-    write_table(current, asked.to.csv, columns)
-    write_plot(
+    outputs.write_table(current, asked.to.csv, columns)
+    outputs.write_plot(
         current, asked.to.plot, "lens_build.tolerance_figure", found, asked.limit, table=table
     )
 
@@ -276,14 +259,14 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
 class BudgetOptions:
     """Options of `lensshift lens budget`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.LensOptions
+    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
     repeatability_um: float = option(0.0, "Standard deviation of where it stops.", min=0.0)
     backlash_um: float = option(0.0, "Between approaches from the two sides.", min=0.0)
     encoder_um: float = option(0.0, "One step of the encoder.", min=0.0)
     drift_um: float = option(0.0, "From the first frame of a burst to the last.", min=0.0)
     noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
-    plot: PlotOption = None
+    plot: outputs.PlotOption = None
 
 
 @verb("computing the budget")
@@ -299,11 +282,11 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     """
     from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
 
-    check_outputs([], plot=asked.plot)
-    model, grid = opened(asked.of)
+    outputs.check([], plot=asked.plot)
+    model, grid = optics.opened(asked.of)
     found = actuator_budget(
         model,
-        element_of(model, asked.move.element),
+        optics.element_of(model, asked.move.element),
         grid,
         Actuator(asked.repeatability_um, asked.backlash_um, asked.encoder_um, asked.drift_um),
         noise=asked.noise,
@@ -312,4 +295,4 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     current.say(format_budget(found))
     current.result |= {"lens": model.name or asked.of.lens, "noise": asked.noise}
     current.result |= asdict(found) | {"element": asked.move.element}
-    write_plot(current, asked.plot, "lens_build.budget_figure", found)
+    outputs.write_plot(current, asked.plot, "lens_build.budget_figure", found)

@@ -9,18 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from lensshift.cli import optics, outputs
 from lensshift.cli.inputs import PatternOption, check_files
-from lensshift.cli.measured import Outputs, check_outputs, write_plot, write_table
-from lensshift.cli.optics import (
-    PITCH_MM,
-    SENSOR,
-    LensArgument,
-    LightOptions,
-    SensorOptions,
-    element_of,
-    read_lens,
-    sensor_grid,
-)
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import option, verb
 
@@ -33,12 +23,12 @@ if TYPE_CHECKING:
 class FieldOptions:
     """Options of `lensshift lens field`."""
 
-    lens: LensArgument
+    lens: optics.LensArgument
     element: int = option(1, "Element that moves, from 1; 0: the sensor moves.", min=0)
     tilt: bool = option(False, "The element tilts, as a plate does.", "--tilt")
-    sensor: str | None = option(None, f"Pixels as columns x rows; default: {SENSOR}.")
+    sensor: str | None = option(None, f"Pixels as columns x rows; default: {optics.SENSOR}.")
     pitch_mm: str | None = option(
-        None, f"Pixel pitch: one number, or row,col; default: {PITCH_MM}."
+        None, f"Pixel pitch: one number, or row,col; default: {optics.PITCH_MM}."
     )
     burst: Path | None = option(None, "Take sensor and pitch from this burst.")
     reach_px: float | None = option(
@@ -46,8 +36,8 @@ class FieldOptions:
     )
     out: Path | None = option(None, "Lens field to write (.nc).", "-o")
     pattern: PatternOption = "square"
-    light: LightOptions = group(default_factory=LightOptions)
-    to: Outputs = group(default_factory=Outputs)
+    light: optics.LightOptions = group(default_factory=optics.LightOptions)
+    to: outputs.Outputs = group(default_factory=outputs.Outputs)
 
 
 @verb()
@@ -73,17 +63,17 @@ def field(current: Session, asked: FieldOptions) -> None:
         if out.suffix.lower() != ".nc":
             raise typer.BadParameter(f"expected a lens field that ends in .nc, got {out}")
         check_files((asked.burst, Path(asked.lens)), [out])
-    check_outputs([], asked.to.csv, asked.to.plot)
+    outputs.check([], asked.to.csv, asked.to.plot)
     wanted_px = named_pattern_px(asked.pattern)
     if reach_px is not None and reach_px < abs(wanted_px).max():
         raise typer.BadParameter(
             f"--reach-px {reach_px:g} is less than the {abs(wanted_px).max():.3g} px of the "
             f"pattern {asked.pattern}"
         )
-    model = read_lens(asked.lens, asked.light)
+    model = optics.read_lens(asked.lens, asked.light)
     if asked.tilt and not asked.element:
         raise typer.BadParameter("--tilt is of an element, counted from 1, not of the sensor")
-    moved = element_of(model, asked.element) if asked.element else None
+    moved = optics.element_of(model, asked.element) if asked.element else None
     motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
     found = lens_field(model, grid, moved, motion=motion, reach_px=reach_px)
@@ -97,7 +87,9 @@ def field(current: Session, asked: FieldOptions) -> None:
 
 def _grid(asked: FieldOptions) -> Grid:
     if asked.burst is None:
-        return sensor_grid(SensorOptions(asked.sensor or SENSOR, asked.pitch_mm or PITCH_MM))
+        return optics.sensor_grid(
+            optics.SensorOptions(asked.sensor or optics.SENSOR, asked.pitch_mm or optics.PITCH_MM)
+        )
     if asked.sensor is not None or asked.pitch_mm is not None:
         raise typer.BadParameter("--burst says what --sensor and --pitch-mm say; give one of both")
     from lensshift.io import load_burst
@@ -157,5 +149,5 @@ def _say(
     for name, values in (("offset", shown.offset_px), ("spot", spot_px)):
         columns |= {f"{name}_row_px": values[..., 0].ravel()}
         columns |= {f"{name}_col_px": values[..., 1].ravel()}
-    write_table(current, csv, columns)
-    write_plot(current, plot, "lens_maps.shift_map_figure", shown, found.grid, wanted_px)
+    outputs.write_table(current, csv, columns)
+    outputs.write_plot(current, plot, "lens_maps.shift_map_figure", shown, found.grid, wanted_px)

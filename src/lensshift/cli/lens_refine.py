@@ -7,8 +7,8 @@ from contextlib import closing
 from dataclasses import MISSING, dataclass
 from typing import TYPE_CHECKING
 
+from lensshift.cli.inputs import parse_numbers
 from lensshift.cli.lens_design import BestOption, check_out, write_lens
-from lensshift.cli.measured import parse_numbers
 from lensshift.cli.optics import BandOption, LensOptions, band_of, element_of, opened
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb

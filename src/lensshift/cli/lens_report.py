@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.measured import check_outputs, drawn
-from lensshift.cli.optics import (
-    BandOption,
-    LensOptions,
-    MoveOptions,
-    band_of,
-    diagonal_mm,
-    element_of,
-    lens_figures,
-    opened,
-    spread_fields_tan,
-)
+from lensshift.cli import optics, outputs
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import option, verb
 
@@ -47,10 +36,10 @@ _FIGURES = {
 class ReportOptions:
     """Options of `lensshift lens report`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.LensOptions
+    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
     out: Path | None = option(None, "Page to write (.html).", "-o")
-    band_nm: BandOption = 0.0
+    band_nm: optics.BandOption = 0.0
 
 
 @verb("examining the lens")
@@ -67,13 +56,13 @@ def report(current: Session, asked: ReportOptions) -> None:
       lensshift lens report petzval_b --band-nm 40 --json
     """
     out, shift_px = asked.out, asked.move.shift_px
-    check_outputs([], out)
+    outputs.check([], out)
     if out is not None and out.suffix.lower() != ".html":
         raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
-    model, grid = opened(asked.of)
-    moved = element_of(model, asked.move.element)
-    band = band_of(model, asked.band_nm)
-    fields_tan = spread_fields_tan(model, grid, _SHARES)
+    model, grid = optics.opened(asked.of)
+    moved = optics.element_of(model, asked.move.element)
+    band = optics.band_of(model, asked.band_nm)
+    fields_tan = optics.spread_fields_tan(model, grid, _SHARES)
     rows = [_row(model, grid, field, band) for field in fields_tan]
     for name in rows[0]:
         values = [row[name] if isinstance(row[name], str) else f"{row[name]:.4g}" for row in rows]
@@ -84,11 +73,11 @@ def report(current: Session, asked: ReportOptions) -> None:
         page.heading("Over the field")
         page.table(rows)
         page.heading("Figures")
-        travel_mm = diagonal_mm(model, moved, shift_px, grid)
-        figures = lens_figures(model, moved, travel_mm, grid, fields_tan, band=band)
+        travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
+        figures = optics.lens_figures(model, moved, travel_mm, grid, fields_tan, band=band)
         for kind, caption in _FIGURES.items():
             name, of, options = figures[kind]
-            page.figure(drawn(name, *of, **options), caption)
+            page.figure(outputs.drawn(name, *of, **options), caption)
         page.save(out)
         current.wrote(out)
 

@@ -5,23 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-from lensshift.cli.measured import (
-    FocalOption,
-    ImageOptions,
-    Measured,
-    Outputs,
-    PhotoOptions,
-    RegionOption,
-    Unit,
-    check_outputs,
-    frequency_unit,
-    interval_row,
-    measured_frames,
-    measured_photograph,
-    parse_region,
-    write_plot,
-    write_table,
-)
+from lensshift.cli import images, outputs
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import option, verb
 
@@ -59,13 +43,13 @@ class EdgeOptions:
 class MtfOptions:
     """Options of `lensshift evaluate mtf`."""
 
-    of: ImageOptions
-    region: RegionOption = None
+    of: images.ImageOptions
+    region: images.RegionOption = None
     joint: bool = option(False, "Fit all frames of a burst file together.")
     edges: EdgeOptions = EdgeOptions()
-    photo: PhotoOptions = field(default_factory=PhotoOptions)
-    focal_length_mm: FocalOption = None
-    to: Outputs = field(default_factory=Outputs)
+    photo: images.PhotoOptions = field(default_factory=images.PhotoOptions)
+    focal_length_mm: images.FocalOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 # Name in the result, name for people, what it is.
@@ -95,27 +79,27 @@ def mtf(current: Session, asked: MtfOptions) -> None:
       lensshift evaluate mtf photo.jpg --gamma 2.2 --channel green --at 0.1 --at 0.25
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
-    place = parse_region(asked.region)
-    check_outputs([asked.of.image], asked.to.csv, asked.to.plot)
+    place = images.parse_region(asked.region)
+    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
     measured = (
-        measured_frames(asked.of.image, key=asked.of.key)
+        images.measured_frames(asked.of.image, key=asked.of.key)
         if asked.joint
-        else measured_photograph(asked.of, asked.photo)
+        else images.measured_photograph(asked.of, asked.photo)
     )
-    unit = frequency_unit(measured, asked.focal_length_mm)
+    unit = images.frequency_unit(measured, asked.focal_length_mm)
     results = edges_of(measured, place, **asked.edges.given())
     curve, frequency = _tell(current, results, unit, measured.length, asked.edges.at or [])
     current.result["image"] = asked.of.image
     first = "frequency_lpmm" if asked.focal_length_mm is None else "frequency_cycles_per_mrad"
     columns = {first: frequency, "modulation": curve.modulation}
     columns |= {} if curve.std is None else {"std": curve.std}
-    write_table(current, asked.to.csv, columns)
+    outputs.write_table(current, asked.to.csv, columns)
     shown = measured.values if measured.values.ndim == 2 else measured.values[0]
-    write_plot(current, asked.to.plot, "edges.edge_figure", results, shown, **unit.shown())
+    outputs.write_plot(current, asked.to.plot, "edges.edge_figure", results, shown, **unit.shown())
 
 
 def edges_of(
-    measured: Measured, region: tuple[int, int, int, int] | None, **options: Any
+    measured: images.Measured, region: tuple[int, int, int, int] | None, **options: Any
 ) -> list[EdgeResult]:
     """Measure the edges of an image, or of a region of it."""
     from lensshift.evaluation.slanted_edge import measure_edges
@@ -132,7 +116,11 @@ def edges_of(
 
 
 def _tell(
-    current: Session, results: Sequence[EdgeResult], unit: Unit, length: str, at: Sequence[float]
+    current: Session,
+    results: Sequence[EdgeResult],
+    unit: images.Unit,
+    length: str,
+    at: Sequence[float],
 ) -> tuple[MtfCurve, Any]:
     """Print and keep the numbers of edges and of their mean; return its curve and frequencies."""
     from lensshift.evaluation.slanted_edge import average_curves, usable_edges
@@ -157,7 +145,7 @@ def _tell(
     return curve, frequency
 
 
-def say_edge(current: Session, result: EdgeResult, unit: Unit, length: str) -> None:
+def say_edge(current: Session, result: EdgeResult, unit: images.Unit, length: str) -> None:
     """Print an edge and its numbers."""
     import numpy as np
 
@@ -170,7 +158,7 @@ def say_edge(current: Session, result: EdgeResult, unit: Unit, length: str) -> N
     _say_numbers(current, numbers, unit, length, result.sample_nyquist_lpmm)
 
 
-def say_at(current: Session, curve: MtfCurve, unit: Unit, at: Sequence[float]) -> None:
+def say_at(current: Session, curve: MtfCurve, unit: images.Unit, at: Sequence[float]) -> None:
     """Print the modulation at frequencies in the unit."""
     for row in at_rows(curve, unit, at):
         shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
@@ -179,19 +167,20 @@ def say_at(current: Session, curve: MtfCurve, unit: Unit, at: Sequence[float]) -
         current.say(f"  MTF at {row['frequency']:<16g}{text}")
 
 
-def at_rows(curve: MtfCurve, unit: Unit, at: Sequence[float]) -> list[dict[str, float]]:
+def at_rows(curve: MtfCurve, unit: images.Unit, at: Sequence[float]) -> list[dict[str, float]]:
     """Return the modulation at frequencies in the unit, for JSON."""
     from lensshift.evaluation.chart import modulation_at
 
     return [
-        {"frequency": one} | interval_row(modulation_at(curve, one / unit.factor)) for one in at
+        {"frequency": one} | images.interval_row(modulation_at(curve, one / unit.factor))
+        for one in at
     ]
 
 
 def _say_numbers(
     current: Session,
     numbers: dict[str, Interval],
-    unit: Unit,
+    unit: images.Unit,
     length: str,
     nyquist_lpmm: float | None = None,
 ) -> None:
@@ -216,20 +205,20 @@ def _mean(results: Sequence[EdgeResult]) -> dict[str, Interval]:
     }
 
 
-def _mean_row(mean: dict[str, Interval], unit: Unit) -> dict[str, Any]:
-    row: dict[str, Any] = {name: interval_row(number) for name, number in mean.items()}
+def _mean_row(mean: dict[str, Interval], unit: images.Unit) -> dict[str, Any]:
+    row: dict[str, Any] = {name: images.interval_row(number) for name, number in mean.items()}
     for name in ("mtf50", "mtf30", "mtf10"):
-        row[name] = interval_row(mean[f"{name}_lpmm"], unit.factor)
+        row[name] = images.interval_row(mean[f"{name}_lpmm"], unit.factor)
     return row
 
 
-def edge_row(result: EdgeResult, unit: Unit) -> dict[str, Any]:
+def edge_row(result: EdgeResult, unit: images.Unit) -> dict[str, Any]:
     """Return an edge for JSON."""
     row: dict[str, Any] = {"region": str(result.region), "orientation": result.orientation}
     for name in ("angle_rad", "position_px", *(name for name, _, _ in NUMBERS), "asymmetry"):
-        row[name] = interval_row(getattr(result, name))
+        row[name] = images.interval_row(getattr(result, name))
     for name in ("mtf50", "mtf30", "mtf10"):
-        row[name] = interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
+        row[name] = images.interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
     for name in (
         "method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm",
         "beyond_nyquist", "usable",

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.inputs import parse_pitch_mm
-from lensshift.cli.measured import parse_numbers
+from lensshift.cli.inputs import parse_numbers, parse_pitch_mm
 from lensshift.cli.verbs import option
 
 if TYPE_CHECKING:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,21 +65,20 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     files = _plan(asked)
     burst = load_input_burst(asked.burst, asked.stack, to_register=True)
     burst, known = _located(current, burst, asked)
-    burst = _looking(burst, asked, files)
+    burst = _looking(burst, asked)
     if asked.psf_sigma_px is not None or asked.fill_factor is not None:
         # That of a calibration would hold the pixel as well.
         known["psf_sigma_px"] = asked.psf_sigma_px
     _reconstruct(current, asked, burst, settings | known, files)
 
 
-def _looking(burst: Burst, asked: ReconstructOptions, files: _Files) -> Burst:
+def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
-    complex_frames = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
-    phasors = complex_frames or burst.phasors is not None
-    distances = burst.distance_m is not None or phasors
+    phasors = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
+    distances = phasors or burst.phasors is not None or burst.distance_m is not None
     distances = distances and asked.channel != "amplitude"
-    refuse_points(files.exports, intrinsics, with_distance=distances)
+    refuse_points(asked.export or (), intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)
 
 
@@ -110,17 +110,6 @@ def _located(
     return burst, known
 
 
-@dataclass(frozen=True, slots=True)
-class _Files:
-    result: Path
-    preview: Path
-    exports: tuple[Path, ...]
-
-    @property
-    def all(self) -> tuple[Path, ...]:
-        return (self.result, self.preview, *self.exports)
-
-
 def describe(estimate: Estimate) -> dict[str, Any]:
     """Return what is worth knowing about one channel."""
     return {
@@ -148,7 +137,7 @@ def _reconstruct(
     asked: ReconstructOptions,
     burst: Burst,
     settings: dict[str, Any],
-    files: _Files,
+    files: Sequence[Path],
 ) -> None:
     import lensshift
     from lensshift.io import export_reconstruction, save_reconstruction
@@ -167,12 +156,13 @@ def _reconstruct(
         except DataError as error:
             raise error.in_file(source) from error
     seconds = time.perf_counter() - start_s
-    save_reconstruction(result, files.result)
-    for path in files.exports:
+    target, preview, *exports = files
+    save_reconstruction(result, target)
+    for path in exports:
         export_reconstruction(
             result, path, bits=16, keep_flying=points.keep_flying, normals=points.normals
         )
-    _preview(burst, result, settings, files.preview)
+    _preview(burst, result, settings, preview)
     shape = result.grid.shape
     current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")
     if "psf_source" in result.settings:
@@ -182,7 +172,7 @@ def _reconstruct(
         undone += " and the spots of the lens field" if settings.get("lens_field") else ""
         current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}{undone}")
     say_channels(current, result)
-    current.wrote(*files.all)
+    current.wrote(*files)
     current.result |= {
         "input": source,
         "frame_count": count,
@@ -225,7 +215,7 @@ def _points(result: Reconstruction) -> PointCloud | None:
     return cloud if len(cloud) else None
 
 
-def _plan(asked: ReconstructOptions) -> _Files:
+def _plan(asked: ReconstructOptions) -> list[Path]:
     """Decide all names, and complain before the work rather than after it."""
     result, exports = asked.out or beside(asked.burst, f"_x{asked.scale}.nc"), asked.export or []
     if result.suffix.lower() in EXPORT_SUFFIXES:
@@ -237,6 +227,6 @@ def _plan(asked: ReconstructOptions) -> _Files:
             raise typer.BadParameter(
                 f"{path}: expected a name that ends in {', '.join(EXPORT_SUFFIXES)}"
             )
-    files = _Files(result, result.with_name(f"{result.stem}_preview.png"), tuple(exports))
-    check_files((asked.burst, asked.stack.offsets), files.all)
+    files = [result, result.with_name(f"{result.stem}_preview.png"), *exports]
+    check_files((asked.burst, asked.stack.offsets), files)
     return files

@@ -8,24 +8,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from lensshift.cli.measured import (
-    CsvOption,
-    FocalOption,
-    ImageOptions,
-    KeyOption,
-    Measured,
-    Outputs,
-    PitchOption,
-    Unit,
-    check_outputs,
-    frequency_unit,
-    measured_image,
-    measured_of,
-    parse_numbers,
-    parse_region,
-    write_plot,
-    write_table,
-)
+from lensshift.cli import images, outputs
+from lensshift.cli.inputs import parse_numbers
 from lensshift.cli.mtf import edges_of
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
@@ -45,15 +29,15 @@ _LEVELS = (0.5, 0.3, 0.1)  # of contrast, where curves are read off by custom
 class StarOptions:
     """Options of `lensshift evaluate star`."""
 
-    of: ImageOptions
+    of: images.ImageOptions
     cycles: int = option(MISSING, "Bright spokes of the star.", min=1)
     center_px: CenterOption = None
     radius: str | None = option(None, "Rings used, from,to, in the unit of the pitch.")
     profile: Profile = option("sine", "How the star was printed.")
     levels: LevelsOption = None
     sectors: int = option(0, "Directions measured apart.", min=0)
-    focal_length_mm: FocalOption = None
-    to: Outputs = field(default_factory=Outputs)
+    focal_length_mm: images.FocalOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring the star")
@@ -85,21 +69,21 @@ def star(current: Session, asked: StarOptions) -> None:
     for k, curve in enumerate(found.sectors):
         _say_curve(current, curve, unit, f"sector {k}")
     columns = _columns(found.mtf, unit) | {"radius": found.radius_mm, "pixels": found.count}
-    write_table(current, asked.to.csv, columns)
+    outputs.write_table(current, asked.to.csv, columns)
     shown = (found, measured.values, measured.pitch_mm)
-    write_plot(current, asked.to.plot, "stars.star_figure", *shown, **unit.shown())
+    outputs.write_plot(current, asked.to.plot, "stars.star_figure", *shown, **unit.shown())
 
 
 @dataclass(frozen=True, slots=True)
 class ZoneOptions:
     """Options of `lensshift evaluate zone`."""
 
-    of: ImageOptions
+    of: images.ImageOptions
     chirp: float = option(MISSING, "Growth of the frequency with the radius, in LP/mm per mm.")
     center_px: CenterOption = None
     levels: LevelsOption = None
-    focal_length_mm: FocalOption = None
-    to: Outputs = field(default_factory=Outputs)
+    focal_length_mm: images.FocalOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring the zone plate")
@@ -126,9 +110,9 @@ def zone(current: Session, asked: ZoneOptions) -> None:
     _say_place(current, asked, found, "zone plate")
     for name in ("radial", "row", "col"):
         _say_curve(current, getattr(found, name), unit, name)
-    write_table(current, asked.to.csv, _columns(found.radial, unit))
+    outputs.write_table(current, asked.to.csv, _columns(found.radial, unit))
     shown = (found, measured.values, measured.pitch_mm)
-    write_plot(current, asked.to.plot, "stars.zone_plate_figure", *shown, **unit.shown())
+    outputs.write_plot(current, asked.to.plot, "stars.zone_plate_figure", *shown, **unit.shown())
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +121,9 @@ class FrcOptions:
 
     first: Path = argument("One result.")
     second: Path = argument("One from other frames of the same scene.")
-    pitch_mm: PitchOption = None
-    key: KeyOption = None
-    csv: CsvOption = None
+    pitch_mm: images.PitchOption = None
+    key: images.KeyOption = None
+    csv: outputs.CsvOption = None
 
 
 @verb("correlating")
@@ -152,11 +136,11 @@ def frc(current: Session, asked: FrcOptions) -> None:
     """
     from lensshift.evaluation.ring_correlation import fourier_ring_correlation
 
-    check_outputs([asked.first, asked.second], asked.csv)
-    one = measured_image(asked.first, asked.pitch_mm, key=asked.key)
-    other = measured_image(asked.second, asked.pitch_mm, key=asked.key)
+    outputs.check([asked.first, asked.second], asked.csv)
+    one = images.measured_image(asked.first, asked.pitch_mm, key=asked.key)
+    other = images.measured_image(asked.second, asked.pitch_mm, key=asked.key)
     found = fourier_ring_correlation(one.values, other.values, pitch_mm=one.pitch_mm)
-    unit = frequency_unit(one, None)
+    unit = images.frequency_unit(one, None)
     for label, cutoff in (
         ("half-bit threshold", found.cutoff_lpmm),
         ("threshold of 1/7", found.fixed_cutoff_lpmm),
@@ -170,14 +154,14 @@ def frc(current: Session, asked: FrcOptions) -> None:
     }
     current.tell(found, "cutoff_lpmm fixed_cutoff_lpmm")
     current.result |= {"unit": unit.name, **columns}
-    write_table(current, asked.csv, columns)
+    outputs.write_table(current, asked.csv, columns)
 
 
 @dataclass(frozen=True, slots=True)
 class ResolutionOptions:
     """Options of `lensshift evaluate resolution`."""
 
-    of: ImageOptions
+    of: images.ImageOptions
     edge: Path | None = option(None, "The image that holds the edges, if another one.")
     cycles: int | None = option(None, "Bright spokes of a Siemens star in IMAGE.", min=1)
     chirp: float | None = option(None, "Of a zone plate in IMAGE, in LP/mm per mm.")
@@ -189,7 +173,7 @@ class ResolutionOptions:
     profile: Profile | None = option(None, "How it was printed: stars as sine, bars as square.")
     levels: LevelsOption = None
     region: str | None = option(None, "Of the edge, in pixels: row start,stop,col start,stop.")
-    csv: CsvOption = None
+    csv: outputs.CsvOption = None
 
 
 @verb("comparing edges with a pattern")
@@ -213,13 +197,13 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
         raise typer.BadParameter(
             "expected --cycles of a star or --chirp of a zone plate or --bars, one of them"
         )
-    place = parse_region(asked.region)
-    check_outputs([asked.of.image, asked.edge], asked.csv)
-    seen = measured_of(asked.of)
-    unit = frequency_unit(seen, None)
+    place = images.parse_region(asked.region)
+    outputs.check([asked.of.image, asked.edge], asked.csv)
+    seen = images.measured_of(asked.of)
+    unit = images.frequency_unit(seen, None)
     # The pattern first: what does not fit of it is told before edges take their time.
     pattern = _pattern(current, asked, seen)
-    beside = seen if asked.edge is None else measured_of(replace(asked.of, image=asked.edge))
+    beside = seen if asked.edge is None else images.measured_of(replace(asked.of, image=asked.edge))
     edges = edges_of(beside, place)
     average = average_curves(edges)
     found = edge_and_pattern(average, pattern)
@@ -235,10 +219,10 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
     current.result |= {"image": asked.of.image, "unit": unit.name}
     columns = {"frequency": found.frequency_lpmm * unit.factor}
     columns |= {"edge": found.edge, "pattern": found.pattern}
-    write_table(current, asked.csv, columns)
+    outputs.write_table(current, asked.csv, columns)
 
 
-def _pattern(current: Session, asked: ResolutionOptions, seen: Measured) -> Any:
+def _pattern(current: Session, asked: ResolutionOptions, seen: images.Measured) -> Any:
     """Return the curve of the star, zone plate or bars."""
     levels = _pair(asked.levels, "levels like 100,3000")
     common: dict[str, Any] = {"pitch_mm": seen.pitch_mm, "levels": levels, "valid": seen.valid}
@@ -250,7 +234,7 @@ def _pattern(current: Session, asked: ResolutionOptions, seen: Measured) -> Any:
         printed: Any = asked.profile or "square"
         lines, regions = zip(*groups, strict=True)
         found = gratings_mtf(seen.values, lines, regions=regions, profile=printed, **common)
-        unit = frequency_unit(seen, None)
+        unit = images.frequency_unit(seen, None)
         for line, box, value in zip(
             found.mtf.frequency_lpmm, found.regions, found.mtf.modulation, strict=True
         ):
@@ -273,7 +257,7 @@ def _pattern(current: Session, asked: ResolutionOptions, seen: Measured) -> Any:
     return found.radial if asked.chirp is not None else found.mtf
 
 
-def _group(text: str, seen: Measured) -> tuple[float, tuple[int, int, int, int] | None]:
+def _group(text: str, seen: images.Measured) -> tuple[float, tuple[int, int, int, int] | None]:
     """Return frequency and region of a group of bars, from "2.5", "8px" or "8px@0,40,10,60"."""
     lines, _, region = text.partition("@")
     expected = "bars like 2.5, 8px or 8px@0,40,10,60"
@@ -282,7 +266,7 @@ def _group(text: str, seen: Measured) -> tuple[float, tuple[int, int, int, int] 
     if not number > 0:
         raise typer.BadParameter(f"expected {expected}, got {text!r}")
     frequency = 1.0 / (number * max(seen.pitch_mm)) if period else number
-    return frequency, parse_region(region or None)
+    return frequency, images.parse_region(region or None)
 
 
 def _say_place(
@@ -304,10 +288,10 @@ def _say_contrast(current: Session, found: Any) -> None:
         )
 
 
-def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[Measured, Unit]:
-    check_outputs([asked.of.image], asked.to.csv, asked.to.plot)
-    measured = measured_of(asked.of)
-    return measured, frequency_unit(measured, asked.focal_length_mm)
+def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[images.Measured, images.Unit]:
+    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
+    measured = images.measured_of(asked.of)
+    return measured, images.frequency_unit(measured, asked.focal_length_mm)
 
 
 def _pair(text: str | None, expected: str) -> tuple[float, float] | None:
@@ -317,7 +301,7 @@ def _pair(text: str | None, expected: str) -> tuple[float, float] | None:
     return first, second
 
 
-def _say_curve(current: Session, curve: Any, unit: Unit, name: str) -> None:
+def _say_curve(current: Session, curve: Any, unit: images.Unit, name: str) -> None:
     from lensshift.evaluation.limits import first_crossing_lpmm
 
     crossings = {level: first_crossing_lpmm(curve, level) * unit.factor for level in _LEVELS}
@@ -332,6 +316,6 @@ def _say_curve(current: Session, curve: Any, unit: Unit, name: str) -> None:
     rows.append(row | _columns(curve, unit))
 
 
-def _columns(curve: Any, unit: Unit) -> dict[str, Any]:
+def _columns(curve: Any, unit: images.Unit) -> dict[str, Any]:
     columns = {"frequency": curve.frequency_lpmm * unit.factor, "modulation": curve.modulation}
     return columns if curve.std is None else columns | {"std": curve.std}

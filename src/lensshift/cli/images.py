@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from csv import writer as csv_writer
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from lensshift.cli.inputs import (
-    Kind,
-    burst_channel,
-    kind_of,
-    load_input_image,
-    one_frame,
-    parse_pitch_mm,
-    refuse_overwriting,
-)
+from lensshift.cli.inputs import Kind, kind_of, parse_numbers, parse_pitch_mm
 from lensshift.cli.verbs import argument, option
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import DataError, QualityWarning
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    import numpy as np
     from numpy.typing import NDArray
 
-    from lensshift.cli.session import Session
+    from lensshift.core.types import Burst
+
 
 PitchOption = Annotated[
     str | None,
@@ -44,10 +34,6 @@ RegionOption = Annotated[
 KeyOption = Annotated[
     str | None,
     typer.Option("--key", help="Array of an NPZ file; amplitude or distance of other files."),
-]
-CsvOption = Annotated[Path | None, typer.Option("--csv", help="Write the table there.")]
-PlotOption = Annotated[
-    Path | None, typer.Option("--plot", help="Draw the result: a .png, .svg or .pdf file.")
 ]
 FocalOption = Annotated[
     float | None,
@@ -65,14 +51,6 @@ class ImageOptions:
     pitch_mm: PitchOption = None
     frame: int = option(0, "Frame of IMAGE, if it holds several.", min=0)
     key: KeyOption = None
-
-
-@dataclass(frozen=True, slots=True)
-class Outputs:
-    """Where the numbers go, beside the screen."""
-
-    csv: CsvOption = None
-    plot: PlotOption = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,24 +97,33 @@ class Measured:
 def measured_image(
     path: Path, pitch_mm: str | None, *, key: str | None = None, frame: int = 0
 ) -> Measured:
-    """Read one image and what its file says about it."""
+    """Read one image [row col] and what its file says about it."""
     from lensshift.io import load_burst, load_reconstruction, load_window
+    from lensshift.io.image_file import load_frames, load_named_arrays
 
     kind = kind_of(path)
     if kind is not Kind.STACK and pitch_mm is not None:
         raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
     if kind is Kind.BURST:
         burst = load_burst(path)
-        values = burst_channel(burst, path, key)
-        valid = None if burst.valid is None else one_frame(burst.valid, path, frame)
-        return Measured(one_frame(values, path, frame), burst.grid.pitch_mm, True, valid)
-    values = load_input_image(path, key=key, frame=frame)
-    if kind in (Kind.RECONSTRUCTION, Kind.SEQUENCE):
+        values = _one_frame(_burst_channel(burst, path, key), path, frame)
+        valid = None if burst.valid is None else _one_frame(burst.valid, path, frame)
+        return Measured(values, burst.grid.pitch_mm, True, valid)
+    if kind is not Kind.STACK:
         one = kind is Kind.RECONSTRUCTION
         result = load_reconstruction(path) if one else load_window(path, frame)
-        return Measured(values, result.grid.pitch_mm, True, scale=result.scale)
+        name = key or next(iter(result.channels))
+        if name not in result.channels:
+            raise DataError(f"expected {' or '.join(result.channels)}, got {name!r}", source=path)
+        image = result.channels[name].image
+        return Measured(image, result.grid.pitch_mm, True, scale=result.scale)
+    if path.suffix.lower() == ".npz":
+        arrays = load_named_arrays(path)
+        frames = arrays[_image_name(arrays, path, key)]
+    else:
+        frames = load_frames(path)
     pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
-    return Measured(values, pitch, pitch_mm is not None)
+    return Measured(_one_frame(frames, path, frame), pitch, pitch_mm is not None)
 
 
 def measured_of(asked: ImageOptions) -> Measured:
@@ -190,7 +177,7 @@ def measured_frames(path: Path, *, key: str | None = None) -> Measured:
         raise typer.BadParameter(f"--joint needs a burst file, got {path}")
     burst = load_burst(path)
     return Measured(
-        burst_channel(burst, path, key),
+        _burst_channel(burst, path, key),
         burst.grid.pitch_mm,
         True,
         burst.valid,
@@ -265,64 +252,41 @@ def slices_of(region: tuple[int, int, int, int] | None, shape: tuple[int, ...]) 
     return slice(*region[:2]), slice(*region[2:])
 
 
-def parse_numbers(text: str, count: int, expected: str) -> tuple[float, ...]:
-    """Return numbers separated by commas."""
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError as error:
-        raise typer.BadParameter(f"expected {expected}, got {text!r}") from error
-    if len(numbers) != count:
-        raise typer.BadParameter(f"expected {expected}, got {text!r}")
-    return numbers
-
-
-def check_outputs(
-    inputs: Sequence[Path | None], csv: Path | None = None, plot: Path | None = None
-) -> None:
-    """Complain before the work about files that cannot be written."""
-    refuse_overwriting(inputs, [path for path in (csv, plot) if path is not None])
-    if plot is not None:
-        from lensshift.report.save import check_ending
-
-        check_ending(plot)
-
-
-def write_table(current: Session, csv: Path | None, columns: Mapping[str, Any]) -> None:
-    """Write columns of one length under their names."""
-    if csv is None:
-        return
-    from lensshift.io.atomic import written_whole
-
-    rows = zip(*columns.values(), strict=True)
-    with written_whole(csv) as part, part.open("w", encoding="utf-8", newline="") as file:
-        writer = csv_writer(file, lineterminator="\n")  # quotes what holds a comma
-        writer.writerow(columns)
-        writer.writerows([_cell(cell) for cell in row] for row in rows)
-    current.say(f"wrote {csv}")
-
-
-def write_plot(current: Session, plot: Path | None, name: str, *of: Any, **options: Any) -> None:
-    """Draw a figure and write it, see `drawn`."""
-    if plot is None:
-        return
-    from lensshift.report.save import save_figure
-
-    save_figure(drawn(name, *of, **options), plot)
-    current.say(f"wrote {plot}")
-
-
-def drawn(name: str, *of: Any, **options: Any) -> Figure:
-    """Draw one of the figures of `lensshift.report`, as in "edges.gain_figure"."""
-    module, _, draw = name.partition(".")
-    figure: Figure = getattr(import_module(f"lensshift.report.{module}"), draw)(*of, **options)
-    return figure
-
-
 def interval_row(number: Any, factor: float = 1.0) -> dict[str, float]:
     """Return an interval for JSON."""
     scaled = number.scaled(factor)
     return {"value": scaled.value, "low": scaled.low, "high": scaled.high}
 
 
-def _cell(value: Any) -> str:
-    return value if isinstance(value, str) else f"{value:.8g}"
+def _burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[Any]:
+    """Return the frames [frame row col] of a channel, by default the amplitude."""
+    channels = {"amplitude": burst.amplitude, "distance": burst.distance_m}
+    frames = channels.get(key or "amplitude")
+    if frames is None:
+        known = " or ".join(name for name, values in channels.items() if values is not None)
+        raise DataError(f"expected {known}, got {key!r}", source=path)
+    return frames
+
+
+def _one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
+    """Return one image [row col] of frames, or the image itself."""
+    if values.ndim == 2 and frame == 0:
+        return values
+    if values.ndim != 3:
+        raise DataError(f"expected [row col] and frame 0, got shape {values.shape}", source=path)
+    if not 0 <= frame < values.shape[0]:
+        raise DataError(
+            f"expected a frame from 0 to {values.shape[0] - 1}, got {frame}", source=path
+        )
+    image: NDArray[Any] = values[frame]
+    return image
+
+
+def _image_name(arrays: dict[str, NDArray[np.generic]], path: Path, key: str | None) -> str:
+    images = [name for name, values in arrays.items() if values.ndim in (2, 3)]
+    candidates = [key] if key else ["amplitude"] if "amplitude" in arrays else images
+    if len(candidates) == 1 and candidates[0] in arrays:
+        return candidates[0]
+    raise DataError(
+        f"cannot tell which array to take; choose a key among {', '.join(arrays)}", source=path
+    )
