@@ -23,7 +23,7 @@ _RATIOS = (("mtf50", "MTF50"), ("mtf10", "MTF10"), ("width", "10-90 width"))
 class GainOptions:
     """Options of `lensshift evaluate gain`."""
 
-    fine: Path = argument("The images.finer image, such as a reconstruction.")
+    fine: Path = argument("The finer image, such as a reconstruction.")
     coarse: Path = argument("The coarser image, such as a burst file.")
     pitch_mm: str | None = option(None, "Pixel pitch of COARSE, if it is a plain image.")
     region: str | None = option(None, "Region in pixels of COARSE: row start,stop,col start,stop.")
