@@ -1,4 +1,4 @@
-"""`lensshift evaluate gain`: how much images.finer one image of a target is than another."""
+"""`lensshift evaluate gain`: how much finer one image of a target is than another."""
 
 from __future__ import annotations
 
