@@ -1,7 +1,7 @@
 """A stand-in for the reconstruction, so that the command line is tested alone."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, Status
 
 Call = Callable[..., Result]
+Refused = Callable[[Sequence[object], int, str], None]
 
 
 class FakeReconstruct:

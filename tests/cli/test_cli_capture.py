@@ -323,8 +323,7 @@ def test_a_rig_file_that_is_not_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [("stage",), ("stage", "--link", "pty"), ("pcic", "--port", 0), ("o3m",), ("rig",)],
+    "arguments", [("stage",), ("stage", "--link", "pty"), ("pcic", "--port", 0), ("o3m",), ("rig",)]
 )
 def test_devices_are_emulated_until_told(call: Call, arguments: tuple[object, ...]) -> None:
     port = ("--port", free_port()) if arguments[0] in ("o3m", "rig") else ()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import ndtr
-from stand_in import Call
+from stand_in import Call, Refused
 
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
@@ -204,18 +204,7 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["mtf", "edge.npy", "--plot", "edge.docx"], 1, "docx"),
     ],
 )
-def test_wrong_arguments(
-    call: Call,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    code: int,
-    message: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_wrong_arguments(refused: Refused, arguments: list[str], code: int, message: str) -> None:
     np.save("edge.npy", edge())
     np.save("odd.npy", np.zeros((15, 33)))
-    done = call("evaluate", *arguments)
-    assert done.exit_code == code, done.output
-    assert message in " ".join(done.stderr.replace("│", " ").split())
-    assert len(list(tmp_path.iterdir())) == 2
+    refused(["evaluate", *arguments], code, message)

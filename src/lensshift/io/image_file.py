@@ -200,24 +200,29 @@ def strict_tifffile() -> Iterator[None]:
 
 
 def _load_pillow(path: str | Path) -> NDArray[Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # Pillow's word for damaged tags
+        with opened_by_pillow(path, "PNG", "TIFF") as image:
+            image.verify()  # checks the checksums, and leaves the image unusable
+        with opened_by_pillow(path, "PNG", "TIFF") as image:
+            count = int(getattr(image, "n_frames", 1))
+            pixels = count * image.width * image.height
+            check_unpacked(_PIXEL_BYTES * pixels, Path(path).stat().st_size, "pages")
+            return np.stack([_pillow_frame(image, number) for number in range(count)])
+
+
+@contextmanager
+def opened_by_pillow(path: str | Path, *formats: str) -> Iterator[Any]:
+    """Open an image of these formats; one that would fill the memory is a `DataError`."""
     from PIL import Image
 
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        warnings.simplefilter("error", UserWarning)  # Pillow's word for damaged tags
         try:
-            with Image.open(path, formats=("PNG", "TIFF")) as image:
-                image.verify()  # checks the checksums, and leaves the image unusable
-            with Image.open(path, formats=("PNG", "TIFF")) as image:
-                pixels = _frame_count(image) * image.width * image.height
-                check_unpacked(_PIXEL_BYTES * pixels, Path(path).stat().st_size, "pages")
-                return np.stack([_pillow_frame(image, n) for n in range(_frame_count(image))])
+            with Image.open(path, formats=formats) as image:
+                yield image
         except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
             raise DataError(f"too large: {error}") from error
-
-
-def _frame_count(image: Any) -> int:
-    return int(getattr(image, "n_frames", 1))
 
 
 def _pillow_frame(image: Any, number: int) -> NDArray[Any]:

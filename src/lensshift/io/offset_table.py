@@ -111,17 +111,13 @@ def _csv_row(header: list[str], cells: list[str], line: str) -> dict[str, float]
         raise DataError(f"expected {len(header)} values, got {len(cells)}", field=line)
     row: dict[str, float] = {}
     for name, cell in zip(header, cells, strict=True):
-        row[name] = _number_or_nan(cell)
+        try:
+            row[name] = float(cell)
+        except ValueError:
+            row[name] = math.nan
         if not math.isfinite(row[name]):
             raise DataError(f"expected a finite number, got {cell!r:.40}", field=f"{line}, {name}")
     return row
-
-
-def _number_or_nan(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan
 
 
 def _from_json(text: str) -> OffsetTable:

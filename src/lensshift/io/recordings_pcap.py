@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import BinaryIO, NamedTuple
 
 from lensshift.core.errors import DataError, QualityWarning
@@ -94,8 +93,7 @@ def _pcap(file: BinaryIO, order: str, tick_s: float) -> Iterator[Packet]:
         yield Packet(seconds + ticks * tick_s, link, _take(file, size))
 
 
-@dataclass(frozen=True, slots=True)
-class _Interface:
+class _Interface(NamedTuple):
     link: int
     tick_s: float
     start_s: int

@@ -180,10 +180,7 @@ def _channel_variables(name: str, estimate: Estimate) -> dict[str, Variable]:
 def _read_flying(container: Container, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
     if not container.has("flags"):
         return None
-    flags = container.array("flags", kinds="ui")
-    if flags.shape != shape:
-        raise DataError(f"expected shape {shape}, got {flags.shape}", field="flags")
-    return np.asarray((flags & _FLYING) != 0)
+    return np.asarray((container.array("flags", kinds="ui", shape=shape) & _FLYING) != 0)
 
 
 def _read_channel(container: Container, name: str) -> Estimate:
@@ -197,11 +194,7 @@ def _read_channel(container: Container, name: str) -> Estimate:
     optional["notes"] = container.mapping("notes", of=name)
     for part, attribute in (("std", "uncertainty"), ("misfit", "misfit")):
         if container.has(f"{name}_{part}"):
-            values = container.array(f"{name}_{part}", kinds="f")
-            if values.shape != image.shape:
-                raise DataError(
-                    f"expected shape {image.shape}, got {values.shape}", field=f"{name}_{part}"
-                )
+            values = container.array(f"{name}_{part}", kinds="f", shape=image.shape)
             optional[attribute] = values
     if container.has(f"{name}_confidence"):
         optional["confidence"] = container.array(f"{name}_confidence", kinds="f")

@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import asynccontextmanager, suppress
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,30 +92,22 @@ class Pages:
         """Return what the page is told, with or without a picture."""
         live, now_s = self._live, time.monotonic()
         places = 0 if picture is None else picture.shot.plan.frame_count
-        frames_hz = live.arrived.per_s()
         recording, shift = live.recording, self._shift
         head: dict[str, Any] = {
             "number": 0 if picture is None else picture.number,
             "source": live.source.name,
             "pattern": live.source.pattern,
-            "settings": {
-                "scale": live.settings.scale,
-                "method": live.settings.method,
-                "blur_px": live.settings.blur_px,
-            },
+            "settings": asdict(live.settings),
             "problem": live.problem,
             "warning": live.warning,
             "ended": live.ended,
-            "recording": None
-            if recording is None
-            else {"name": recording.path.name, "frames": recording.count},
+            "recording": recording and {"name": recording.path.name, "frames": recording.count},
             "numbers": {
-                "frames_hz": round(frames_hz, 2),
+                "frames_hz": round(live.arrived.per_s(), 2),
                 "bursts_hz": round(live.visited.per_s() / places, 2) if places else None,
                 "pictures_hz": round(live.solved.per_s(), 2),
-                "shift": None
-                if shift is None
-                else {
+                "shift": shift
+                and {
                     "rms_px": round(shift["rms_px"], 5),
                     "sigma_px": round(shift["sigma_px"], 5),
                     "ago_s": round(now_s - shift["at_s"], 1),
@@ -233,13 +226,12 @@ def _about(picture: Picture, now_s: float) -> dict[str, Any]:
     result, residual = picture.result, residual_over_noise(picture.result)
     return {
         "made": {
+            **{name: result.settings.get(name) for name in ("pace", "event")},
+            "psf_px": result.settings.get("psf_sigma_px"),
             "scale": result.scale,
             "method": result.method,
-            "pace": result.settings.get("pace"),
-            "event": result.settings.get("event"),
             "frames": picture.window.frame_count,
             "places": picture.shot.plan.frame_count,
-            "psf_px": result.settings.get("psf_sigma_px"),
         },
         "one_offset_px": picture.shot.offset_px.tolist(),
         "pitch_mm": list(result.grid.pitch_mm),
