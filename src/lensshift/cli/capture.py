@@ -76,9 +76,11 @@ def capture(current: Session, asked: CaptureOptions) -> None:
         raise typer.BadParameter("--continuous goes with neither --scan nor --resume nor --restart")
     if asked.resume and asked.restart:
         raise typer.BadParameter("expected --resume or --restart, not both")
-    if asked.restart:
-        _set_aside(current, asked.out)
+    from lensshift.capture.journal import set_aside
     from lensshift.capture.opening import open_rig
+
+    if asked.restart and (aside := set_aside(asked.out)) is not None:
+        current.say(f"the unfinished capture is now {aside}")
 
     wanted = None if asked.scan else _plan(asked.plan)
     if _nothing_to_do(current, asked, wanted):
@@ -96,14 +98,6 @@ def capture(current: Session, asked: CaptureOptions) -> None:
     current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
     current.wrote(asked.out)
     current.result |= _summary(burst, counts) | {"seconds": seconds}
-
-
-def _set_aside(current: Session, out: Path) -> None:
-    from lensshift.capture.journal import set_aside
-
-    aside = set_aside(out)
-    if aside is not None:
-        current.say(f"the unfinished capture is now {aside}")
 
 
 def _nothing_to_do(current: Session, asked: CaptureOptions, plan: ShiftPlan | None) -> bool:

@@ -23,7 +23,7 @@ for one in (lens_field, optimise, refine, tolerance, budget, report):
     lens_verbs.command()(one)
 
 
-_CURVE_STEPS, _CURVES_NYQUIST = 80, 2.5
+_CURVE_STEPS, _CURVES_NYQUIST = 80, 2.5  # as on the axis of the figure: beyond twice Nyquist
 
 
 @lens_verbs.callback()

@@ -24,7 +24,8 @@ BandOption = Annotated[
     float, typer.Option("--band-nm", min=0.0, help="Full width at half maximum of the light.")
 ]
 
-SENSOR, PITCH_MM, SHIFT_PX = "64x16", "0.155", 0.25
+SENSOR, PITCH_MM = "64x16", "0.155"  # of the camera of the paper
+SHIFT_PX = 0.25  # of the square of four frames
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,9 @@ def write_table(current: Session, csv: Path | None, columns: Mapping[str, Any]) 
     with written_whole(csv) as part, part.open("w", encoding="utf-8", newline="") as file:
         writer = csv_writer(file, lineterminator="\n")  # quotes what holds a comma
         writer.writerow(columns)
-        writer.writerows([_cell(cell) for cell in row] for row in rows)
+        writer.writerows(
+            [cell if isinstance(cell, str) else f"{cell:.8g}" for cell in row] for row in rows
+        )
     current.say(f"wrote {csv}")
 
 
@@ -70,7 +72,3 @@ def drawn(name: str, *of: Any, **options: Any) -> Figure:
     module, _, draw = name.partition(".")
     figure: Figure = getattr(import_module(f"lensshift.report.{module}"), draw)(*of, **options)
     return figure
-
-
-def _cell(value: Any) -> str:
-    return value if isinstance(value, str) else f"{value:.8g}"

@@ -11,7 +11,7 @@ from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io.atomic import written_whole
 from lensshift.io.image_file import FITS_SUFFIXES
-from lensshift.io.picture_layers import PictureLayer, picture_layers
+from lensshift.io.picture_layers import picture_layers
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
@@ -44,7 +44,9 @@ def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
     row_mm, col_mm = value.grid.pitch_mm
     told = {
         "axes": "TCYX" if stack.ndim == 4 else "CYX",
-        "Channel": {"Name": [_label(one) for one in layers]},
+        "Channel": {
+            "Name": [f"{one.name} ({one.unit})" if one.unit else one.name for one in layers]
+        },
         "PhysicalSizeY": 1e3 * row_mm,
         "PhysicalSizeYUnit": "\u00b5m",
         "PhysicalSizeX": 1e3 * col_mm,
@@ -112,7 +114,3 @@ def _write_wcs(header: Header, value: Burst | Reconstruction) -> None:
                     header[f"{key}A"] = plain[key]
     else:
         header.update(plain)
-
-
-def _label(layer: PictureLayer) -> str:
-    return f"{layer.name} ({layer.unit})" if layer.unit else layer.name

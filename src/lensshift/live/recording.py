@@ -88,13 +88,10 @@ def save_snapshot(picture: Picture, folder: Path) -> tuple[Path, ...]:
     frames, preview = result.with_name(f"{result.stem}-frames.nc"), result.with_suffix(".png")
     save_burst(picture.window, frames)
     save_reconstruction(picture.result, result)
-    shown = {"one frame": one_frame(picture), picture.settings.method: _images(picture)}
+    images = {name: np.abs(one.image) for name, one in picture.result.channels.items()}
+    shown = {"one frame": one_frame(picture), picture.settings.method: images}
     save_shots(shown, f"{picture.window.frame_count} frames", preview)
     return result, frames, preview
-
-
-def _images(picture: Picture) -> dict[str, np.ndarray[Any, Any]]:
-    return {name: np.abs(one.image) for name, one in picture.result.channels.items()}
 
 
 def unused(folder: Path, name: str, ending: str) -> Path:

@@ -19,7 +19,7 @@ from lensshift.evaluation.chart import (
 )
 from lensshift.report import images
 from lensshift.report.page import Page
-from lensshift.report.style import BLUE, GREY, RED, SMALL_PT, new_figure, styled
+from lensshift.report.style import BLUE, GREY, RED, SMALL_PT, WIDTH_IN, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_WIDTH_IN, _MOST_HIGH_IN = 9.0, 8.0
+_MOST_HIGH_IN = 8.0  # of a screen
 _COLOURS = dict(zip(DIRECTIONS, (BLUE, RED), strict=True))
 _STYLES = dict(zip(DIRECTIONS, ("-", "--"), strict=True))
 _BINS = 6  # of the image height, for the line through the points
@@ -44,7 +44,7 @@ def annotated_figure(image: ArrayLike, edges: Sequence[ChartEdge], unit: str = "
     unit : of MTF50, for the title
     """
     picture = images.plain_image(image)
-    figure = new_figure(_WIDTH_IN, _height_in(picture.shape))
+    figure = new_figure(WIDTH_IN, _height_in(picture.shape))
     axes = figure.subplots()
     usable = sum(one.result.usable for one in edges)
     title = f"{usable} usable of {len(edges)} edges, MTF50" + (f" in {unit}" if unit else "")
@@ -79,7 +79,7 @@ def field_figure(
     low, high = (float(one) for one in np.nanpercentile(values, (0, 100)))
     beside = rows > cols
     high_in = _height_in((rows, cols // 2) if beside else (2 * rows, cols))
-    figure = new_figure(_WIDTH_IN, high_in)
+    figure = new_figure(WIDTH_IN, high_in)
     panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
     for axes, direction in zip(panels, DIRECTIONS, strict=True):
         here = [k for k, one in enumerate(known) if one.direction == direction]
@@ -98,7 +98,7 @@ def field_figure(
 @styled()
 def height_figure(edges: Sequence[ChartEdge], unit: str, factor: float = 1.0) -> Figure:
     """Draw MTF50 over the image height, sagittal and tangential, with the 95 % intervals."""
-    figure = new_figure(_WIDTH_IN, 3.4)
+    figure = new_figure(WIDTH_IN, 3.4)
     axes = figure.subplots()
     for direction in DIRECTIONS:
         here = [one for one in edges if one.direction == direction and one.result.usable]
@@ -122,7 +122,7 @@ def focus_figure(
     fits : zone -> parabola, where there is one
     label : of the focus, with its unit
     """
-    figure = new_figure(_WIDTH_IN, 3.4)
+    figure = new_figure(WIDTH_IN, 3.4)
     axes = figure.subplots()
     zones = dict.fromkeys(str(row["zone"]) for row in series)
     for zone, marker in zip(zones, "os^", strict=False):
@@ -208,7 +208,7 @@ def sharpest(edges: Sequence[ChartEdge]) -> str:
 
 
 def _height_in(shape: tuple[int, ...]) -> float:
-    return min(_WIDTH_IN * shape[0] / shape[1] + 0.9, _MOST_HIGH_IN)
+    return min(WIDTH_IN * shape[0] / shape[1] + 0.9, _MOST_HIGH_IN)
 
 
 def _bar(one: ChartEdge, half_px: float) -> list[tuple[float, float]]:

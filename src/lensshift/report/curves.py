@@ -15,6 +15,7 @@ from lensshift.report.style import BAND_ALPHA, FAINT, GREY, INK, LIGHT, TITLE_PT
 
 INTERVAL_SIGMAS = 1.96  # half a 95 % interval of a normal distribution
 _LIMIT_POINTS = 301  # smooth in print
+STEPS = 41  # of the slow curves of lenses: a 40th of the axis, which still looks smooth
 _DIRECTIONS_RAD = np.linspace(0.0, 0.5 * np.pi, 46)
 _MOST = 1.9  # sharpened curves are shown up to here
 _DASHES = ("--", ":", "-.", (0, (4, 1.2, 1, 1.2, 1, 1.2)))
@@ -131,7 +132,9 @@ def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str, *, column
     columns : of the legend
     """
     axes.axhline(0.5, color=FAINT, linewidth=1.4, zorder=0.5)
-    axes.set(xlim=(0.0, highest), ylim=(0.0, _room_above(axes)))
+    heights = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines()]
+    peak = max((float(np.nanmax(one, initial=0.0)) for one in heights), default=1.0)
+    axes.set(xlim=(0.0, highest), ylim=(0.0, min(max(1.05, 1.05 * peak), _MOST)))
     axes.set(xlabel=f"spatial frequency ({unit})", ylabel="modulation")
     legend_above(axes, title, columns)
 
@@ -148,9 +151,3 @@ def legend_above(axes: Axes, title: str, columns: int = 2) -> None:
         borderaxespad=0.2,
         borderpad=0.0,
     )
-
-
-def _room_above(axes: Axes) -> float:
-    heights = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines()]
-    peak = max((float(np.nanmax(one, initial=0.0)) for one in heights), default=1.0)
-    return min(max(1.05, 1.05 * peak), _MOST)

@@ -64,9 +64,12 @@ def depth_figure(
     found = depth_error(distance, truth_m, valid=valid, **edges)
     near = near_edges(truth_m, **edges)
     error_mm = 1e3 * (shown - np.asarray(truth_m, dtype=np.float64))
-    reach_mm = _reach_mm(error_mm)
-    _draw_error(panels[1], error_mm, near, reach_mm)
     known = np.isfinite(error_mm)
+    reach_mm = np.percentile(np.abs(error_mm[known]), _SHOWN_PERCENT) if known.any() else 0.0
+    reach_mm = float(reach_mm) or 1.0
+    title = "measured minus true, edge zone outlined" if near.any() else "measured minus true"
+    images.draw_map(panels[1], error_mm, title, "error (mm)", largest=reach_mm)
+    images.outline(panels[1], near, INK)
     parts = (
         (error_mm[known & near], RED, f"near edges, RMSE {1e3 * found.edge_rmse_m:.3g} mm"),
         (error_mm[known & ~near], BLUE, f"elsewhere, RMSE {1e3 * found.flat_rmse_m:.3g} mm"),
@@ -96,18 +99,6 @@ def _draw_distance(axes: Axes, distance_m: Floats, flying: Mask, title: str) -> 
     images.add_scale(axes, shown, "distance (m)")
     row_px, col_px = np.nonzero(flying)
     axes.plot(col_px, row_px, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
-
-
-def _draw_error(axes: Axes, error_mm: Floats, near: Mask, reach_mm: float) -> None:
-    title = "measured minus true, edge zone outlined" if near.any() else "measured minus true"
-    images.draw_map(axes, error_mm, title, "error (mm)", largest=reach_mm)
-    images.outline(axes, near, INK)
-
-
-def _reach_mm(error_mm: Floats) -> float:
-    known = np.abs(error_mm[np.isfinite(error_mm)])
-    reach_mm = float(np.percentile(known, _SHOWN_PERCENT)) if known.size else 0.0
-    return reach_mm if reach_mm > 0 else 1.0
 
 
 def _draw_histogram(

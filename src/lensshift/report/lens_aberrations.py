@@ -31,11 +31,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
-_FIELD_STEPS = 25
-_MTF_FIELDS = 13
-_FREQUENCIES = 41
-_WIDTH_IN = 9.0
-_SIDES = 121
+_FIELD_STEPS, _MTF_FIELDS = 25, 13  # from centre to corner: smooth; every other for the slow MTF
+_SIDES = 3 * 40 + 1  # of squares, up to 1.5 pixels or more: steps of an 80th of a pixel
 _NEAR_AXIS = 1e-3  # of the corner: where the scale of the image is that of the middle
 _PSF_PIXELS = 1.3  # that a picture of a point shows at least
 _PSF_RADII, _PSF_RINGS = 1.6, 4  # rms radii of a spot that is wider, and rings to find it
@@ -62,7 +59,7 @@ def fans_figure(
         wavelengths_nm = list(dict.fromkeys(map(float, ordered[[0, len(ordered) // 2, -1]])))
     colours = (style.BLUE,) if len(wavelengths_nm) == 1 else (style.BLUE, style.INK, style.RED)
     quarter_um = 250.0 * min(grid.pitch_mm)
-    figure = style.new_figure(_WIDTH_IN, 0.8 + 1.9 * len(fields_tan))
+    figure = style.new_figure(style.WIDTH_IN, 0.8 + 1.9 * len(fields_tan))
     panels = figure.subplots(len(fields_tan), 2, squeeze=False, sharex=True, sharey=True)
     for line, field in zip(panels, fields_tan, strict=True):
         for axes in line:
@@ -101,7 +98,7 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     scale = 1.0 + distortion(lens, np.concatenate([_NEAR_AXIS * fields[-1:], fields[1:]]))
     percent = 100.0 * (scale / scale[0] - 1.0)
     light = 100.0 * relative_illumination(lens, fields)
-    figure = style.new_figure(_WIDTH_IN, 4.4)
+    figure = style.new_figure(style.WIDTH_IN, 4.4)
     focus, departure, bright = figure.subplots(1, 3, sharey=True)
     focus.plot(found.tangential_mm, height_mm, color=style.BLUE, label="tangential")
     focus.plot(found.sagittal_mm, height_mm, "--", color=style.RED, label="sagittal")
@@ -148,12 +145,12 @@ def sections_figure(
     """
     double_lpmm = 1.0 / max(grid.pitch_mm)
     end_lpmm = 1.25 * double_lpmm if highest_lpmm is None else highest_lpmm
-    frequency_lpmm = np.linspace(0.0, end_lpmm, _FREQUENCIES)
+    frequency_lpmm = np.linspace(0.0, end_lpmm, curves.STEPS)
     shares = np.linspace(0.0, 1.0, _MTF_FIELDS)
     fields = sensor_fields(lens, grid, shares)
     chosen_lpmm = np.array([0.25, 0.5, 1.0]) * double_lpmm
     over_field = np.array([section_mtf(lens, one, chosen_lpmm, band=band) for one in fields])
-    figure = style.new_figure(_WIDTH_IN, 4.6)
+    figure = style.new_figure(style.WIDTH_IN, 4.6)
     left, right = figure.subplots(1, 2, sharey=True)
     for number, field in enumerate(fields_tan):
         found = section_mtf(lens, field, frequency_lpmm, band=band)

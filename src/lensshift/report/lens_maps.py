@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
-_WIDTH_IN, _LABELS_IN = 9.0, 0.75
+_LABELS_IN = 0.75  # a title and two rows of text
 _ARROWS = (5, 14)  # most rows and columns of arrows
 _ARROW_PX = 0.06  # length of the longest, as a share of the columns
 _DEPARTURE_PX = 0.03  # the same for the distortion grid
 _AIRY = 1.22  # radius of the first dark ring over wavelength x f-number
-_SPOT_RINGS = 10
+_SPOT_RINGS = 10  # some 300 rays, which still are seen one by one
 _MOST, _ROOM = 0.98, 1.15  # quantile of the rays that an enlarged spot shows, and room around
 _FOCUS_MM, _FOCUS_STEPS = 0.4, 80  # how far the sensor moves either way
 _LEAST_CHANGE = 1e-6  # of the MTF: less is rounding
@@ -60,7 +60,7 @@ def field_figure(
     )
     low, high = float(min(rest.min(), moved.min())), float(max(rest.max(), moved.max()))
     change = moved - rest
-    figure = style.new_figure(_WIDTH_IN, 3 * _map_in(grid, 0.8 * _WIDTH_IN))
+    figure = style.new_figure(style.WIDTH_IN, 3 * _map_in(grid, 0.8 * style.WIDTH_IN))
     panels = figure.subplots(3, 1)
     for axes, values, state in zip(panels[:2], (rest, moved), ("at rest", "moved"), strict=True):
         title = (
@@ -88,7 +88,7 @@ def focus_figure(lens: Lens, fields_tan: Sequence[Pair], frequency_lpmm: float) 
     """
     away_mm = np.linspace(-_FOCUS_MM, _FOCUS_MM, _FOCUS_STEPS + 1)
     found = through_focus(lens, fields_tan, frequency_lpmm, away_mm, AZIMUTHS_RAD)
-    figure = style.new_figure(_WIDTH_IN, 4.2)
+    figure = style.new_figure(style.WIDTH_IN, 4.2)
     axes = figure.subplots()
     for number, field in enumerate(fields_tan):
         row_deg, col_deg = np.rad2deg(np.arctan(field))
@@ -128,8 +128,8 @@ def shift_map_figure(field: ShiftField, grid: Grid, wanted_px: ArrayLike | None 
     times = style.round_number(_ARROW_PX * grid.shape[1] / longest) if longest > 0 else 1.0
     across = min(len(even), 2)
     down = -(-len(even) // across)
-    width_in = (0.84 if across == 1 else 0.4) * _WIDTH_IN
-    figure = style.new_figure(_WIDTH_IN, 0.4 + down * _map_in(grid, width_in))
+    width_in = (0.84 if across == 1 else 0.4) * style.WIDTH_IN
+    figure = style.new_figure(style.WIDTH_IN, 0.4 + down * _map_in(grid, width_in))
     panels = list(figure.subplots(down, across, squeeze=False).ravel())
     for axes, wish, here in zip(panels, even, error, strict=False):
         length = np.linalg.norm(here, axis=-1)
@@ -163,7 +163,7 @@ def distortion_figure(lens: Lens, grid: Grid) -> Figure:
     centre_px = 0.5 * (np.asarray(grid.shape) - 1.0)
     ideal = found.paraxial_mm / np.asarray(grid.pitch_mm) + centre_px
     real = ideal + times * found.error_px
-    figure = style.new_figure(_WIDTH_IN, 0.4 + _map_in(grid, 0.9 * _WIDTH_IN))
+    figure = style.new_figure(style.WIDTH_IN, 0.4 + _map_in(grid, 0.9 * style.WIDTH_IN))
     axes = figure.subplots()
     for points, colour, label in (
         (ideal, style.LIGHT, "paraxial"),

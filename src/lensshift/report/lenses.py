@@ -29,10 +29,9 @@ Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 _GLASS = "#E3EDF6"
-_FIELDS_DEG = (0.0, 6.5)
+_FIELDS_DEG = (0.0, 6.5)  # centre and edge of the sensor of the paper, behind 42.7 mm
 _VISIBLE = 0.03  # of the height of the lens: a smaller travel is drawn enlarged
-_STEPS = 41
-_WIDTH_IN, _WIDE_IN = 9.0, 10.0
+_WIDE_IN = 10.0  # of four panels with names beside them
 _DRAWN, _HIGH_IN, _AROUND_IN = 0.85, (1.5, 7.0), 1.9  # of a section: share of the width, heights
 _LEVEL_PT = 1.4 * style.SMALL_PT  # from one row of names to the next
 _FIRST_PT = 6.0
@@ -81,10 +80,10 @@ def _section_figure(section: Layout, moved: Polyline) -> tuple[Figure, float]:
     lines = [*parts, *(ray.line for ray in section.rays)]
     long_mm = max(line.z_mm.max() for line in lines) - min(line.z_mm.min() for line in lines)
     high_mm = 2.0 * max(float(np.abs(line.height_mm).max()) for line in parts)
-    drawn_in = _DRAWN * _WIDTH_IN
+    drawn_in = _DRAWN * style.WIDTH_IN
     high_in = float(np.clip(drawn_in * high_mm / long_mm, *_HIGH_IN))
     mm_per_pt = max(long_mm / drawn_in, high_mm / high_in) / 72.0
-    return style.new_figure(_WIDTH_IN, high_in + _AROUND_IN), mm_per_pt
+    return style.new_figure(style.WIDTH_IN, high_in + _AROUND_IN), mm_per_pt
 
 
 @style.styled()
@@ -111,7 +110,7 @@ def mtf_figure(
     highest_lpmm : where the curves end
     azimuth_rad : direction in which the pattern repeats, from the columns towards the rows
     """
-    frequency_lpmm = np.linspace(0.0, highest_lpmm, _STEPS)
+    frequency_lpmm = np.linspace(0.0, highest_lpmm, curves.STEPS)
     figure = style.new_figure(9.0, 6.2)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
     for number, field in enumerate(fields_tan):
