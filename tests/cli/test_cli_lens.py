@@ -1,20 +1,16 @@
 """`lensshift lens`."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from stand_in import Call, Refused
+from stand_in import Call, Refused, answer
 
 from lensshift.io import load_burst, load_lens_field
 
 
 def numbers(call: Call, *arguments: object) -> dict[str, object]:
-    done = call("lens", *arguments, "--json")
-    assert done.exit_code == 0, done.output
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
+    return answer(call, "lens", *arguments)
 
 
 def test_show_tells_the_published_data(call: Call) -> None:

@@ -131,43 +131,38 @@ def _page(
     )
     data = asdict(paraxial(model))
     data["petzval_radius_mm"] = 1.0 / (petzval_curvature_per_mm(model) or math.inf)
-    page.table(
-        [
-            {"first order": key.removesuffix("_mm").replace("_", " "), "value": float(value)}
-            | {"unit": "mm" if key.endswith("_mm") else ""}
-            for key, value in data.items()
-        ]
-    )
+    first_order = [
+        {"first order": key.removesuffix("_mm").replace("_", " "), "value": float(value)}
+        | {"unit": "mm" if key.endswith("_mm") else ""}
+        for key, value in data.items()
+    ]
+    page.table(first_order)
     page.heading("Elements")
-    page.table(
-        [
-            {
-                "element": number,
-                "name": part.name,
-                "glass": " + ".join(part.glass),
-                "focal length (mm)": focal_length_mm(part, indices),
-                "thickness (mm)": part.length_mm,
-                "air behind it (mm)": gap_mm,
-            }
-            for number, (part, indices, gap_mm) in enumerate(
-                zip(model.elements, model.indices(), model.gaps_mm, strict=True), start=1
-            )
-        ]
-    )
+    parts = zip(model.elements, model.indices(), model.gaps_mm, strict=True)
+    elements = [
+        {
+            "element": number,
+            "name": part.name,
+            "glass": " + ".join(part.glass),
+            "focal length (mm)": focal_length_mm(part, indices),
+            "thickness (mm)": part.length_mm,
+            "air behind it (mm)": gap_mm,
+        }
+        for number, (part, indices, gap_mm) in enumerate(parts, start=1)
+    ]
+    page.table(elements)
     page.heading(f"What can move the image by {shift_px:g} px along both axes")
-    movers = which_mover(model, grid, shift_px=shift_px)
-    page.table(
-        [
-            {
-                "what moves": label_of(mover),
-                "stroke": mover.stroke_text,
-                "error of the shift (px)": mover.max_shift_error_px,
-                "cross-talk (px)": mover.cross_talk_px,
-                "least MTF at rest": mover.mtf_centred,
-                "moved": mover.mtf_moved,
-                "loss": mover.mtf_loss,
-            }
-            for mover in movers
-        ]
-    )
+    movers = [
+        {
+            "what moves": label_of(mover),
+            "stroke": mover.stroke_text,
+            "error of the shift (px)": mover.max_shift_error_px,
+            "cross-talk (px)": mover.cross_talk_px,
+            "least MTF at rest": mover.mtf_centred,
+            "moved": mover.mtf_moved,
+            "loss": mover.mtf_loss,
+        }
+        for mover in which_mover(model, grid, shift_px=shift_px)
+    ]
+    page.table(movers)
     return page

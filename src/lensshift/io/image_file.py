@@ -49,15 +49,11 @@ def load_frames(path: str | Path) -> NDArray[Any]:
     """
     require_file(path)
     suffix = Path(path).suffix.lower()
+    loaders = {".png": _load_pillow, ".npy": _load_npy, **dict.fromkeys(TIFF_SUFFIXES, _load_tiff)}
+    loaders |= dict.fromkeys(FITS_SUFFIXES, _load_fits)
     with reading(path):
-        if suffix in TIFF_SUFFIXES:
-            return _load_tiff(path)
-        if suffix == ".png":
-            return _load_pillow(path)
-        if suffix == ".npy":
-            return _load_npy(path)
-        if suffix in FITS_SUFFIXES:
-            return _load_fits(path)
+        if suffix in loaders:
+            return loaders[suffix](path)
         if suffix in CONTAINER_SUFFIXES:
             ours = is_hdf5(path)
             raise DataError("no image, but a netCDF file" if ours else "not a netCDF-4/HDF5 file")
