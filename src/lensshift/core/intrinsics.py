@@ -222,10 +222,8 @@ class PixelDirections:
             If the shape differs.
         """
         if self.direction.shape[:2] != tuple(shape):
-            raise DataError(
-                f"expected directions for {shape} pixels, got {self.direction.shape[:2]}",
-                field="intrinsics",
-            )
+            problem = f"expected directions for {shape} pixels, got {self.direction.shape[:2]}"
+            raise DataError(problem, field="intrinsics")
 
 
 Intrinsics = Pinhole | PixelDirections

@@ -123,10 +123,8 @@ class Burst(Shown, AsDataset, AsTable):
         if self.time_s is not None:
             settle["time_s"] = as_numbers(self.time_s, (count,), "time_s")
         if self.offset_source not in OFFSET_SOURCES:
-            raise DataError(
-                f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}",
-                field="offset_source",
-            )
+            problem = f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}"
+            raise DataError(problem, field="offset_source")
         settle["modulation_hz"] = as_frequencies(self.modulation_hz)
         if self.phasors is not None:
             settle["phasors"] = as_phasors(self.phasors, settle["modulation_hz"], valid)

@@ -129,10 +129,8 @@ def _from_json(text: str) -> OffsetTable:
         raise DataError(f"expected only {', '.join(_JSON_FIELDS)}", field=f"{unknown[0]:.40}")
     source = content.get("offset_source", "planned")
     if source not in OFFSET_SOURCES:
-        raise DataError(
-            f"expected one of {', '.join(OFFSET_SOURCES)}, got {source!r:.40}",
-            field="offset_source",
-        )
+        problem = f"expected one of {', '.join(OFFSET_SOURCES)}, got {source!r:.40}"
+        raise DataError(problem, field="offset_source")
     return OffsetTable(
         _json_pairs(content, "offset_px"),
         _json_pairs(content, "offset_sigma_px") if "offset_sigma_px" in content else None,

@@ -118,10 +118,8 @@ def _pcapng(file: BinaryIO) -> Iterator[Packet]:
         _check_size(size, read + 4, file.tell())
         body = _take(file, size - read)
         if body[-4:] != size_bytes:
-            raise DataError(
-                f"damaged: the two sizes of a block differ before byte {file.tell()}",
-                field="packet",
-            )
+            problem = f"damaged: the two sizes of a block differ before byte {file.tell()}"
+            raise DataError(problem, field="packet")
         number = 0 if kind == _SECTION else struct.unpack(order + "I", kind)[0]
         if number == _INTERFACE and len(interfaces) < _MAX_INTERFACES:
             interfaces.append(_interface(body[:-4], order))

@@ -126,10 +126,8 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
         if not images:
             raise DataError("the variable is missing, and so is distance", field="amplitude")
         if images[0].shape != images[-1].shape:
-            raise DataError(
-                f"expected shape {images[0].shape} like amplitude, got {images[-1].shape}",
-                field="distance",
-            )
+            problem = f"expected shape {images[0].shape} like amplitude, got {images[-1].shape}"
+            raise DataError(problem, field="distance")
         scale = container.number("scale")
         if scale is None or scale < 1 or scale != int(scale):
             raise DataError(f"expected a whole number from 1, got {scale}", field="scale")
