@@ -240,15 +240,8 @@ def _draw_pixel(axes: Axes, pixel_um: Floats) -> None:
             fill=False, edgecolor="white", linewidth=1.0, linestyle="--",
         )
     )  # fmt: skip
-    axes.annotate(
-        "pixel",
-        (-0.5 * col_um, -0.5 * row_um),
-        xytext=(3.0, -3.0),
-        textcoords="offset points",
-        va="top",
-        color="white",
-        fontsize=style.SMALL_PT,
-    )
+    at, how = (-0.5 * col_um, -0.5 * row_um), {"va": "top", "color": "white"}
+    style.note(axes, "pixel", at, (3.0, -3.0), path_effects=None, **how)
 
 
 def _widen(axes: Axes) -> None:

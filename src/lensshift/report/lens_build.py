@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.report.curves import legend_above
-from lensshift.report.style import BLUE, GREY, INK, RED, SMALL_PT, new_figure, styled
+from lensshift.report.style import BLUE, GREY, INK, RED, SMALL_PT, new_figure, note, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,15 +110,9 @@ def _draw_table(axes: Axes, rows: Sequence[Sensitivity]) -> None:
     names = [f"{row.kind}, {row.element + 1} {row.name}" for row in rows]
     axes.barh(names, [row.mtf_loss for row in rows], color=BLUE, height=0.65)
     for place, row in enumerate(rows):
-        axes.annotate(
-            f"{row.mtf_loss:.3g}, shift {row.shift_error_px:.2g} px",
-            (max(row.mtf_loss, 0.0), place),
-            xytext=(3.0, 0.0),
-            textcoords="offset points",
-            va="center",
-            fontsize=SMALL_PT,
-            color=GREY,
-        )
+        text = f"{row.mtf_loss:.3g}, shift {row.shift_error_px:.2g} px"
+        at = (max(row.mtf_loss, 0.0), place)
+        note(axes, text, at, (3.0, 0.0), va="center", color=GREY, path_effects=None)
     axes.margins(x=0.25)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")

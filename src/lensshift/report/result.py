@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Estimate, Reconstruction
+from lensshift.io.picture_layers import COLOURS
 from lensshift.report.cloud import cloud_figure, drawn_pixels
 from lensshift.report.preview import shown_range
 from lensshift.report.style import SMALL_PT, new_figure, styled
 
 _UNITS = {"amplitude": "", "distance": " (m)"}
-_COLOURS = {"amplitude": "gray", "distance": "viridis"}
 _MOST_MISFIT = 10.0  # ten times the variance that was expected
 _TITLE_IN, _CLOUD_IN = 0.32, 6.0  # heights
 
@@ -103,7 +103,7 @@ def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
 def _panels(
     name: str, estimate: Estimate, reference: Mapping[str, NDArray[Any]] | None
 ) -> list[_Panel]:
-    unit, colours = _UNITS.get(name, ""), _COLOURS.get(name, "gray")
+    unit, colours = _UNITS.get(name, ""), COLOURS.get(name, "gray")
     image = np.abs(estimate.image) if np.iscomplexobj(estimate.image) else estimate.image
     scale, measured = Normalize(*shown_range(image)), name + unit
     found = [_Panel(name, image, colours, scale, measured)]

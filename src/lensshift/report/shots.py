@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from lensshift.io.picture_layers import COLOURS
 from lensshift.report.preview import Shots, channel_range
 from lensshift.report.style import SMALL_PT, new_figure, styled
 
 _UNITS = {"amplitude": "amplitude", "distance": "distance (m)"}
-_COLOURS = {"amplitude": "gray", "distance": "viridis"}
 
 
 @styled()
@@ -44,9 +44,7 @@ def shots_figure(shown: Shots, title: str = "", *, wide_in: float = 11.0) -> Fig
             axes.set_axis_off()
             if channel not in images:
                 continue
-            drawn = axes.imshow(
-                np.abs(images[channel]), cmap=_COLOURS[channel], vmin=low, vmax=high
-            )
+            drawn = axes.imshow(np.abs(images[channel]), cmap=COLOURS[channel], vmin=low, vmax=high)
             axes.set_title(label, fontsize=SMALL_PT)
         if drawn is not None:
             where = "right" if beside else "bottom"
