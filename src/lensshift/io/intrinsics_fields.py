@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.intrinsics import Intrinsics, Pinhole, PixelDirections
+from lensshift.io.container_reader import Container
 from lensshift.io.container_writer import Variable, measured
 
 _COUNTS = {"focal_px": 2, "centre_px": 2, "distortion": 5}
@@ -64,6 +65,11 @@ def intrinsics_of_fields(fields: Mapping[str, Any]) -> Intrinsics | None:
         raise
     except (TypeError, ValueError) as error:
         raise DataError(str(error), field="intrinsics") from error
+
+
+def read_intrinsics(container: Container) -> Intrinsics | None:
+    """Return where the pixels look by the fields of a container; `DataError` as above."""
+    return intrinsics_of_fields(container.fields(NAMES))
 
 
 def _numbers(fields: Mapping[str, Any], name: str, count: int) -> list[float]:

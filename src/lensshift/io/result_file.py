@@ -28,21 +28,12 @@ from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.io import container_writer as writer
 from lensshift.io.container_reader import Container, open_container
-from lensshift.io.container_writer import (
-    Variable,
-    flag_attributes,
-    measured,
-    pixel_centres,
-    sealed_text,
-    to_json,
-    write_container,
-)
 from lensshift.io.intrinsics_fields import (
-    NAMES,
     intrinsics_attributes,
-    intrinsics_of_fields,
     intrinsics_variables,
+    read_intrinsics,
 )
 
 SCHEMA = "lensshift-reconstruction/1"
@@ -64,26 +55,26 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
     """
     from lensshift.io.prediction_fields import prediction_variables
 
-    variables: dict[str, Variable] = {}
+    variables: dict[str, writer.Variable] = {}
     for name, estimate in reconstruction.channels.items():
         variables |= _channel_variables(name, estimate)
     variables |= prediction_variables(reconstruction.channels)
     if reconstruction.flying is not None:
         flags = np.where(reconstruction.flying, _FLYING, np.uint8(0))
-        variables["flags"] = Variable(_AXES, flags, flag_attributes("flying"))
+        variables["flags"] = writer.Variable(_AXES, flags, writer.flag_attributes("flying"))
     try:
         if not variables:
             raise DataError("there is neither an amplitude nor a distance channel")
-        settings = to_json(reconstruction.settings, "settings")
+        settings = writer.to_json(reconstruction.settings, "settings")
     except DataError as error:
         raise error.in_file(path) from error
-    write_container(
+    writer.write_container(
         path,
         schema=SCHEMA,
         axes=_AXES,
         variables=variables
         | intrinsics_variables(reconstruction.intrinsics)
-        | pixel_centres(reconstruction.grid.shape),
+        | writer.pixel_centres(reconstruction.grid.shape),
         attributes=picture_attributes(
             reconstruction.grid,
             reconstruction.intrinsics,
@@ -101,8 +92,8 @@ def picture_attributes(
     return {
         "pitch_mm": np.asarray(grid.pitch_mm, dtype=np.float64),
         "scale": np.int64(scale),
-        "method": sealed_text(method),
-        "settings": sealed_text(settings),
+        "method": writer.sealed_text(method),
+        "settings": writer.sealed_text(settings),
         **intrinsics_attributes(intrinsics),
     }
 
@@ -141,37 +132,39 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
             method=container.text("method"),
             settings=settings,
             flying=_read_flying(container, images[0].shape),
-            intrinsics=intrinsics_of_fields(container.fields(NAMES)),
+            intrinsics=read_intrinsics(container),
         )
 
 
-def _channel_variables(name: str, estimate: Estimate) -> dict[str, Variable]:
+def _channel_variables(name: str, estimate: Estimate) -> dict[str, writer.Variable]:
     from lensshift.io.prediction_fields import phase_attributes
 
     units, label = CHANNELS[name]
     described: dict[str, Any] = {
-        "status": sealed_text(estimate.status.name.lower()),
-        "notes": sealed_text(to_json(estimate.notes, f"{name}@notes")),
+        "status": writer.sealed_text(estimate.status.name.lower()),
+        "notes": writer.sealed_text(writer.to_json(estimate.notes, f"{name}@notes")),
     }
     for number in _NUMBERS:
         value = getattr(estimate, number)
         described[number] = None if value is None else np.float64(value)
     described |= phase_attributes(estimate)
-    variables = {name: measured(_AXES, estimate.image, units, label, **described)}
+    variables = {name: writer.measured(_AXES, estimate.image, units, label, **described)}
     maps = {
         "std": (estimate.std, units, f"standard deviation of {label}"),
         "misfit": (estimate.misfit, "1", f"mean square residual of {label} in units of its noise"),
     }
     for part, (values, unit, meaning) in maps.items():
         if values is not None:
-            variables[f"{name}_{part}"] = measured(_AXES, values, unit, meaning)
+            variables[f"{name}_{part}"] = writer.measured(_AXES, values, unit, meaning)
     if estimate.confidence is not None:
         meaning = f"weight of the LR pixels of {label}"
-        variables[f"{name}_confidence"] = measured(_LR_AXES, estimate.confidence, "1", meaning)
+        variables[f"{name}_confidence"] = writer.measured(
+            _LR_AXES, estimate.confidence, "1", meaning
+        )
     if estimate.objective:
         steps, meaning = (f"{name}_iteration",), f"objective of {label} after each iteration"
         objective = np.asarray(estimate.objective, dtype=np.float64)
-        variables[f"{name}_objective"] = measured(steps, objective, "1", meaning)
+        variables[f"{name}_objective"] = writer.measured(steps, objective, "1", meaning)
     return variables
 
 
