@@ -45,8 +45,7 @@ def group() -> None:
 class ShowOptions:
     """Options of `lensshift lens show`."""
 
-    of: optics.LensOptions
-    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
+    of: optics.MovedLensOptions
     figure: Literal["layout", "spots", "distortion", "fans", "psf", "field"] = option(
         "layout", "What --plot draws."
     )
@@ -67,9 +66,8 @@ def show(current: Session, asked: ShowOptions) -> None:
     from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
 
     outputs.check([], plot=asked.plot)
-    model, grid = optics.opened(asked.of)
-    element, shift_px = asked.move.element, asked.move.shift_px
-    moved = optics.element_of(model, element)
+    model, grid, moved = optics.opened_moving(asked.of)
+    element, shift_px = asked.of.element, asked.of.shift_px
     data = paraxial(model)
     gains = decenter_gains(model)
     current.say(
@@ -108,8 +106,7 @@ def show(current: Session, asked: ShowOptions) -> None:
 class MtfOptions:
     """Options of `lensshift lens mtf`."""
 
-    of: optics.LensOptions
-    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
+    of: optics.MovedLensOptions
     field_deg: list[str] | None = option(
         None, "Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."
     )
@@ -143,10 +140,9 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     from lensshift.optics.mtf import diffraction_limit
 
     outputs.check([], asked.csv, asked.plot)
-    model, grid = optics.opened(asked.of)
-    moved = optics.element_of(model, asked.move.element)
+    model, grid, moved = optics.opened_moving(asked.of)
     fields_tan = optics.parse_fields_tan(asked.field_deg)
-    travel_mm = optics.diagonal_mm(model, moved, asked.move.shift_px, grid)
+    travel_mm = optics.diagonal_mm(model, moved, asked.of.shift_px, grid)
     band = optics.band_of(model, asked.band_nm)
     nyquist_lpmm = 0.5 / max(grid.pitch_mm)
     highest = asked.highest_lpmm or _CURVES_NYQUIST * nyquist_lpmm

@@ -181,8 +181,7 @@ def _row(design: Design) -> dict[str, Any]:
 class ToleranceOptions:
     """Options of `lensshift lens tolerance`."""
 
-    of: optics.LensOptions
-    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
+    of: optics.MovedLensOptions
     builds: int = option(1000, "Random builds.", min=1)
     limit: float = option(0.9, "MTF that a good build keeps.")
     decenter_mm: float = option(0.05, "Of each element.", min=0.0)
@@ -213,9 +212,8 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
     )
 
     outputs.check([], asked.to.csv, asked.to.plot)
-    model, grid = optics.opened(asked.of)
-    shift_px, builds = asked.move.shift_px, asked.builds
-    moved = optics.element_of(model, asked.move.element)
+    model, grid, moved = optics.opened_moving(asked.of)
+    shift_px, builds = asked.of.shift_px, asked.builds
     limits = Tolerances(
         asked.decenter_mm, math.radians(asked.tilt_deg), asked.gap_mm, asked.focal_share,
         asked.index,
@@ -228,7 +226,7 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         )  # fmt: skip
     current.say(format_sensitivity(table))
     _say_builds(current, found, builds, asked.limit)
-    current.result |= {"lens": model.name or asked.of.lens, "element": asked.move.element}
+    current.result |= {"lens": model.name or asked.of.lens, "element": asked.of.element}
     current.result["sensitivity"] = [asdict(row) | {"element": row.element + 1} for row in table]
     columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
     columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
@@ -259,8 +257,7 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
 class BudgetOptions:
     """Options of `lensshift lens budget`."""
 
-    of: optics.LensOptions
-    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
+    of: optics.MovedLensOptions
     repeatability_um: float = option(0.0, "Standard deviation of where it stops.", min=0.0)
     backlash_um: float = option(0.0, "Between approaches from the two sides.", min=0.0)
     encoder_um: float = option(0.0, "One step of the encoder.", min=0.0)
@@ -283,16 +280,16 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
 
     outputs.check([], plot=asked.plot)
-    model, grid = optics.opened(asked.of)
+    model, grid, moved = optics.opened_moving(asked.of)
     found = actuator_budget(
         model,
-        optics.element_of(model, asked.move.element),
+        moved,
         grid,
         Actuator(asked.repeatability_um, asked.backlash_um, asked.encoder_um, asked.drift_um),
         noise=asked.noise,
-        shift_px=asked.move.shift_px,
+        shift_px=asked.of.shift_px,
     )
     current.say(format_budget(found))
     current.result |= {"lens": model.name or asked.of.lens, "noise": asked.noise}
-    current.result |= asdict(found) | {"element": asked.move.element}
+    current.result |= asdict(found) | {"element": asked.of.element}
     outputs.write_plot(current, asked.plot, "lens_build.budget_figure", found)

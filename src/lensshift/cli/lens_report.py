@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,8 +36,7 @@ _FIGURES = {
 class ReportOptions:
     """Options of `lensshift lens report`."""
 
-    of: optics.LensOptions
-    move: optics.MoveOptions = field(default_factory=optics.MoveOptions)
+    of: optics.MovedLensOptions
     out: Path | None = option(None, "Page to write (.html).", "-o")
     band_nm: optics.BandOption = 0.0
 
@@ -55,12 +54,11 @@ def report(current: Session, asked: ReportOptions) -> None:
       lensshift lens report petzval_a -o petzval_a.html
       lensshift lens report petzval_b --band-nm 40 --json
     """
-    out, shift_px = asked.out, asked.move.shift_px
+    out, shift_px = asked.out, asked.of.shift_px
     outputs.check([], out)
     if out is not None and out.suffix.lower() != ".html":
         raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
-    model, grid = optics.opened(asked.of)
-    moved = optics.element_of(model, asked.move.element)
+    model, grid, moved = optics.opened_moving(asked.of)
     band = optics.band_of(model, asked.band_nm)
     fields_tan = optics.spread_fields_tan(model, grid, _SHARES)
     rows = [_row(model, grid, field, band) for field in fields_tan]

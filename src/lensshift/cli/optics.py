@@ -45,14 +45,6 @@ class LightOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class MoveOptions:
-    """What moves, and how far."""
-
-    element: int = option(1, "The element that moves, counted from 1.", min=1)
-    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
-
-
-@dataclass(frozen=True, slots=True)
 class LensOptions:
     """A lens in its light, before its sensor."""
 
@@ -77,9 +69,23 @@ def read_lens(name: str, light: LightOptions | None = None) -> Lens:
     return replace(lens, **{name: one for name, one in given.items() if one is not None})
 
 
+@dataclass(frozen=True, slots=True)
+class MovedLensOptions(LensOptions):
+    """A lens of which an element moves."""
+
+    element: int = option(1, "The element that moves, counted from 1.", min=1)
+    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
+
+
 def opened(asked: LensOptions) -> tuple[Lens, Grid]:
     """Return the lens and the grid of its sensor."""
     return read_lens(asked.lens, asked.light), sensor_grid(asked.sensor)
+
+
+def opened_moving(asked: MovedLensOptions) -> tuple[Lens, Grid, int]:
+    """Return the lens, the grid of its sensor, and the index of the element that moves."""
+    lens, grid = opened(asked)
+    return lens, grid, element_of(lens, asked.element)
 
 
 def sensor_grid(asked: SensorOptions) -> Grid:

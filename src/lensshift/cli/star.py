@@ -147,11 +147,8 @@ def frc(current: Session, asked: FrcOptions) -> None:
     ):
         place = "never crossed" if cutoff is None else f"crossed at {cutoff:.4g} {unit.name}"
         current.say(f"{label:<20}{place}")
-    columns = {
-        "frequency_lpmm": found.frequency_lpmm,
-        "correlation": found.correlation,
-        "half_bit": found.half_bit,
-    }
+    names = ("frequency_lpmm", "correlation", "half_bit")
+    columns = {name: getattr(found, name) for name in names}
     current.tell(found, "cutoff_lpmm fixed_cutoff_lpmm")
     current.result |= {"unit": unit.name, **columns}
     outputs.write_table(current, asked.csv, columns)
