@@ -127,7 +127,11 @@ def _tell(
 
     for result in results:
         say_edge(current, result, unit, length)
-        say_at(current, result.mtf, unit, at)
+        for row in at_rows(result.mtf, unit, at):
+            shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
+            known = row["value"] == row["value"]
+            text = shown if known else "beyond the curve"
+            current.say(f"  MTF at {row['frequency']:<16g}{text}")
     used = usable_edges(results)
     mean = _mean(used)
     if len(results) > 1:
@@ -156,15 +160,6 @@ def say_edge(current: Session, result: EdgeResult, unit: images.Unit, length: st
     )
     numbers = {name: getattr(result, name) for name, _, _ in NUMBERS}
     _say_numbers(current, numbers, unit, length, result.sample_nyquist_lpmm)
-
-
-def say_at(current: Session, curve: MtfCurve, unit: images.Unit, at: Sequence[float]) -> None:
-    """Print the modulation at frequencies in the unit."""
-    for row in at_rows(curve, unit, at):
-        shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
-        known = row["value"] == row["value"]
-        text = shown if known else "beyond the curve"
-        current.say(f"  MTF at {row['frequency']:<16g}{text}")
 
 
 def at_rows(curve: MtfCurve, unit: images.Unit, at: Sequence[float]) -> list[dict[str, float]]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
@@ -241,11 +242,18 @@ def _draw_places(axes: Axes, picture: Floats, results: Sequence[EdgeResult]) -> 
     images.draw_image(axes, picture, f"{title} and fitted edge{'s' * many}" if fitted else title)
     for number, result in enumerate(results):
         colour, place = style.colour_of(number), result.region
-        images.draw_region(axes, *_ends(place), colour)
+        top, stop, left, right = _ends(place)
+        corner, sides = (left - 0.5, top - 0.5), (right - left, stop - top)
+        borders = Rectangle(
+            corner, *sides, fill=False, edgecolor=colour, linewidth=1.3,
+            path_effects=style.outlined(1.3), clip_on=False,  # an image that it fills cuts it not
+        )  # fmt: skip
+        axes.add_patch(borders)
         row_px, col_px = edge_line_px(result)
         axes.plot(col_px, row_px, color=colour, linewidth=1.3, path_effects=style.outlined(1.3))
         if many:
-            images.number_region(axes, number + 1, place.row_start, place.col_start, colour)
+            how = {"color": colour, "va": "top", "fontweight": "bold"}
+            style.note(axes, str(number + 1), corner, (3.0, -3.0), **how)
     axes.set(xlim=(-0.5, picture.shape[1] - 0.5), ylim=(picture.shape[0] - 0.5, -0.5))
 
 
