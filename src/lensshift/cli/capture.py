@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.errors import DataError, printable
 
@@ -220,6 +220,5 @@ def _losses(counts: Any) -> str:
 
 
 def _summary(burst: Burst, counts: dict[str, int]) -> dict[str, Any]:
-    names = ("frame_count", "offset_px", "offset_source", "stage_mm")
-    told = {name: getattr(burst, name) for name in names}
+    told = picked(burst, "frame_count offset_px offset_source stage_mm")
     return {**told, "shape": burst.grid.shape, "counts": counts}

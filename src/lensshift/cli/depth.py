@@ -17,7 +17,7 @@ from lensshift.cli.images import (
     parse_region,
     slices_of,
 )
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
@@ -180,8 +180,8 @@ def _plane(
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     valid = None if measured.valid is None else measured.valid[cut]
     found = fit_plane(measured.values[cut], valid=valid, directions=rays[cut])
-    names = ("normal", "offset_m", "rms_m", "max_m", "count", "bias_rms_m", "noise_rms_m")
-    current.result["plane"] = {name: getattr(found, name) for name in names}
+    names = "normal offset_m rms_m max_m count bias_rms_m noise_rms_m"
+    current.result["plane"] = picked(found, names)
     current.say(
         f"{'plane':<22}rms {1e3 * found.rms_m:.2f} mm: bias {1e3 * found.bias_rms_m:.2f}, "
         f"noise {1e3 * found.noise_rms_m:.2f} mm, {found.count} pixels"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb, verb_group
 
 if TYPE_CHECKING:
@@ -82,13 +82,12 @@ def rig(current: Session, asked: RigOptions) -> None:
     from lensshift.io.atomic import written_whole
     from lensshift.pipeline.experiment_file import named_scene
 
-    names = ("message_loss", "packet_loss", "reorder", "rate_hz", "speed")
     settings = RigSettings(
         scene=named_scene(asked.scene),
         play_mm=1e-3 * asked.play_um,
         encoder_noise_mm=1e-3 * asked.noise_um,
         seed=asked.course.seed,
-        **{name: getattr(asked, name) for name in names},
+        **picked(asked, "message_loss packet_loss reorder rate_hz speed"),
     )
     port = asked.port or free_udp_port()
     with EmulatedRig(settings, camera_port=port) as running:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lensshift.cli import images, outputs
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
@@ -138,8 +138,7 @@ def _compare(current: Session, fine: EdgeGradient, coarse: EdgeGradient) -> None
 
 def _row(found: EdgeGradient) -> dict[str, Any]:
     averaged = found.averaged
-    names = ("mean_per_mm", "median_per_mm", "interval_per_mm", "slope_per_mm")
-    return {name: getattr(found, name) for name in names} | {
+    return picked(found, "mean_per_mm median_per_mm interval_per_mm slope_per_mm") | {
         "lines": len(found.lines),
         "averaged_per_mm": None if averaged is None else averaged.normalised_per_mm,
         "averaged_width_mm": None if averaged is None else averaged.width_mm,

@@ -12,7 +12,7 @@ import typer
 
 from lensshift.cli import optics, outputs
 from lensshift.cli.inputs import parse_numbers
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
@@ -170,8 +170,7 @@ def write_lens(lens: Lens, out: Path) -> None:
 
 
 def _row(design: Design) -> dict[str, Any]:
-    numbers = ("mtf_centred", "mtf_moved", "shift_error_px", "stroke_mm", "transmission")
-    row: dict[str, Any] = {name: getattr(design, name) for name in numbers}
+    row = picked(design, "mtf_centred mtf_moved shift_error_px stroke_mm transmission")
     row["element"] = None if design.element is None else design.element + 1
     row["train"] = [element.name for element in design.lens.elements]
     return row | {"turned": design.turned, "gaps_mm": design.lens.gaps_mm}

@@ -14,7 +14,7 @@ import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.inputs import parse_pitch_mm
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
@@ -167,13 +167,8 @@ def _replay(path: Path, asked: LiveOptions) -> Source:
         raise typer.BadParameter(
             f"{path} is no recording; make it one: lensshift convert {path} burst.nc --offsets CSV"
         )
-    camera = ReplayCamera(
-        path,
-        pitch_mm=pitch_mm,
-        modulation_hz=asked.modulation_hz,
-        amplitude_topic=asked.amplitude_topic,
-        distance_topic=asked.distance_topic,
-    )
+    told = picked(asked, "modulation_hz amplitude_topic distance_topic")
+    camera = ReplayCamera(path, pitch_mm=pitch_mm, **told)
     return CameraSource(camera, asked.pattern)
 
 

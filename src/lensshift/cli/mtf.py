@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from lensshift.cli import images, outputs
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
@@ -214,9 +214,5 @@ def edge_row(result: EdgeResult, unit: images.Unit) -> dict[str, Any]:
         row[name] = images.interval_row(getattr(result, name))
     for name in ("mtf50", "mtf30", "mtf10"):
         row[name] = images.interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
-    for name in (
-        "method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm",
-        "beyond_nyquist", "usable",
-    ):  # fmt: skip
-        row[name] = getattr(result, name)
-    return row | {"notes": list(result.notes)}
+    row |= picked(result, "method dark bright contrast noise snr bend_px nyquist_lpmm")
+    return row | picked(result, "beyond_nyquist usable") | {"notes": list(result.notes)}

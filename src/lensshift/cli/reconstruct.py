@@ -17,7 +17,7 @@ from lensshift.cli.points import CLOUD_SUFFIXES, refuse_points
 from lensshift.cli.reconstruct_options import ReconstructOptions
 from lensshift.cli.recording import is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import verb
 from lensshift.core.errors import DataError, QualityWarning
 
@@ -50,13 +50,11 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
       lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
     """
-    settings: dict[str, Any] = {
-        "scale": asked.scale, "method": asked.method, "channel": asked.channel,
-        "prior_weight": parse_weight(asked.prior_weight), "frames": parse_frames(asked.frames),
-        "noise_sigma": asked.noise_sigma, "fill_factor": asked.fill_factor,
-        "non_negative": asked.non_negative, "photometric": asked.photometric,
-        "seed": asked.seed, "device": asked.device,
-    }  # fmt: skip
+    settings = picked(
+        asked, "scale method channel noise_sigma fill_factor non_negative photometric seed device"
+    )
+    settings |= {"prior_weight": parse_weight(asked.prior_weight)}
+    settings |= {"frames": parse_frames(asked.frames)}
     check_method(asked.method)
     settings |= parse_options(asked.method, asked.method_options or [])
     if is_recording(asked):
@@ -115,9 +113,7 @@ def describe(estimate: Estimate) -> dict[str, Any]:
     return {
         "status": estimate.status.value,
         "iterations": len(estimate.objective),
-        "prior_weight": estimate.prior_weight,
-        "noise_sigma": estimate.noise_sigma,
-        "noise_gain": estimate.noise_gain,
+        **picked(estimate, "prior_weight noise_sigma noise_gain"),
     }
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lensshift.cli.inputs import BurstArgument, StackOptions, beside, check_files, load_input_burst
-from lensshift.cli.session import Session, Waiting
+from lensshift.cli.session import Session, Waiting, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
@@ -49,11 +49,7 @@ def register(current: Session, asked: RegisterOptions) -> None:
     check_files((asked.burst, asked.stack.offsets), (target,))
     found = find_shifts(
         load_input_burst(asked.burst, asked.stack, to_register=True),
-        method=asked.method,
-        channel=asked.channel,
-        reference=asked.reference,
-        photometric=asked.photometric,
-        use_given=asked.use_given,
+        **picked(asked, "method channel reference photometric use_given"),
     )
     if asked.refine:
         from lensshift.reconstruction.shift_refinement import refine_shifts

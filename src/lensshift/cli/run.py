@@ -12,7 +12,7 @@ import typer
 from lensshift.cli.devices import YesOption
 from lensshift.cli.method_options import check_method
 from lensshift.cli.reconstruct import say_channels
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
@@ -66,14 +66,8 @@ def run(current: Session, asked: RunOptions) -> None:
     from lensshift.pipeline import run as run_pipeline
 
     with closing(Progress("reconstructing", preparing=True)) as progress:
-        summary = run_pipeline(
-            asked.out,
-            config=asked.config,
-            scale=asked.scale,
-            method=asked.method,
-            seed=asked.seed,
-            on_iteration=progress,
-        )
+        told = picked(asked, "config scale method seed")
+        summary = run_pipeline(asked.out, **told, on_iteration=progress)
     _say(current, summary)
 
 

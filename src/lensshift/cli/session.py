@@ -74,7 +74,7 @@ class Session:
 
     def tell(self, value: object, names: str) -> None:
         """Hand back some attributes of a value, by their names with blanks between."""
-        self.result |= {name: getattr(value, name) for name in names.split()}
+        self.result |= picked(value, names)
 
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
@@ -130,6 +130,11 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         typer.echo(to_json(current.result | {"warnings": current.warnings}))
     if current.failed:
         raise typer.Exit(1)
+
+
+def picked(value: object, names: str) -> dict[str, Any]:
+    """Return some attributes of a value, by their names with blanks between."""
+    return {name: getattr(value, name) for name in names.split()}
 
 
 def _report(error: Exception, current: Session) -> None:

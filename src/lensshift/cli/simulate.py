@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli.inputs import PatternOption, check_files
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from lensshift.camera import TofCamera
 
-_PHASES = (
-    "difference", "electrons_per_count", "exposure", "gain", "saturated", "modulation_hz",
-)  # fmt: skip
+_PHASES = "difference electrons_per_count exposure gain saturated modulation_hz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,20 +64,14 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
     from lensshift.pipeline.run import save_truth
 
     settings = _camera(asked)
-    capture = simulate_tof(
-        named_scene(asked.scene),
-        settings,
-        named_pattern_px(asked.pattern),
-        scale=asked.scale,
-        shift_error_px=asked.shift_error_px,
-        seed=asked.seed,
-    )
+    pattern_px, told = named_pattern_px(asked.pattern), picked(asked, "scale shift_error_px seed")
+    capture = simulate_tof(named_scene(asked.scene), settings, pattern_px, **told)
     save_burst(capture.burst, out)
     save_truth(capture.truth, truth_file)
     if phases is not None:
         from lensshift.io.point_cloud_file import write_npz
 
-        raw = {name: getattr(capture.raw, name) for name in _PHASES}
+        raw = picked(capture.raw, _PHASES)
         write_npz(phases, raw | {"offset_px": capture.burst.offset_px})
     burst = capture.burst
     rows, cols = burst.grid.shape

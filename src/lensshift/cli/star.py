@@ -11,7 +11,7 @@ import typer
 from lensshift.cli import images, outputs
 from lensshift.cli.inputs import parse_numbers
 from lensshift.cli.mtf import edges_of
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 Profile = Literal["sine", "square"]  # that a pattern was printed with
@@ -147,8 +147,7 @@ def frc(current: Session, asked: FrcOptions) -> None:
     ):
         place = "never crossed" if cutoff is None else f"crossed at {cutoff:.4g} {unit.name}"
         current.say(f"{label:<20}{place}")
-    names = ("frequency_lpmm", "correlation", "half_bit")
-    columns = {name: getattr(found, name) for name in names}
+    columns = picked(found, "frequency_lpmm correlation half_bit")
     current.tell(found, "cutoff_lpmm fixed_cutoff_lpmm")
     current.result |= {"unit": unit.name, **columns}
     outputs.write_table(current, asked.csv, columns)

@@ -164,11 +164,7 @@ class Pages:
 
     async def change(self, request: Request) -> Response:
         """Change a setting, or begin or end a recording."""
-        try:
-            wanted = await _asked(request)
-            await asyncio.to_thread(control, self._live, wanted, self._folder)
-        except FAILURES as error:
-            return _json({"error": str(error)}, 400)
+        await asyncio.to_thread(control, self._live, await _asked(request), self._folder)
         return _json(self.head(None) | {"number": None})
 
     async def snapshot(self, _: Request) -> Response:
@@ -176,11 +172,8 @@ class Pages:
         picture = self._live.picture
         if picture is None:
             return _json({"error": "no picture yet"}, 409)
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            files = await asyncio.to_thread(save_snapshot, picture, self._folder)
-        except FAILURES as error:
-            return _json({"error": str(error)}, 400)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        files = await asyncio.to_thread(save_snapshot, picture, self._folder)
         return _json({"files": [path.name for path in files]})
 
     async def edge(self, request: Request) -> Response:
@@ -188,11 +181,8 @@ class Pages:
         picture, pool = self._live.picture, self._pool
         if picture is None or pool is None:
             return _json({"error": "no picture yet"}, 409)
-        try:
-            box = box_of((await _asked(request)).get("box"), picture.result.grid.shape)
-            images = _edge_images(picture)
-        except FAILURES as error:
-            return _json({"error": str(error)}, 400)
+        box = box_of((await _asked(request)).get("box"), picture.result.grid.shape)
+        images = _edge_images(picture)
         scale, pitch_mm = picture.result.scale, float(np.mean(picture.window.grid.pitch_mm))
         coarse = (box[0] // scale, -(-box[1] // scale), box[2] // scale, -(-box[3] // scale))
         loop, found, most_lpmm = asyncio.get_running_loop(), {}, 0.6 * scale / pitch_mm
@@ -269,6 +259,10 @@ def _json(content: dict[str, Any], status: int = 200) -> Response:
     return JSONResponse(content, status)
 
 
+def _refused(_: Request, error: Exception) -> Response:
+    return _json({"error": str(error)}, 400)
+
+
 def make_app(live: Live, token: str, folder: Path) -> ASGIApp:
     """Return the application behind its gate.
 
@@ -294,7 +288,9 @@ def make_app(live: Live, token: str, folder: Path) -> ASGIApp:
         Route("/edge", pages.edge, methods=["POST"]),
         Mount("/", StaticFiles(directory=files, html=True)),
     ]
-    return Gate(Starlette(routes=routes, lifespan=pages.lifespan), token)
+    refusals = dict.fromkeys(FAILURES, _refused)
+    app = Starlette(routes=routes, lifespan=pages.lifespan, exception_handlers=refusals)
+    return Gate(app, token)
 
 
 MISSING = "the live page needs a web server: python -m pip install 'lensshift[live]'"
