@@ -11,7 +11,7 @@ import typer
 
 from lensshift.cli.inputs import Kind, StackOptions, kind_of, load_input_burst, refuse_overwriting
 from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
@@ -118,13 +118,9 @@ def _convert_result(current: Session, asked: ConvertOptions) -> tuple[float, flo
     if told is not None:
         result = replace(result, intrinsics=told.refine(result.scale))
     refuse_points([target], result.intrinsics, with_distance=result.distance_m is not None)
-    limits = export_reconstruction(
-        result,
-        target,
-        bits=16 if asked.bits == "16" else 8,
-        keep_flying=points.keep_flying,
-        normals=points.normals,
-    )
+    chosen = picked(points, "keep_flying normals")
+    bits: Literal[8, 16] = 16 if asked.bits == "16" else 8
+    limits = export_reconstruction(result, target, bits=bits, **chosen)
     if limits is not None:
         current.say(f"grey values from {limits[0]:.6g} to {limits[1]:.6g}")
     return limits

@@ -169,11 +169,9 @@ def o3m(current: Session, asked: O3mOptions) -> None:
     with O3MSender(
         _still_world(asked.scene, asked.course.seed).look,
         port=port,
-        rate_hz=asked.rate_hz,
-        layout=asked.layout,
         loss=asked.packet_loss,
-        reorder=asked.reorder,
         seed=asked.course.seed,
+        **picked(asked, "rate_hz layout reorder"),
     ) as sender:
         current.say(f"O3M, layout {asked.layout}, sends to UDP port {port} at {asked.rate_hz:g} Hz")
         current.result |= {"camera_port": port}

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from lensshift.cli.session import picked
 from lensshift.cli.verbs import option
 from lensshift.core.errors import DataError
 
@@ -95,9 +96,8 @@ def _load(path: Path, options: StackOptions) -> Burst:
             path,
             options.offsets,
             pitch_mm=pitch_mm,
-            key=options.key,
             frame_axis=FRAME_AXES[options.frame_axis],
-            modulation_hz=options.modulation_hz,
+            **picked(options, "key modulation_hz"),
         )
     if kind is not Kind.BURST:
         raise DataError(f"expected a burst, got a {kind.value}", source=path)

@@ -104,15 +104,8 @@ def edges_of(
     """Measure the edges of an image, or of a region of it."""
     from lensshift.evaluation.slanted_edge import measure_edges
 
-    return measure_edges(
-        measured.values,
-        measured.pitch_mm,
-        region=region,
-        offset_px=measured.offset_px,
-        valid=measured.valid,
-        scale=measured.scale,
-        **options,
-    )
+    options |= picked(measured, "offset_px valid scale")
+    return measure_edges(measured.values, measured.pitch_mm, region=region, **options)
 
 
 def _tell(

@@ -155,9 +155,7 @@ def _reconstruct(
     target, preview, *exports = files
     save_reconstruction(result, target)
     for path in exports:
-        export_reconstruction(
-            result, path, bits=16, keep_flying=points.keep_flying, normals=points.normals
-        )
+        export_reconstruction(result, path, bits=16, **picked(points, "keep_flying normals"))
     _preview(burst, result, settings, preview)
     shape = result.grid.shape
     current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")

@@ -74,14 +74,8 @@ def draw_pixel_limits(
             [pixel_aperture_mtf(frequency_lpmm, sides_mm, angle_rad=one) for one in angles_rad],
             axis=0,
         )
-        axes.plot(
-            frequency_lpmm * factor,
-            limit,
-            linestyle=style,
-            color=INK,
-            linewidth=1.0,
-            label=f"|sinc| of {name}",
-        )
+        frequency, label = frequency_lpmm * factor, f"|sinc| of {name}"
+        axes.plot(frequency, limit, style, color=INK, linewidth=1.0, label=label)
 
 
 def draw_limits(

@@ -66,14 +66,9 @@ def edge_figure(
     if picture is not None:
         _draw_places(panels[2], picture, results)
     if residual is not None:
-        images.draw_map(
-            panels[-1],
-            residual[0],
-            "pixels minus model",
-            "standard deviations of the noise",
-            largest=_RESIDUAL_SIGMAS,
-            corner_px=residual[1],
-        )
+        values, corner_px = residual
+        words = ("pixels minus model", "standard deviations of the noise")
+        images.draw_map(panels[-1], values, *words, largest=_RESIDUAL_SIGMAS, corner_px=corner_px)
     return figure
 
 

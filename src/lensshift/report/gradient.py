@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -104,17 +105,11 @@ def _draw_profiles(axes: Axes, measured: MeasuredLines, colour: str, length: str
         place_mm - edge.position_mm, lines[middle], ".-", color=colour, linewidth=1.2, markersize=5
     )
     ends_mm = np.array([edge.low_position_mm, edge.high_position_mm]) - edge.position_mm
-    axes.plot(
-        ends_mm,
-        [edge.low_limit, edge.high_limit],
-        "o-",
-        color=colour,
-        linewidth=3.0,
-        markersize=6.0,
-        markeredgecolor="white",
-        label=f"{measured.name}, line {middle} of {len(lines)}: "
-        f"{edge.slope_per_mm:.3g} per {length} over {edge.width_mm:.3g} {length}",
-    )
+    label = f"{measured.name}, line {middle} of {len(lines)}: {edge.slope_per_mm:.3g} per {length} "
+    label += f"over {edge.width_mm:.3g} {length}"
+    how: dict[str, Any] = {"linewidth": 3.0, "markersize": 6.0, "markeredgecolor": "white"}
+    limits = [edge.low_limit, edge.high_limit]
+    axes.plot(ends_mm, limits, "o-", color=colour, label=label, **how)
     _draw_limits(axes, edge)
 
 
@@ -144,10 +139,5 @@ def _draw_slopes(axes: Axes, measured: MeasuredLines, colour: str) -> None:
     )
     if gradient.averaged is not None:
         averaged = gradient.averaged.normalised_per_mm
-        axes.axhline(
-            averaged,
-            color=colour,
-            linewidth=1.2,
-            linestyle="--",
-            label=f"{measured.name}, averaged profile {averaged:.3g}",
-        )
+        label = f"{measured.name}, averaged profile {averaged:.3g}"
+        axes.axhline(averaged, color=colour, linewidth=1.2, linestyle="--", label=label)
