@@ -18,6 +18,7 @@ HR grid. For each channel `c`, which is `amplitude` or `distance`:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -124,16 +125,8 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
             raise DataError(f"expected a whole number from 1, got {scale}", field="scale")
         settings = container.mapping("settings")
         channels = with_predictions(container, channels, int(scale), settings)
-        return Reconstruction(
-            amplitude=channels.get("amplitude"),
-            distance_m=channels.get("distance"),
-            grid=picture_grid(container, images[0].shape),
-            scale=int(scale),
-            method=container.text("method"),
-            settings=settings,
-            flying=_read_flying(container, images[0].shape),
-            intrinsics=read_intrinsics(container),
-        )
+        flying = _read_flying(container, images[0].shape)
+        return read_picture(container, channels, int(scale), settings, flying)
 
 
 def _channel_variables(name: str, estimate: Estimate) -> dict[str, writer.Variable]:
@@ -205,10 +198,20 @@ def _status(container: Container, name: str) -> Status:
     return names[text]
 
 
-def picture_grid(container: Container, shape: tuple[int, ...]) -> Grid:
-    """Return the HR grid of a file of pictures."""
+def read_picture(
+    container: Container,
+    channels: Mapping[str, Estimate],
+    scale: int,
+    settings: Mapping[str, Any],
+    flying: NDArray[np.bool_] | None,
+) -> Reconstruction:
+    """Return channels with what a file of pictures says of all of them."""
+    amplitude, distance = channels.get("amplitude"), channels.get("distance")
+    rows, cols = next(iter(channels.values())).image.shape
     pitch_mm = container.number_pair("pitch_mm")
     try:
-        return Grid((int(shape[0]), int(shape[1])), pitch_mm)
+        grid = Grid((rows, cols), pitch_mm)
     except ValueError as error:
         raise DataError(str(error), field="pitch_mm") from error
+    of_all = (container.text("method"), settings, flying, read_intrinsics(container))
+    return Reconstruction(amplitude, distance, grid, scale, *of_all)

@@ -27,9 +27,9 @@ from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
 from lensshift.io import container_writer as writer
 from lensshift.io.container_reader import open_container
-from lensshift.io.intrinsics_fields import intrinsics_variables, read_intrinsics
+from lensshift.io.intrinsics_fields import intrinsics_variables
 from lensshift.io.piecewise_file import PiecewiseFile
-from lensshift.io.result_file import CHANNELS, picture_attributes, picture_grid
+from lensshift.io.result_file import CHANNELS, picture_attributes, read_picture
 
 SCHEMA = "lensshift-sequence/1"
 _AXES = ("window", "row", "col")
@@ -137,17 +137,9 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
         if not channels:
             raise DataError("there is neither an amplitude nor a distance channel")
         flying = container.array("flags", part=one)[0] != 0 if container.has("flags") else None
-        shape = next(iter(channels.values())).image.shape
-        return Reconstruction(
-            amplitude=channels.get("amplitude"),
-            distance_m=channels.get("distance"),
-            grid=picture_grid(container, shape),
-            scale=int(container.number("scale") or 1),
-            method=container.text("method"),
-            settings=container.mapping("settings") | {"window": number},
-            flying=flying,
-            intrinsics=read_intrinsics(container),
-        )
+        scale = int(container.number("scale") or 1)
+        settings = container.mapping("settings") | {"window": number}
+        return read_picture(container, channels, scale, settings, flying)
 
 
 def _space(shape: tuple[int, ...], dtype: str, described: Mapping[str, Any]) -> writer.Variable:

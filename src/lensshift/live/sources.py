@@ -293,12 +293,6 @@ def template_of(
 
 
 def _of_record(record: FrameRecord, template: Burst) -> Shot:
-    return Shot(
-        Frame(record.amplitude, record.distance_m, record.valid, record.time_s),
-        record.step,
-        record.arrived_s,
-        template,
-        record.offset_px,
-        record.stage_mm,
-        record.stage_commanded_mm,
-    )
+    frame = Frame(record.amplitude, record.distance_m, record.valid, record.time_s)
+    places = (record.offset_px, record.stage_mm, record.stage_commanded_mm)
+    return Shot(frame, record.step, record.arrived_s, template, *places)

@@ -165,13 +165,8 @@ def sections_figure(
     height_mm = shares * float(np.hypot(*half_mm))
     for number, lpmm in enumerate(chosen_lpmm):
         for section, dashes, name in ((0, "-", "T"), (1, "--", "S")):
-            right.plot(
-                height_mm,
-                over_field[:, section, number],
-                dashes,
-                color=style.COLOURS[-1 - number],
-                label=f"{lpmm:.3g} LP/mm {name}",
-            )
+            values, label = over_field[:, section, number], f"{lpmm:.3g} LP/mm {name}"
+            right.plot(height_mm, values, dashes, color=style.COLOURS[-1 - number], label=label)
     right.set(xlim=(0.0, height_mm[-1]), ylim=(0.0, 1.05))
     right.set_xlabel("height of the image, centre to corner (mm)")
     curves.legend_above(right, "", 3)

@@ -173,13 +173,10 @@ def _draw_wedge(axes: Axes, center_px: Pair, sides_mm: Pair, axis: Pair, colour:
     for turn_rad in (-_WEDGE_RAD, _WEDGE_RAD):
         row = far_mm * (axis[0] * np.cos(turn_rad) + axis[1] * np.sin(turn_rad)) / sides_mm[0]
         col = far_mm * (axis[1] * np.cos(turn_rad) + axis[0] * np.sin(turn_rad)) / sides_mm[1]
-        axes.plot(
-            [center_px[1] - col, center_px[1] + col],
-            [center_px[0] - row, center_px[0] + row],
-            color=colour,
-            linewidth=1.1,
-            path_effects=style.outlined(1.1),
+        cols, rows = (
+            np.array([at - by, at + by]) for at, by in zip(center_px[::-1], (col, row), strict=True)
         )
+        axes.plot(cols, rows, color=colour, linewidth=1.1, path_effects=style.outlined(1.1))
 
 
 def _draw_wave(axes: Axes, star: SiemensResult, ring: int, picture: Floats, sides_mm: Pair) -> None:
