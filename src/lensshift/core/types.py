@@ -227,18 +227,11 @@ class Burst(Shown, AsDataset, AsTable):
                 f"expected frame numbers from 0 to {self.frame_count - 1}, got {list(frames)}"
             )
 
-        def pick(values: NDArray[Any] | None) -> Any:
-            return None if values is None else values[index]
-
-        optional = {name: pick(getattr(self, name)) for name in FRAME_FIELDS}
-        return replace(
-            self,
-            amplitude=self.amplitude[index],
-            offset_px=self.offset_px[index],
-            phasors=None if self.phasors is None else self.phasors[:, index],
-            raw={name: values[index] for name, values in self.raw.items()},
-            **optional,
-        )
+        each = {name: getattr(self, name) for name in ("amplitude", "offset_px", *FRAME_FIELDS)}
+        kept: dict[str, Any] = {n: None if one is None else one[index] for n, one in each.items()}
+        phasors = None if self.phasors is None else self.phasors[:, index]
+        raw = {name: values[index] for name, values in self.raw.items()}
+        return replace(self, phasors=phasors, raw=raw, **kept)
 
 
 def expect_burst(value: object) -> None:
