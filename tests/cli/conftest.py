@@ -1,10 +1,11 @@
 """What the tests of the command line share."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from stand_in import Call, FakeReconstruct
+from stand_in import Call, FakeReconstruct, Refused
 from typer.testing import CliRunner, Result
 
 import lensshift
@@ -48,3 +49,21 @@ def call() -> Call:
         return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
     return run
+
+
+@pytest.fixture
+def refused(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Refused:
+    """Return a function that checks that arguments are refused before anything is written."""
+
+    def files() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def check(arguments: Sequence[object], code: int, said: str) -> None:
+        before = files()
+        done = call(*arguments)
+        assert done.exit_code == code, done.output
+        assert said in " ".join(done.stderr.replace("│", " ").split())
+        assert files() == before
+
+    monkeypatch.chdir(tmp_path)
+    return check

@@ -1,7 +1,8 @@
 """A stand-in for the reconstruction, so that the command line is tested alone."""
 
+import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,15 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Estimate, Reconstruction, Status
 
 Call = Callable[..., Result]
+Refused = Callable[[Sequence[object], int, str], None]
+
+
+def answer(call: Call, *arguments: object) -> dict[str, Any]:
+    """Return what a verb hands back with --json."""
+    done = call(*arguments, "--json")
+    assert done.exit_code == 0, done.output
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
 
 
 class FakeReconstruct:

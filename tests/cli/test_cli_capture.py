@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stand_in import answer
 from typer.testing import CliRunner
 
 from lensshift import (
@@ -104,9 +105,7 @@ def test_a_terminal_is_asked(
 
 def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "burst.nc"
-    done = call("capture", rig_file, "-o", out, "--frames", 2, "--average", "--json")
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    said = answer(call, "capture", rig_file, "-o", out, "--frames", 2, "--average")
     assert said["frame_count"] == 4
     assert said["counts"]["frames"] >= 8
     assert load_burst(out).frame_count == 4
@@ -194,9 +193,8 @@ def test_one_burst_after_another(call: Call, rig_file: Path, tmp_path: Path) -> 
 
 def test_capture_and_reconstruct_in_one_go(call: Call, rig_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    done = call("run", "--rig", rig_file, "--method", "shift-and-add", "--out", out, "--json")
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["method"] == "shift-and-add"
+    said = answer(call, "run", "--rig", rig_file, "--method", "shift-and-add", "--out", out)
+    assert said["method"] == "shift-and-add"
     for name in ("burst.nc", "result.nc", "preview.png"):
         assert (out / name).stat().st_size > 0
     assert call("run", "--rig", tmp_path / "none.toml").exit_code == 2
@@ -204,9 +202,7 @@ def test_capture_and_reconstruct_in_one_go(call: Call, rig_file: Path, tmp_path:
 
 
 def test_what_a_rig_answers(call: Call, rig_file: Path) -> None:
-    done = call("info", rig_file, "--json")
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    said = answer(call, "info", rig_file)
     assert said["stage"]["row"]["counts_per_mm"] == 34554.96
     assert said["camera"]["shape"] == [16, 64]
     assert said["camera"]["rate_hz"] > 0
@@ -215,9 +211,7 @@ def test_what_a_rig_answers(call: Call, rig_file: Path) -> None:
 
 
 def test_ports_are_listed(call: Call) -> None:
-    done = call("info", "--devices", "--json")
-    assert done.exit_code == 0
-    assert isinstance(json.loads(done.stdout)["ports"], list)
+    assert isinstance(answer(call, "info", "--devices")["ports"], list)
     assert call("info").exit_code == 2
 
 
@@ -323,8 +317,7 @@ def test_a_rig_file_that_is_not_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [("stage",), ("stage", "--link", "pty"), ("pcic", "--port", 0), ("o3m",), ("rig",)],
+    "arguments", [("stage",), ("stage", "--link", "pty"), ("pcic", "--port", 0), ("o3m",), ("rig",)]
 )
 def test_devices_are_emulated_until_told(call: Call, arguments: tuple[object, ...]) -> None:
     port = ("--port", free_port()) if arguments[0] in ("o3m", "rig") else ()

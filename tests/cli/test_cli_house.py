@@ -177,10 +177,7 @@ def test_every_source_of_a_width_has_words() -> None:
 
 @pytest.mark.parametrize(("terminal", "lines"), [(False, 3), (True, 12)])
 def test_progress_speaks_after_a_second_and_not_too_often(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    terminal: bool,
-    lines: int,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, terminal: bool, lines: int
 ) -> None:
     clock = Clock()
     monkeypatch.setattr(time, "monotonic", clock)

@@ -1,20 +1,16 @@
 """`lensshift lens`."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from stand_in import Call
+from stand_in import Call, Refused, answer
 
 from lensshift.io import load_burst, load_lens_field
 
 
 def numbers(call: Call, *arguments: object) -> dict[str, object]:
-    done = call("lens", *arguments, "--json")
-    assert done.exit_code == 0, done.output
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
+    return answer(call, "lens", *arguments)
 
 
 def test_show_tells_the_published_data(call: Call) -> None:
@@ -167,19 +163,8 @@ def test_there_and_back_again(call: Call, tmp_path: Path) -> None:
         (["convert", "petzval_a", "lens.txt"], 2, "to end in .toml or .zmx"),
     ],
 )
-def test_wrong_arguments(
-    call: Call,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    code: int,
-    message: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = call("lens", *arguments)
-    assert done.exit_code == code, done.output
-    assert message in " ".join(done.stderr.split())
-    assert list(tmp_path.iterdir()) == []
+def test_wrong_arguments(refused: Refused, arguments: list[str], code: int, message: str) -> None:
+    refused(["lens", *arguments], code, message)
 
 
 def test_a_catalogue_brings_its_glass_into_the_lens_file(call: Call, tmp_path: Path) -> None:

@@ -1,11 +1,10 @@
 """`lensshift lens optimise`, `tolerance` and `budget`."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from stand_in import Call
+from stand_in import Call, Refused, answer
 
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.paraxial import paraxial
@@ -19,10 +18,7 @@ NONE = [
 
 
 def numbers(call: Call, *arguments: object) -> dict[str, object]:
-    done = call("lens", *arguments, "--json")
-    assert done.exit_code == 0, done.output
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
+    return answer(call, "lens", *arguments)
 
 
 def test_builds_are_told_counted_and_drawn(call: Call, tmp_path: Path) -> None:
@@ -196,16 +192,5 @@ def test_a_budget_beyond_what_was_simulated_warns(call: Call) -> None:
         (["budget", "petzval_a", "--drift-um", "-1"], 2, "'--drift-um'"),
     ],
 )
-def test_wrong_arguments(
-    call: Call,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    code: int,
-    message: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = call("lens", *arguments)
-    assert done.exit_code == code, done.output
-    assert message in " ".join(done.stderr.split())
-    assert list(tmp_path.iterdir()) == []
+def test_wrong_arguments(refused: Refused, arguments: list[str], code: int, message: str) -> None:
+    refused(["lens", *arguments], code, message)

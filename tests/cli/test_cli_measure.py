@@ -1,13 +1,12 @@
 """`lensshift evaluate gain`, `gradient`, `star`, `zone`, `frc` and `depth`."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import ndtr
-from stand_in import Call
+from stand_in import Call, Refused, answer
 
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
@@ -27,10 +26,7 @@ def edge(scale: int = 1, sigma_px: float = 0.8, noise: float = 0.005) -> Image:
 
 
 def numbers(call: Call, *arguments: object) -> dict[str, object]:
-    done = call("evaluate", *arguments, "--json")
-    assert done.exit_code == 0, done.output
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
+    return answer(call, "evaluate", *arguments)
 
 
 def table(path: Path) -> NDArray[np.void]:
@@ -204,18 +200,7 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["mtf", "edge.npy", "--plot", "edge.docx"], 1, "docx"),
     ],
 )
-def test_wrong_arguments(
-    call: Call,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    code: int,
-    message: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_wrong_arguments(refused: Refused, arguments: list[str], code: int, message: str) -> None:
     np.save("edge.npy", edge())
     np.save("odd.npy", np.zeros((15, 33)))
-    done = call("evaluate", *arguments)
-    assert done.exit_code == code, done.output
-    assert message in " ".join(done.stderr.replace("│", " ").split())
-    assert len(list(tmp_path.iterdir())) == 2
+    refused(["evaluate", *arguments], code, message)

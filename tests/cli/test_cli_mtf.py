@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import ndtr
-from stand_in import Call
+from stand_in import Call, answer
 
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
@@ -52,9 +52,9 @@ def test_all_frames_of_a_burst_together(call: Call, tmp_path: Path) -> None:
     frames = np.stack([edge(0.0), edge(0.5)])
     burst = Burst.from_arrays(frames, offset_px=[[0.0, 0.0], [0.0, 0.5]], pitch_mm=0.1)
     save_burst(burst, tmp_path / "burst.nc")
-    done = call("evaluate", "mtf", tmp_path / "burst.nc", "--joint", "--json")
-    assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)["edges"][0]["mtf50_lpmm"]["value"]
+    found = answer(call, "evaluate", "mtf", tmp_path / "burst.nc", "--joint")["edges"][0][
+        "mtf50_lpmm"
+    ]["value"]
     assert found == pytest.approx(10 * MTF50_CPP, rel=0.005)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from stand_in import Call, FakeReconstruct
+from stand_in import Call, FakeReconstruct, Refused, answer
 
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.evaluation import psnr_db
@@ -44,9 +44,7 @@ def test_stack_to_burst_and_back(call: Call, burst: Burst, tmp_path: Path) -> No
 @pytest.mark.parametrize(("bits", "mode"), [("8", "L"), ("16", "I;16")])
 def test_result_to_picture(call: Call, result_file: Path, bits: str, mode: str) -> None:
     target = result_file.with_name("sharp.png")
-    done = call("convert", result_file, target, "--bits", bits, "--json")
-    assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)
+    found = answer(call, "convert", result_file, target, "--bits", bits)
     assert found["files"] == [str(target)]
     assert found["range"][0] < found["range"][1]
     with Image.open(target) as picture:
@@ -72,15 +70,11 @@ def test_result_to_picture(call: Call, result_file: Path, bits: str, mode: str) 
     ],
 )
 def test_convert_refuses(
-    call: Call, result_file: Path, source: str, target: str, code: int, said: str
+    refused: Refused, result_file: Path, source: str, target: str, code: int, said: str
 ) -> None:
     folder = result_file.parent
     (folder / "text.nc").write_text("row,col\n")
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    done = call("convert", folder / source, folder / target)
-    assert done.exit_code == code
-    assert said in " ".join(done.stderr.split())
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    refused(["convert", folder / source, folder / target], code, said)
 
 
 def test_info_of_a_burst(call: Call, burst_file: Path) -> None:
@@ -164,9 +158,7 @@ def write_images(folder: Path) -> dict[str, Path]:
 @pytest.mark.parametrize("name", ["a.tif", "a.npy", "a.npz", "many.npz", "burst.nc"])
 def test_fidelity_of_every_kind_of_file(call: Call, tmp_path: Path, name: str) -> None:
     files = write_images(tmp_path)
-    done = call("evaluate", "fidelity", files[name], files["truth.npy"], "--json")
-    assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)
+    found = answer(call, "evaluate", "fidelity", files[name], files["truth.npy"])
     assert found["psnr_db"] == pytest.approx(40.0, abs=1e-3)
     assert found["rmse"] == pytest.approx(0.01, rel=1e-4)
     assert 0.9 < found["ssim"] < 1.0
@@ -223,14 +215,10 @@ def test_integers_with_peak_one_get_a_warning(call: Call, tmp_path: Path) -> Non
     ],
 )
 def test_fidelity_refuses(
-    call: Call, tmp_path: Path, arguments: tuple[str, ...], code: int, said: str
+    refused: Refused, tmp_path: Path, arguments: tuple[str, ...], code: int, said: str
 ) -> None:
     files = write_images(tmp_path)
-    named = [files.get(part, part) for part in arguments]
-    done = call("evaluate", "fidelity", *named)
-    assert done.exit_code == code
-    assert said in " ".join(done.stderr.split())
-    assert done.stdout == ""
+    refused(["evaluate", "fidelity", *(files.get(part, part) for part in arguments)], code, said)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 import typer
+from stand_in import answer
 from typer.testing import CliRunner, Result
 
 from lensshift.cli.calibrate import calibrate
@@ -105,9 +106,7 @@ def test_a_bare_stack_is_reconstructed(reference_dir: Path, tmp_path: Path) -> N
 
 def test_register_as_json_and_refined(burst_file: Path) -> None:
     target = burst_file.with_name("r.nc")
-    done = call("register", burst_file, "-o", target, "--refine", "--json")
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    said = answer(call, "register", burst_file, "-o", target, "--refine")
     moved = np.array(said["offset_px"])
     np.testing.assert_allclose(moved - moved[0], OFFSETS, atol=0.03)
     assert np.shape(said["offset_sigma_px"]) == (3, 2)
@@ -132,9 +131,7 @@ def test_errors_are_one_line(burst_file: Path, tmp_path: Path) -> None:
 
 def test_calibrate_writes_calibration_and_page(scan_file: Path) -> None:
     target, page = scan_file.with_name("c.json"), scan_file.with_name("c.html")
-    done = call("calibrate", scan_file, "-o", target, "--report", page, "--no-psf", "--json")
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
+    said = answer(call, "calibrate", scan_file, "-o", target, "--report", page, "--no-psf")
     np.testing.assert_allclose(said["px_per_mm"], [[5, 0], [0, 5]], atol=0.15)
     np.testing.assert_allclose(load_calibration(target).stage_map.px_per_mm, said["px_per_mm"])
     text = page.read_text()

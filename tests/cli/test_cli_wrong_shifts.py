@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from stand_in import Call
+from stand_in import Call, answer
 
 import lensshift
 from lensshift.core.types import Burst
@@ -31,9 +31,9 @@ MISTAKES: dict[str, tuple[Callable[[Shifts], Shifts], str]] = {
 def told(call: Call, burst: Burst, folder: Path, *options: object) -> list[str]:
     """Return the warnings of `lensshift reconstruct` on this burst."""
     save_burst(burst, folder / "burst.nc")
-    done = call("reconstruct", folder / "burst.nc", "-o", folder / "sharp.nc", "--json", *options)
-    assert done.exit_code == 0, done.stderr
-    warnings: list[str] = json.loads(done.stdout)["warnings"]
+    warnings: list[str] = answer(
+        call, "reconstruct", folder / "burst.nc", "-o", folder / "sharp.nc", *options
+    )["warnings"]
     return warnings
 
 

@@ -11,19 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lensshift.core.errors import DataError
-from lensshift.core.types import OFFSET_SOURCES, Burst
+from lensshift.core.types import FRAME_FIELDS, OFFSET_SOURCES, Burst
 from lensshift.io import load_burst, save_burst
 
-ARRAYS = (
-    "amplitude",
-    "distance_m",
-    "valid",
-    "offset_px",
-    "offset_sigma_px",
-    "stage_mm",
-    "stage_commanded_mm",
-    "time_s",
-)
+ARRAYS = ("amplitude", "offset_px", *FRAME_FIELDS)
 DTYPES = ("u1", "u2", "i2", "f4", "f8", "c8", "c16", ">u2", ">f4")
 
 

@@ -4,7 +4,8 @@ import os
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -26,6 +27,14 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("burst") / "good.nc"
     save_burst(make_burst(), path)
     return path
+
+
+@contextmanager
+def edited(good: Path, path: Path) -> Iterator[h5py.Group]:
+    """Let the block change the data of a copy of the good file."""
+    path.write_bytes(good.read_bytes())
+    with h5py.File(path, "r+") as file:
+        yield file["entry/data"]
 
 
 def message_of_loading(path: Path) -> str:
@@ -135,18 +144,16 @@ CASES: dict[str, tuple[Edit, str]] = {
 def test_file_that_contradicts_itself(good: Path, tmp_path: Path, case: str) -> None:
     edit, said = CASES[case]
     path = tmp_path / "bad.nc"
-    path.write_bytes(good.read_bytes())
-    with h5py.File(path, "r+") as file:
-        edit(file["entry/data"])
+    with edited(good, path) as data:
+        edit(data)
     assert said in message_of_loading(path)
 
 
 def test_offsets_of_another_burst(good: Path, tmp_path: Path) -> None:
     path = tmp_path / "bad.nc"
-    path.write_bytes(good.read_bytes())
-    with h5py.File(path, "r+") as file:
+    with edited(good, path) as data:
         for axis in ("row", "col"):
-            replace(f"offset_{axis}", np.zeros(4))(file["entry/data"])
+            replace(f"offset_{axis}", np.zeros(4))(data)
     assert "offset_px: expected shape (3, 2), got (4, 2)" in message_of_loading(path)
 
 
@@ -158,9 +165,7 @@ def test_hdf5_file_of_somebody_else(tmp_path: Path) -> None:
 
 def test_shape_that_the_stored_bytes_cannot_hold(good: Path, tmp_path: Path) -> None:
     path = tmp_path / "bomb.nc"
-    path.write_bytes(good.read_bytes())
-    with h5py.File(path, "r+") as file:
-        data = file["entry/data"]
+    with edited(good, path) as data:
         del data["amplitude"]
         data.create_dataset("amplitude", (10**6, 10**3, 10**3), "f8", chunks=(1, 100, 100))
     assert "cannot hold" in message_of_loading(path)
@@ -191,10 +196,9 @@ def test_frames_of_other_files_are_refused(good: Path, tmp_path: Path) -> None:
     }
     for name, edit in edits.items():
         path = tmp_path / f"{name}.nc"
-        path.write_bytes(good.read_bytes())
-        with h5py.File(path, "r+") as file:
-            del file["entry/data/amplitude"]
-            edit(file["entry/data"])
+        with edited(good, path) as data:
+            del data["amplitude"]
+            edit(data)
         assert "amplitude: expected" in message_of_loading(path), name
 
 
@@ -208,9 +212,7 @@ def test_groups_of_other_files_are_refused(good: Path, tmp_path: Path, group: st
 
 def test_a_small_file_does_not_unpack_without_bound(good: Path, tmp_path: Path) -> None:
     path = tmp_path / "bomb.nc"
-    path.write_bytes(good.read_bytes())
-    with h5py.File(path, "r+") as file:
-        data = file["entry/data"]
+    with edited(good, path) as data:
         del data["amplitude"]
         # Half a gigabyte of zeros in half a megabyte, as much as zlib can.
         chunk = zlib.compress(bytes(1 << 20), 9)
@@ -224,10 +226,9 @@ def test_a_small_file_does_not_unpack_without_bound(good: Path, tmp_path: Path) 
 
 def test_link_that_leads_nowhere(good: Path, tmp_path: Path) -> None:
     path = tmp_path / "link.nc"
-    path.write_bytes(good.read_bytes())
-    with h5py.File(path, "r+") as file:
-        del file["entry/data/amplitude"]
-        file["entry/data/amplitude"] = h5py.SoftLink("/nowhere")
+    with edited(good, path) as data:
+        del data["amplitude"]
+        data["amplitude"] = h5py.SoftLink("/nowhere")
     assert "amplitude: " in message_of_loading(path)
 
 

@@ -30,10 +30,7 @@ def frame(number: int, **others: Any) -> FrameRecord:
         "stage_mm": np.array([3.0, 3.0]),
         "stage_commanded_mm": np.array([3.0, 3.0]),
         "time_s": 0.04 * number,
-        "raw": {
-            "confidence": np.full(SHAPE, number, dtype=np.uint16),
-            "factor": np.arange(4.0),
-        },
+        "raw": {"confidence": np.full(SHAPE, number, dtype=np.uint16), "factor": np.arange(4.0)},
     }
     return FrameRecord(**{**fields, **others})
 

@@ -213,13 +213,13 @@ def test_controls_take_effect(burst: Burst, tmp_path: Path) -> None:
 def test_a_setting_that_fails_is_said_and_can_be_undone(
     burst: Burst, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: Any) -> None:
+    def fail(*_: Any, **__: Any) -> None:
         raise ValueError("too fine")
 
     with Live(source_of(burst), QUICK) as live:
         until(lambda: live.picture)
         with monkeypatch.context() as patch:
-            patch.setattr("lensshift.live.worker._stream_of", fail)
+            patch.setattr("lensshift.live.worker.stream", fail)
             live.change(Settings(3, "bicubic"))
             until(lambda: live.problem == "too fine")
         until(lambda: live.picture is not None and live.picture.result.scale == 3)

@@ -60,18 +60,11 @@ def root(
         context.with_resource(memory_limit(round(max_memory * 2**30)))
 
 
-app.command()(run)
-app.command()(simulate)
-app.command()(reproduce)
-app.command()(doctor)
-app.command()(capture)
-app.command()(live)
-app.command()(register)
-app.command()(calibrate)
-app.command()(reconstruct)
-app.command()(methods)
-app.command()(convert)
-app.command()(info)
+for verb in (
+    run, simulate, reproduce, doctor, capture, live, register, calibrate, reconstruct, methods,
+    convert, info,
+):  # fmt: skip
+    app.command()(verb)
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(emulate, name="emulate")
 app.add_typer(lens_verbs, name="lens")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lensshift.cli.inputs import refuse_overwriting
+from lensshift.cli.inputs import check_files
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
-    from lensshift.core.calibration import Calibration
     from lensshift.pipeline.calibrate import RigCalibration
 
 
@@ -47,14 +46,11 @@ def calibrate(current: Session, asked: CalibrateOptions) -> None:
     files = [target] if report is None else [target, report]
     refined = target.with_name(f"{scan.stem}_lens_field.nc")
     files += [] if lens_field is None else [refined]
-    refuse_overwriting((scan, lens_field), files)
+    check_files((scan, lens_field), files)
     from lensshift.io import load_burst, load_lens_field, save_lens_field
-    from lensshift.io.atomic import writable_target
     from lensshift.io.calibration_file import save_calibration
     from lensshift.pipeline.calibrate import calibrate_rig
 
-    for path in files:
-        writable_target(path)
     done = calibrate_rig(
         load_burst(scan),
         photometric=asked.photometric,
@@ -66,7 +62,7 @@ def calibrate(current: Session, asked: CalibrateOptions) -> None:
     save_calibration(done.calibration, target)
     if done.fit.lens_field is not None:
         save_lens_field(done.fit.lens_field, refined)
-    current.result |= {"input": scan, "files": files, **_described(done)}
+    current.result |= {"input": scan, "files": files}
     _say(current, done, told=lens_field is not None)
     if not asked.no_psf and done.calibration.psf_sigma_px is None:
         current.say("blur       not measured: no straight edge between even areas")
@@ -74,25 +70,12 @@ def calibrate(current: Session, asked: CalibrateOptions) -> None:
         current.say(f"wrote {path}")
 
 
-def _described(done: RigCalibration) -> dict[str, Any]:
-    found: Calibration = done.calibration
-    return {
-        "px_per_mm": found.stage_map.px_per_mm,
-        "px_per_mm_sigma": found.px_per_mm_sigma,
-        "sigma_px": found.stage_map.sigma_px,
-        "rest_mm": found.rest_mm,
-        "play_mm": found.play_mm,
-        "play_sigma_mm": found.play_sigma_mm,
-        "drift_px_per_s": found.drift_px_per_s,
-        "psf_sigma_px": found.psf_sigma_px,
-        "field_order": done.fit.field_order,
-        "psnr_loss_db": done.psnr_loss_db,
-        "mtf50_loss": done.mtf50_loss,
-    }
-
-
 def _say(current: Session, done: RigCalibration, *, told: bool) -> None:
     found = done.calibration
+    current.tell(found.stage_map, "px_per_mm sigma_px")
+    current.tell(found, "px_per_mm_sigma rest_mm play_mm play_sigma_mm drift_px_per_s psf_sigma_px")
+    current.tell(done.fit, "field_order")
+    current.tell(done, "psnr_loss_db mtf50_loss")
     matrix = found.stage_map.px_per_mm
     current.say(f"image row  {matrix[0, 0]:9.4f} {matrix[0, 1]:9.4f} px per mm of stage row, col")
     current.say(f"image col  {matrix[1, 0]:9.4f} {matrix[1, 1]:9.4f}")

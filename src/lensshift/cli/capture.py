@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.errors import DataError, printable
 
@@ -76,9 +76,11 @@ def capture(current: Session, asked: CaptureOptions) -> None:
         raise typer.BadParameter("--continuous goes with neither --scan nor --resume nor --restart")
     if asked.resume and asked.restart:
         raise typer.BadParameter("expected --resume or --restart, not both")
-    if asked.restart:
-        _set_aside(current, asked.out)
+    from lensshift.capture.journal import set_aside
     from lensshift.capture.opening import open_rig
+
+    if asked.restart and (aside := set_aside(asked.out)) is not None:
+        current.say(f"the unfinished capture is now {aside}")
 
     wanted = None if asked.scan else _plan(asked.plan)
     if _nothing_to_do(current, asked, wanted):
@@ -94,16 +96,8 @@ def capture(current: Session, asked: CaptureOptions) -> None:
         counts = dict(opened.camera.counts())
     seconds = time.monotonic() - start_s
     current.say(f"{burst.frame_count} frames in {seconds:.1f} s, {_losses(counts)}")
-    current.say(f"wrote {asked.out}")
-    current.result |= _summary(burst, counts) | {"seconds": seconds, "files": [asked.out]}
-
-
-def _set_aside(current: Session, out: Path) -> None:
-    from lensshift.capture.journal import set_aside
-
-    aside = set_aside(out)
-    if aside is not None:
-        current.say(f"the unfinished capture is now {aside}")
+    current.wrote(asked.out)
+    current.result |= _summary(burst, counts) | {"seconds": seconds}
 
 
 def _nothing_to_do(current: Session, asked: CaptureOptions, plan: ShiftPlan | None) -> bool:
@@ -226,11 +220,5 @@ def _losses(counts: Any) -> str:
 
 
 def _summary(burst: Burst, counts: dict[str, int]) -> dict[str, Any]:
-    return {
-        "frame_count": burst.frame_count,
-        "shape": burst.grid.shape,
-        "offset_px": burst.offset_px,
-        "offset_source": burst.offset_source,
-        "stage_mm": burst.stage_mm,
-        "counts": counts,
-    }
+    told = picked(burst, "frame_count offset_px offset_source stage_mm")
+    return {**told, "shape": burst.grid.shape, "counts": counts}

@@ -3,90 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
-import typer
-
-from lensshift.cli.inputs import parse_pitch_mm, refuse_overwriting
-from lensshift.cli.measured import (
-    BayerOption,
-    ChannelOption,
+from lensshift.cli import outputs
+from lensshift.cli.images import (
     FocalOption,
-    GammaOption,
-    OecfOption,
+    ImageOptions,
+    Measured,
     PhotoOptions,
     PitchOption,
     Unit,
     frequency_unit,
     interval_row,
     measured_photograph,
-    write_plot,
-    write_table,
 )
-from lensshift.cli.mtf import (
-    ApertureOption,
-    AtOption,
-    EdgeMethod,
-    MethodOption,
-    OrderOption,
-    TiltOption,
-    WindowOption,
-    method_options,
-)
-from lensshift.cli.session import DebugOption, JsonOption, Progress, Session, session
+from lensshift.cli.inputs import parse_numbers, parse_pitch_mm, refuse_overwriting
+from lensshift.cli.mtf import EdgeOptions
+from lensshift.cli.session import Progress, Session
+from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from lensshift.evaluation.chart import ChartEdge
     from lensshift.evaluation.chart_series import Photograph
 
-ImagesArgument = Annotated[list[Path], typer.Argument(help="Photographs of one lens.")]
-ReportOption = Annotated[Path | None, typer.Option("--report", help="Write an HTML page.")]
-TableOption = Annotated[Path | None, typer.Option("--csv", help="Write a row for each edge.")]
-AnnotateOption = Annotated[
-    Path | None,
-    typer.Option("--annotate", help="Folder for each photograph with what was measured in it."),
-]
-FocusOption = Annotated[
-    str | None,
-    typer.Option("--focus", help="Positions of the focus, one a photograph: 0,10,20."),
-]
-FocusUnitOption = Annotated[str, typer.Option("--focus-unit", help="Their unit, to be shown.")]
-EyeOption = Annotated[
-    float,
-    typer.Option(
-        "--eye-heights", min=0.1, help="For the acutance: distance of the eye in picture heights."
-    ),
-]
-WorkersOption = Annotated[
-    int | None, typer.Option("--workers", min=1, help="Processes; one a core if it is worth it.")
-]
+
+@dataclass(frozen=True, slots=True)
+class ChartOptions:
+    """Options of `lensshift evaluate chart`."""
+
+    images: list[Path] = argument("Photographs of one lens.")
+    pitch_mm: PitchOption = None
+    focus: str | None = option(None, "Positions of the focus, one a photograph: 0,10,20.")
+    focus_unit: str = option("", "Their unit, to be shown.")
+    edges: EdgeOptions = field(default_factory=EdgeOptions)
+    photo: PhotoOptions = field(default_factory=PhotoOptions)
+    focal_length_mm: FocalOption = None
+    eye_heights: float = option(
+        2.0, "For the acutance: distance of the eye in picture heights.", min=0.1
+    )
+    report: Path | None = option(None, "Write an HTML page.")
+    csv: Path | None = option(None, "Write a row for each edge.")
+    annotate: Path | None = option(None, "Folder for each photograph with what was measured in it.")
+    workers: int | None = option(None, "Processes; one a core if it is worth it.", min=1)
 
 
-def chart(
-    images: ImagesArgument,
-    pitch_mm: PitchOption = None,
-    focus: FocusOption = None,
-    focus_unit: FocusUnitOption = "",
-    at: AtOption = None,
-    method: MethodOption = EdgeMethod.ML,
-    order: OrderOption = None,
-    window: WindowOption = None,
-    aperture_px: ApertureOption = None,
-    tilt: TiltOption = None,
-    channel: ChannelOption = None,
-    gamma: GammaOption = None,
-    oecf: OecfOption = None,
-    bayer: BayerOption = None,
-    focal_length_mm: FocalOption = None,
-    eye_heights: EyeOption = 2.0,
-    report: ReportOption = None,
-    csv: TableOption = None,
-    annotate: AnnotateOption = None,
-    workers: WorkersOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb()
+def chart(current: Session, asked: ChartOptions) -> None:
     """Measure all slanted edges of photographs: field map, through focus, a page, a table.
 
     \b
@@ -95,94 +60,71 @@ def chart(
       lensshift evaluate chart f0.png f1.png f2.png --focus 0,10,20 --focus-unit um
       lensshift evaluate chart raw.tif --bayer RGGB --channel red --pitch-mm 0.0034 --at 60
     """
-    with session(as_json=as_json, debug=debug) as current:
-        from lensshift.evaluation.chart_series import focus_series, measure_chart
+    from lensshift.evaluation.chart_series import focus_series, measure_chart
 
-        outputs = [path for path in (report, csv) if path is not None]
-        refuse_overwriting([*images, oecf], outputs)
-        photo = PhotoOptions(channel, gamma, oecf, bayer)
-        pictures, pitch = _pictures(images, pitch_mm, photo, focus)
-        unit = frequency_unit(pitch, focal_length_mm)
-        progress = Progress("measuring edges")
+    written = [path for path in (asked.report, asked.csv) if path is not None]
+    refuse_overwriting([*asked.images, asked.photo.oecf], written)
+    pictures, pitch = _pictures(asked)
+    unit = frequency_unit(pitch, asked.focal_length_mm)
+    with closing(Progress("measuring edges")) as progress:
         edges = measure_chart(
-            pictures,
-            pitch.pitch_mm,
-            workers=workers,
-            on_edge=progress.count,
-            method=method.value,
-            **method_options(order=order, window=window, aperture_px=aperture_px, tilt=tilt),
+            pictures, pitch.pitch_mm, workers=asked.workers, on_edge=progress.count,
+            **asked.edges.given(),
+        )  # fmt: skip
+    wanted = [one / unit.factor for one in asked.edges.at or []]
+    series, fits = focus_series(edges) if asked.focus is not None else ([], {})
+    acutances = _acutances(pictures, edges, pitch.pitch_mm[0], asked.eye_heights)
+    _say(current, edges, unit, acutances)
+    ending = f" {asked.focus_unit}" if asked.focus_unit else ""
+    for zone, one in fits.items():
+        current.say(
+            f"best focus {zone:<9} {one.focus:.4g} +- {one.sigma:.2g}{ending}, "
+            f"MTF50 {one.mtf50_lpmm * unit.factor:.4g} {unit.name}"
         )
-        progress.close()
-        wanted = [one / unit.factor for one in at or []]
-        series, fits = focus_series(edges) if focus is not None else ([], {})
-        acutances = _acutances(pictures, edges, pitch.pitch_mm[0], eye_heights)
-        _say(current, edges, unit, acutances)
-        _say_focus(current, fits, focus_unit, unit)
-        _tell(current, edges, unit, wanted)
-        current.result |= {"acutance": acutances, "eye_heights": eye_heights}
-        current.result["best_focus"] = {zone: _plain(one, unit) for zone, one in fits.items()}
-        _write_rows(current, csv, edges, wanted, unit)
-        _annotated(current, annotate, pictures, edges, unit)
-        if report is not None:
-            _write_page(current, report, edges, pictures, wanted, unit, acutances,
-                        (series, fits, focus_unit))  # fmt: skip
+    _tell(current, edges, unit, wanted)
+    current.result |= {"acutance": acutances, "eye_heights": asked.eye_heights}
+    current.result["best_focus"] = {
+        zone: {"focus": one.focus, "sigma": one.sigma, "mtf50": one.mtf50_lpmm * unit.factor}
+        for zone, one in fits.items()
+    }
+    _write_rows(current, asked.csv, edges, wanted, unit)
+    _annotated(current, asked.annotate, pictures, edges, unit)
+    if asked.report is not None:
+        from lensshift.report.chart import chart_page
+
+        chart_page(
+            edges,
+            [(one.name, one.first) for one in pictures],
+            **unit.shown(),
+            at_lpmm=wanted,
+            acutances=acutances,
+            series=[row | {"mtf50": row["mtf50_lpmm"] * unit.factor} for row in series],
+            fits={zone: one.scaled(unit.factor) for zone, one in fits.items()},
+            focus_label=f"focus ({asked.focus_unit})" if asked.focus_unit else "focus",
+        ).save(asked.report)
+        current.say(f"wrote {asked.report}")
 
 
-def _write_page(
-    current: Session,
-    report: Path,
-    edges: Sequence[ChartEdge],
-    pictures: Sequence[Photograph],
-    wanted: Sequence[float],
-    unit: Unit,
-    acutances: dict[str, float],
-    through_focus: tuple[list[dict[str, Any]], dict[str, Any], str],
-) -> None:
-    from lensshift.report.chart import chart_page
-
-    series, fits, focus_unit = through_focus
-    chart_page(
-        edges,
-        [(one.name, one.first) for one in pictures],
-        unit=unit.name,
-        factor=unit.factor,
-        at_lpmm=wanted,
-        acutances=acutances,
-        series=[row | {"mtf50": row["mtf50_lpmm"] * unit.factor} for row in series],
-        fits={zone: one.scaled(unit.factor) for zone, one in fits.items()},
-        focus_label=f"focus ({focus_unit})" if focus_unit else "focus",
-    ).save(report)
-    current.say(f"wrote {report}")
-
-
-def _pictures(
-    images: Sequence[Path], pitch_mm: str | None, photo: PhotoOptions, focus: str | None
-) -> tuple[list[Photograph], Any]:
+def _pictures(asked: ChartOptions) -> tuple[list[Photograph], Measured]:
     """Return the photographs, and the first as it was read, with the pitch of all."""
     from lensshift.evaluation.chart_series import Photograph
 
-    places = _focus(focus, len(images))
-    if pitch_mm is not None:
-        parse_pitch_mm(pitch_mm)
-    read = [measured_photograph(path, pitch_mm, photo) for path in images]
+    paths, focus, count = asked.images, asked.focus, len(asked.images)
+    expected = f"a focus for each of {count} photographs, as 0,10,20"
+    places = range(count) if focus is None else parse_numbers(focus, count, expected)
+    if asked.pitch_mm is not None:
+        parse_pitch_mm(asked.pitch_mm)
+    read = [measured_photograph(ImageOptions(one, asked.pitch_mm), asked.photo) for one in paths]
     if len({one.pitch_mm for one in read}) > 1:
         raise ValueError("expected photographs with one pitch, got several")
-    names = [path.name for path in images]
+    names = [path.name for path in paths]
     if len(set(names)) < len(names):
-        names = [str(path) for path in images]
+        names = [str(path) for path in paths]
     pictures = [
-        Photograph(name, one.values, place, one.offset_px)
+        Photograph(name, one.values, float(place), one.offset_px)
         for name, one, place in zip(names, read, places, strict=True)
     ]
     return pictures, read[0]
-
-
-def _focus(text: str | None, count: int) -> list[float]:
-    if text is None:
-        return [float(number) for number in range(count)]
-    from lensshift.cli.measured import parse_numbers
-
-    return list(parse_numbers(text, count, f"a focus for each of {count} photographs, as 0,10,20"))
 
 
 def _acutances(
@@ -206,8 +148,7 @@ def _say(
 ) -> None:
     from lensshift.evaluation.chart import zone_rows
 
-    for name in dict.fromkeys(one.image for one in edges):
-        here = [one for one in edges if one.image == name]
+    for name, here in _by_image(edges).items():
         usable = sum(one.result.usable for one in here)
         sharp = f", acutance {acutances[name]:.3f}" if name in acutances else ""
         current.say(f"{name}: {usable} usable of {len(here)} edges{sharp}")
@@ -216,19 +157,6 @@ def _say(
                 f"  {row['zone']:<9} {row['direction']:<11} {row['edges']:>3} edges  MTF50 "
                 f"{row['mtf50_lpmm'].scaled(unit.factor)} {unit.name}"
             )
-
-
-def _say_focus(current: Session, fits: dict[str, Any], focus_unit: str, unit: Unit) -> None:
-    for zone, one in fits.items():
-        ending = f" {focus_unit}" if focus_unit else ""
-        current.say(
-            f"best focus {zone:<9} {one.focus:.4g} +- {one.sigma:.2g}{ending}, "
-            f"MTF50 {one.mtf50_lpmm * unit.factor:.4g} {unit.name}"
-        )
-
-
-def _plain(one: Any, unit: Unit) -> dict[str, float]:
-    return {"focus": one.focus, "sigma": one.sigma, "mtf50": one.mtf50_lpmm * unit.factor}
 
 
 def _tell(
@@ -242,9 +170,16 @@ def _tell(
         | row
         | {"mtf50_lpmm": interval_row(row["mtf50_lpmm"])}
         | {"mtf50": interval_row(row["mtf50_lpmm"], unit.factor)}
-        for name in dict.fromkeys(one.image for one in edges)
-        for row in zone_rows([one for one in edges if one.image == name])
+        for name, here in _by_image(edges).items()
+        for row in zone_rows(here)
     ]
+
+
+def _by_image(edges: Sequence[ChartEdge]) -> dict[str, list[ChartEdge]]:
+    found: dict[str, list[ChartEdge]] = {}
+    for one in edges:
+        found.setdefault(one.image, []).append(one)
+    return found
 
 
 def _write_rows(
@@ -263,7 +198,7 @@ def _write_rows(
     for name in rows[0]:
         shown = f"{name}_{suffix}" if name.partition("_")[0] in told else name
         columns[shown] = [row[name] for row in rows]
-    write_table(current, csv, columns)
+    outputs.write_table(current, csv, columns)
 
 
 def _annotated(
@@ -276,10 +211,9 @@ def _annotated(
     if folder is None:
         return
     from lensshift.pipeline.run import made_folder, writable_folder
-    from lensshift.report.chart import annotated_figure
 
     made_folder(writable_folder(folder))
     for one in pictures:
         here = [edge for edge in edges if edge.image == one.name]
         name = folder / f"{Path(one.name).stem}_edges.png"
-        write_plot(current, name, lambda: annotated_figure(one.first, here, unit.name))  # noqa: B023
+        outputs.write_plot(current, name, "chart.annotated_figure", one.first, here, unit.name)

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 import typer
 
 from lensshift.cli.inputs import Kind, StackOptions, kind_of, load_input_burst, refuse_overwriting
 from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
 IMAGE_SUFFIXES = (".npz", ".tif", ".tiff", ".fits", ".fit")
-
-
-class Bits(StrEnum):
-    """Depth of a PNG pixel."""
-
-    EIGHT = "8"
-    SIXTEEN = "16"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +29,7 @@ class ConvertOptions:
         metavar="OUT",
     )
     stack: StackOptions = field(default_factory=StackOptions)
-    bits: Bits = option(Bits.EIGHT, "Depth of a PNG pixel.")
+    bits: Literal["8", "16"] = option("8", "Depth of a PNG pixel.")
     points: PointOptions = field(default_factory=PointOptions)
     window: int | None = option(None, "Number of the picture of a sequence.", min=0)
 
@@ -125,13 +118,9 @@ def _convert_result(current: Session, asked: ConvertOptions) -> tuple[float, flo
     if told is not None:
         result = replace(result, intrinsics=told.refine(result.scale))
     refuse_points([target], result.intrinsics, with_distance=result.distance_m is not None)
-    limits = export_reconstruction(
-        result,
-        target,
-        bits=16 if asked.bits is Bits.SIXTEEN else 8,
-        keep_flying=points.keep_flying,
-        normals=points.normals,
-    )
+    chosen = picked(points, "keep_flying normals")
+    bits: Literal[8, 16] = 16 if asked.bits == "16" else 8
+    limits = export_reconstruction(result, target, bits=bits, **chosen)
     if limits is not None:
         current.say(f"grey values from {limits[0]:.6g} to {limits[1]:.6g}")
     return limits

@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli.measured import (
-    CsvOption,
-    FrameOption,
-    ImageArgument,
+from lensshift.cli import outputs
+from lensshift.cli.images import (
     Measured,
     PitchOption,
-    PlotOption,
-    check_outputs,
+    measured_frames,
     measured_image,
     parse_region,
     slices_of,
-    write_plot,
-    write_table,
 )
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-
-class Along(StrEnum):
-    """The axis that crosses an edge."""
-
-    COL = "col"
-    ROW = "row"
 
 
 _SOURCE = "distance"
@@ -44,7 +31,7 @@ _SOURCE = "distance"
 class DepthOptions:
     """Options of `lensshift evaluate depth`."""
 
-    image: ImageArgument
+    image: Path = argument("Image, burst file or reconstruction.")
     truth: Path | None = argument("True distances in m, an image of the same shape.", default=None)
     pitch_mm: PitchOption = None
     scale: int | None = option(
@@ -55,17 +42,18 @@ class DepthOptions:
     min_step_m: float | None = option(
         None, "Smallest step that is an edge; 5 % if not given.", min=0.0
     )
-    edge: Along | None = option(None, "Compare the place of one edge that this axis crosses.")
+    edge: Literal["col", "row"] | None = option(
+        None, "Compare the place of one edge that this axis crosses."
+    )
     plane: str | None = option(None, "Fit a plane in row start,stop,col start,stop.")
     focal_length_mm: float | None = option(
         None, "Of the lens, to turn radial distances into points.", min=0.0
     )
     repeated: bool = option(False, "The frames repeat one view: give their noise.")
-    frame: FrameOption = 0
+    frame: int = option(0, "Frame of IMAGE, if it holds several.", min=0)
     key: str | None = option(None, "Array of an NPZ file; distance for burst and reconstruction.")
     truth_key: str | None = option(None, "The same for TRUTH.")
-    csv: CsvOption = None
-    plot: PlotOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring distances")
@@ -80,7 +68,7 @@ def depth(current: Session, asked: DepthOptions) -> None:
     """
     image, truth = asked.image, asked.truth
     place = parse_region(asked.plane)
-    check_outputs([image, truth], asked.csv, asked.plot)
+    outputs.check([image, truth], asked.to.csv, asked.to.plot)
     measured = _distance_image(image, asked.pitch_mm, asked.key, asked.frame)
     options: dict[str, Any] = {
         "scale": asked.scale or measured.scale, "noise_m": asked.noise_m,
@@ -99,9 +87,15 @@ def depth(current: Session, asked: DepthOptions) -> None:
         _plane(current, measured, place, asked.focal_length_mm)
     if asked.repeated:
         _noise(current, image)
-    numbers = {name: value for name, value in current.result.items() if _is_number(value)}
-    write_table(current, asked.csv, {"name": list(numbers), "value": list(numbers.values())})
-    write_plot(current, asked.plot, lambda: _figure(measured, true_m, options))
+    told = current.result.items()
+    numbers = {k: v for k, v in told if isinstance(v, int | float) and not isinstance(v, bool)}
+    outputs.write_table(
+        current, asked.to.csv, {"name": list(numbers), "value": list(numbers.values())}
+    )
+    seen: dict[str, Any] = {"valid": measured.valid, **options}
+    outputs.write_plot(
+        current, asked.to.plot, "depth.depth_figure", measured.values, true_m, **seen
+    )
 
 
 def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: int) -> Measured:
@@ -131,18 +125,12 @@ def _errors(
 
 
 def _edge_place(
-    current: Session,
-    measured: Measured,
-    true_m: NDArray[Any],
-    along: Along,
-    options: dict[str, Any],
+    current: Session, measured: Measured, true_m: NDArray[Any], along: Any, options: dict[str, Any]
 ) -> None:
     from lensshift.evaluation.depth import edge_location_error
 
     kept = {name: options[name] for name in ("scale", "noise_m", "min_step_m")}
-    found = edge_location_error(
-        measured.values, true_m, valid=measured.valid, along=along.value, **kept
-    )
+    found = edge_location_error(measured.values, true_m, valid=measured.valid, along=along, **kept)
     current.result["edge_location"] = asdict(found)
     current.say(
         f"{'place of the edge':<22}off by {found.mean_px:+.3f} LR px in the mean, "
@@ -192,9 +180,8 @@ def _plane(
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     valid = None if measured.valid is None else measured.valid[cut]
     found = fit_plane(measured.values[cut], valid=valid, directions=rays[cut])
-    current.result["plane"] = {"normal": found.normal, "offset_m": found.offset_m}
-    current.result["plane"] |= {"rms_m": found.rms_m, "max_m": found.max_m, "count": found.count}
-    current.result["plane"] |= {"bias_rms_m": found.bias_rms_m, "noise_rms_m": found.noise_rms_m}
+    names = "normal offset_m rms_m max_m count bias_rms_m noise_rms_m"
+    current.result["plane"] = picked(found, names)
     current.say(
         f"{'plane':<22}rms {1e3 * found.rms_m:.2f} mm: bias {1e3 * found.bias_rms_m:.2f}, "
         f"noise {1e3 * found.noise_rms_m:.2f} mm, {found.count} pixels"
@@ -202,7 +189,6 @@ def _plane(
 
 
 def _noise(current: Session, path: Path) -> None:
-    from lensshift.cli.measured import measured_frames
     from lensshift.evaluation.noise import temporal_noise
 
     frames = measured_frames(path, key=_SOURCE)
@@ -212,13 +198,3 @@ def _noise(current: Session, path: Path) -> None:
         f"{'noise over time':<22}{1e3 * found.median:.2f} mm, median over the pixels, "
         f"{len(frames.values)} frames"
     )
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _figure(measured: Measured, true_m: NDArray[Any] | None, options: dict[str, Any]) -> Any:
-    from lensshift.report.depth import depth_figure
-
-    return depth_figure(measured.values, true_m, valid=measured.valid, **options)

@@ -87,5 +87,5 @@ def _say(current: Session, done: Diagnosis) -> None:
         for name, size_px in done.budget.parts.items():
             current.say(f"  {name:<12} {size_px:.4f} px rms")
         current.say(f"  to be better: {done.budget.cure}")
-    current.say("wrote " + ", ".join(str(path) for path in done.files))
+    current.wrote(*done.files)
     current.result |= done.as_dict()

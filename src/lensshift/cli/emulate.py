@@ -7,18 +7,18 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb, verb_group
 
 if TYPE_CHECKING:
     from lensshift.capture.emulators.rig import EmulatedWorld
 
 emulate = verb_group(
-    help="Emulate devices over their real protocols until Ctrl-C, on this computer only.",
+    help="Emulate devices over their real protocols until Ctrl-C, on this computer only."
 )
 
 JsonOption = Annotated[
@@ -79,23 +79,22 @@ def rig(current: Session, asked: RigOptions) -> None:
     """
     from lensshift.capture.emulators.listener import free_udp_port
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
+    from lensshift.io.atomic import written_whole
+    from lensshift.pipeline.experiment_file import named_scene
 
     settings = RigSettings(
-        scene=_scene(asked.scene),
+        scene=named_scene(asked.scene),
         play_mm=1e-3 * asked.play_um,
         encoder_noise_mm=1e-3 * asked.noise_um,
-        message_loss=asked.message_loss,
-        packet_loss=asked.packet_loss,
-        reorder=asked.reorder,
-        rate_hz=asked.rate_hz,
-        speed=asked.speed,
         seed=asked.course.seed,
+        **picked(asked, "message_loss packet_loss reorder rate_hz speed"),
     )
     port = asked.port or free_udp_port()
     with EmulatedRig(settings, camera_port=port) as running:
         text = running.rig_file()
         if asked.file is not None:
-            _write(asked.file, text)
+            with written_whole(asked.file) as part:
+                part.write_text(text, encoding="utf-8")
             current.say(f"wrote {asked.file}")
         current.say(text)
         current.result |= {"stage": list(running.stages.urls), "camera_port": port}
@@ -170,11 +169,9 @@ def o3m(current: Session, asked: O3mOptions) -> None:
     with O3MSender(
         _still_world(asked.scene, asked.course.seed).look,
         port=port,
-        rate_hz=asked.rate_hz,
-        layout=asked.layout,
         loss=asked.packet_loss,
-        reorder=asked.reorder,
         seed=asked.course.seed,
+        **picked(asked, "rate_hz layout reorder"),
     ) as sender:
         current.say(f"O3M, layout {asked.layout}, sends to UDP port {port} at {asked.rate_hz:g} Hz")
         current.result |= {"camera_port": port}
@@ -220,24 +217,12 @@ def pcic(current: Session, asked: PcicOptions) -> None:
         _until_stopped(asked.course, lambda: {"sent": server.sent}, current)
 
 
-def _scene(name: str) -> Any:
-    from lensshift.pipeline.experiment_file import named_scene
-
-    return named_scene(name)
-
-
 def _still_world(scene: str, seed: int) -> EmulatedWorld:
     from lensshift.capture.emulators.rig import EmulatedWorld, RigSettings
+    from lensshift.pipeline.experiment_file import named_scene
 
-    settings = RigSettings(scene=_scene(scene), seed=seed)
+    settings = RigSettings(scene=named_scene(scene), seed=seed)
     return EmulatedWorld(settings, lambda _: settings.rest_mm)
-
-
-def _write(file: Path, text: str) -> None:
-    from lensshift.io.atomic import written_whole
-
-    with written_whole(file) as part:
-        part.write_text(text, encoding="utf-8")
 
 
 def _until_stopped(course: Course, counts: Callable[[], dict[str, int]], current: Session) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from lensshift.cli.chart import chart
 from lensshift.cli.depth import depth
 from lensshift.cli.gain import gain
 from lensshift.cli.gradient import gradient
-from lensshift.cli.inputs import load_input_image
+from lensshift.cli.images import measured_image
 from lensshift.cli.mtf import mtf
 from lensshift.cli.session import Session
 from lensshift.cli.star import frc, resolution, star, zone
@@ -59,22 +58,15 @@ def fidelity(current: Session, asked: FidelityOptions) -> None:
     """
     from lensshift.evaluation import fidelity as measure
 
-    image, truth, peak, border_px = asked.image, asked.truth, asked.peak, asked.border_px
-    values = load_input_image(image, key=asked.key, frame=asked.frame)
-    true_values = load_input_image(truth, key=asked.truth_key)
-    _warn_of_peak(true_values, peak)
-    found = asdict(measure(values, true_values, peak=peak, border_px=border_px))
-    current.result |= {"image": image, "truth": truth, "peak": peak, "border_px": border_px}
+    peak = asked.peak
+    values = measured_image(asked.image, None, key=asked.key, frame=asked.frame).values
+    truth = measured_image(asked.truth, None, key=asked.truth_key).values
+    if truth.dtype.kind in "ui" and truth.max() > peak:
+        told = f"the truth has integers up to {truth.max()} but white is {peak:g}; set --peak"
+        warnings.warn(told, QualityWarning, stacklevel=1)
+    found = asdict(measure(values, truth, peak=peak, border_px=asked.border_px))
+    current.tell(asked, "image truth peak border_px")
     current.result |= found
     current.say(f"PSNR  {found['psnr_db']:.3f} dB (peak {peak:g})")
     current.say(f"SSIM  {found['ssim']:.4f}")
     current.say(f"RMSE  {found['rmse']:.6g}")
-
-
-def _warn_of_peak(truth: Any, peak: float) -> None:
-    if truth.dtype.kind in "ui" and truth.max() > peak:
-        warnings.warn(
-            f"the truth has integers up to {truth.max()} but white is {peak:g}; set --peak",
-            QualityWarning,
-            stacklevel=1,
-        )

@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensshift.cli.measured import (
-    CsvOption,
-    KeyOption,
-    Measured,
-    PlotOption,
-    Unit,
-    check_outputs,
-    finer,
-    measured_frames,
-    measured_image,
-    parse_region,
-    write_plot,
-    write_table,
-)
-from lensshift.cli.mtf import edge_row
+from lensshift.cli import images, outputs
+from lensshift.cli.mtf import edge_row, edges_of
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
 
@@ -28,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lensshift.evaluation.gain import ResolutionGain
-    from lensshift.evaluation.slanted_edge import EdgeResult
 
 _RATIOS = (("mtf50", "MTF50"), ("mtf10", "MTF10"), ("width", "10-90 width"))
 
@@ -43,9 +29,8 @@ class GainOptions:
     region: str | None = option(None, "Region in pixels of COARSE: row start,stop,col start,stop.")
     joint: bool = option(False, "Measure all frames of COARSE jointly.")
     frame: int = option(0, "Frame of COARSE, if it holds several.", min=0)
-    key: KeyOption = None
-    csv: CsvOption = None
-    plot: PlotOption = None
+    key: images.KeyOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring edges")
@@ -63,15 +48,15 @@ def gain(current: Session, asked: GainOptions) -> None:
     from lensshift.evaluation.gain import average_gain, pair_edges, resolution_gain
 
     fine, coarse, key = asked.fine, asked.coarse, asked.key
-    place = parse_region(asked.region)
-    check_outputs([fine, coarse], asked.csv, asked.plot)
+    place = images.parse_region(asked.region)
+    outputs.check([fine, coarse], asked.to.csv, asked.to.plot)
     below = (
-        measured_frames(coarse, key=key)
+        images.measured_frames(coarse, key=key)
         if asked.joint
-        else measured_image(coarse, asked.pitch_mm, key=key, frame=asked.frame)
+        else images.measured_image(coarse, asked.pitch_mm, key=key, frame=asked.frame)
     )
-    above, scale = finer(measured_image(fine, None, key=key), below)
-    pairs = pair_edges(_edges(above, place, scale), _edges(below, place, 1), scale)
+    above, scale = images.finer(images.measured_image(fine, None, key=key), below)
+    pairs = pair_edges(edges_of(above, images.scaled(place, scale)), edges_of(below, place), scale)
     if not pairs:
         raise ValueError("expected an edge that both images show, got none; give --region")
     gains = [resolution_gain(first, second) for first, second in pairs]
@@ -82,26 +67,16 @@ def gain(current: Session, asked: GainOptions) -> None:
     if len(gains) > 1:
         current.say(f"mean of {len(gains)} edges")
         _say(current, mean)
-    unit = Unit("LP/mm" if below.has_pitch else "cycles/px")
+    unit = images.Unit("LP/mm" if below.has_pitch else "cycles/px")
     current.result |= {"fine": fine, "coarse": coarse, "scale": scale, "unit": unit.name}
-    edges = [_row(one, *pair, unit) for pair, one in zip(pairs, gains, strict=True)]
+    edges = [
+        {"gain": asdict(one), "fine": edge_row(first, unit), "coarse": edge_row(second, unit)}
+        for (first, second), one in zip(pairs, gains, strict=True)
+    ]
     current.result |= {"gain": asdict(mean), "edges": edges}
-    write_table(current, asked.csv, _table(gains))
-    write_plot(current, asked.plot, lambda: _figure(pairs[0], gains[0], unit))
-
-
-def _edges(
-    measured: Measured, region: tuple[int, int, int, int] | None, scale: int
-) -> list[EdgeResult]:
-    from lensshift.evaluation.slanted_edge import Region, measure_edges
-
-    return measure_edges(
-        measured.values,
-        measured.pitch_mm,
-        region=None if region is None else Region(*(scale * end for end in region)),
-        offset_px=measured.offset_px,
-        valid=measured.valid,
-        scale=measured.scale,
+    outputs.write_table(current, asked.to.csv, _table(gains))
+    outputs.write_plot(
+        current, asked.to.plot, "edges.gain_figure", *pairs[0], gains[0], unit=unit.name
     )
 
 
@@ -111,14 +86,6 @@ def _say(current: Session, found: ResolutionGain) -> None:
     current.say(f"  {'gain in noise':<23}{found.noise:.4g}")
 
 
-def _row(found: ResolutionGain, fine: EdgeResult, coarse: EdgeResult, unit: Unit) -> dict[str, Any]:
-    return {
-        "gain": asdict(found),
-        "fine": edge_row(fine, unit),
-        "coarse": edge_row(coarse, unit),
-    }
-
-
 def _table(gains: Sequence[ResolutionGain]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {"edge": list(range(len(gains)))}
     for name, _ in _RATIOS:
@@ -126,9 +93,3 @@ def _table(gains: Sequence[ResolutionGain]) -> dict[str, list[Any]]:
             column = name if end == "value" else f"{name}_{end}"
             columns[column] = [getattr(getattr(one, name), end) for one in gains]
     return columns | {"noise": [one.noise for one in gains]}
-
-
-def _figure(pair: tuple[EdgeResult, EdgeResult], found: ResolutionGain, unit: Unit) -> Any:
-    from lensshift.report.edges import gain_figure
-
-    return gain_figure(*pair, found, unit=unit.name)

@@ -2,56 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from lensshift.cli.measured import (
-    CsvOption,
-    FrameOption,
-    ImageArgument,
-    KeyOption,
-    Measured,
-    PitchOption,
-    PlotOption,
-    RegionOption,
-    check_outputs,
-    finer,
-    measured_image,
-    parse_region,
-    slices_of,
-    write_plot,
-    write_table,
-)
-from lensshift.cli.session import Session
+from lensshift.cli import images, outputs
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lensshift.evaluation.edge_gradient import EdgeGradient, GradientRatio
-
-
-class LimitKind(StrEnum):
-    """How the limits are reckoned."""
-
-    RANGE = "range"
-    LITERAL = "literal"
-
-
-class PlateauKind(StrEnum):
-    """How the plateaus are found."""
-
-    MEDIAN = "median"
-    EXTREMES = "extremes"
-
-
-class Axis(StrEnum):
-    """The axis of the lines, which cross the edge."""
-
-    COL = "col"
-    ROW = "row"
 
 
 _DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
@@ -61,27 +23,23 @@ _DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
 class GradientOptions:
     """Options of `lensshift evaluate gradient`."""
 
-    image: ImageArgument
+    of: images.ImageOptions
     against: Path | None = option(None, "A coarser image of the same scene; gives the ratio.")
-    pitch_mm: PitchOption = None
-    region: RegionOption = None
+    region: images.RegionOption = None
     line: int | None = option(None, "One line of the region; all of them if not.", min=0)
-    along: Axis = option(
-        Axis.COL, "Axis of the lines: col crosses an upright edge, row a level one."
+    along: Literal["col", "row"] = option(
+        "col", "Axis of the lines: col crosses an upright edge, row a level one."
     )
     share: float | None = option(
         None, "Share cut off at both ends; 0.10, for distances 0.05 unless given."
     )
-    limits: LimitKind = option(
-        LimitKind.RANGE, "Share of the step, or of the plateaus as the paper words it."
+    limits: Literal["range", "literal"] = option(
+        "range", "Share of the step, or of the plateaus as the paper words it."
     )
-    plateaus: PlateauKind = option(
-        PlateauKind.MEDIAN, "Medians beside the edge, or the extremes as the paper takes."
+    plateaus: Literal["median", "extremes"] = option(
+        "median", "Medians beside the edge, or the extremes as the paper takes."
     )
-    frame: FrameOption = 0
-    key: KeyOption = None
-    csv: CsvOption = None
-    plot: PlotOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring gradients")
@@ -97,30 +55,33 @@ def gradient(current: Session, asked: GradientOptions) -> None:
       lensshift evaluate gradient edge.tif --pitch-mm 0.155 --region 0,16,20,44
       lensshift evaluate gradient sharp.nc --against burst.nc --key distance --region 2,14,20,44
     """
-    image, against, pitch_mm, key = asked.image, asked.against, asked.pitch_mm, asked.key
-    place = parse_region(asked.region)
-    check_outputs([image, against], asked.csv, asked.plot)
-    fine = measured_image(image, None if against else pitch_mm, key=key, frame=asked.frame)
-    coarse = None if against is None else measured_image(against, pitch_mm, key=key)
-    fine, scale = (fine, 1) if coarse is None else finer(fine, coarse)
+    from lensshift.evaluation.edge_gradient import edge_gradient
+
+    against, key = asked.against, asked.of.key
+    place = images.parse_region(asked.region)
+    outputs.check([asked.of.image, against], asked.to.csv, asked.to.plot)
+    fine = images.measured_of(replace(asked.of, pitch_mm=None) if against else asked.of)
+    coarse = None if against is None else images.measured_image(against, asked.of.pitch_mm, key=key)
+    fine, scale = (fine, 1) if coarse is None else images.finer(fine, coarse)
     cut = asked.share or (_DISTANCE_SHARE if key == "distance" else _SHARE)
-    options: dict[str, Any] = {"share": cut, "limits": asked.limits.value}
-    options |= {"plateaus": asked.plateaus.value}
+    options: dict[str, Any] = {"share": cut, "limits": asked.limits, "plateaus": asked.plateaus}
     lines, step_mm = _lines(fine, place, asked, scale)
-    found = _gradient(lines, step_mm, options)
+    found = edge_gradient(lines, step_mm=step_mm, **options)
     _say(current, found, fine.length)
-    current.result |= {"image": image, "length_unit": fine.length, **options}
+    current.result |= {"image": asked.of.image, "length_unit": fine.length, **options}
     current.result["gradient"] = _row(found)
     if coarse is not None:
-        _compare(current, found, _gradient(*_lines(coarse, place, asked, 1), options))
+        coarse_lines, coarse_mm = _lines(coarse, place, asked, 1)
+        _compare(current, found, edge_gradient(coarse_lines, step_mm=coarse_mm, **options))
     columns = {"line": list(range(len(found.lines))), "slope": found.slope_per_mm}
     columns |= {"normalised": found.normalised_per_mm, "width": found.width_mm}
-    write_table(current, asked.csv, columns)
-    write_plot(current, asked.plot, lambda: _figure(found, lines, step_mm, fine.length))
+    outputs.write_table(current, asked.to.csv, columns)
+    told = {"step_mm": step_mm, "length": fine.length}
+    outputs.write_plot(current, asked.to.plot, "gradient.gradient_figure", found, lines, **told)
 
 
 def _lines(
-    measured: Measured,
+    measured: images.Measured,
     region: tuple[int, int, int, int] | None,
     asked: GradientOptions,
     scale: int,
@@ -128,11 +89,10 @@ def _lines(
     """Return the lines [line n] and the distance of their samples."""
     import numpy as np
 
-    place = region
-    if region is not None:
-        place = (scale * region[0], scale * region[1], scale * region[2], scale * region[3])
-    part = np.asarray(measured.values[slices_of(place, measured.values.shape)])
-    upright, line = asked.along is Axis.COL, asked.line
+    part = np.asarray(
+        measured.values[images.slices_of(images.scaled(region, scale), measured.values.shape)]
+    )
+    upright, line = asked.along == "col", asked.line
     lines = part if upright else part.T
     if line is not None:
         first = line * scale
@@ -142,16 +102,8 @@ def _lines(
     return lines, measured.pitch_mm[1 if upright else 0]
 
 
-def _gradient(lines: NDArray[Any], step_mm: float, options: dict[str, Any]) -> EdgeGradient:
-    from lensshift.evaluation.edge_gradient import edge_gradient
-
-    return edge_gradient(lines, step_mm=step_mm, **options)
-
-
 def _say(current: Session, found: EdgeGradient, length: str) -> None:
-    interval = found.interval_per_mm
-    ends = "" if interval is None else f" ({interval[0]:.4g} to {interval[1]:.4g})"
-    count = len(found.lines)
+    count, ends = len(found.lines), _ends(found.interval_per_mm)
     current.say(f"{count} line{'s' if count > 1 else ''}")
     current.say(f"  mean gradient      {found.mean_per_mm:.4g}{ends} of the step per {length}")
     current.say(f"  median gradient    {found.median_per_mm:.4g} of the step per {length}")
@@ -163,15 +115,16 @@ def _say(current: Session, found: EdgeGradient, length: str) -> None:
         )
 
 
+def _ends(interval: tuple[float, float] | None) -> str:
+    return "" if interval is None else f" ({interval[0]:.4g} to {interval[1]:.4g})"
+
+
 def _compare(current: Session, fine: EdgeGradient, coarse: EdgeGradient) -> None:
     from lensshift.evaluation.edge_gradient import gradient_ratio
 
     ratio: GradientRatio = gradient_ratio(fine, coarse)
-    ends = (
-        ""
-        if ratio.interval is None
-        else f" ({ratio.interval[0]:.4g} to {ratio.interval[1]:.4g}) from the means of the lines"
-    )
+    ends = _ends(ratio.interval)
+    ends += " from the means of the lines" if ends else ""
     current.say(f"  ratio              {ratio.ratio:.4g}{ends}")
     if ratio.averaged is not None:
         current.say(f"  ratio to trust     {ratio.averaged:.4g} from the averaged profiles")
@@ -185,18 +138,8 @@ def _compare(current: Session, fine: EdgeGradient, coarse: EdgeGradient) -> None
 
 def _row(found: EdgeGradient) -> dict[str, Any]:
     averaged = found.averaged
-    return {
+    return picked(found, "mean_per_mm median_per_mm interval_per_mm slope_per_mm") | {
         "lines": len(found.lines),
-        "mean_per_mm": found.mean_per_mm,
-        "median_per_mm": found.median_per_mm,
-        "interval_per_mm": found.interval_per_mm,
-        "slope_per_mm": found.slope_per_mm,
         "averaged_per_mm": None if averaged is None else averaged.normalised_per_mm,
         "averaged_width_mm": None if averaged is None else averaged.width_mm,
     }
-
-
-def _figure(found: EdgeGradient, lines: NDArray[Any], step_mm: float, length: str) -> Any:
-    from lensshift.report.gradient import gradient_figure
-
-    return gradient_figure(found, lines, step_mm=step_mm, length=length)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import Kind, StackOptions, kind_of, load_input_burst
+from lensshift.cli.inputs import FRAME_AXES, Kind, StackOptions, kind_of, load_input_burst
 from lensshift.cli.points import view_of, view_text
-from lensshift.cli.reconstruct import describe, say_channels
+from lensshift.cli.reconstruct import say_channels
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
 
@@ -58,7 +58,8 @@ def info(current: Session, asked: InfoOptions) -> None:
 
         say_rig(current, file)
         return
-    if _is_lens_field(file):
+    schema = read_schema(file) if file.is_file() and is_hdf5(file) else None
+    if (schema or "").startswith("lensshift-lens-field"):
         from lensshift.cli.lens_field import say_field
         from lensshift.io import load_lens_field
 
@@ -66,7 +67,6 @@ def info(current: Session, asked: InfoOptions) -> None:
         say_field(current, load_lens_field(file))
         return
     kind = kind_of(file)
-    schema = read_schema(file) if file.is_file() and is_hdf5(file) else None
     current.result |= {"file": file, "kind": kind.value, "schema": schema}
     heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
     if kind is Kind.RECONSTRUCTION:
@@ -84,36 +84,24 @@ def info(current: Session, asked: InfoOptions) -> None:
         _say_burst(current, burst)
 
 
-def _is_lens_field(file: Path) -> bool:
-    from lensshift.io.container_reader import is_hdf5, read_schema
-
-    return file.is_file() and is_hdf5(file) and read_schema(file).startswith("lensshift-lens-field")
-
-
 def _say_burst(current: Session, burst: Burst) -> None:
     import numpy as np
 
     valid = np.ones(burst.amplitude.shape, bool) if burst.valid is None else burst.valid
+    current.tell(burst.grid, "shape pitch_mm")
+    current.tell(burst, "frame_count modulation_hz offset_source offset_px offset_sigma_px")
     known: dict[str, Any] = {
-        "frame_count": burst.frame_count,
-        "shape": burst.grid.shape,
-        "pitch_mm": burst.grid.pitch_mm,
         "dtype": str(burst.amplitude.dtype),
         "amplitude_range": _finite_range(burst.amplitude, valid),
         "distance_range_m": _finite_range(burst.distance_m, valid),
         "valid_share": float(valid.mean()),
-        "modulation_hz": burst.modulation_hz,
         "view": view_of(burst.intrinsics, burst.grid.shape),
-        "offset_source": burst.offset_source,
-        "offset_px": burst.offset_px,
-        "offset_sigma_px": burst.offset_sigma_px,
         "has_stage": burst.stage_mm is not None,
         "has_time": burst.time_s is not None,
         "meta": dict(burst.meta),
     }
     current.result |= known
-    rows, cols = burst.grid.shape
-    pitch = burst.grid.pitch_mm
+    (rows, cols), pitch = burst.grid.shape, burst.grid.pitch_mm
     current.say(f"frames      {burst.frame_count} of {rows} x {cols} px, {known['dtype']}")
     current.say(f"pitch       {pitch[0]:g} x {pitch[1]:g} mm (row, col)")
     current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
@@ -126,7 +114,9 @@ def _say_burst(current: Session, burst: Burst) -> None:
     current.say(f"looks       {view_text(known['view'])}")
     current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
     for number, (row, col) in enumerate(burst.offset_px):
-        sigma = "" if burst.offset_sigma_px is None else _sigma_text(burst.offset_sigma_px[number])
+        sigma = ""
+        if burst.offset_sigma_px is not None:
+            sigma = "  sigma {:.4f} {:.4f}".format(*burst.offset_sigma_px[number])
         current.say(f"  {number:>4}  {row:+9.4f} {col:+9.4f}{sigma}")
     for name, value in burst.meta.items():
         current.say(f"meta        {name}: {value!s:.100}")
@@ -138,7 +128,7 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
 
     from lensshift.io.image_stack import load_stack_fields
 
-    fields = load_stack_fields(file, key=stack.key, frame_axis=stack.frame_axis.number)
+    fields = load_stack_fields(file, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
     frames = fields["amplitude"]
     with_offsets = stack.offsets is not None or "offset_px" in fields or len(frames) == 1
     with_pitch = stack.pitch_mm is not None or "pitch_mm" in fields
@@ -177,22 +167,15 @@ def _say_sequence(current: Session, file: Path) -> None:
 
 
 def _say_result(current: Session, result: Reconstruction) -> None:
-    rows, cols = result.grid.shape
-    pitch = result.grid.pitch_mm
+    (rows, cols), pitch = result.grid.shape, result.grid.pitch_mm
     current.say(f"image       {rows} x {cols} px, x{result.scale} by {result.method}")
     current.say(f"pitch       {pitch[0]:g} x {pitch[1]:g} mm (row, col)")
     view = view_of(result.intrinsics, result.grid.shape)
     current.say(f"looks       {view_text(view)}")
     say_channels(current, result)
-    current.result |= {
-        "view": view,
-        "shape": result.grid.shape,
-        "pitch_mm": pitch,
-        "scale": result.scale,
-        "method": result.method,
-        "settings": dict(result.settings),
-        "channels": {name: describe(part) for name, part in result.channels.items()},
-    }
+    current.tell(result.grid, "shape pitch_mm")
+    current.tell(result, "scale method")
+    current.result |= {"view": view, "settings": dict(result.settings)}
 
 
 def _finite_range(values: NDArray[Any] | None, valid: NDArray[Any]) -> tuple[float, float] | None:
@@ -206,7 +189,3 @@ def _finite_range(values: NDArray[Any] | None, valid: NDArray[Any]) -> tuple[flo
 
 def _range_text(limits: tuple[float, float] | None, unit: str = "") -> str:
     return "none" if limits is None else f"{limits[0]:.6g} to {limits[1]:.6g}{unit}"
-
-
-def _sigma_text(sigma_px: NDArray[Any]) -> str:
-    return f"  sigma {sigma_px[0]:.4f} {sigma_px[1]:.4f}"

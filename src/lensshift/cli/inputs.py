@@ -2,43 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from lensshift.cli.session import picked
 from lensshift.cli.verbs import option
 from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from lensshift.core.types import Burst, Reconstruction
-
-
-class FrameAxis(StrEnum):
-    """Where the frames lie in an NPY or NPZ array."""
-
-    FIRST = "first"
-    LAST = "last"
-
-    @property
-    def number(self) -> int:
-        """The axis as NumPy counts."""
-        return 0 if self is FrameAxis.FIRST else -1
-
-
-class Pattern(StrEnum):
-    """Where the image is sent in each frame, see `lensshift.core.pattern`."""
-
-    SQUARE = "square"
-    NINE = "3x3"
-    SIXTEEN = "4x4"
-    STILL = "still"
+    from lensshift.core.types import Burst
 
 
 BurstArgument = Annotated[
@@ -47,7 +24,11 @@ BurstArgument = Annotated[
         help="A burst file, or an image stack (TIFF, NPY, NPZ, FITS, folder of images)."
     ),
 ]
-PatternOption = Annotated[Pattern, typer.Option("--pattern", help="Where the image is sent.")]
+PatternOption = Annotated[
+    Literal["square", "3x3", "4x4", "still"],  # of `lensshift.core.pattern`
+    typer.Option("--pattern", help="Where the image is sent."),
+]
+FRAME_AXES = {"first": 0, "last": -1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +40,9 @@ class StackOptions:
     )
     pitch_mm: str | None = option(None, "Pixel pitch of an image stack: one number, or row,col.")
     key: str | None = option(None, "Name of the frames in an NPZ file.")
-    frame_axis: FrameAxis = option(FrameAxis.FIRST, "Where the frames lie in an NPY or NPZ array.")
+    frame_axis: Literal["first", "last"] = option(
+        "first", "Where the frames lie in an NPY or NPZ array."
+    )
     modulation_hz: list[float] | None = option(
         None, "Modulation frequency of an image stack; again for each further one."
     )
@@ -113,9 +96,8 @@ def _load(path: Path, options: StackOptions) -> Burst:
             path,
             options.offsets,
             pitch_mm=pitch_mm,
-            key=options.key,
-            frame_axis=options.frame_axis.number,
-            modulation_hz=options.modulation_hz,
+            frame_axis=FRAME_AXES[options.frame_axis],
+            **picked(options, "key modulation_hz"),
         )
     if kind is not Kind.BURST:
         raise DataError(f"expected a burst, got a {kind.value}", source=path)
@@ -127,33 +109,21 @@ def _load(path: Path, options: StackOptions) -> Burst:
     return load_burst(path)
 
 
-def load_input_image(path: Path, *, key: str | None = None, frame: int = 0) -> NDArray[Any]:
-    """Read one image [row col] from an image, a burst, a reconstruction or a sequence."""
-    from lensshift.io import load_burst, load_reconstruction, load_window
-    from lensshift.io.image_file import load_frames, load_named_arrays
-
-    kind = kind_of(path)
-    if kind is Kind.RECONSTRUCTION:
-        return _channel_image(load_reconstruction(path), path, key)
-    if kind is Kind.SEQUENCE:
-        return _channel_image(load_window(path, frame), path, key)
-    if kind is Kind.BURST:
-        return one_frame(burst_channel(load_burst(path), path, key), path, frame)
-    if path.suffix.lower() == ".npz":
-        arrays = load_named_arrays(path)
-        return one_frame(arrays[_image_name(arrays, path, key)], path, frame)
-    return one_frame(load_frames(path), path, frame)
-
-
 def parse_pitch_mm(text: str) -> tuple[float, float]:
     """Return the pitch (row, col) from "0.1" or "0.1,0.2"."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise typer.BadParameter(f"expected a pitch like 0.1 or 0.1,0.2, got {text!r}") from error
-    if len(numbers) not in (1, 2):
-        raise typer.BadParameter(f"expected a pitch like 0.1 or 0.1,0.2, got {text!r}")
+    numbers = parse_numbers(text, 1 if "," not in text else 2, "a pitch like 0.1 or 0.1,0.2")
     return numbers[0], numbers[-1]
+
+
+def parse_numbers(text: str, count: int, expected: str) -> tuple[float, ...]:
+    """Return numbers separated by commas."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(f"expected {expected}, got {text!r}") from error
+    if len(numbers) != count:
+        raise typer.BadParameter(f"expected {expected}, got {text!r}")
+    return numbers
 
 
 def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -> None:
@@ -171,50 +141,17 @@ def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -
         taken[place] = "is written twice"
 
 
+def check_files(inputs: Iterable[Path | None], outputs: Sequence[Path]) -> None:
+    """Complain before the work about files that would be overwritten or cannot be written."""
+    from lensshift.io.atomic import writable_target
+
+    refuse_overwriting(inputs, outputs)
+    for path in outputs:
+        writable_target(path)
+
+
 def beside(source: Path, ending: str) -> Path:
     """Return a name beside a file or folder: its own with another ending."""
     whole = source.resolve()
     name = whole.name if whole.is_dir() else whole.stem
     return (source.parent if source.name else whole.parent) / f"{name}{ending}"
-
-
-def burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[Any]:
-    """Return the frames [frame row col] of a channel, by default the amplitude."""
-    channels = {"amplitude": burst.amplitude, "distance": burst.distance_m}
-    frames = channels.get(key or "amplitude")
-    if frames is None:
-        known = " or ".join(name for name, values in channels.items() if values is not None)
-        raise DataError(f"expected {known}, got {key!r}", source=path)
-    return frames
-
-
-def one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
-    """Return one image [row col] of frames, or the image itself."""
-    if values.ndim == 2 and frame == 0:
-        return values
-    if values.ndim != 3:
-        raise DataError(f"expected [row col] and frame 0, got shape {values.shape}", source=path)
-    if not 0 <= frame < values.shape[0]:
-        raise DataError(
-            f"expected a frame from 0 to {values.shape[0] - 1}, got {frame}", source=path
-        )
-    image: NDArray[Any] = values[frame]
-    return image
-
-
-def _channel_image(result: Reconstruction, path: Path, key: str | None) -> NDArray[Any]:
-    channels = result.channels
-    name = key or next(iter(channels))
-    if name not in channels:
-        raise DataError(f"expected {' or '.join(channels)}, got {name!r}", source=path)
-    return channels[name].image
-
-
-def _image_name(arrays: dict[str, NDArray[np.generic]], path: Path, key: str | None) -> str:
-    images = [name for name, values in arrays.items() if values.ndim in (2, 3)]
-    candidates = [key] if key else ["amplitude"] if "amplitude" in arrays else images
-    if len(candidates) == 1 and candidates[0] in arrays:
-        return candidates[0]
-    raise DataError(
-        f"cannot tell which array to take; choose a key among {', '.join(arrays)}", source=path
-    )

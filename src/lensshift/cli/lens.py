@@ -4,30 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from lensshift.cli import optics, outputs
 from lensshift.cli.lens_design import budget, check_out, optimise, tolerance, write_lens
 from lensshift.cli.lens_field import field as lens_field
 from lensshift.cli.lens_refine import refine
 from lensshift.cli.lens_report import report
-from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
-from lensshift.cli.optics import (
-    SHIFT_PX,
-    BandOption,
-    LensOptions,
-    MoveOptions,
-    MtfFigure,
-    ShowFigure,
-    band_of,
-    diagonal_mm,
-    element_of,
-    figure_of,
-    mtf_figure,
-    opened,
-    parse_fields_tan,
-    read_lens,
-    show_figure,
-)
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb, verb_group
 
@@ -40,7 +23,7 @@ for one in (lens_field, optimise, refine, tolerance, budget, report):
     lens_verbs.command()(one)
 
 
-_CURVE_STEPS, _CURVES_NYQUIST = 80, 2.5
+_CURVE_STEPS, _CURVES_NYQUIST = 80, 2.5  # as on the axis of the figure: beyond twice Nyquist
 
 
 @lens_verbs.callback()
@@ -62,10 +45,11 @@ def group() -> None:
 class ShowOptions:
     """Options of `lensshift lens show`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
-    figure: ShowFigure = option(ShowFigure.LAYOUT, "What --plot draws.")
-    plot: PlotOption = None
+    of: optics.MovedLensOptions
+    figure: Literal["layout", "spots", "distortion", "fans", "psf", "field"] = option(
+        "layout", "What --plot draws."
+    )
+    plot: outputs.PlotOption = None
 
 
 @lens_verbs.command()
@@ -81,10 +65,9 @@ def show(current: Session, asked: ShowOptions) -> None:
     """
     from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
 
-    check_outputs([], None, asked.plot)
-    model, grid = opened(asked.of)
-    element, shift_px = asked.move.element, asked.move.shift_px
-    moved = element_of(model, element)
+    outputs.check([], plot=asked.plot)
+    model, grid, moved = optics.opened_moving(asked.of)
+    element, shift_px = asked.of.element, asked.of.shift_px
     data = paraxial(model)
     gains = decenter_gains(model)
     current.say(
@@ -107,35 +90,34 @@ def show(current: Session, asked: ShowOptions) -> None:
         unit = " mm" if name.endswith("_mm") else ""
         label = name.removesuffix("_mm").replace("_", " ")
         current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
-    travel_mm = diagonal_mm(model, moved, shift_px, grid)
+    travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
     current.say(
         f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
         f"along columns, {1e3 * travel_mm[0]:.2f} um along rows"
     )
     current.result |= {"lens": model.name or asked.of.lens, "elements": rows, **asdict(data)}
     current.result |= {"element": element, "shift_px": shift_px, "travel_mm": travel_mm}
-    write_plot(
-        current, asked.plot, lambda: show_figure(asked.figure, model, moved, travel_mm, grid)
-    )
+    fields_tan = optics.spread_fields_tan(model, grid, (0.0, 0.5, 1.0))
+    name, of, options = optics.lens_figures(model, moved, travel_mm, grid, fields_tan)[asked.figure]
+    outputs.write_plot(current, asked.plot, name, *of, **options)
 
 
 @dataclass(frozen=True, slots=True)
 class MtfOptions:
     """Options of `lensshift lens mtf`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.MovedLensOptions
     field_deg: list[str] | None = option(
         None, "Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."
     )
     highest_lpmm: float | None = option(
         None, "End of the curves; 2.5 times LR Nyquist if not.", min=0.1
     )
-    band_nm: BandOption = 0.0
+    band_nm: optics.BandOption = 0.0
     fast: bool = option(False, "Geometric times diffraction MTF instead of the exact one.")
-    csv: CsvOption = None
-    figure: MtfFigure = option(MtfFigure.CURVES, "What --plot draws.")
-    plot: PlotOption = None
+    csv: outputs.CsvOption = None
+    figure: Literal["curves", "field", "focus", "sections"] = option("curves", "What --plot draws.")
+    plot: outputs.PlotOption = None
 
 
 @lens_verbs.command()
@@ -157,37 +139,31 @@ def mtf(current: Session, asked: MtfOptions) -> None:
 
     from lensshift.optics.mtf import diffraction_limit
 
-    check_outputs([], asked.csv, asked.plot)
-    model, grid = opened(asked.of)
-    moved = element_of(model, asked.move.element)
-    fields_tan = parse_fields_tan(asked.field_deg)
-    travel_mm = diagonal_mm(model, moved, asked.move.shift_px, grid)
-    band = band_of(model, asked.band_nm)
+    outputs.check([], asked.csv, asked.plot)
+    model, grid, moved = optics.opened_moving(asked.of)
+    fields_tan = optics.parse_fields_tan(asked.field_deg)
+    travel_mm = optics.diagonal_mm(model, moved, asked.of.shift_px, grid)
+    band = optics.band_of(model, asked.band_nm)
     nyquist_lpmm = 0.5 / max(grid.pitch_mm)
     highest = asked.highest_lpmm or _CURVES_NYQUIST * nyquist_lpmm
     frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
     frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
     curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, asked.fast)
-    at = {
-        label: np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
-        for label, values in curves.items()
-    }
+    limit = diffraction_limit(model, frequency).modulation
     current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
-    for label, (low, high) in at.items():
+    for label, values in (curves | {"diffraction limit": limit}).items():
+        low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
         current.say(f"{label:<42}{low:8.4f}  {high:8.4f}")
-    limit = diffraction_limit(model, frequency)
-    low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, limit.modulation)
-    current.say(f"{'diffraction limit':<42}{low:8.4f}  {high:8.4f}")
     current.result |= {"lens": model.name or asked.of.lens, "nyquist_lpmm": nyquist_lpmm}
     current.result |= {"travel_mm": travel_mm, "frequency_lpmm": frequency}
-    current.result |= {"mtf": curves, "diffraction_limit": limit.modulation}
-    columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit.modulation}
-    write_table(current, asked.csv, {name.replace(",", ";"): row for name, row in columns.items()})
-    write_plot(
-        current,
-        asked.plot,
-        lambda: mtf_figure(asked.figure, model, moved, travel_mm, grid, fields_tan, highest),
+    current.result |= {"mtf": curves, "diffraction_limit": limit}
+    columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit}
+    outputs.write_table(
+        current, asked.csv, {name.replace(",", ";"): row for name, row in columns.items()}
     )
+    figures = optics.lens_figures(model, moved, travel_mm, grid, fields_tan, highest_lpmm=highest)
+    drawn, of, options = figures["map" if asked.figure == "field" else asked.figure]
+    outputs.write_plot(current, asked.plot, drawn, *of, **options)
 
 
 def _curves(
@@ -213,11 +189,9 @@ def _curves(
             ("at rest", None),
             ("moved", moving(model, element, np.asarray(travel_mm))),
         ):
-            if fast:
-                found = fast_mtf(model, (row_tan, col_tan), frequency_lpmm, build=build, band=band)
-            else:
-                field = (row_tan, col_tan)
-                found = np.abs(exact_otf(model, field, frequency_lpmm, build=build, band=band))
+            mtf_of = fast_mtf if fast else exact_otf
+            field = (row_tan, col_tan)
+            found = np.abs(mtf_of(model, field, frequency_lpmm, build=build, band=band))
             for direction, values in zip(("columns", "rows"), found, strict=True):
                 label = f"{row_deg:.1f}/{col_deg:.1f} deg, along {direction}, {name}"
                 curves[label] = values
@@ -230,10 +204,9 @@ def _curves(
 class WhichOptions:
     """Options of `lensshift lens which`."""
 
-    of: LensOptions
-    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
-    csv: CsvOption = None
-    plot: PlotOption = None
+    of: optics.LensOptions
+    shift_px: float = option(optics.SHIFT_PX, "Shift of the image along both axes, in pixels.")
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @lens_verbs.command()
@@ -252,14 +225,16 @@ def which(current: Session, asked: WhichOptions) -> None:
     from lensshift.optics.movers import which_mover
     from lensshift.optics.which import format_movers
 
-    check_outputs([], asked.csv, asked.plot)
-    model, grid = opened(asked.of)
+    outputs.check([], asked.to.csv, asked.to.plot)
+    model, grid = optics.opened(asked.of)
     movers = which_mover(model, grid, shift_px=asked.shift_px)
     current.say(format_movers(movers))
     rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
     current.result |= {"lens": model.name or asked.of.lens, "movers": rows}
-    write_table(current, asked.csv, {name: [row[name] for row in rows] for name in rows[0]})
-    write_plot(current, asked.plot, lambda: figure_of("lenses", "which_figure", movers))
+    outputs.write_table(
+        current, asked.to.csv, {name: [row[name] for row in rows] for name in rows[0]}
+    )
+    outputs.write_plot(current, asked.to.plot, "lenses.which_figure", movers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +264,7 @@ def convert(current: Session, asked: ConvertOptions) -> None:
     check_out(target, Path(source))
     for catalogue in asked.glass_catalogue or []:
         load_glass_catalogue(catalogue)
-    model = read_lens(source)
+    model = optics.read_lens(source)
     write_lens(model, target)
     current.result |= {"source": source, "target": target, "elements": len(model.elements)}
     current.say(f"wrote {target}: {len(model.elements)} elements")

@@ -3,34 +3,16 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import MISSING, asdict, dataclass, field
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from lensshift.cli.measured import (
-    CsvOption,
-    PlotOption,
-    check_outputs,
-    parse_numbers,
-    write_plot,
-    write_table,
-)
-from lensshift.cli.optics import (
-    SHIFT_PX,
-    BandOption,
-    LensOptions,
-    MoveOptions,
-    SensorOptions,
-    element_of,
-    figure_of,
-    opened,
-    read_lens,
-    sensor_grid,
-)
-from lensshift.cli.session import Progress, Session
+from lensshift.cli import optics, outputs
+from lensshift.cli.inputs import parse_numbers
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
@@ -42,13 +24,6 @@ if TYPE_CHECKING:
 BestOption = Annotated[
     Path | None, typer.Option("-o", "--out", help="Write the lens found (.toml or .zmx).")
 ]
-
-
-class GoalKind(StrEnum):
-    """What a search of lenses ranks them by."""
-
-    MTF = "mtf"
-    PICTURE = "picture"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +38,18 @@ class OptimiseOptions:
     stop_mm: float = option(20.0, "Diameter of the stop.")
     back_focal_mm: float = option(2.0, "Least distance from the last vertex to sensor.")
     element: int | None = option(None, "The element that moves, from 1; each if not given.", min=1)
-    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
+    shift_px: float = option(optics.SHIFT_PX, "Shift of the image along both axes, in pixels.")
     shift_error_px: float = option(0.01, "Largest error of the shift over the sensor.")
     mtf: float = option(0.9, "Wanted at the corner, centred and moved.")
     wavelength_nm: float = option(850.0, "Of the light.")
-    band_nm: BandOption = 0.0
+    band_nm: optics.BandOption = 0.0
     temperature_c: float = option(20.0, "Of glass and air.")
     cover: str = option("", "A plate before the sensor: glass, its mm, mm of air: N-BK7,1,0.5.")
     stop_behind: int = option(0, "Elements in front of the stop.", min=0)
     stop_at_mm: float = option(0.0, "The stop behind the vertex in front of it.")
-    sensor: SensorOptions = field(default_factory=SensorOptions)
+    sensor: optics.SensorOptions = field(default_factory=optics.SensorOptions)
     keep: int = option(8, "Trains that are optimised after a first look.", min=1)
-    goal: GoalKind = option(GoalKind.MTF, "What designs are ranked by.")
+    goal: Literal["mtf", "picture"] = option("mtf", "What designs are ranked by.")
     actuator_um: float = option(1.0, "Standard deviation of where the element stops.", min=0.0)
     noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
     out: BestOption = None
@@ -106,7 +81,7 @@ def optimise(current: Session, asked: OptimiseOptions) -> None:
     check_out(asked.out)
     plate, air_mm = _cover(asked.cover)
     wanted = Goal(
-        sensor_grid(asked.sensor), asked.focal_length_mm, asked.object_mm,
+        optics.sensor_grid(asked.sensor), asked.focal_length_mm, asked.object_mm,
         Stop(asked.stop_mm, asked.stop_at_mm), asked.back_focal_mm, shift_px=asked.shift_px,
         shift_error_px=asked.shift_error_px, mtf=asked.mtf, wavelength_nm=asked.wavelength_nm,
         temperature_c=asked.temperature_c, stop_behind=asked.stop_behind,
@@ -114,7 +89,7 @@ def optimise(current: Session, asked: OptimiseOptions) -> None:
         cover=plate, cover_mm=air_mm,
     )  # fmt: skip
     designs = _designs(asked.places, wanted, asked.element, asked.keep)
-    if asked.goal is GoalKind.PICTURE:
+    if asked.goal == "picture":
         designs = _by_picture(current, designs, wanted, asked.actuator_um, asked.noise)
     current.say(format_designs(designs))
     met = sum(design.meets(wanted) for design in designs)
@@ -164,11 +139,10 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
     from lensshift.optics.design import optimise_gaps
     from lensshift.optics.stock import search_stock
 
-    stock = [[read_lens(name.strip()) for name in place.split(",")] for place in places]
+    stock = [[optics.read_lens(name.strip()) for name in place.split(",")] for place in places]
     if element is not None and element > len(stock):
         raise typer.BadParameter(f"expected an element from 1 to {len(stock)}, got {element}")
-    progress = Progress("optimising")
-    try:
+    with closing(Progress("optimising")) as progress:
         if element is not None and all(len(place) == 1 for place in stock):
             parts = [part for place in stock for part in place[0].elements]
             name = " + ".join(part.name for part in parts)
@@ -178,13 +152,11 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
             return (best,)
         movers = None if element is None else [element - 1]
         return search_stock(stock, goal, movers=movers, keep=keep, on_progress=progress.count)
-    finally:
-        progress.close()
 
 
 def check_out(out: Path | None, *sources: Path) -> None:
     """Complain before the work about a lens that cannot be written."""
-    check_outputs(list(sources), out, None)
+    outputs.check(list(sources), out)
     if out is not None and out.suffix.lower() not in (".toml", ".zmx"):
         raise typer.BadParameter(f"expected {out} to end in .toml or .zmx")
 
@@ -198,8 +170,7 @@ def write_lens(lens: Lens, out: Path) -> None:
 
 
 def _row(design: Design) -> dict[str, Any]:
-    numbers = ("mtf_centred", "mtf_moved", "shift_error_px", "stroke_mm", "transmission")
-    row: dict[str, Any] = {name: getattr(design, name) for name in numbers}
+    row = picked(design, "mtf_centred mtf_moved shift_error_px stroke_mm transmission")
     row["element"] = None if design.element is None else design.element + 1
     row["train"] = [element.name for element in design.lens.elements]
     return row | {"turned": design.turned, "gaps_mm": design.lens.gaps_mm}
@@ -209,8 +180,7 @@ def _row(design: Design) -> dict[str, Any]:
 class ToleranceOptions:
     """Options of `lensshift lens tolerance`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.MovedLensOptions
     builds: int = option(1000, "Random builds.", min=1)
     limit: float = option(0.9, "MTF that a good build keeps.")
     decenter_mm: float = option(0.05, "Of each element.", min=0.0)
@@ -219,8 +189,7 @@ class ToleranceOptions:
     focal_share: float = option(0.01, "Of the focal length of each element.", min=0.0)
     index: float = option(0.0005, "Of each refractive index.", min=0.0)
     seed: int = option(0, "Seed of the random numbers.", min=0)
-    csv: CsvOption = None
-    plot: PlotOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb()
@@ -241,34 +210,28 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         tolerance_analysis,
     )
 
-    check_outputs([], asked.csv, asked.plot)
-    model, grid = opened(asked.of)
-    shift_px, builds = asked.move.shift_px, asked.builds
-    moved = element_of(model, asked.move.element)
+    outputs.check([], asked.to.csv, asked.to.plot)
+    model, grid, moved = optics.opened_moving(asked.of)
+    shift_px, builds = asked.of.shift_px, asked.builds
     limits = Tolerances(
         asked.decenter_mm, math.radians(asked.tilt_deg), asked.gap_mm, asked.focal_share,
         asked.index,
     )  # fmt: skip
     table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
-    progress = Progress("building")
-    try:
+    with closing(Progress("building")) as progress:
         found = tolerance_analysis(
             model, moved, grid, limits, builds=builds, seed=asked.seed, shift_px=shift_px,
             on_progress=progress.count,
         )  # fmt: skip
-    finally:
-        progress.close()
     current.say(format_sensitivity(table))
     _say_builds(current, found, builds, asked.limit)
-    current.result |= {"lens": model.name or asked.of.lens, "element": asked.move.element}
+    current.result |= {"lens": model.name or asked.of.lens, "element": asked.of.element}
     current.result["sensitivity"] = [asdict(row) | {"element": row.element + 1} for row in table]
     columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
     columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
-    write_table(current, asked.csv, columns)
-    write_plot(
-        current,
-        asked.plot,
-        lambda: figure_of("lens_build", "tolerance_figure", found, asked.limit, table=table),
+    outputs.write_table(current, asked.to.csv, columns)
+    outputs.write_plot(
+        current, asked.to.plot, "lens_build.tolerance_figure", found, asked.limit, table=table
     )
 
 
@@ -293,14 +256,13 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
 class BudgetOptions:
     """Options of `lensshift lens budget`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.MovedLensOptions
     repeatability_um: float = option(0.0, "Standard deviation of where it stops.", min=0.0)
     backlash_um: float = option(0.0, "Between approaches from the two sides.", min=0.0)
     encoder_um: float = option(0.0, "One step of the encoder.", min=0.0)
     drift_um: float = option(0.0, "From the first frame of a burst to the last.", min=0.0)
     noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
-    plot: PlotOption = None
+    plot: outputs.PlotOption = None
 
 
 @verb("computing the budget")
@@ -316,17 +278,17 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     """
     from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
 
-    check_outputs([], None, asked.plot)
-    model, grid = opened(asked.of)
+    outputs.check([], plot=asked.plot)
+    model, grid, moved = optics.opened_moving(asked.of)
     found = actuator_budget(
         model,
-        element_of(model, asked.move.element),
+        moved,
         grid,
         Actuator(asked.repeatability_um, asked.backlash_um, asked.encoder_um, asked.drift_um),
         noise=asked.noise,
-        shift_px=asked.move.shift_px,
+        shift_px=asked.of.shift_px,
     )
     current.say(format_budget(found))
     current.result |= {"lens": model.name or asked.of.lens, "noise": asked.noise}
-    current.result |= asdict(found) | {"element": asked.move.element}
-    write_plot(current, asked.plot, lambda: figure_of("lens_build", "budget_figure", found))
+    current.result |= asdict(found) | {"element": asked.of.element}
+    outputs.write_plot(current, asked.plot, "lens_build.budget_figure", found)

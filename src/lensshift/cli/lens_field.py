@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from dataclasses import field as group
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import Pattern, PatternOption, refuse_overwriting
-from lensshift.cli.measured import CsvOption, PlotOption, check_outputs, write_plot, write_table
-from lensshift.cli.optics import (
-    PITCH_MM,
-    SENSOR,
-    LensArgument,
-    LightOptions,
-    SensorOptions,
-    element_of,
-    figure_of,
-    read_lens,
-    sensor_grid,
-)
+from lensshift.cli import optics, outputs
+from lensshift.cli.inputs import PatternOption, check_files
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import option, verb
 
@@ -34,22 +23,21 @@ if TYPE_CHECKING:
 class FieldOptions:
     """Options of `lensshift lens field`."""
 
-    lens: LensArgument
+    lens: optics.LensArgument
     element: int = option(1, "Element that moves, from 1; 0: the sensor moves.", min=0)
     tilt: bool = option(False, "The element tilts, as a plate does.", "--tilt")
-    sensor: str | None = option(None, f"Pixels as columns x rows; default: {SENSOR}.")
+    sensor: str | None = option(None, f"Pixels as columns x rows; default: {optics.SENSOR}.")
     pitch_mm: str | None = option(
-        None, f"Pixel pitch: one number, or row,col; default: {PITCH_MM}."
+        None, f"Pixel pitch: one number, or row,col; default: {optics.PITCH_MM}."
     )
     burst: Path | None = option(None, "Take sensor and pitch from this burst.")
     reach_px: float | None = option(
         None, "Largest shift that it has to hold for; default: 1.", min=0.0
     )
     out: Path | None = option(None, "Lens field to write (.nc).", "-o")
-    pattern: PatternOption = Pattern.SQUARE
-    light: LightOptions = group(default_factory=LightOptions)
-    csv: CsvOption = None
-    plot: PlotOption = None
+    pattern: PatternOption = "square"
+    light: optics.LightOptions = group(default_factory=optics.LightOptions)
+    to: outputs.Outputs = group(default_factory=outputs.Outputs)
 
 
 @verb()
@@ -70,58 +58,43 @@ def field(current: Session, asked: FieldOptions) -> None:
     from lensshift.io import save_lens_field
     from lensshift.optics.field import lens_field
 
-    out, reach_px, pattern = asked.out, asked.reach_px, asked.pattern
-    _check_out(out, asked.burst, asked.lens)
-    check_outputs([], asked.csv, asked.plot)
-    wanted_px = named_pattern_px(pattern.value)
+    out, reach_px = asked.out, asked.reach_px
+    if out is not None:
+        if out.suffix.lower() != ".nc":
+            raise typer.BadParameter(f"expected a lens field that ends in .nc, got {out}")
+        check_files((asked.burst, Path(asked.lens)), [out])
+    outputs.check([], asked.to.csv, asked.to.plot)
+    wanted_px = named_pattern_px(asked.pattern)
     if reach_px is not None and reach_px < abs(wanted_px).max():
         raise typer.BadParameter(
             f"--reach-px {reach_px:g} is less than the {abs(wanted_px).max():.3g} px of the "
-            f"pattern {pattern.value}"
+            f"pattern {asked.pattern}"
         )
-    model = read_lens(asked.lens, asked.light)
+    model = optics.read_lens(asked.lens, asked.light)
     if asked.tilt and not asked.element:
         raise typer.BadParameter("--tilt is of an element, counted from 1, not of the sensor")
-    moved = element_of(model, asked.element) if asked.element else None
+    moved = optics.element_of(model, asked.element) if asked.element else None
     motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
     found = lens_field(model, grid, moved, motion=motion, reach_px=reach_px)
-    if not found.lens:
-        found = _named(found, Path(asked.lens).stem)
+    found = replace(found, lens=found.lens or Path(asked.lens).stem)
     if out is not None:
         save_lens_field(found, out)
-    _say(current, found, wanted_px, asked.csv, asked.plot)
+    _say(current, found, wanted_px, asked.to.csv, asked.to.plot)
     if out is not None:
-        current.say(f"wrote {out}")
-        current.result["files"] = [out]
-
-
-def _named(field: LensField, name: str) -> LensField:
-    from dataclasses import replace
-
-    return replace(field, lens=name)
+        current.wrote(out)
 
 
 def _grid(asked: FieldOptions) -> Grid:
     if asked.burst is None:
-        return sensor_grid(SensorOptions(asked.sensor or SENSOR, asked.pitch_mm or PITCH_MM))
+        return optics.sensor_grid(
+            optics.SensorOptions(asked.sensor or optics.SENSOR, asked.pitch_mm or optics.PITCH_MM)
+        )
     if asked.sensor is not None or asked.pitch_mm is not None:
         raise typer.BadParameter("--burst says what --sensor and --pitch-mm say; give one of both")
     from lensshift.io import load_burst
 
     return load_burst(asked.burst).grid
-
-
-def _check_out(out: Path | None, burst: Path | None, lens: str) -> None:
-    """Complain before the work about a name that cannot be written."""
-    if out is None:
-        return
-    from lensshift.io.atomic import writable_target
-
-    if out.suffix.lower() != ".nc":
-        raise typer.BadParameter(f"expected a lens field that ends in .nc, got {out}")
-    refuse_overwriting((burst, Path(lens)), [out])
-    writable_target(out)
 
 
 def say_field(current: Session, found: LensField) -> None:
@@ -142,18 +115,9 @@ def say_field(current: Session, found: LensField) -> None:
         f"fit: shift {found.shift_error_px:.1e} px, width of the spot {found.spot_error_px:.1e} "
         f"px, contrast of a Gaussian spot {found.contrast_error:.3f} (largest errors)"
     )
-    current.result |= {
-        "lens": found.lens,
-        "element": None if found.element is None else found.element + 1,
-        "motion": found.motion,
-        "shape": found.grid.shape,
-        "pitch_mm": found.grid.pitch_mm,
-        "reach": found.reach,
-        "unit": found.unit,
-        "shift_error_px": found.shift_error_px,
-        "spot_error_px": found.spot_error_px,
-        "contrast_error": found.contrast_error,
-    }
+    current.result["element"] = None if found.element is None else found.element + 1
+    current.tell(found.grid, "shape pitch_mm")
+    current.tell(found, "lens motion reach unit shift_error_px spot_error_px contrast_error")
 
 
 def _say(
@@ -168,8 +132,8 @@ def _say(
     shown = found.at(state)
     spot_px = np.sqrt(np.asarray(shown.spot_px2))
     even = shift_uniformity(shown, wanted_px)
-    scale, unit = (1e3, "um") if found.unit == "mm" else (1e3, "mrad")
-    for number, (wish, moved, one) in enumerate(zip(wanted_px, scale * state, even, strict=True)):
+    unit = "um" if found.unit == "mm" else "mrad"
+    for number, (wish, moved, one) in enumerate(zip(wanted_px, 1e3 * state, even, strict=True)):
         corner = spot_px[number, 0, 0]
         middle = spot_px[number, spot_px.shape[1] // 2, spot_px.shape[2] // 2]
         current.say(
@@ -185,9 +149,5 @@ def _say(
     for name, values in (("offset", shown.offset_px), ("spot", spot_px)):
         columns |= {f"{name}_row_px": values[..., 0].ravel()}
         columns |= {f"{name}_col_px": values[..., 1].ravel()}
-    write_table(current, csv, columns)
-    write_plot(
-        current,
-        plot,
-        lambda: figure_of("lens_maps", "shift_map_figure", shown, found.grid, wanted_px),
-    )
+    outputs.write_table(current, csv, columns)
+    outputs.write_plot(current, plot, "lens_maps.shift_map_figure", shown, found.grid, wanted_px)

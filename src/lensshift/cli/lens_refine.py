@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import MISSING, dataclass
 from typing import TYPE_CHECKING
 
+from lensshift.cli.inputs import parse_numbers
 from lensshift.cli.lens_design import BestOption, check_out, write_lens
-from lensshift.cli.measured import parse_numbers
 from lensshift.cli.optics import BandOption, LensOptions, band_of, element_of, opened
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb
@@ -83,14 +84,11 @@ def refine(current: Session, asked: RefineOptions) -> None:
         numbers, thicknesses=asked.thicknesses, conics=asked.conics, aspheres=asked.aspheres,
         aspheric=of_aspheres, stop=asked.move_stop,
     )  # fmt: skip
-    progress = Progress("refining", preparing=True)
-    try:
+    with closing(Progress("refining", preparing=True)) as progress:
         found = refine_from_several(
             start, task, freedom, starts=asked.starts, seed=asked.seed,
             grow=_numbers(asked.grow), steps=asked.steps, on_progress=progress.count,
         )  # fmt: skip
-    finally:
-        progress.close()
     _say(current, start, found, task)
     if asked.out is not None:
         write_lens(found, asked.out)

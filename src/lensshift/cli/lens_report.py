@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.measured import check_outputs
-from lensshift.cli.optics import (
-    BandOption,
-    LensOptions,
-    MoveOptions,
-    band_of,
-    diagonal_mm,
-    element_of,
-    figure_of,
-    opened,
-)
+from lensshift.cli import optics, outputs
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import option, verb
 
@@ -30,16 +20,25 @@ if TYPE_CHECKING:
     from lensshift.report.page import Page
 
 _SHARES = (0.0, 0.7, 1.0)  # of the way from the centre to the corner
+_FIGURES = {
+    "layout": "The section along columns, to scale.",
+    "sections": "MTF with diffraction, without the pixels.",
+    "fans": "Where rays land against the chief ray, over their place in the stop.",
+    "field": "Where both sections focus, distortion, and light on the sensor.",
+    "psf": "Images of points with diffraction, and how much of their light squares hold.",
+    "spots": "Spots of rays at rest and moved.",
+    "map": "MTF of every pixel at rest and moved.",
+    "distortion": "Distortion.",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
     """Options of `lensshift lens report`."""
 
-    of: LensOptions
-    move: MoveOptions = field(default_factory=MoveOptions)
+    of: optics.MovedLensOptions
     out: Path | None = option(None, "Page to write (.html).", "-o")
-    band_nm: BandOption = 0.0
+    band_nm: optics.BandOption = 0.0
 
 
 @verb("examining the lens")
@@ -55,17 +54,14 @@ def report(current: Session, asked: ReportOptions) -> None:
       lensshift lens report petzval_a -o petzval_a.html
       lensshift lens report petzval_b --band-nm 40 --json
     """
-    from lensshift.optics.aberrations import sensor_fields
-
-    out, shift_px = asked.out, asked.move.shift_px
-    check_outputs([], out, None)
+    out, shift_px = asked.out, asked.of.shift_px
+    outputs.check([], out)
     if out is not None and out.suffix.lower() != ".html":
         raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
-    model, grid = opened(asked.of)
-    moved = element_of(model, asked.move.element)
-    band = band_of(model, asked.band_nm)
-    fields = sensor_fields(model, grid, _SHARES)
-    rows = [_row(model, grid, field, band) for field in fields]
+    model, grid, moved = optics.opened_moving(asked.of)
+    band = optics.band_of(model, asked.band_nm)
+    fields_tan = optics.spread_fields_tan(model, grid, _SHARES)
+    rows = [_row(model, grid, field, band) for field in fields_tan]
     for name in rows[0]:
         values = [row[name] if isinstance(row[name], str) else f"{row[name]:.4g}" for row in rows]
         current.say(f"{name:<32}" + "".join(f"{value:>12}" for value in values))
@@ -74,10 +70,14 @@ def report(current: Session, asked: ReportOptions) -> None:
         page = _page(model, asked.of.lens, moved, shift_px, grid, band)
         page.heading("Over the field")
         page.table(rows)
-        _figures(page, model, moved, shift_px, grid, fields, band)
+        page.heading("Figures")
+        travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
+        figures = optics.lens_figures(model, moved, travel_mm, grid, fields_tan, band=band)
+        for kind, caption in _FIGURES.items():
+            name, of, options = figures[kind]
+            page.figure(outputs.drawn(name, *of, **options), caption)
         page.save(out)
-        current.say(f"wrote {out}")
-        current.result["files"] = [out]
+        current.wrote(out)
 
 
 def _row(lens: Lens, grid: Grid, field_tan: Any, band: Band | None) -> dict[str, Any]:
@@ -129,71 +129,38 @@ def _page(
     )
     data = asdict(paraxial(model))
     data["petzval_radius_mm"] = 1.0 / (petzval_curvature_per_mm(model) or math.inf)
-    page.table(
-        [
-            {"first order": key.removesuffix("_mm").replace("_", " "), "value": float(value)}
-            | {"unit": "mm" if key.endswith("_mm") else ""}
-            for key, value in data.items()
-        ]
-    )
+    first_order = [
+        {"first order": key.removesuffix("_mm").replace("_", " "), "value": float(value)}
+        | {"unit": "mm" if key.endswith("_mm") else ""}
+        for key, value in data.items()
+    ]
+    page.table(first_order)
     page.heading("Elements")
-    page.table(
-        [
-            {
-                "element": number,
-                "name": part.name,
-                "glass": " + ".join(part.glass),
-                "focal length (mm)": focal_length_mm(part, indices),
-                "thickness (mm)": part.length_mm,
-                "air behind it (mm)": gap_mm,
-            }
-            for number, (part, indices, gap_mm) in enumerate(
-                zip(model.elements, model.indices(), model.gaps_mm, strict=True), start=1
-            )
-        ]
-    )
+    parts = zip(model.elements, model.indices(), model.gaps_mm, strict=True)
+    elements = [
+        {
+            "element": number,
+            "name": part.name,
+            "glass": " + ".join(part.glass),
+            "focal length (mm)": focal_length_mm(part, indices),
+            "thickness (mm)": part.length_mm,
+            "air behind it (mm)": gap_mm,
+        }
+        for number, (part, indices, gap_mm) in enumerate(parts, start=1)
+    ]
+    page.table(elements)
     page.heading(f"What can move the image by {shift_px:g} px along both axes")
-    movers = which_mover(model, grid, shift_px=shift_px)
-    page.table(
-        [
-            {
-                "what moves": label_of(mover),
-                "stroke": mover.stroke_text,
-                "error of the shift (px)": mover.max_shift_error_px,
-                "cross-talk (px)": mover.cross_talk_px,
-                "least MTF at rest": mover.mtf_centred,
-                "moved": mover.mtf_moved,
-                "loss": mover.mtf_loss,
-            }
-            for mover in movers
-        ]
-    )
+    movers = [
+        {
+            "what moves": label_of(mover),
+            "stroke": mover.stroke_text,
+            "error of the shift (px)": mover.max_shift_error_px,
+            "cross-talk (px)": mover.cross_talk_px,
+            "least MTF at rest": mover.mtf_centred,
+            "moved": mover.mtf_moved,
+            "loss": mover.mtf_loss,
+        }
+        for mover in which_mover(model, grid, shift_px=shift_px)
+    ]
+    page.table(movers)
     return page
-
-
-def _figures(
-    page: Page, model: Lens, moved: int, shift_px: float, grid: Grid, fields: Any, band: Band | None
-) -> None:
-    travel_mm = diagonal_mm(model, moved, shift_px, grid)
-    fields_tan = [(float(row), float(col)) for row, col in fields]
-    half_deg = abs(math.degrees(math.atan(fields[-1, 1])))
-    drawn: list[tuple[str, str, tuple[Any, ...], dict[str, Any], str]] = [
-        ("lenses", "layout_figure", (model, moved, travel_mm), {"fields_deg": (0.0, half_deg)},
-         "The section along columns, to scale."),
-        ("lens_aberrations", "sections_figure", (model, grid, fields_tan), {"band": band},
-         "MTF with diffraction, without the pixels."),
-        ("lens_aberrations", "fans_figure", (model, grid, fields_tan), {"band": band},
-         "Where rays land against the chief ray, over their place in the stop."),
-        ("lens_aberrations", "field_curves_figure", (model, grid), {},
-         "Where both sections focus, distortion, and light on the sensor."),
-        ("lens_aberrations", "psf_figure", (model, grid, fields_tan), {"band": band},
-         "Images of points with diffraction, and how much of their light squares hold."),
-        ("lens_maps", "spots_figure", (model, moved, travel_mm, grid, fields_tan), {},
-         "Spots of rays at rest and moved."),
-        ("lens_maps", "field_figure", (model, moved, travel_mm, grid, 1.0 / max(grid.pitch_mm)), {},
-         "MTF of every pixel at rest and moved."),
-        ("lens_maps", "distortion_figure", (model, grid), {}, "Distortion."),
-    ]  # fmt: skip
-    page.heading("Figures")
-    for module, name, arguments, options, caption in drawn:
-        page.figure(figure_of(module, name, *arguments, **options), caption)

@@ -14,7 +14,7 @@ import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.inputs import parse_pitch_mm
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ def live(current: Session, asked: LiveOptions) -> None:
       lensshift live --replay recording.pcap --modulation-hz 15e6
       lensshift live --simulate slanted_edge --pattern 3x3
     """
+    from lensshift.capture.plan import PLANS
     from lensshift.live.controls import checked
     from lensshift.live.picture import Settings
     from lensshift.live.serve import is_loopback, listening, require_web
@@ -79,7 +80,9 @@ def live(current: Session, asked: LiveOptions) -> None:
             f"other computers could reach {asked.host}; --allow-remote says that they may"
         )
     require_web()
-    _check_pattern(asked.pattern)
+    if asked.pattern not in PLANS:
+        expected = ", ".join(PLANS)
+        raise typer.BadParameter(f"expected a plan of {expected}, got {asked.pattern!r}")
     settings = checked(Settings(asked.scale, asked.method, asked.blur_px))
     with listening(asked.host, asked.port) as listener, _source(asked) as frames:
         _show(current, asked, frames, settings, listener)
@@ -117,13 +120,6 @@ def _show(
     current.say(f"{running.frame_count} frames, {pictures} pictures")
     if running.problem and isinstance(frames, RigSource):
         raise DeviceError(running.problem)
-
-
-def _check_pattern(pattern: str) -> None:
-    from lensshift.capture.plan import PLANS
-
-    if pattern not in PLANS:
-        raise typer.BadParameter(f"expected a plan of {', '.join(PLANS)}, got {pattern!r}")
 
 
 def _source(asked: LiveOptions) -> AbstractContextManager[Source]:
@@ -171,13 +167,8 @@ def _replay(path: Path, asked: LiveOptions) -> Source:
         raise typer.BadParameter(
             f"{path} is no recording; make it one: lensshift convert {path} burst.nc --offsets CSV"
         )
-    camera = ReplayCamera(
-        path,
-        pitch_mm=pitch_mm,
-        modulation_hz=asked.modulation_hz,
-        amplitude_topic=asked.amplitude_topic,
-        distance_topic=asked.distance_topic,
-    )
+    told = picked(asked, "modulation_hz amplitude_topic distance_topic")
+    camera = ReplayCamera(path, pitch_mm=pitch_mm, **told)
     return CameraSource(camera, asked.pattern)
 
 

@@ -14,8 +14,7 @@ def _method_names() -> list[str]:
 
 
 MethodOption = Annotated[
-    str,
-    typer.Option(help="Method; `lensshift methods` lists them.", autocompletion=_method_names),
+    str, typer.Option(help="Method; `lensshift methods` lists them.", autocompletion=_method_names)
 ]
 WeightOption = Annotated[
     str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
@@ -40,10 +39,8 @@ def parse_weight(text: str) -> float | str | None:
     except ValueError:
         weight = -1.0
     if not 0.0 <= weight < float("inf"):
-        raise typer.BadParameter(
-            f'expected a number from 0, "auto" or "cross-validation", got {text!r}',
-            param_hint="--prior-weight",
-        )
+        problem = f'expected a number from 0, "auto" or "cross-validation", got {text!r}'
+        raise typer.BadParameter(problem, param_hint="--prior-weight")
     return weight
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, verb
 
 if TYPE_CHECKING:
-    from lensshift.reconstruction.method import Method
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,23 +37,16 @@ def methods(current: Session, asked: MethodsOptions) -> None:
     chosen = {key: one for key, one in METHODS.items() if asked.method in (None, key)}
     width = max(map(len, chosen))
     for key, one in chosen.items():
+        options = [
+            {
+                "name": known.name,
+                "default": known.default,
+                "expected": known.metadata["rule"].expected if "rule" in known.metadata else "",
+            }
+            for known in fields(one)
+        ]
+        current.result[key] = {"summary": one.summary, "options": options}
         current.say(f"{key:<{width}}  {one.summary}")
-        for option in described_options(one):
+        for option in options:
             default = "found or chosen" if option["default"] is None else option["default"]
             current.say(f"{'':<{width}}    {option['name']}={default}  ({option['expected']})")
-    current.result |= {
-        key: {"summary": one.summary, "options": described_options(one)}
-        for key, one in chosen.items()
-    }
-
-
-def described_options(method: type[Method]) -> list[dict[str, Any]]:
-    """Return name, default and allowed values of each option of a method."""
-    return [
-        {
-            "name": one.name,
-            "default": one.default,
-            "expected": one.metadata["rule"].expected if "rule" in one.metadata else "",
-        }
-        for one in fields(method)
-    ]

@@ -2,37 +2,12 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
-import typer
-
-from lensshift.cli.measured import (
-    BayerOption,
-    ChannelOption,
-    CsvOption,
-    FocalOption,
-    FrameOption,
-    GammaOption,
-    ImageArgument,
-    KeyOption,
-    Measured,
-    OecfOption,
-    PhotoOptions,
-    PitchOption,
-    PlotOption,
-    RegionOption,
-    Unit,
-    check_outputs,
-    frequency_unit,
-    interval_row,
-    measured_frames,
-    measured_photograph,
-    parse_region,
-    write_plot,
-    write_table,
-)
-from lensshift.cli.session import DebugOption, JsonOption, Session, session
+from lensshift.cli import images, outputs
+from lensshift.cli.session import Session, picked
+from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,46 +16,41 @@ if TYPE_CHECKING:
     from lensshift.evaluation.slanted_edge import EdgeResult, Interval
 
 
-class EdgeMethod(StrEnum):
-    """How an edge is measured."""
+@dataclass(frozen=True, slots=True)
+class EdgeOptions:
+    """How an edge is measured, and where its MTF is read off."""
 
-    ML = "ml"
-    SFRMAT3 = "sfrmat3"
-    SFRMAT5 = "sfrmat5"
+    method: Literal["ml", "sfrmat3", "sfrmat5"] = option(
+        "ml", "Maximum likelihood, or a published algorithm to compare with."
+    )
+    order: int | None = option(None, "Of sfrmat5: of the polynomial of the edge, 5.")
+    window: Literal["tukey", "hamming"] | None = option(None, "Of sfrmat5: tukey or hamming.")
+    aperture_px: float | None = option(None, "Of ml: side of the largest pixel that is thought of.")
+    tilt: bool | None = option(
+        None, "Of ml: light is uneven, or not; else it is found out.", "--tilt/--no-tilt"
+    )
+    at: list[float] | None = option(
+        None, "Frequency at which the MTF is wanted; again for each further one."
+    )
+
+    def given(self) -> dict[str, Any]:
+        """Return the options of `measure_edges` that were given."""
+        told = {name: value for name, value in asdict(self).items() if value is not None}
+        return {name: value for name, value in told.items() if name != "at"}
 
 
-class Window(StrEnum):
-    """Window of sfrmat5."""
+@dataclass(frozen=True, slots=True)
+class MtfOptions:
+    """Options of `lensshift evaluate mtf`."""
 
-    TUKEY = "tukey"
-    HAMMING = "hamming"
+    of: images.ImageOptions
+    region: images.RegionOption = None
+    joint: bool = option(False, "Fit all frames of a burst file together.")
+    edges: EdgeOptions = EdgeOptions()
+    photo: images.PhotoOptions = field(default_factory=images.PhotoOptions)
+    focal_length_mm: images.FocalOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
-
-JointOption = Annotated[
-    bool, typer.Option("--joint", help="Fit all frames of a burst file together.")
-]
-MethodOption = Annotated[
-    EdgeMethod,
-    typer.Option("--method", help="Maximum likelihood, or a published algorithm to compare with."),
-]
-OrderOption = Annotated[
-    int | None, typer.Option("--order", help="Of sfrmat5: of the polynomial of the edge, 5.")
-]
-WindowOption = Annotated[
-    Window | None, typer.Option("--window", help="Of sfrmat5: tukey or hamming.")
-]
-ApertureOption = Annotated[
-    float | None,
-    typer.Option("--aperture-px", help="Of ml: side of the largest pixel that is thought of."),
-]
-TiltOption = Annotated[
-    bool | None,
-    typer.Option("--tilt/--no-tilt", help="Of ml: light is uneven, or not; else it is found out."),
-]
-AtOption = Annotated[
-    list[float] | None,
-    typer.Option("--at", help="Frequency at which the MTF is wanted; again for each further one."),
-]
 
 # Name in the result, name for people, what it is.
 NUMBERS = (
@@ -95,29 +65,8 @@ NUMBERS = (
 )
 
 
-def mtf(
-    image: ImageArgument,
-    pitch_mm: PitchOption = None,
-    region: RegionOption = None,
-    joint: JointOption = False,
-    method: MethodOption = EdgeMethod.ML,
-    order: OrderOption = None,
-    window: WindowOption = None,
-    aperture_px: ApertureOption = None,
-    tilt: TiltOption = None,
-    at: AtOption = None,
-    channel: ChannelOption = None,
-    gamma: GammaOption = None,
-    oecf: OecfOption = None,
-    bayer: BayerOption = None,
-    focal_length_mm: FocalOption = None,
-    frame: FrameOption = 0,
-    key: KeyOption = None,
-    csv: CsvOption = None,
-    plot: PlotOption = None,
-    as_json: JsonOption = False,
-    debug: DebugOption = False,
-) -> None:
+@verb("measuring edges")
+def mtf(current: Session, asked: MtfOptions) -> None:
     """Measure the MTF of slanted edges, with 95 % intervals.
 
     Every edge of the image is found and measured, unless a region is given; numbers of several
@@ -130,47 +79,52 @@ def mtf(
       lensshift evaluate mtf photo.jpg --gamma 2.2 --channel green --at 0.1 --at 0.25
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
-    with session(as_json=as_json, debug=debug, doing="measuring edges") as current:
-        from lensshift.evaluation.slanted_edge import measure_edges
+    place = images.parse_region(asked.region)
+    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
+    measured = (
+        images.measured_frames(asked.of.image, key=asked.of.key)
+        if asked.joint
+        else images.measured_photograph(asked.of, asked.photo)
+    )
+    unit = images.frequency_unit(measured, asked.focal_length_mm)
+    results = edges_of(measured, place, **asked.edges.given())
+    curve, frequency = _tell(current, results, unit, measured.length, asked.edges.at or [])
+    current.result["image"] = asked.of.image
+    first = "frequency_lpmm" if asked.focal_length_mm is None else "frequency_cycles_per_mrad"
+    columns = {first: frequency, "modulation": curve.modulation}
+    columns |= {} if curve.std is None else {"std": curve.std}
+    outputs.write_table(current, asked.to.csv, columns)
+    shown = measured.values if measured.values.ndim == 2 else measured.values[0]
+    outputs.write_plot(current, asked.to.plot, "edges.edge_figure", results, shown, **unit.shown())
 
-        place = parse_region(region)
-        check_outputs([image], csv, plot)
-        photo = PhotoOptions(channel, gamma, oecf, bayer)
-        measured = (
-            measured_frames(image, key=key)
-            if joint
-            else measured_photograph(image, pitch_mm, photo, key=key, frame=frame)
-        )
-        chosen = {"order": order, "window": window, "aperture_px": aperture_px, "tilt": tilt}
-        unit = frequency_unit(measured, focal_length_mm)
-        results = measure_edges(
-            measured.values,
-            measured.pitch_mm,
-            region=place,
-            method=method.value,
-            offset_px=measured.offset_px,
-            valid=measured.valid,
-            scale=measured.scale,
-            **method_options(**chosen),
-        )
-        curve, frequency = _tell(current, results, unit, measured.length, at or [])
-        current.result["image"] = image
-        first = "frequency_lpmm" if focal_length_mm is None else "frequency_cycles_per_mrad"
-        columns = {first: frequency, "modulation": curve.modulation}
-        columns |= {} if curve.std is None else {"std": curve.std}
-        write_table(current, csv, columns)
-        write_plot(current, plot, lambda: _figure(results, measured, unit))
+
+def edges_of(
+    measured: images.Measured, region: tuple[int, int, int, int] | None, **options: Any
+) -> list[EdgeResult]:
+    """Measure the edges of an image, or of a region of it."""
+    from lensshift.evaluation.slanted_edge import measure_edges
+
+    options |= picked(measured, "offset_px valid scale")
+    return measure_edges(measured.values, measured.pitch_mm, region=region, **options)
 
 
 def _tell(
-    current: Session, results: Sequence[EdgeResult], unit: Unit, length: str, at: Sequence[float]
+    current: Session,
+    results: Sequence[EdgeResult],
+    unit: images.Unit,
+    length: str,
+    at: Sequence[float],
 ) -> tuple[MtfCurve, Any]:
     """Print and keep the numbers of edges and of their mean; return its curve and frequencies."""
     from lensshift.evaluation.slanted_edge import average_curves, usable_edges
 
     for result in results:
         say_edge(current, result, unit, length)
-        say_at(current, result.mtf, unit, at)
+        for row in at_rows(result.mtf, unit, at):
+            shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
+            known = row["value"] == row["value"]
+            text = shown if known else "beyond the curve"
+            current.say(f"  MTF at {row['frequency']:<16g}{text}")
     used = usable_edges(results)
     mean = _mean(used)
     if len(results) > 1:
@@ -188,14 +142,7 @@ def _tell(
     return curve, frequency
 
 
-def _figure(results: Sequence[EdgeResult], measured: Measured, unit: Unit) -> Any:
-    from lensshift.report.edges import edge_figure
-
-    shown = measured.values if measured.values.ndim == 2 else measured.values[0]
-    return edge_figure(results, shown, unit=unit.name, factor=unit.factor)
-
-
-def say_edge(current: Session, result: EdgeResult, unit: Unit, length: str) -> None:
+def say_edge(current: Session, result: EdgeResult, unit: images.Unit, length: str) -> None:
     """Print an edge and its numbers."""
     import numpy as np
 
@@ -208,33 +155,20 @@ def say_edge(current: Session, result: EdgeResult, unit: Unit, length: str) -> N
     _say_numbers(current, numbers, unit, length, result.sample_nyquist_lpmm)
 
 
-def say_at(current: Session, curve: MtfCurve, unit: Unit, at: Sequence[float]) -> None:
-    """Print the modulation at frequencies in the unit."""
-    for row in at_rows(curve, unit, at):
-        shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
-        known = row["value"] == row["value"]
-        text = shown if known else "beyond the curve"
-        current.say(f"  MTF at {row['frequency']:<16g}{text}")
-
-
-def at_rows(curve: MtfCurve, unit: Unit, at: Sequence[float]) -> list[dict[str, float]]:
+def at_rows(curve: MtfCurve, unit: images.Unit, at: Sequence[float]) -> list[dict[str, float]]:
     """Return the modulation at frequencies in the unit, for JSON."""
     from lensshift.evaluation.chart import modulation_at
 
     return [
-        {"frequency": one} | interval_row(modulation_at(curve, one / unit.factor)) for one in at
+        {"frequency": one} | images.interval_row(modulation_at(curve, one / unit.factor))
+        for one in at
     ]
-
-
-def method_options(**chosen: Any) -> Any:
-    """Return the options of `measure_edges` that were given."""
-    return {name: value for name, value in chosen.items() if value is not None}
 
 
 def _say_numbers(
     current: Session,
     numbers: dict[str, Interval],
-    unit: Unit,
+    unit: images.Unit,
     length: str,
     nyquist_lpmm: float | None = None,
 ) -> None:
@@ -259,22 +193,19 @@ def _mean(results: Sequence[EdgeResult]) -> dict[str, Interval]:
     }
 
 
-def _mean_row(mean: dict[str, Interval], unit: Unit) -> dict[str, Any]:
-    row: dict[str, Any] = {name: interval_row(number) for name, number in mean.items()}
+def _mean_row(mean: dict[str, Interval], unit: images.Unit) -> dict[str, Any]:
+    row: dict[str, Any] = {name: images.interval_row(number) for name, number in mean.items()}
     for name in ("mtf50", "mtf30", "mtf10"):
-        row[name] = interval_row(mean[f"{name}_lpmm"], unit.factor)
+        row[name] = images.interval_row(mean[f"{name}_lpmm"], unit.factor)
     return row
 
 
-def edge_row(result: EdgeResult, unit: Unit) -> dict[str, Any]:
+def edge_row(result: EdgeResult, unit: images.Unit) -> dict[str, Any]:
     """Return an edge for JSON."""
     row: dict[str, Any] = {"region": str(result.region), "orientation": result.orientation}
     for name in ("angle_rad", "position_px", *(name for name, _, _ in NUMBERS), "asymmetry"):
-        row[name] = interval_row(getattr(result, name))
+        row[name] = images.interval_row(getattr(result, name))
     for name in ("mtf50", "mtf30", "mtf10"):
-        row[name] = interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
-    for name in ("method", "dark", "bright", "contrast", "noise", "snr", "bend_px", "nyquist_lpmm"):
-        row[name] = getattr(result, name)
-    row["beyond_nyquist"] = result.beyond_nyquist
-    row |= {"notes": list(result.notes), "usable": result.usable}
-    return row
+        row[name] = images.interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
+    row |= picked(result, "method dark bright contrast noise snr bend_px nyquist_lpmm")
+    return row | picked(result, "beyond_nyquist usable") | {"notes": list(result.notes)}

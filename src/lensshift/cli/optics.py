@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.inputs import parse_pitch_mm
-from lensshift.cli.measured import parse_numbers
+from lensshift.cli.inputs import parse_numbers, parse_pitch_mm
 from lensshift.cli.verbs import option
 
 if TYPE_CHECKING:
@@ -26,7 +24,8 @@ BandOption = Annotated[
     float, typer.Option("--band-nm", min=0.0, help="Full width at half maximum of the light.")
 ]
 
-SENSOR, PITCH_MM, SHIFT_PX = "64x16", "0.155", 0.25
+SENSOR, PITCH_MM = "64x16", "0.155"  # of the camera of the paper
+SHIFT_PX = 0.25  # of the square of four frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,40 +45,12 @@ class LightOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class MoveOptions:
-    """What moves, and how far."""
-
-    element: int = option(1, "The element that moves, counted from 1.", min=1)
-    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
-
-
-@dataclass(frozen=True, slots=True)
 class LensOptions:
     """A lens in its light, before its sensor."""
 
     lens: LensArgument
     light: LightOptions = field(default_factory=LightOptions)
     sensor: SensorOptions = field(default_factory=SensorOptions)
-
-
-class ShowFigure(StrEnum):
-    """Pictures of a lens."""
-
-    LAYOUT = "layout"
-    SPOTS = "spots"
-    DISTORTION = "distortion"
-    FANS = "fans"
-    PSF = "psf"
-    FIELD = "field"
-
-
-class MtfFigure(StrEnum):
-    """Pictures of its MTF."""
-
-    CURVES = "curves"
-    FIELD = "field"
-    FOCUS = "focus"
-    SECTIONS = "sections"
 
 
 def read_lens(name: str, light: LightOptions | None = None) -> Lens:
@@ -98,9 +69,23 @@ def read_lens(name: str, light: LightOptions | None = None) -> Lens:
     return replace(lens, **{name: one for name, one in given.items() if one is not None})
 
 
+@dataclass(frozen=True, slots=True)
+class MovedLensOptions(LensOptions):
+    """A lens of which an element moves."""
+
+    element: int = option(1, "The element that moves, counted from 1.", min=1)
+    shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
+
+
 def opened(asked: LensOptions) -> tuple[Lens, Grid]:
     """Return the lens and the grid of its sensor."""
     return read_lens(asked.lens, asked.light), sensor_grid(asked.sensor)
+
+
+def opened_moving(asked: MovedLensOptions) -> tuple[Lens, Grid, int]:
+    """Return the lens, the grid of its sensor, and the index of the element that moves."""
+    lens, grid = opened(asked)
+    return lens, grid, element_of(lens, asked.element)
 
 
 def sensor_grid(asked: SensorOptions) -> Grid:
@@ -149,52 +134,40 @@ def diagonal_mm(lens: Lens, element: int, shift_px: float, grid: Grid) -> tuple[
     return float(row_mm), float(col_mm)
 
 
-def figure_of(module: str, name: str, *arguments: Any, **options: Any) -> Any:
-    """Draw one of the figures of `lensshift.report`."""
-    from importlib import import_module
-
-    return getattr(import_module(f"lensshift.report.{module}"), name)(*arguments, **options)
-
-
-def show_figure(
-    kind: ShowFigure, model: Lens, moved: int, travel_mm: tuple[float, float], grid: Grid
-) -> Any:
-    """Draw a lens."""
-    from lensshift.optics.aberrations import sensor_fields
-
-    fields = sensor_fields(model, grid, (0.0, 0.5, 1.0))
-    fields_tan = [(float(row), float(col)) for row, col in fields]
-    if kind is ShowFigure.LAYOUT:
-        fields_deg = (0.0, abs(math.degrees(math.atan(fields_tan[-1][1]))))
-        return figure_of("lenses", "layout_figure", model, moved, travel_mm, fields_deg=fields_deg)
-    if kind is ShowFigure.DISTORTION:
-        return figure_of("lens_maps", "distortion_figure", model, grid)
-    if kind is ShowFigure.SPOTS:
-        return figure_of("lens_maps", "spots_figure", model, moved, travel_mm, grid, fields_tan)
-    if kind is ShowFigure.FIELD:
-        return figure_of("lens_aberrations", "field_curves_figure", model, grid)
-    name = "fans_figure" if kind is ShowFigure.FANS else "psf_figure"
-    return figure_of("lens_aberrations", name, model, grid, fields_tan)
-
-
-def mtf_figure(
-    kind: MtfFigure,
+def lens_figures(
     model: Lens,
     moved: int,
     travel_mm: tuple[float, float],
     grid: Grid,
     fields_tan: list[tuple[float, float]],
-    highest_lpmm: float,
-) -> Any:
-    """Draw the MTF of a lens."""
-    if kind is MtfFigure.CURVES:
-        return figure_of(
-            "lenses", "mtf_figure", model, moved, travel_mm, grid, fields_tan,
-            highest_lpmm=highest_lpmm,
-        )  # fmt: skip
-    if kind is MtfFigure.SECTIONS:
-        return figure_of("lens_aberrations", "sections_figure", model, grid, fields_tan)
-    frequency_lpmm = 1.0 / max(grid.pitch_mm)
-    if kind is MtfFigure.FOCUS:
-        return figure_of("lens_maps", "focus_figure", model, fields_tan, frequency_lpmm)
-    return figure_of("lens_maps", "field_figure", model, moved, travel_mm, grid, frequency_lpmm)
+    *,
+    band: Band | None = None,
+    highest_lpmm: float = 0.0,
+) -> dict[str, tuple[str, tuple[Any, ...], dict[str, Any]]]:
+    """Return the figures of a lens by name: which of the report's, of what, with which options."""
+    element, sections = (model, moved, travel_mm), (model, grid, fields_tan)
+    double_lpmm, light = 1.0 / max(grid.pitch_mm), {"band": band}
+    fields_deg = (0.0, abs(math.degrees(math.atan(fields_tan[-1][1]))))
+    return {
+        "layout": ("lenses.layout_figure", element, {"fields_deg": fields_deg}),
+        "spots": ("lens_maps.spots_figure", (*element, grid, fields_tan), {}),
+        "distortion": ("lens_maps.distortion_figure", (model, grid), {}),
+        "fans": ("lens_aberrations.fans_figure", sections, light),
+        "psf": ("lens_aberrations.psf_figure", sections, light),
+        "field": ("lens_aberrations.field_curves_figure", (model, grid), {}),
+        "curves": (
+            "lenses.mtf_figure", (*element, grid, fields_tan), {"highest_lpmm": highest_lpmm},
+        ),
+        "map": ("lens_maps.field_figure", (*element, grid, double_lpmm), {}),
+        "focus": ("lens_maps.focus_figure", (model, fields_tan, double_lpmm), {}),
+        "sections": ("lens_aberrations.sections_figure", sections, light),
+    }  # fmt: skip
+
+
+def spread_fields_tan(
+    lens: Lens, grid: Grid, shares: tuple[float, ...]
+) -> list[tuple[float, float]]:
+    """Return tangents (row, col) of fields at shares of the way from the centre to the corner."""
+    from lensshift.optics.aberrations import sensor_fields
+
+    return [(float(row), float(col)) for row, col in sensor_fields(lens, grid, shares)]

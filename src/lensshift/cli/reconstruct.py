@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import beside, load_input_burst, refuse_overwriting
+from lensshift.cli.inputs import beside, check_files, load_input_burst
 from lensshift.cli.method_options import check_method, parse_frames, parse_options, parse_weight
 from lensshift.cli.points import CLOUD_SUFFIXES, refuse_points
-from lensshift.cli.reconstruct_options import Channel, ReconstructOptions
+from lensshift.cli.reconstruct_options import ReconstructOptions
 from lensshift.cli.recording import is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import verb
 from lensshift.core.errors import DataError, QualityWarning
 
@@ -49,13 +50,11 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
       lensshift reconstruct recording.nc --window 4 --every 1 --workers 2 -o sr.nc
     """
-    settings: dict[str, Any] = {
-        "scale": asked.scale, "method": asked.method, "channel": asked.channel.value,
-        "prior_weight": parse_weight(asked.prior_weight), "frames": parse_frames(asked.frames),
-        "noise_sigma": asked.noise_sigma, "fill_factor": asked.fill_factor,
-        "non_negative": asked.non_negative, "photometric": asked.photometric,
-        "seed": asked.seed, "device": asked.device,
-    }  # fmt: skip
+    settings = picked(
+        asked, "scale method channel noise_sigma fill_factor non_negative photometric seed device"
+    )
+    settings |= {"prior_weight": parse_weight(asked.prior_weight)}
+    settings |= {"frames": parse_frames(asked.frames)}
     check_method(asked.method)
     settings |= parse_options(asked.method, asked.method_options or [])
     if is_recording(asked):
@@ -64,21 +63,20 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     files = _plan(asked)
     burst = load_input_burst(asked.burst, asked.stack, to_register=True)
     burst, known = _located(current, burst, asked)
-    burst = _looking(burst, asked, files)
+    burst = _looking(burst, asked)
     if asked.psf_sigma_px is not None or asked.fill_factor is not None:
         # That of a calibration would hold the pixel as well.
         known["psf_sigma_px"] = asked.psf_sigma_px
     _reconstruct(current, asked, burst, settings | known, files)
 
 
-def _looking(burst: Burst, asked: ReconstructOptions, files: _Files) -> Burst:
+def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
-    complex_frames = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
-    phasors = complex_frames or burst.phasors is not None
-    distances = burst.distance_m is not None or phasors
-    distances = distances and asked.channel is not Channel.AMPLITUDE
-    refuse_points(files.exports, intrinsics, with_distance=distances)
+    phasors = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
+    distances = phasors or burst.phasors is not None or burst.distance_m is not None
+    distances = distances and asked.channel != "amplitude"
+    refuse_points(asked.export or (), intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)
 
 
@@ -110,32 +108,20 @@ def _located(
     return burst, known
 
 
-@dataclass(frozen=True, slots=True)
-class _Files:
-    result: Path
-    preview: Path
-    exports: tuple[Path, ...]
-
-    @property
-    def all(self) -> tuple[Path, ...]:
-        return (self.result, self.preview, *self.exports)
-
-
 def describe(estimate: Estimate) -> dict[str, Any]:
     """Return what is worth knowing about one channel."""
     return {
         "status": estimate.status.value,
         "iterations": len(estimate.objective),
-        "prior_weight": estimate.prior_weight,
-        "noise_sigma": estimate.noise_sigma,
-        "noise_gain": estimate.noise_gain,
+        **picked(estimate, "prior_weight noise_sigma noise_gain"),
     }
 
 
 def say_channels(current: Session, result: Reconstruction) -> None:
-    """Print what is worth knowing about each channel."""
+    """Print and hand back what is worth knowing about each channel."""
+    channels = current.result["channels"] = {}
     for name, estimate in result.channels.items():
-        known = describe(estimate)
+        known = channels[name] = describe(estimate)
         current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
         for label in ("prior_weight", "noise_sigma", "noise_gain"):
             if known[label] is not None:
@@ -147,7 +133,7 @@ def _reconstruct(
     asked: ReconstructOptions,
     burst: Burst,
     settings: dict[str, Any],
-    files: _Files,
+    files: Sequence[Path],
 ) -> None:
     import lensshift
     from lensshift.io import export_reconstruction, save_reconstruction
@@ -166,12 +152,11 @@ def _reconstruct(
         except DataError as error:
             raise error.in_file(source) from error
     seconds = time.perf_counter() - start_s
-    save_reconstruction(result, files.result)
-    for path in files.exports:
-        export_reconstruction(
-            result, path, bits=16, keep_flying=points.keep_flying, normals=points.normals
-        )
-    _preview(burst, result, settings, files.preview)
+    target, preview, *exports = files
+    save_reconstruction(result, target)
+    for path in exports:
+        export_reconstruction(result, path, bits=16, **picked(points, "keep_flying normals"))
+    _preview(burst, result, settings, preview)
     shape = result.grid.shape
     current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")
     if "psf_source" in result.settings:
@@ -181,7 +166,7 @@ def _reconstruct(
         undone += " and the spots of the lens field" if settings.get("lens_field") else ""
         current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}{undone}")
     say_channels(current, result)
-    current.say("wrote " + ", ".join(str(path) for path in files.all))
+    current.wrote(*files)
     current.result |= {
         "input": source,
         "frame_count": count,
@@ -189,10 +174,8 @@ def _reconstruct(
         "scale": result.scale,
         "shape": shape,
         "seconds": seconds,
-        "channels": {name: describe(part) for name, part in result.channels.items()},
         "flying_share": None if result.flying is None else float(result.flying.mean()),
         "settings": dict(result.settings),
-        "files": files.all,
     }
 
 
@@ -226,10 +209,8 @@ def _points(result: Reconstruction) -> PointCloud | None:
     return cloud if len(cloud) else None
 
 
-def _plan(asked: ReconstructOptions) -> _Files:
+def _plan(asked: ReconstructOptions) -> list[Path]:
     """Decide all names, and complain before the work rather than after it."""
-    from lensshift.io.atomic import writable_target
-
     result, exports = asked.out or beside(asked.burst, f"_x{asked.scale}.nc"), asked.export or []
     if result.suffix.lower() in EXPORT_SUFFIXES:
         raise typer.BadParameter(
@@ -240,8 +221,6 @@ def _plan(asked: ReconstructOptions) -> _Files:
             raise typer.BadParameter(
                 f"{path}: expected a name that ends in {', '.join(EXPORT_SUFFIXES)}"
             )
-    files = _Files(result, result.with_name(f"{result.stem}_preview.png"), tuple(exports))
-    refuse_overwriting((asked.burst, asked.stack.offsets), files.all)
-    for path in files.all:
-        writable_target(path)
+    files = [result, result.with_name(f"{result.stem}_preview.png"), *exports]
+    check_files((asked.burst, asked.stack.offsets), files)
     return files

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 import typer
 
@@ -13,15 +13,6 @@ from lensshift.cli.method_options import MethodOption, WeightOption
 from lensshift.cli.points import PointOptions
 from lensshift.cli.recording import Split
 from lensshift.cli.verbs import option
-
-
-class Channel(StrEnum):
-    """What is reconstructed."""
-
-    AUTO = "auto"
-    AMPLITUDE = "amplitude"
-    DISTANCE = "distance"
-    PHASOR = "phasor"
 
 
 def width_px(text: str) -> float | None:
@@ -45,7 +36,9 @@ class ReconstructOptions:
     out: Path | None = option(None, "Result file; default: BURST_xSCALE.nc beside it.", "-o")
     scale: int = option(2, "Upscaling factor.", min=1, max=8)
     method: MethodOption = "auto"
-    channel: Channel = option(Channel.AUTO, "What to reconstruct.")
+    channel: Literal["auto", "amplitude", "distance", "phasor"] = option(
+        "auto", "What to reconstruct."
+    )
     psf_sigma_px: float | None = option(
         None,
         "Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -18,14 +17,6 @@ if TYPE_CHECKING:
     from lensshift.cli.reconstruct_options import ReconstructOptions
 
 
-class PaceName(StrEnum):
-    """How much of the solver runs for each picture, see `lensshift.stream`."""
-
-    AUTO = "auto"
-    LIVE = "live"
-    REFINED = "refined"
-
-
 @dataclass(frozen=True, slots=True)
 class Split:
     """How a recording is split, and who works on it."""
@@ -34,8 +25,8 @@ class Split:
     every: int | None = option(
         None, "Frames from one picture to the next; default: the window.", min=1
     )
-    pace: PaceName = option(
-        PaceName.AUTO,
+    pace: Literal["auto", "live", "refined"] = option(
+        "auto",
         "live: the last stage of the solver while the scene rests; refined: all; "
         "auto: all at each fourth picture or so.",
     )
@@ -88,7 +79,7 @@ def reconstruct_windows(
     kept |= {} if asked.psf_sigma_px is None else {"psf_sigma_px": asked.psf_sigma_px}
     with closing(Progress("reconstructing windows", preparing=True)) as progress:
         found = reconstruct_recording(
-            source, target, window=split.window or 1, every=split.every, pace=split.pace.value,
+            source, target, window=split.window or 1, every=split.every, pace=split.pace,
             workers=split.workers, scheduler=split.scheduler, on_progress=progress.count, **kept,
         )  # fmt: skip
     made = found.windows - found.resumed
@@ -100,12 +91,6 @@ def reconstruct_windows(
         told = "; ".join(found.said)
         text = f"{found.contradicted} of {made} pictures are contradicted by their frames: {told}"
         current.warn(text, QualityWarning, __file__, 0)
-    current.say(f"wrote {found.path}")
-    current.result |= {
-        "input": source,
-        "windows": found.windows,
-        "resumed": found.resumed,
-        "contradicted": found.contradicted,
-        "seconds": found.seconds,
-        "files": (found.path,),
-    }
+    current.wrote(found.path)
+    current.result["input"] = source
+    current.tell(found, "windows resumed contradicted seconds")

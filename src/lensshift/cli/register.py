@@ -4,37 +4,15 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
-from lensshift.cli.inputs import (
-    BurstArgument,
-    StackOptions,
-    beside,
-    load_input_burst,
-    refuse_overwriting,
-)
-from lensshift.cli.session import Session, Waiting
+from lensshift.cli.inputs import BurstArgument, StackOptions, beside, check_files, load_input_burst
+from lensshift.cli.session import Session, Waiting, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst
-
-
-class Method(StrEnum):
-    """How the shifts are found."""
-
-    AUTO = "auto"
-    GRADIENT = "gradient"
-    PHASE = "phase"
-
-
-class Channel(StrEnum):
-    """What the shifts are found from."""
-
-    AMPLITUDE = "amplitude"
-    DISTANCE = "distance"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +21,10 @@ class RegisterOptions:
 
     burst: BurstArgument
     out: Path | None = option(None, "Burst file; default: BURST_registered.nc beside it.", "-o")
-    method: Method = option(Method.AUTO, "How the shifts are found.")
-    channel: Channel = option(Channel.AMPLITUDE, "What the shifts are found from.")
+    method: Literal["auto", "gradient", "phase"] = option("auto", "How the shifts are found.")
+    channel: Literal["amplitude", "distance"] = option(
+        "amplitude", "What the shifts are found from."
+    )
     reference: int = option(0, "Frame whose offset is kept.", min=0)
     photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
     use_given: bool = option(False, "Weigh the burst's own offsets by their errors.")
@@ -62,29 +42,23 @@ def register(current: Session, asked: RegisterOptions) -> None:
       lensshift register frames.tif --pitch-mm 0.015
       lensshift register frames/ --offsets planned.csv --pitch-mm 0.015 --photometric
     """
-    target = asked.out or beside(asked.burst, "_registered.nc")
-    refuse_overwriting((asked.burst, asked.stack.offsets), (target,))
     from lensshift.io import save_burst
-    from lensshift.io.atomic import writable_target
     from lensshift.registration import register as find_shifts
 
-    writable_target(target)
+    target = asked.out or beside(asked.burst, "_registered.nc")
+    check_files((asked.burst, asked.stack.offsets), (target,))
     found = find_shifts(
         load_input_burst(asked.burst, asked.stack, to_register=True),
-        method=asked.method.value,
-        channel=asked.channel.value,
-        reference=asked.reference,
-        photometric=asked.photometric,
-        use_given=asked.use_given,
+        **picked(asked, "method channel reference photometric use_given"),
     )
     if asked.refine:
         from lensshift.reconstruction.shift_refinement import refine_shifts
 
         found = refine_shifts(found)
     save_burst(found, target)
-    current.result |= {"input": asked.burst, "files": [target], **_described(found)}
+    current.result["input"] = asked.burst
     _say(current, found)
-    current.say(f"wrote {target}")
+    current.wrote(target)
 
 
 def with_shifts(current: Session, burst: Burst) -> Burst:
@@ -95,21 +69,13 @@ def with_shifts(current: Session, burst: Burst) -> Burst:
         found = find_shifts(burst)
     current.say("no shifts are given; the frames say:")
     _say(current, found)
-    current.result |= _described(found)
     return found
 
 
-def _described(burst: Burst) -> dict[str, Any]:
-    """Return the shifts of a burst for JSON."""
-    return {
-        "frames": burst.frame_count,
-        "offset_px": burst.offset_px,
-        "offset_sigma_px": burst.offset_sigma_px,
-    }
-
-
 def _say(current: Session, burst: Burst) -> None:
-    """Print the shifts of a burst, with their standard errors."""
+    """Print and hand back the shifts of a burst, with their standard errors."""
+    current.result["frames"] = burst.frame_count
+    current.tell(burst, "offset_px offset_sigma_px")
     current.say("frame      row px      col px   +- row   +- col")
     errors = burst.offset_sigma_px
     for k, (row, col) in enumerate(burst.offset_px):

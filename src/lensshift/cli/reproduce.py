@@ -50,11 +50,9 @@ def reproduce(current: Session, asked: ReproduceOptions) -> None:
         current.say("not done: " + "; ".join(found.not_done))
     current.say(f"{found.seconds:.0f} s, wrote " + ", ".join(map(str, found.files)))
     current.result |= {
-        "claims": [asdict(claim) | {"verdict": claim.verdict} for claim in found.claims],
-        "not_done": found.not_done,
-        "seconds": found.seconds,
-        "files": found.files,
+        "claims": [asdict(claim) | {"verdict": claim.verdict} for claim in found.claims]
     }
+    current.tell(found, "not_done seconds files")
 
 
 def _cores() -> int:

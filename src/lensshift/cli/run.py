@@ -11,8 +11,8 @@ import typer
 
 from lensshift.cli.devices import YesOption
 from lensshift.cli.method_options import check_method
-from lensshift.cli.reconstruct import describe, say_channels
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.reconstruct import say_channels
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
@@ -66,14 +66,8 @@ def run(current: Session, asked: RunOptions) -> None:
     from lensshift.pipeline import run as run_pipeline
 
     with closing(Progress("reconstructing", preparing=True)) as progress:
-        summary = run_pipeline(
-            asked.out,
-            config=asked.config,
-            scale=asked.scale,
-            method=asked.method,
-            seed=asked.seed,
-            on_iteration=progress,
-        )
+        told = picked(asked, "config scale method seed")
+        summary = run_pipeline(asked.out, **told, on_iteration=progress)
     _say(current, summary)
 
 
@@ -95,14 +89,7 @@ def _say(current: Session, summary: RunSummary) -> None:
             f"{name:<14} distance RMSE {1e3 * numbers['edge_rmse_m']:.1f} mm at edges, "
             f"{1e3 * numbers['flat_rmse_m']:.1f} mm elsewhere"
         )
-    current.say("wrote " + ", ".join(str(path) for path in summary.files))
-    current.result |= {
-        "method": result.method,
-        "scale": result.scale,
-        "shape": shape,
-        "seconds": summary.seconds,
-        "fidelity": summary.fidelity,
-        "depth": summary.depth,
-        "channels": {name: describe(part) for name, part in result.channels.items()},
-        "files": summary.files,
-    }
+    current.wrote(*summary.files)
+    current.tell(result, "method scale")
+    current.tell(summary, "seconds fidelity depth")
+    current.result |= {"shape": shape}

@@ -10,7 +10,7 @@ import typer
 
 from lensshift.cli.capture import Show
 from lensshift.cli.devices import homing_asked
-from lensshift.cli.reconstruct import describe, say_channels
+from lensshift.cli.reconstruct import say_channels
 from lensshift.cli.session import Session
 
 if TYPE_CHECKING:
@@ -37,12 +37,8 @@ def run_rig(current: Session, asked: RunOptions) -> None:
             on_homing=homing_asked(yes=asked.yes),
         )
     say_channels(current, result)
-    current.say("wrote " + ", ".join(str(path) for path in files))
-    current.result |= {
-        "method": result.method,
-        "channels": {name: describe(part) for name, part in result.channels.items()},
-        "files": files,
-    }
+    current.wrote(*files)
+    current.result["method"] = result.method
 
 
 def _emulated(current: Session, asked: RunOptions, scale: int, method: str) -> None:
@@ -58,15 +54,7 @@ def _emulated(current: Session, asked: RunOptions, scale: int, method: str) -> N
     for name, numbers in summary.fidelity.items():
         current.say(f"{name:<26} amplitude PSNR {numbers['psnr_db']:.2f} dB")
     current.say(f"calibrated shifts cost {summary.loss_db:.2f} dB against perfect ones")
-    current.say("wrote " + ", ".join(str(path) for path in summary.files))
-    current.result |= {
-        "method": method,
-        "scale": scale,
-        "shift_rms_px": summary.shift_rms_px,
-        "fidelity": summary.fidelity,
-        "loss_db": summary.loss_db,
-        "px_per_mm": summary.calibration.stage_map.px_per_mm,
-        "counts": summary.counts,
-        "seconds": summary.seconds,
-        "files": summary.files,
-    }
+    current.wrote(*summary.files)
+    current.tell(summary, "shift_rms_px fidelity loss_db counts seconds")
+    current.result |= {"px_per_mm": summary.calibration.stage_map.px_per_mm}
+    current.result |= {"method": method, "scale": scale}

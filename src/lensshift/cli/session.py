@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
@@ -66,6 +67,15 @@ class Session:
         if not self.as_json:
             typer.echo(printable(text))
 
+    def wrote(self, *files: Path) -> None:
+        """Say which files were written, and hand back their names."""
+        self.say("wrote " + ", ".join(map(str, files)))
+        self.result["files"] = files
+
+    def tell(self, value: object, names: str) -> None:
+        """Hand back some attributes of a value, by their names with blanks between."""
+        self.result |= picked(value, names)
+
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
         if self.as_json:
@@ -120,6 +130,11 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         typer.echo(to_json(current.result | {"warnings": current.warnings}))
     if current.failed:
         raise typer.Exit(1)
+
+
+def picked(value: object, names: str) -> dict[str, Any]:
+    """Return some attributes of a value, by their names with blanks between."""
+    return {name: getattr(value, name) for name in names.split()}
 
 
 def _report(error: Exception, current: Session) -> None:

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import Pattern, PatternOption, refuse_overwriting
-from lensshift.cli.session import Session
+from lensshift.cli.inputs import PatternOption, check_files
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
-    from lensshift.camera import TofCamera, TofCapture
+    from lensshift.camera import TofCamera
+
+_PHASES = "difference electrons_per_count exposure gain saturated modulation_hz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,7 @@ class SimulateOptions:
     camera: str = option("o3m151", "o3m151, pmd_176x132, vga, or an experiment file (TOML).")
     lens: str | None = option(None, "Trace this lens (a name or a file) for the image.")
     element: int = option(1, "Element that moves, from 1; 0: the sensor moves.", min=0)
-    pattern: PatternOption = Pattern.SQUARE
+    pattern: PatternOption = "square"
     scale: int = option(2, "Truth pixels per pixel.", min=1, max=8)
     shift_error_px: float = option(0.02, "Rms error of each shift, unknown.", min=0.0)
     ambient_klx: float | None = option(None, "Sunlight on the scene.", min=0.0)
@@ -62,46 +64,34 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
     from lensshift.pipeline.run import save_truth
 
     settings = _camera(asked)
-    capture = simulate_tof(
-        named_scene(asked.scene),
-        settings,
-        named_pattern_px(asked.pattern.value),
-        scale=asked.scale,
-        shift_error_px=asked.shift_error_px,
-        seed=asked.seed,
-    )
+    pattern_px, told = named_pattern_px(asked.pattern), picked(asked, "scale shift_error_px seed")
+    capture = simulate_tof(named_scene(asked.scene), settings, pattern_px, **told)
     save_burst(capture.burst, out)
     save_truth(capture.truth, truth_file)
     if phases is not None:
-        _save_phases(capture, phases)
+        from lensshift.io.point_cloud_file import write_npz
+
+        raw = picked(capture.raw, _PHASES)
+        write_npz(phases, raw | {"offset_px": capture.burst.offset_px})
     burst = capture.burst
     rows, cols = burst.grid.shape
     valid = float(burst.valid.mean()) if burst.valid is not None else 1.0
     files = [out, truth_file, *([phases] if phases is not None else [])]
     current.say(f"{burst.frame_count} frames of {rows} x {cols} px, {100 * valid:.1f} % valid")
-    current.say("wrote " + ", ".join(str(path) for path in files))
-    current.result |= {
-        "frame_count": burst.frame_count,
-        "shape": burst.grid.shape,
-        "valid_share": valid,
-        "offset_px": burst.offset_px,
-        "files": files,
-    }
+    current.wrote(*files)
+    current.tell(burst, "frame_count offset_px")
+    current.result |= {"shape": burst.grid.shape, "valid_share": valid}
 
 
 def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
     """Complain before the work about names that cannot be written."""
-    from lensshift.io.atomic import writable_target
-
     out, phases = asked.out, asked.phases
     if out.suffix.lower() != ".nc":
         raise typer.BadParameter(f"expected a burst file that ends in .nc, got {out}")
     if phases is not None and phases.suffix.lower() != ".npz":
         raise typer.BadParameter(f"expected phases that end in .npz, got {phases}")
     files = [path for path in (out, truth_file, phases) if path is not None]
-    refuse_overwriting((Path(asked.scene), Path(asked.camera)), files)
-    for path in files:
-        writable_target(path)
+    check_files((Path(asked.scene), Path(asked.camera)), files)
 
 
 def _camera(asked: SimulateOptions) -> TofCamera:
@@ -119,22 +109,3 @@ def _camera(asked: SimulateOptions) -> TofCamera:
         changes["output"] = "float"
     camera = replace(camera, **changes)
     return camera.ideal() if asked.ideal else camera
-
-
-def _save_phases(capture: TofCapture, path: Path) -> None:
-    import numpy as np
-
-    from lensshift.io.atomic import written_whole
-
-    raw = capture.raw
-    with written_whole(path) as part:
-        np.savez_compressed(
-            part,
-            difference=raw.difference,
-            electrons_per_count=raw.electrons_per_count,
-            exposure=raw.exposure,
-            gain=raw.gain,
-            saturated=raw.saturated,
-            modulation_hz=np.asarray(raw.modulation_hz),
-            offset_px=capture.burst.offset_px,
-        )

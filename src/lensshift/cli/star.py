@@ -2,42 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass
-from enum import StrEnum
+from dataclasses import MISSING, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
-from lensshift.cli.measured import (
-    CsvOption,
-    FocalOption,
-    FrameOption,
-    ImageArgument,
-    KeyOption,
-    Measured,
-    PitchOption,
-    PlotOption,
-    Unit,
-    check_outputs,
-    frequency_unit,
-    measured_image,
-    parse_numbers,
-    parse_region,
-    write_plot,
-    write_table,
-)
-from lensshift.cli.session import Session
+from lensshift.cli import images, outputs
+from lensshift.cli.inputs import parse_numbers
+from lensshift.cli.mtf import edges_of
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
-
-class StarProfile(StrEnum):
-    """How a star was printed."""
-
-    SINE = "sine"
-    SQUARE = "square"
-
-
+Profile = Literal["sine", "square"]  # that a pattern was printed with
 CenterOption = Annotated[
     str | None, typer.Option("--center-px", help="Centre as row,col; found if not given.")
 ]
@@ -52,19 +29,15 @@ _LEVELS = (0.5, 0.3, 0.1)  # of contrast, where curves are read off by custom
 class StarOptions:
     """Options of `lensshift evaluate star`."""
 
-    image: ImageArgument
+    of: images.ImageOptions
     cycles: int = option(MISSING, "Bright spokes of the star.", min=1)
-    pitch_mm: PitchOption = None
     center_px: CenterOption = None
     radius: str | None = option(None, "Rings used, from,to, in the unit of the pitch.")
-    profile: StarProfile = option(StarProfile.SINE, "How the star was printed.")
+    profile: Profile = option("sine", "How the star was printed.")
     levels: LevelsOption = None
     sectors: int = option(0, "Directions measured apart.", min=0)
-    focal_length_mm: FocalOption = None
-    frame: FrameOption = 0
-    key: KeyOption = None
-    csv: CsvOption = None
-    plot: PlotOption = None
+    focal_length_mm: images.FocalOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring the star")
@@ -85,38 +58,32 @@ def star(current: Session, asked: StarOptions) -> None:
         pitch_mm=measured.pitch_mm,
         center_px=_pair(asked.center_px, "a centre like 7.5,31.5"),
         radius_range_mm=_pair(asked.radius, "radii like 0.4,1.2"),
-        profile=asked.profile.value,
+        profile=asked.profile,
         levels=_pair(asked.levels, "levels like 100,3000"),
         sectors=asked.sectors,
         valid=measured.valid,
     )
-    row, col = found.center_px
-    current.say(f"star of {asked.cycles} cycles, centre at row {row:.2f}, column {col:.2f}")
-    current.result |= {"image": asked.image, "center_px": found.center_px}
+    _say_place(current, asked, found, f"star of {asked.cycles} cycles")
     current.result["cycles"] = asked.cycles
-    _say_contrast(current, found)
     _say_curve(current, found.mtf, unit, "over all directions")
     for k, curve in enumerate(found.sectors):
         _say_curve(current, curve, unit, f"sector {k}")
     columns = _columns(found.mtf, unit) | {"radius": found.radius_mm, "pixels": found.count}
-    write_table(current, asked.csv, columns)
-    write_plot(current, asked.plot, lambda: _figure("star_figure", found, measured, unit))
+    outputs.write_table(current, asked.to.csv, columns)
+    shown = (found, measured.values, measured.pitch_mm)
+    outputs.write_plot(current, asked.to.plot, "stars.star_figure", *shown, **unit.shown())
 
 
 @dataclass(frozen=True, slots=True)
 class ZoneOptions:
     """Options of `lensshift evaluate zone`."""
 
-    image: ImageArgument
+    of: images.ImageOptions
     chirp: float = option(MISSING, "Growth of the frequency with the radius, in LP/mm per mm.")
-    pitch_mm: PitchOption = None
     center_px: CenterOption = None
     levels: LevelsOption = None
-    focal_length_mm: FocalOption = None
-    frame: FrameOption = 0
-    key: KeyOption = None
-    csv: CsvOption = None
-    plot: PlotOption = None
+    focal_length_mm: images.FocalOption = None
+    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring the zone plate")
@@ -140,14 +107,12 @@ def zone(current: Session, asked: ZoneOptions) -> None:
         levels=_pair(asked.levels, "levels like 100,3000"),
         valid=measured.valid,
     )
-    row, col = found.center_px
-    current.say(f"zone plate, centre at row {row:.2f}, column {col:.2f}")
-    current.result |= {"image": asked.image, "center_px": found.center_px}
-    _say_contrast(current, found)
+    _say_place(current, asked, found, "zone plate")
     for name in ("radial", "row", "col"):
         _say_curve(current, getattr(found, name), unit, name)
-    write_table(current, asked.csv, _columns(found.radial, unit))
-    write_plot(current, asked.plot, lambda: _figure("zone_plate_figure", found, measured, unit))
+    outputs.write_table(current, asked.to.csv, _columns(found.radial, unit))
+    shown = (found, measured.values, measured.pitch_mm)
+    outputs.write_plot(current, asked.to.plot, "stars.zone_plate_figure", *shown, **unit.shown())
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,9 +121,9 @@ class FrcOptions:
 
     first: Path = argument("One result.")
     second: Path = argument("One from other frames of the same scene.")
-    pitch_mm: PitchOption = None
-    key: KeyOption = None
-    csv: CsvOption = None
+    pitch_mm: images.PitchOption = None
+    key: images.KeyOption = None
+    csv: outputs.CsvOption = None
 
 
 @verb("correlating")
@@ -171,32 +136,28 @@ def frc(current: Session, asked: FrcOptions) -> None:
     """
     from lensshift.evaluation.ring_correlation import fourier_ring_correlation
 
-    check_outputs([asked.first, asked.second], asked.csv, None)
-    one = measured_image(asked.first, asked.pitch_mm, key=asked.key)
-    other = measured_image(asked.second, asked.pitch_mm, key=asked.key)
+    outputs.check([asked.first, asked.second], asked.csv)
+    one = images.measured_image(asked.first, asked.pitch_mm, key=asked.key)
+    other = images.measured_image(asked.second, asked.pitch_mm, key=asked.key)
     found = fourier_ring_correlation(one.values, other.values, pitch_mm=one.pitch_mm)
-    unit = frequency_unit(one, None)
+    unit = images.frequency_unit(one, None)
     for label, cutoff in (
         ("half-bit threshold", found.cutoff_lpmm),
         ("threshold of 1/7", found.fixed_cutoff_lpmm),
     ):
         place = "never crossed" if cutoff is None else f"crossed at {cutoff:.4g} {unit.name}"
         current.say(f"{label:<20}{place}")
-    columns = {
-        "frequency_lpmm": found.frequency_lpmm,
-        "correlation": found.correlation,
-        "half_bit": found.half_bit,
-    }
-    current.result |= {"unit": unit.name, "cutoff_lpmm": found.cutoff_lpmm}
-    current.result |= {"fixed_cutoff_lpmm": found.fixed_cutoff_lpmm, **columns}
-    write_table(current, asked.csv, columns)
+    columns = picked(found, "frequency_lpmm correlation half_bit")
+    current.tell(found, "cutoff_lpmm fixed_cutoff_lpmm")
+    current.result |= {"unit": unit.name, **columns}
+    outputs.write_table(current, asked.csv, columns)
 
 
 @dataclass(frozen=True, slots=True)
 class ResolutionOptions:
     """Options of `lensshift evaluate resolution`."""
 
-    image: ImageArgument
+    of: images.ImageOptions
     edge: Path | None = option(None, "The image that holds the edges, if another one.")
     cycles: int | None = option(None, "Bright spokes of a Siemens star in IMAGE.", min=1)
     chirp: float | None = option(None, "Of a zone plate in IMAGE, in LP/mm per mm.")
@@ -205,13 +166,10 @@ class ResolutionOptions:
         "A group of bars in IMAGE: its frequency, 2.5, or period, 8px, and its region if it is not "
         "to be found: 2.5@0,40,10,60 (row start,stop,col start,stop); again for each further one.",
     )
-    profile: StarProfile | None = option(None, "How it was printed: stars as sine, bars as square.")
+    profile: Profile | None = option(None, "How it was printed: stars as sine, bars as square.")
     levels: LevelsOption = None
     region: str | None = option(None, "Of the edge, in pixels: row start,stop,col start,stop.")
-    pitch_mm: PitchOption = None
-    frame: FrameOption = 0
-    key: KeyOption = None
-    csv: CsvOption = None
+    csv: outputs.CsvOption = None
 
 
 @verb("comparing edges with a pattern")
@@ -229,25 +187,20 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
       lensshift evaluate resolution bars.tif --bars 8px --bars 5px@40,66,4,60 --levels 20,220
     """
     from lensshift.evaluation.agreement import edge_and_pattern
-    from lensshift.evaluation.slanted_edge import Region, average_curves, measure_edges
+    from lensshift.evaluation.slanted_edge import average_curves
 
     if sum(bool(one) for one in (asked.cycles, asked.chirp is not None, asked.bars)) != 1:
         raise typer.BadParameter(
             "expected --cycles of a star or --chirp of a zone plate or --bars, one of them"
         )
-    place = parse_region(asked.region)
-    check_outputs([asked.image, *([asked.edge] if asked.edge else [])], asked.csv, None)
-    seen = measured_image(asked.image, asked.pitch_mm, key=asked.key, frame=asked.frame)
-    unit = frequency_unit(seen, None)
+    place = images.parse_region(asked.region)
+    outputs.check([asked.of.image, asked.edge], asked.csv)
+    seen = images.measured_of(asked.of)
+    unit = images.frequency_unit(seen, None)
     # The pattern first: what does not fit of it is told before edges take their time.
     pattern = _pattern(current, asked, seen)
-    beside = seen if asked.edge is None else measured_image(
-        asked.edge, asked.pitch_mm, key=asked.key, frame=asked.frame
-    )  # fmt: skip
-    edges = measure_edges(
-        beside.values, beside.pitch_mm, region=None if place is None else Region(*place),
-        valid=beside.valid, scale=beside.scale,
-    )  # fmt: skip
+    beside = seen if asked.edge is None else images.measured_of(replace(asked.of, image=asked.edge))
+    edges = edges_of(beside, place)
     average = average_curves(edges)
     found = edge_and_pattern(average, pattern)
     _say_curve(current, average, unit, "edges" if len(edges) > 1 else "edge")
@@ -258,14 +211,14 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
         f"{found.edge.mean():.3f} of the contrast, the pattern shows {found.pattern.mean():.3f} "
         f"(difference {found.difference:+.3f} +- {found.std:.3f})"
     )
-    current.result |= {"image": asked.image, "verdict": found.verdict, "unit": unit.name}
-    current.result |= {"difference": found.difference, "std": found.std}
+    current.tell(found, "verdict difference std")
+    current.result |= {"image": asked.of.image, "unit": unit.name}
     columns = {"frequency": found.frequency_lpmm * unit.factor}
     columns |= {"edge": found.edge, "pattern": found.pattern}
-    write_table(current, asked.csv, columns)
+    outputs.write_table(current, asked.csv, columns)
 
 
-def _pattern(current: Session, asked: ResolutionOptions, seen: Measured) -> Any:
+def _pattern(current: Session, asked: ResolutionOptions, seen: images.Measured) -> Any:
     """Return the curve of the star, zone plate or bars."""
     levels = _pair(asked.levels, "levels like 100,3000")
     common: dict[str, Any] = {"pitch_mm": seen.pitch_mm, "levels": levels, "valid": seen.valid}
@@ -274,22 +227,22 @@ def _pattern(current: Session, asked: ResolutionOptions, seen: Measured) -> Any:
         from lensshift.evaluation.gratings import gratings_mtf
 
         groups = [_group(text, seen) for text in asked.bars]
-        printed: Any = (asked.profile or StarProfile.SQUARE).value
+        printed: Any = asked.profile or "square"
         lines, regions = zip(*groups, strict=True)
         found = gratings_mtf(seen.values, lines, regions=regions, profile=printed, **common)
-        factor, name = frequency_unit(seen, None).factor, frequency_unit(seen, None).name
+        unit = images.frequency_unit(seen, None)
         for line, box, value in zip(
             found.mtf.frequency_lpmm, found.regions, found.mtf.modulation, strict=True
         ):
             current.say(
-                f"bars of {line * factor:.4g} {name} in rows {box[0]}:{box[1]}, columns "
+                f"bars of {line * unit.factor:.4g} {unit.name} in rows {box[0]}:{box[1]}, columns "
                 f"{box[2]}:{box[3]}: contrast {value:.3f}"
             )
         current.result["regions"] = found.regions
     elif asked.cycles is not None:
         from lensshift.evaluation.siemens import siemens_star_mtf
 
-        printed = (asked.profile or StarProfile.SINE).value
+        printed = asked.profile or "sine"
         found = siemens_star_mtf(seen.values, cycles=asked.cycles, profile=printed, **common)
     else:
         from lensshift.evaluation.zone_plate import zone_plate_response
@@ -300,7 +253,7 @@ def _pattern(current: Session, asked: ResolutionOptions, seen: Measured) -> Any:
     return found.radial if asked.chirp is not None else found.mtf
 
 
-def _group(text: str, seen: Measured) -> tuple[float, tuple[int, int, int, int] | None]:
+def _group(text: str, seen: images.Measured) -> tuple[float, tuple[int, int, int, int] | None]:
     """Return frequency and region of a group of bars, from "2.5", "8px" or "8px@0,40,10,60"."""
     lines, _, region = text.partition("@")
     expected = "bars like 2.5, 8px or 8px@0,40,10,60"
@@ -309,12 +262,21 @@ def _group(text: str, seen: Measured) -> tuple[float, tuple[int, int, int, int] 
     if not number > 0:
         raise typer.BadParameter(f"expected {expected}, got {text!r}")
     frequency = 1.0 / (number * max(seen.pitch_mm)) if period else number
-    return frequency, parse_region(region or None)
+    return frequency, images.parse_region(region or None)
+
+
+def _say_place(
+    current: Session, asked: StarOptions | ZoneOptions, found: Any, pattern: str
+) -> None:
+    row, col = found.center_px
+    current.say(f"{pattern}, centre at row {row:.2f}, column {col:.2f}")
+    current.result |= {"image": asked.of.image, "center_px": found.center_px}
+    _say_contrast(current, found)
 
 
 def _say_contrast(current: Session, found: Any) -> None:
     """Say by what the curves were divided, and how far that may be off."""
-    current.result |= {"contrast": found.contrast, "contrast_std": found.contrast_std}
+    current.tell(found, "contrast contrast_std")
     if found.contrast_std > 0.0:
         current.say(
             f"contrast at frequency 0: {found.contrast:.3f} +- {found.contrast_std:.3f}, "
@@ -322,10 +284,10 @@ def _say_contrast(current: Session, found: Any) -> None:
         )
 
 
-def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[Measured, Unit]:
-    check_outputs([asked.image], asked.csv, asked.plot)
-    measured = measured_image(asked.image, asked.pitch_mm, key=asked.key, frame=asked.frame)
-    return measured, frequency_unit(measured, asked.focal_length_mm)
+def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[images.Measured, images.Unit]:
+    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
+    measured = images.measured_of(asked.of)
+    return measured, images.frequency_unit(measured, asked.focal_length_mm)
 
 
 def _pair(text: str | None, expected: str) -> tuple[float, float] | None:
@@ -335,7 +297,7 @@ def _pair(text: str | None, expected: str) -> tuple[float, float] | None:
     return first, second
 
 
-def _say_curve(current: Session, curve: Any, unit: Unit, name: str) -> None:
+def _say_curve(current: Session, curve: Any, unit: images.Unit, name: str) -> None:
     from lensshift.evaluation.limits import first_crossing_lpmm
 
     crossings = {level: first_crossing_lpmm(curve, level) * unit.factor for level in _LEVELS}
@@ -350,13 +312,6 @@ def _say_curve(current: Session, curve: Any, unit: Unit, name: str) -> None:
     rows.append(row | _columns(curve, unit))
 
 
-def _columns(curve: Any, unit: Unit) -> dict[str, Any]:
+def _columns(curve: Any, unit: images.Unit) -> dict[str, Any]:
     columns = {"frequency": curve.frequency_lpmm * unit.factor, "modulation": curve.modulation}
     return columns if curve.std is None else columns | {"std": curve.std}
-
-
-def _figure(name: str, found: Any, measured: Measured, unit: Unit) -> Any:
-    from lensshift.report import stars
-
-    draw = getattr(stars, name)
-    return draw(found, measured.values, measured.pitch_mm, unit=unit.name, factor=unit.factor)

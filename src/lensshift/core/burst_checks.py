@@ -55,10 +55,8 @@ def check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], nam
     if bad == int(np.count_nonzero(valid)):
         raise DataError("every valid pixel is NaN or infinite", field=name)
     if bad:
-        raise DataError(
-            f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`",
-            field=name,
-        )
+        problem = f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`"
+        raise DataError(problem, field=name)
 
 
 def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:

@@ -134,13 +134,9 @@ class Pinhole:
 
     def refine(self, scale: int) -> Pinhole:
         """Return the intrinsics of the grid with `scale` times finer pixels."""
-        return replace(
-            self,
-            fx_px=self.fx_px * scale,
-            fy_px=self.fy_px * scale,
-            cx_px=float(lr_to_hr(self.cx_px, scale)),
-            cy_px=float(lr_to_hr(self.cy_px, scale)),
-        )
+        cx_px, cy_px = lr_to_hr([self.cx_px, self.cy_px], scale).tolist()
+        fx_px, fy_px = self.fx_px * scale, self.fy_px * scale
+        return replace(self, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
 
     def crop(self, rows: slice, cols: slice) -> Pinhole:
         """Return the intrinsics of a part of the image that begins at `start` of the slices."""
@@ -222,10 +218,8 @@ class PixelDirections:
             If the shape differs.
         """
         if self.direction.shape[:2] != tuple(shape):
-            raise DataError(
-                f"expected directions for {shape} pixels, got {self.direction.shape[:2]}",
-                field="intrinsics",
-            )
+            problem = f"expected directions for {shape} pixels, got {self.direction.shape[:2]}"
+            raise DataError(problem, field="intrinsics")
 
 
 Intrinsics = Pinhole | PixelDirections

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -13,19 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.arrays import Floats, frozen
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
-from lensshift.core.motion import ShiftField
+from lensshift.core.motion import MOST_APART_PX, SAME_PITCH, ShiftField
 from lensshift.core.types import Burst
 
 Motion = Literal["decentre", "tilt", "sensor"]
-MOTIONS: tuple[Motion, ...] = ("decentre", "tilt", "sensor")
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 # At most, of an iteration that converges fast: the map of a lens is nearly linear.
 _INVERSE_STEPS = 20
 _INVERSE_PX = 1e-9  # rounding
 # Beyond the fitted range by rounding, and by the error of a shift that was planned at its end.
 _BEYOND = 1.02
-# Stage and image go together: 0.1 px is far beyond play, and less than two places are apart.
-_MOST_ASTRAY_PX = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,7 +224,7 @@ class LensField:
                 f"--sensor {cols}x{rows}",
                 field="shape",
             )
-        if not np.allclose(grid.pitch_mm, self.grid.pitch_mm, rtol=1e-3):
+        if not np.allclose(grid.pitch_mm, self.grid.pitch_mm, rtol=SAME_PITCH):
             row_mm, col_mm = grid.pitch_mm
             raise DataError(
                 f"the lens field is of pixels of {_pair(self.grid.pitch_mm)} mm, not "
@@ -298,7 +296,7 @@ def _check_stage(burst: Burst) -> None:
     design = np.column_stack([stage_mm, np.ones(len(stage_mm))])
     found = np.linalg.lstsq(design, burst.offset_px, rcond=None)[0]
     apart_px = np.abs(burst.offset_px - design @ found).max(axis=1)
-    if apart_px.max() > _MOST_ASTRAY_PX:
+    if apart_px.max() > MOST_APART_PX:
         raise DataError(
             f"the offsets do not follow the stage positions, by {apart_px.max():.2f} px in frame "
             f"{int(np.argmax(apart_px))} (from 0): one of them is of other frames, or in another "

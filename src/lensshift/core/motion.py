@@ -12,9 +12,10 @@ from lensshift.core.arrays import frozen
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 
-# Other shifts than those of the burst: wrong shifts of 0.1 px cost 2 to 4 dB (docs/lens.md), two
-# places of the finest pattern are 0.25 px apart.
-_MOST_APART_PX = 0.1
+# Shifts of other frames, or that the stage did not make: shifts wrong by 0.1 px cost 2 to 4 dB
+# (docs/lens.md), two places of the finest pattern are 0.25 px apart, and play is far less.
+MOST_APART_PX = 0.1
+SAME_PITCH = 1e-3  # relative: 1 px over a sensor of 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +67,9 @@ class ShiftField:
         expected, got = (len(offset_px), *grid.shape, 2), self.offset_px.shape
         if got != expected:
             raise DataError(f"expected a shift field of {expected}, got {got}", field="offset_px")
-        if self.pitch_mm is not None and not np.allclose(self.pitch_mm, grid.pitch_mm, rtol=1e-3):
+        if self.pitch_mm is not None and not np.allclose(
+            self.pitch_mm, grid.pitch_mm, rtol=SAME_PITCH
+        ):
             raise DataError(
                 f"expected a shift field for pixels of {grid.pitch_mm} mm, got {self.pitch_mm}",
                 field="pitch_mm",
@@ -74,7 +77,7 @@ class ShiftField:
         rows, cols = (slice((size - 1) // 2, size // 2 + 1) for size in grid.shape)
         apart = self.offset_px[:, rows, cols].mean(axis=(1, 2)) - offset_px
         apart_px = np.abs(apart - np.median(apart, axis=0)).max(axis=1)
-        wrong = np.flatnonzero(apart_px > _MOST_APART_PX)
+        wrong = np.flatnonzero(apart_px > MOST_APART_PX)
         if wrong.size:
             raise DataError(
                 f"expected a shift field with the offsets of the burst, got {apart_px.max():.2f} "

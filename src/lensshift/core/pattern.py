@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-PATTERNS = ("square", "3x3", "4x4", "still")
+_PER_SIDE = {"square": 2, "3x3": 3, "4x4": 4, "still": 1}
+PATTERNS = tuple(_PER_SIDE)
 
 
 def grid_pattern_px(per_side: int) -> NDArray[np.float64]:
@@ -43,7 +44,6 @@ def named_pattern_px(name: str) -> NDArray[np.float64]:
     ValueError
         If there is no such pattern.
     """
-    per_side = {"still": 1, "square": 2, "3x3": 3, "4x4": 4}
-    if name not in per_side:
+    if name not in _PER_SIDE:
         raise ValueError(f"expected a pattern of {', '.join(PATTERNS)}, got {name!r}")
-    return grid_pattern_px(per_side[name])
+    return grid_pattern_px(_PER_SIDE[name])

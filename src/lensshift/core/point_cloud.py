@@ -106,15 +106,10 @@ def make_cloud(
     if "flying" in known and not keep_flying:
         kept &= ~known["flying"].astype(bool)
     row, col = np.nonzero(kept)
-    return PointCloud(
-        place_m[kept],
-        row,
-        col,
-        normal=surface_normals(np.where(kept[..., None], place_m, np.nan))[kept]
-        if normals
-        else None,
-        **{name: image[kept] for name, image in known.items()},
-    )
+    if normals:
+        known["normal"] = surface_normals(np.where(kept[..., None], place_m, np.nan))
+    fields = {name: image[kept] for name, image in known.items()}
+    return PointCloud(place_m[kept], row, col, **fields)
 
 
 def surface_normals(place_m: Array) -> NDArray[np.float64]:

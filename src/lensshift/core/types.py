@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +36,7 @@ from lensshift.core.showing import AsDataset, AsTable, Shown
 from lensshift.core.units import doubt_about_units
 
 OffsetSource = Literal["planned", "calibrated", "registered", "unknown"]
-OFFSET_SOURCES: tuple[OffsetSource, ...] = ("planned", "calibrated", "registered", "unknown")
+OFFSET_SOURCES: tuple[OffsetSource, ...] = get_args(OffsetSource)
 
 
 class Status(Enum):
@@ -50,14 +50,10 @@ class Status(Enum):
     NOT_FINITE = "the estimate is not finite"
 
 
-_OPTIONAL_OF_FRAMES = (
-    "distance_m",
-    "valid",
-    "offset_sigma_px",
-    "stage_mm",
-    "stage_commanded_mm",
-    "time_s",
-)
+# Fields of a burst that have one entry a frame, if they are known.
+FRAME_FIELDS = (
+    "distance_m", "valid", "offset_sigma_px", "stage_mm", "stage_commanded_mm", "time_s",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -127,10 +123,8 @@ class Burst(Shown, AsDataset, AsTable):
         if self.time_s is not None:
             settle["time_s"] = as_numbers(self.time_s, (count,), "time_s")
         if self.offset_source not in OFFSET_SOURCES:
-            raise DataError(
-                f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}",
-                field="offset_source",
-            )
+            problem = f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}"
+            raise DataError(problem, field="offset_source")
         settle["modulation_hz"] = as_frequencies(self.modulation_hz)
         if self.phasors is not None:
             settle["phasors"] = as_phasors(self.phasors, settle["modulation_hz"], valid)
@@ -233,18 +227,11 @@ class Burst(Shown, AsDataset, AsTable):
                 f"expected frame numbers from 0 to {self.frame_count - 1}, got {list(frames)}"
             )
 
-        def pick(values: NDArray[Any] | None) -> Any:
-            return None if values is None else values[index]
-
-        optional = {name: pick(getattr(self, name)) for name in _OPTIONAL_OF_FRAMES}
-        return replace(
-            self,
-            amplitude=self.amplitude[index],
-            offset_px=self.offset_px[index],
-            phasors=None if self.phasors is None else self.phasors[:, index],
-            raw={name: values[index] for name, values in self.raw.items()},
-            **optional,
-        )
+        each = {name: getattr(self, name) for name in ("amplitude", "offset_px", *FRAME_FIELDS)}
+        kept: dict[str, Any] = {n: None if one is None else one[index] for n, one in each.items()}
+        phasors = None if self.phasors is None else self.phasors[:, index]
+        raw = {name: values[index] for name, values in self.raw.items()}
+        return replace(self, phasors=phasors, raw=raw, **kept)
 
 
 def expect_burst(value: object) -> None:

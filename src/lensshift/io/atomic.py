@@ -7,6 +7,7 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO, Self
 
 from lensshift.core.errors import DataError
 
@@ -33,6 +34,27 @@ def written_whole(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+
+
+class GrowingFile:
+    """A file that is open for writing, and closed at the end of a `with` block."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def _put(self, data: memoryview) -> None:
+        while data:
+            data = data[self._file.write(data) :]
+
+    def close(self) -> None:
+        """Let go of the file; a second call does nothing."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def writable_target(path: str | Path) -> Path:

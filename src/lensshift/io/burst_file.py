@@ -26,22 +26,13 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, expect_burst
+from lensshift.io import container_writer as writer
 from lensshift.io.capture_file import burst_of_capture, is_capture, read_capture
 from lensshift.io.container_reader import Container, open_container
-from lensshift.io.container_writer import (
-    Allocated,
-    Variable,
-    flag_attributes,
-    pixel_centres,
-    sealed_text,
-    to_json,
-    write_container,
-)
 from lensshift.io.intrinsics_fields import (
-    NAMES,
     intrinsics_attributes,
-    intrinsics_of_fields,
     intrinsics_variables,
+    read_intrinsics,
 )
 from lensshift.io.piecewise_file import PiecewiseFile
 
@@ -71,12 +62,8 @@ def save_burst(burst: Burst, path: str | Path) -> None:
         attributes = _attributes(burst)
     except DataError as error:
         raise error.in_file(path) from error
-    write_container(
-        path,
-        schema=SCHEMA,
-        axes=_AXES,
-        variables=_variables(burst),
-        attributes=attributes,
+    writer.write_container(
+        path, schema=SCHEMA, axes=_AXES, variables=_variables(burst), attributes=attributes
     )
 
 
@@ -84,8 +71,8 @@ def _attributes(burst: Burst) -> dict[str, Any]:
     return {
         "pitch_mm": np.asarray(burst.grid.pitch_mm, dtype=np.float64),
         "modulation_hz": _frequencies(burst),
-        "offset_source": sealed_text(burst.offset_source),
-        "meta": sealed_text(to_json(burst.meta, "meta")),
+        "offset_source": writer.sealed_text(burst.offset_source),
+        "meta": writer.sealed_text(writer.to_json(burst.meta, "meta")),
         **intrinsics_attributes(burst.intrinsics),
     }
 
@@ -102,11 +89,8 @@ def load_burst(path: str | Path) -> Burst:
     if is_capture(path):
         return burst_of_capture(*read_capture(path), Path(path))
     with open_container(path, SCHEMA) as container:
-        raw = {
-            name.removeprefix(_RAW): container.array(name)
-            for name in container.names()
-            if name.startswith(_RAW)
-        }
+        own = [name for name in container.names() if name.startswith(_RAW)]
+        raw = {name.removeprefix(_RAW): container.array(name) for name in own}
         return _burst(container, (), raw=raw)
 
 
@@ -186,7 +170,7 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
             file.close()
 
 
-def _recorded(part: Burst) -> dict[str, Variable]:
+def _recorded(part: Burst) -> dict[str, writer.Variable]:
     """Return what each frame of a part has, as the file keeps it."""
     variables = _variables(replace(part, raw={}, phasors=None))
     return {name: one for name, one in variables.items() if one.dims[0] == "frame"
@@ -194,18 +178,20 @@ def _recorded(part: Burst) -> dict[str, Variable]:
 
 
 def _begun(
-    path: str | Path, frame_count: int, part: Burst, variables: Mapping[str, Variable]
+    path: str | Path, frame_count: int, part: Burst, variables: Mapping[str, writer.Variable]
 ) -> PiecewiseFile:
     if part.phasors is not None:
         raise DataError("phasors of several frequencies are not recorded in parts", source=path)
     space = {
-        name: replace(one, values=Allocated((frame_count, *one.values.shape[1:]), one.values.dtype))
+        name: replace(
+            one, values=writer.Allocated((frame_count, *one.values.shape[1:]), one.values.dtype)
+        )
         for name, one in variables.items()
     }
-    space |= intrinsics_variables(part.intrinsics) | pixel_centres(part.grid.shape)
+    space |= intrinsics_variables(part.intrinsics) | writer.pixel_centres(part.grid.shape)
     return PiecewiseFile.begin(
         path, schema=SCHEMA, axes=_AXES, variables=space, attributes=_attributes(part),
-        begun=to_json({"frames": frame_count, "names": sorted(space)}, "begun"),
+        begun=writer.to_json({"frames": frame_count, "names": sorted(space)}, "begun"),
     )  # fmt: skip
 
 
@@ -232,38 +218,40 @@ def _burst(
         valid=(flags & _INVALID) == 0,
         modulation_hz=container.numbers("modulation_hz"),
         offset_source=container.text("offset_source"),
-        intrinsics=intrinsics_of_fields(container.fields(NAMES)),
+        intrinsics=read_intrinsics(container),
         meta=container.mapping("meta"),
         raw=raw or {},
         **fields,
     )
 
 
-def _variables(burst: Burst) -> dict[str, Variable]:
+def _variables(burst: Burst) -> dict[str, writer.Variable]:
     label = "complex phasor" if np.iscomplexobj(burst.amplitude) else "modulation amplitude"
-    variables = {"amplitude": Variable(_AXES, burst.amplitude, {"units": "1", "long_name": label})}
+    variables = {"amplitude": writer.measured(_AXES, burst.amplitude, "1", label)}
     if burst.distance_m is not None:
-        described = {"units": "m", "long_name": "distance", "comment": "radial, camera frame"}
-        variables["distance"] = Variable(_AXES, burst.distance_m, described)
+        of = {"comment": "radial, camera frame"}
+        variables["distance"] = writer.measured(_AXES, burst.distance_m, "m", "distance", **of)
     if burst.phasors is not None:
-        described = {"units": "1", "long_name": "phasor of each modulation frequency"}
-        variables["phasors"] = Variable(("frequency", *_AXES), burst.phasors, described)
-    variables["flags"] = Variable(_AXES, _flags(burst), flag_attributes("invalid"))
+        label = "phasor of each modulation frequency"
+        variables["phasors"] = writer.measured(("frequency", *_AXES), burst.phasors, "1", label)
+    invalid = np.zeros(burst.amplitude.shape) if burst.valid is None else ~burst.valid
+    variables["flags"] = writer.Variable(
+        _AXES, invalid.astype(np.uint8), writer.flag_attributes("invalid")
+    )
     for field, (name, units, label) in _PAIRS.items():
         pairs = getattr(burst, field)
         for index, axis in enumerate(("row", "col") if pairs is not None else ()):
-            described = {"units": units, "long_name": f"{label}, along {axis}s"}
-            variables[f"{name}_{axis}"] = Variable(("frame",), pairs[:, index], described)
+            along = f"{label}, along {axis}s"
+            variables[f"{name}_{axis}"] = writer.measured(("frame",), pairs[:, index], units, along)
     if burst.time_s is not None:
-        described = {"units": "s", "long_name": "time of the frame"}
-        variables["time"] = Variable(("frame",), burst.time_s, described)
+        variables["time"] = writer.measured(("frame",), burst.time_s, "s", "time of the frame")
     for name, values in burst.raw.items():
-        variables[f"{_RAW}{name}"] = Variable(_raw_axes(burst, name, values), values)
+        variables[f"{_RAW}{name}"] = writer.Variable(_raw_axes(burst, name, values), values)
     variables |= intrinsics_variables(burst.intrinsics)
-    variables["frame"] = Variable(
+    variables["frame"] = writer.Variable(
         ("frame",), np.arange(burst.frame_count, dtype=np.int32), {"long_name": "frame number"}
     )
-    return variables | pixel_centres(burst.grid.shape)
+    return variables | writer.pixel_centres(burst.grid.shape)
 
 
 def _raw_axes(burst: Burst, name: str, values: NDArray[Any]) -> tuple[str, ...]:
@@ -271,12 +259,6 @@ def _raw_axes(burst: Burst, name: str, values: NDArray[Any]) -> tuple[str, ...]:
     if values.shape == burst.amplitude.shape:
         return _AXES
     return ("frame", *(f"{name}_{axis}" for axis in range(1, values.ndim)))
-
-
-def _flags(burst: Burst) -> NDArray[np.uint8]:
-    if burst.valid is None:
-        return np.zeros(burst.amplitude.shape, dtype=np.uint8)
-    return np.where(burst.valid, np.uint8(0), _INVALID)
 
 
 def _frequencies(burst: Burst) -> Any:

@@ -26,8 +26,8 @@ import numpy as np
 from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.core.settings import parse_json
-from lensshift.core.types import Burst
-from lensshift.io.atomic import writable_target
+from lensshift.core.types import FRAME_FIELDS, Burst
+from lensshift.io.atomic import GrowingFile, writable_target
 from lensshift.io.container_writer import to_json
 from lensshift.io.reading import reading, require_file, unpacked_bytes
 
@@ -36,10 +36,6 @@ _HEAD = struct.Struct("<8sQI")
 _LARGEST = 1 << 31  # bytes of a record: more is damage
 _SCHEMA = "lensshift-capture/1"
 _RAW = "raw_"
-_STACKED = (
-    "distance_m", "valid", "offset_px", "time_s", "offset_sigma_px", "stage_mm",
-    "stage_commanded_mm",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -94,11 +90,14 @@ class FrameRecord:
                 values[one.name] = found.item() if number else found
             elif one.default is MISSING and one.default_factory is MISSING:
                 raise DataError("a frame lacks this field", field=one.name)
-        raw = {name.removeprefix(_RAW): v for name, v in arrays.items() if name.startswith(_RAW)}
-        return cls(**values, raw=raw)
+        return cls(**values, raw=_raw(arrays))
 
 
-class CaptureWriter:
+def _raw(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    return {name.removeprefix(_RAW): one for name, one in arrays.items() if name.startswith(_RAW)}
+
+
+class CaptureWriter(GrowingFile):
     """The only writer of a journal; others may read it at any time.
 
     Use `create` or `resume`, in a `with` block.
@@ -112,8 +111,8 @@ class CaptureWriter:
     def __init__(
         self, path: Path, file: BinaryIO, header: Mapping[str, Any], frames: list[FrameRecord]
     ) -> None:
+        super().__init__(file)
         self.path, self.header, self.frames = path, dict(header), frames
-        self._file = file
 
     @classmethod
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> Self:
@@ -173,22 +172,11 @@ class CaptureWriter:
         self._write(packed.getbuffer())
         self.frames.append(record)
 
-    def close(self) -> None:
-        """Let go of the file; a second call does nothing."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _write(self, payload: bytes | memoryview) -> None:
         start = self._file.tell()
-        data = memoryview(_HEAD.pack(_MARK, len(payload), zlib.crc32(payload)) + bytes(payload))
+        head = _HEAD.pack(_MARK, len(payload), zlib.crc32(payload))
         try:
-            while data:
-                data = data[self._file.write(data) :]
+            self._put(memoryview(head + bytes(payload)))
         except OSError as error:
             self._cut(start)
             problem = f"cannot write: {error.strerror}; the {len(self.frames)} frames before are"
@@ -266,17 +254,13 @@ def burst_of_capture(
     names = set.intersection(*(set(one) for one in each))
     try:
         stacked = {name: np.stack([one[name] for one in each]) for name in names}
-        known = {name: stacked.get(name) for name in _STACKED}
+        known = {name: stacked.get(name) for name in ("offset_px", *FRAME_FIELDS)}
         return Burst.from_arrays(
             stacked["amplitude"],
             pitch_mm=header["pitch_mm"],
             modulation_hz=header.get("modulation_hz"),
             offset_source=header.get("offset_source", "planned"),
-            raw={
-                name.removeprefix(_RAW): values
-                for name, values in stacked.items()
-                if name.startswith(_RAW)
-            },
+            raw=_raw(stacked),
             meta={**header.get("meta", {}), "step": stacked["step"].tolist()},
             **known,
         )

@@ -52,9 +52,14 @@ class Container:
             return tuple(getattr(item, "shape", None) or ())
 
     def array(
-        self, name: str, *, kinds: str = "uifc", part: tuple[slice, ...] = ()
+        self,
+        name: str,
+        *,
+        kinds: str = "uifc",
+        part: tuple[slice, ...] = (),
+        shape: tuple[int, ...] | None = None,
     ) -> NDArray[Any]:
-        """Read a variable whose dtype is of one of the given kinds, or a part of it."""
+        """Read a variable of one of the given kinds (and shape), or a part of it."""
         import h5py
 
         with reading(self.path, name):
@@ -67,6 +72,8 @@ class Container:
                 raise DataError(f"expected numbers, got dtype {item.dtype}", field=name)
             if item.shape is None or item.size == 0:
                 raise DataError(f"expected values, got shape {item.shape}", field=name)
+            if shape not in (None, item.shape):
+                raise DataError(f"expected shape {shape}, got {item.shape}", field=name)
             check_held(item.shape, item.nbytes, item.id.get_storage_size(), name)
             chunk_bytes = math.prod(item.chunks or (0,)) * item.dtype.itemsize
             taken = [chunk_bytes] if part else self.unpacked

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.io.atomic import written_whole
@@ -48,6 +48,14 @@ class Variable:
     dims: tuple[str, ...]
     values: NDArray[Any] | Allocated
     attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def measured(
+    dims: tuple[str, ...], values: ArrayLike | Allocated, units: str, meaning: str, **more: Any
+) -> Variable:
+    """Return a variable with its unit, what it is, and further attributes."""
+    held = values if isinstance(values, Allocated) else np.asarray(values)
+    return Variable(dims, held, {"units": units, "long_name": meaning, **more})
 
 
 def write_container(
@@ -113,11 +121,7 @@ def write_hdf5(
 def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
     """Return the coordinates of the dimensions row and col: pixel centres at integers."""
     return {
-        axis: Variable(
-            (axis,),
-            np.arange(length, dtype=np.float64),
-            {"units": "pixel", "long_name": f"pixel centre along {axis}s"},
-        )
+        axis: measured((axis,), np.arange(float(length)), "pixel", f"pixel centre along {axis}s")
         for axis, length in zip(("row", "col"), shape, strict=True)
     }
 
@@ -186,8 +190,7 @@ def _dimension_lengths(variables: Mapping[str, Variable]) -> dict[str, int]:
         for dim, length in zip(variable.dims, values.shape, strict=True):
             if lengths.setdefault(dim, length) != length:
                 raise DataError(
-                    f"expected {lengths[dim]} along {dim}, got shape {values.shape}",
-                    field=name,
+                    f"expected {lengths[dim]} along {dim}, got shape {values.shape}", field=name
                 )
     return lengths
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.intrinsics import points_m
-from lensshift.core.types import Burst, Estimate, Reconstruction
+from lensshift.core.types import FRAME_FIELDS, Burst, Estimate, Reconstruction
 from lensshift.io.atomic import written_whole
 from lensshift.io.container_writer import to_json
 from lensshift.io.image_file import TIFF_SUFFIXES
@@ -18,17 +18,7 @@ from lensshift.io.intrinsics_fields import intrinsics_fields
 from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
 from lensshift.io.tiff_scale import SOFTWARE
 
-_BURST_ARRAYS = (
-    "amplitude",
-    "distance_m",
-    "valid",
-    "offset_px",
-    "offset_sigma_px",
-    "stage_mm",
-    "stage_commanded_mm",
-    "time_s",
-    "modulation_hz",
-)
+_BURST_ARRAYS = ("amplitude", "offset_px", "modulation_hz", *FRAME_FIELDS)
 
 
 def export_image(
@@ -109,7 +99,7 @@ def export_burst(burst: Burst, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    if _wants_npz(path):
+    if Path(path).suffix.lower() == ".npz":
         fields = {name: getattr(burst, name) for name in _BURST_ARRAYS}
         fields |= {"pitch_mm": burst.grid.pitch_mm, "offset_source": burst.offset_source}
         fields |= intrinsics_fields(burst.intrinsics)
@@ -165,18 +155,14 @@ def export_reconstruction(
     if is_ome(path) or is_fits(path):
         (export_ome if is_ome(path) else export_fits)(reconstruction, path)
         return None
-    if not _wants_npz(path):
+    if Path(path).suffix.lower() != ".npz":
         if not channels:
             raise ValueError("expected a reconstruction with at least one channel, got none")
         image, pitch_mm = next(iter(channels.values())).image, reconstruction.grid.pitch_mm
         return export_image(image, path, bits=bits, pitch_mm=pitch_mm)
-    fields: dict[str, Any] = {
-        "pitch_mm": reconstruction.grid.pitch_mm,
-        "scale": reconstruction.scale,
-        "method": reconstruction.method,
-        "settings": to_json(reconstruction.settings, "settings"),
-        "flying": reconstruction.flying,
-    }
+    fields = {name: getattr(reconstruction, name) for name in ("scale", "method", "flying")}
+    fields |= {"pitch_mm": reconstruction.grid.pitch_mm}
+    fields |= {"settings": to_json(reconstruction.settings, "settings")}
     for name, estimate in channels.items():
         fields |= _estimate_fields("distance_m" if name == "distance" else name, estimate)
     if reconstruction.intrinsics is not None:
@@ -220,16 +206,13 @@ def _write_tiff(
         if max(abs(low), abs(high)) > float(np.finfo(np.float32).max):
             raise ValueError("expected values that float32 can hold; export NPZ")
         values = values.astype(np.float32)
+    tags: dict[str, Any] = {"software": SOFTWARE, "photometric": "minisblack"}
+    if pitch_mm is not None:
+        per_cm = (10 / pitch_mm[1], 10 / pitch_mm[0])
+        tags |= {"resolution": per_cm, "resolutionunit": "CENTIMETER"}
     with written_whole(path) as temporary:
-        tifffile.imwrite(temporary, values, photometric="minisblack", **_scale_tags(pitch_mm))
+        tifffile.imwrite(temporary, values, **tags)
     return finite_range(values)
-
-
-def _scale_tags(pitch_mm: tuple[float, float] | None) -> dict[str, Any]:
-    if pitch_mm is None:
-        return {"software": SOFTWARE}
-    per_cm = (10 / pitch_mm[1], 10 / pitch_mm[0])
-    return {"software": SOFTWARE, "resolution": per_cm, "resolutionunit": "CENTIMETER"}
 
 
 def _write_png(
@@ -250,7 +233,3 @@ def _write_png(
     with written_whole(path) as temporary:
         picture.save(temporary, format="PNG", pnginfo=text)
     return low, high
-
-
-def _wants_npz(path: str | Path) -> bool:
-    return Path(path).suffix.lower() == ".npz"

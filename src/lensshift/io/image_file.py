@@ -49,15 +49,11 @@ def load_frames(path: str | Path) -> NDArray[Any]:
     """
     require_file(path)
     suffix = Path(path).suffix.lower()
+    loaders = {".png": _load_pillow, ".npy": _load_npy, **dict.fromkeys(TIFF_SUFFIXES, _load_tiff)}
+    loaders |= dict.fromkeys(FITS_SUFFIXES, _load_fits)
     with reading(path):
-        if suffix in TIFF_SUFFIXES:
-            return _load_tiff(path)
-        if suffix == ".png":
-            return _load_pillow(path)
-        if suffix == ".npy":
-            return _load_npy(path)
-        if suffix in FITS_SUFFIXES:
-            return _load_fits(path)
+        if suffix in loaders:
+            return loaders[suffix](path)
         if suffix in CONTAINER_SUFFIXES:
             ours = is_hdf5(path)
             raise DataError("no image, but a netCDF file" if ours else "not a netCDF-4/HDF5 file")
@@ -200,24 +196,29 @@ def strict_tifffile() -> Iterator[None]:
 
 
 def _load_pillow(path: str | Path) -> NDArray[Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # Pillow's word for damaged tags
+        with opened_by_pillow(path, "PNG", "TIFF") as image:
+            image.verify()  # checks the checksums, and leaves the image unusable
+        with opened_by_pillow(path, "PNG", "TIFF") as image:
+            count = int(getattr(image, "n_frames", 1))
+            pixels = count * image.width * image.height
+            check_unpacked(_PIXEL_BYTES * pixels, Path(path).stat().st_size, "pages")
+            return np.stack([_pillow_frame(image, number) for number in range(count)])
+
+
+@contextmanager
+def opened_by_pillow(path: str | Path, *formats: str) -> Iterator[Any]:
+    """Open an image of these formats; one that would fill the memory is a `DataError`."""
     from PIL import Image
 
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        warnings.simplefilter("error", UserWarning)  # Pillow's word for damaged tags
         try:
-            with Image.open(path, formats=("PNG", "TIFF")) as image:
-                image.verify()  # checks the checksums, and leaves the image unusable
-            with Image.open(path, formats=("PNG", "TIFF")) as image:
-                pixels = _frame_count(image) * image.width * image.height
-                check_unpacked(_PIXEL_BYTES * pixels, Path(path).stat().st_size, "pages")
-                return np.stack([_pillow_frame(image, n) for n in range(_frame_count(image))])
+            with Image.open(path, formats=formats) as image:
+                yield image
         except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
             raise DataError(f"too large: {error}") from error
-
-
-def _frame_count(image: Any) -> int:
-    return int(getattr(image, "n_frames", 1))
 
 
 def _pillow_frame(image: Any, number: int) -> NDArray[Any]:

@@ -11,7 +11,7 @@ from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io.atomic import written_whole
 from lensshift.io.image_file import FITS_SUFFIXES
-from lensshift.io.picture_layers import PictureLayer, picture_layers
+from lensshift.io.picture_layers import picture_layers
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
@@ -44,7 +44,9 @@ def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
     row_mm, col_mm = value.grid.pitch_mm
     told = {
         "axes": "TCYX" if stack.ndim == 4 else "CYX",
-        "Channel": {"Name": [_label(one) for one in layers]},
+        "Channel": {
+            "Name": [f"{one.name} ({one.unit})" if one.unit else one.name for one in layers]
+        },
         "PhysicalSizeY": 1e3 * row_mm,
         "PhysicalSizeYUnit": "\u00b5m",
         "PhysicalSizeX": 1e3 * col_mm,
@@ -93,33 +95,22 @@ def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
 def _write_wcs(header: Header, value: Burst | Reconstruction) -> None:
     from astropy.wcs import WCS
 
-    row_mm, col_mm = value.grid.pitch_mm
-    plain = WCS(naxis=2)
-    plain.wcs.ctype = ["X", "Y"]
-    plain.wcs.cunit = ["mm", "mm"]
-    plain.wcs.crpix = [1.0, 1.0]
-    plain.wcs.cdelt = [col_mm, row_mm]
+    def cards(kinds: tuple[str, str], unit: str, first: Any, steps: Any) -> Any:
+        told = WCS(naxis=2)
+        told.wcs.ctype, told.wcs.cunit = kinds, (unit, unit)
+        told.wcs.crpix, told.wcs.cdelt = first, steps
+        return told.to_header()
+
+    plain = cards(("X", "Y"), "mm", (1.0, 1.0), value.grid.pitch_mm[::-1])
     seen = value.intrinsics
     straight = isinstance(seen, Pinhole) and not any((seen.k1, seen.k2, seen.p1, seen.p2, seen.k3))
     if isinstance(seen, Pinhole) and straight:
-        angles = WCS(naxis=2)
-        angles.wcs.ctype = ["CMLN-TAN", "CMLT-TAN"]
-        angles.wcs.cunit = ["deg", "deg"]
-        angles.wcs.crval = [0.0, 0.0]
-        angles.wcs.crpix = [seen.cx_px + 1.0, seen.cy_px + 1.0]
-        angles.wcs.cdelt = [float(np.rad2deg(1 / seen.fx_px)), -float(np.rad2deg(1 / seen.fy_px))]
-        header.update(angles.to_header())
-        _as_alternative(header, plain.to_header())
+        steps = np.rad2deg((1 / seen.fx_px, -1 / seen.fy_px))
+        middle = (seen.cx_px + 1.0, seen.cy_px + 1.0)
+        header.update(cards(("CMLN-TAN", "CMLT-TAN"), "deg", middle, steps))
+        for name in ("CRPIX", "CDELT", "CUNIT", "CTYPE", "CRVAL"):
+            for key in (f"{name}1", f"{name}2"):
+                if key in plain:
+                    header[f"{key}A"] = plain[key]
     else:
-        header.update(plain.to_header())
-
-
-def _as_alternative(header: Header, cards: Any) -> None:
-    for name in ("CRPIX", "CDELT", "CUNIT", "CTYPE", "CRVAL"):
-        for axis in (1, 2):
-            if f"{name}{axis}" in cards:
-                header[f"{name}{axis}A"] = cards[f"{name}{axis}"]
-
-
-def _label(layer: PictureLayer) -> str:
-    return f"{layer.name} ({layer.unit})" if layer.unit else layer.name
+        header.update(plain)

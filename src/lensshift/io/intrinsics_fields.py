@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.intrinsics import Intrinsics, Pinhole, PixelDirections
-from lensshift.io.container_writer import Variable
+from lensshift.io.container_reader import Container
+from lensshift.io.container_writer import Variable, measured
 
 _COUNTS = {"focal_px": 2, "centre_px": 2, "distortion": 5}
 NAMES = (*_COUNTS, "direction")
@@ -36,8 +37,8 @@ def intrinsics_variables(intrinsics: Intrinsics | None) -> dict[str, Variable]:
     """Return the variables of a container: directions of pixels, if there are any."""
     if not isinstance(intrinsics, PixelDirections):
         return {}
-    described = {"units": "1", "long_name": "direction of the pixel: right, down, forward"}
-    return {"direction": Variable(("row", "col", "xyz"), intrinsics.direction, described)}
+    dims, meaning = ("row", "col", "xyz"), "direction of the pixel: right, down, forward"
+    return {"direction": measured(dims, intrinsics.direction, "1", meaning)}
 
 
 def intrinsics_attributes(intrinsics: Intrinsics | None) -> dict[str, NDArray[np.float64]]:
@@ -64,6 +65,11 @@ def intrinsics_of_fields(fields: Mapping[str, Any]) -> Intrinsics | None:
         raise
     except (TypeError, ValueError) as error:
         raise DataError(str(error), field="intrinsics") from error
+
+
+def read_intrinsics(container: Container) -> Intrinsics | None:
+    """Return where the pixels look by the fields of a container; `DataError` as above."""
+    return intrinsics_of_fields(container.fields(NAMES))
 
 
 def _numbers(fields: Mapping[str, Any], name: str, count: int) -> list[float]:

@@ -11,7 +11,7 @@ from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import LensField
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import Variable, sealed_text, to_json, write_container
+from lensshift.io.container_writer import Variable, measured, sealed_text, to_json, write_container
 
 SCHEMA = "lensshift-lens-field/1"
 _NUMBERS = ("shift_error_px", "spot_error_px", "contrast_error")
@@ -29,14 +29,10 @@ def save_lens_field(field: LensField, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    variables = {
-        name: Variable(
-            (*(f"{name}_{axis}" for axis in ("row", "col", "state_row", "state_col")), "axis"),
-            getattr(field, own),
-            {"units": units, "long_name": meaning},
-        )
-        for name, (own, units, meaning) in _COEFFICIENTS.items()
-    }
+    variables: dict[str, Variable] = {}
+    for name, (own, units, meaning) in _COEFFICIENTS.items():
+        dims = *(f"{name}_{axis}" for axis in ("row", "col", "state_row", "state_col")), "axis"
+        variables[name] = measured(dims, getattr(field, own), units, meaning)
     write_container(
         path,
         schema=SCHEMA,

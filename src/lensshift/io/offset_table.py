@@ -111,17 +111,13 @@ def _csv_row(header: list[str], cells: list[str], line: str) -> dict[str, float]
         raise DataError(f"expected {len(header)} values, got {len(cells)}", field=line)
     row: dict[str, float] = {}
     for name, cell in zip(header, cells, strict=True):
-        row[name] = _number_or_nan(cell)
+        try:
+            row[name] = float(cell)
+        except ValueError:
+            row[name] = math.nan
         if not math.isfinite(row[name]):
             raise DataError(f"expected a finite number, got {cell!r:.40}", field=f"{line}, {name}")
     return row
-
-
-def _number_or_nan(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan
 
 
 def _from_json(text: str) -> OffsetTable:
@@ -133,10 +129,8 @@ def _from_json(text: str) -> OffsetTable:
         raise DataError(f"expected only {', '.join(_JSON_FIELDS)}", field=f"{unknown[0]:.40}")
     source = content.get("offset_source", "planned")
     if source not in OFFSET_SOURCES:
-        raise DataError(
-            f"expected one of {', '.join(OFFSET_SOURCES)}, got {source!r:.40}",
-            field="offset_source",
-        )
+        problem = f"expected one of {', '.join(OFFSET_SOURCES)}, got {source!r:.40}"
+        raise DataError(problem, field="offset_source")
     return OffsetTable(
         _json_pairs(content, "offset_px"),
         _json_pairs(content, "offset_sigma_px") if "offset_sigma_px" in content else None,

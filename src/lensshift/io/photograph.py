@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from lensshift.io.image_file import (
     TIFF_SUFFIXES,
     TIFFFILE_COMPRESSIONS,
     load_frames,
+    opened_by_pillow,
     strict_tifffile,
 )
 from lensshift.io.reading import check_unpacked, reading, require_file
@@ -100,18 +100,11 @@ def _colour_tiff(path: str | Path) -> NDArray[Any] | None:
 
 def _colour_pillow(path: str | Path) -> NDArray[Any] | None:
     """Return [row col 3] of a JPEG, or of a PNG of colours of 8 bits; None if it is grey."""
-    from PIL import Image
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
-        try:
-            with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
-                size = Path(path).stat().st_size
-                check_unpacked(_COLOURS * image.width * image.height, size, "pixels")
-                if image.format == "JPEG":
-                    return np.asarray(image.convert("RGB"))
-                if image.mode != "RGB" or any("16" in str(tile[3]) for tile in image.tile):
-                    return None
-                return np.asarray(image)
-        except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
-            raise DataError(f"too large: {error}") from error
+    with opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
+        size = Path(path).stat().st_size
+        check_unpacked(_COLOURS * image.width * image.height, size, "pixels")
+        if image.format == "JPEG":
+            return np.asarray(image.convert("RGB"))
+        if image.mode != "RGB" or any("16" in str(tile[3]) for tile in image.tile):
+            return None
+        return np.asarray(image)

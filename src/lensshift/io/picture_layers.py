@@ -14,7 +14,7 @@ from lensshift.core.types import Burst, Reconstruction
 
 LayerTuple = tuple[NDArray[Any], dict[str, Any], str]
 _UNITS = {"amplitude": "", "distance": "m"}
-_COLOURS = {"amplitude": "gray", "distance": "viridis"}
+COLOURS = {"amplitude": "gray", "distance": "viridis"}  # of the maps that show a channel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +87,7 @@ def napari_layers(value: Burst | Reconstruction) -> list[LayerTuple]:
         if one.values.dtype == np.bool_:
             layers.append((one.values.astype(np.uint8), options, "labels"))
             continue
-        colours = _COLOURS.get(one.name, "magma")
+        colours = COLOURS.get(one.name, "magma")
         layers.append((one.values, options | {"colormap": colours}, "image"))
     return layers
 

@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.io.atomic import writable_target
+from lensshift.io.atomic import GrowingFile, writable_target
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import Allocated, Variable, sealed_text, write_hdf5
+from lensshift.io.container_writer import Allocated, Variable, measured, sealed_text, write_hdf5
 
 WRITTEN = "written"
 
 
-class PiecewiseFile:
+class PiecewiseFile(GrowingFile):
     """A container whose first dimension is filled in pieces; use `begin`, in a `with` block.
 
     Parameters
@@ -42,8 +42,8 @@ class PiecewiseFile:
         spaces: Mapping[str, Allocated],
         written: NDArray[np.bool_],
     ) -> None:
-        self.written = written
-        self._target, self._part, self._file = target, part, file
+        super().__init__(file)
+        self.written, self._target, self._part = written, target, part
         self._starts, self._spaces = dict(starts), dict(spaces)
 
     @classmethod
@@ -74,9 +74,9 @@ class PiecewiseFile:
         target = writable_target(path)
         part = target.with_name(f"{target.name}.part")
         first = next(iter(variables.values()))
-        said = {"units": "1", "long_name": "1 where the piece was written"}
         space = Allocated((first.values.shape[0],), np.dtype("<u1"))
-        variables = {**variables, WRITTEN: Variable((first.dims[0],), space, said)}
+        written = measured((first.dims[0],), space, "1", "1 where the piece was written")
+        variables = {**variables, WRITTEN: written}
         spaces = {k: v.values for k, v in variables.items() if isinstance(v.values, Allocated)}
         if not part.exists():
             _check_room(target, spaces)
@@ -90,14 +90,14 @@ class PiecewiseFile:
                 )
                 raise DataError(problem, source=path)
             starts = {name: container.start_of(name) for name in spaces}
-            written = container.array(WRITTEN) != 0
+            there = container.array(WRITTEN) != 0
         file = part.open("r+b", buffering=0)
         try:
             lock(file, part)
         except DataError:
             file.close()
             raise
-        return cls(target, part, file, starts, spaces, written)
+        return cls(target, part, file, starts, spaces, there)
 
     def write(self, first: int, pieces: Mapping[str, NDArray[Any]]) -> None:
         """Write consecutive pieces of all arrays; they count once all of them are there.
@@ -122,18 +122,14 @@ class PiecewiseFile:
                     f"expected {(count, *space.shape[1:])}, got {np.shape(values)}", field=name
                 )
             stride = int(np.prod(space.shape[1:])) * space.dtype.itemsize
-            self._put(self._starts[name] + first * stride, np.asarray(values, space.dtype))
+            try:
+                self._file.seek(self._starts[name] + first * stride)
+                self._put(memoryview(np.asarray(values, space.dtype).tobytes()))
+            except OSError as error:
+                kept = f"{int(self.written.sum())} pieces are kept"
+                problem = f"cannot write: {error.strerror}; {kept}"
+                raise DataError(problem, source=self._part) from error
         self.written[first : first + count] = True
-
-    def _put(self, at: int, values: NDArray[Any]) -> None:
-        data = memoryview(values.tobytes())
-        try:
-            self._file.seek(at)
-            while data:
-                data = data[self._file.write(data) :]
-        except OSError as error:
-            problem = f"cannot write: {error.strerror}; {int(self.written.sum())} pieces are kept"
-            raise DataError(problem, source=self._part) from error
 
     def finish(self) -> Path:
         """Give the file its name.
@@ -148,16 +144,6 @@ class PiecewiseFile:
             raise DataError(f"{missing} pieces are missing", source=self._part)
         self._file.close()
         return self._part.replace(self._target)
-
-    def close(self) -> None:
-        """Let go of the file; a second call does nothing."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _allocate(

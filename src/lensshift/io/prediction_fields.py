@@ -24,7 +24,7 @@ from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.io.container_reader import Container
-from lensshift.io.container_writer import Variable
+from lensshift.io.container_writer import Variable, measured
 
 _FRAME = ("burst_frame",)
 _PIXEL = (*_FRAME, "lr_row", "lr_col")
@@ -39,18 +39,14 @@ def prediction_variables(channels: Mapping[str, Estimate]) -> dict[str, Variable
         if not isinstance(plain, FramePredictor):
             continue
         for index, axis in enumerate(("row", "col")):
-            described = {"units": "pixel", "long_name": f"image offset along {axis}s"}
-            variables[f"seen_offset_{axis}"] = Variable(
-                _FRAME, plain.offset_px[:, index], described
-            )
-            if plain.shift_field_px is not None:
-                values = plain.shift_field_px[..., index]
-                variables[f"seen_shift_{axis}"] = Variable(_PIXEL, values, described)
-            if plain.spot_px2 is not None:
-                described = {"units": "pixel2", "long_name": f"variance of the spot along {axis}s"}
-                variables[f"seen_spot_{axis}"] = Variable(
-                    _PIXEL, plain.spot_px2[..., index], described
-                )
+            for what, dims, pairs, unit, meaning in (
+                ("offset", _FRAME, plain.offset_px, "pixel", "image offset"),
+                ("shift", _PIXEL, plain.shift_field_px, "pixel", "image offset"),
+                ("spot", _PIXEL, plain.spot_px2, "pixel2", "variance of the spot"),
+            ):
+                if pairs is not None:
+                    one = measured(dims, pairs[..., index], unit, f"{meaning} along {axis}s")
+                    variables[f"seen_{what}_{axis}"] = one
         variables[f"{name}_gain"] = Variable(_FRAME, plain.gain, {"units": "1"})
         variables[f"{name}_bias"] = Variable(_FRAME, plain.bias)
     return variables

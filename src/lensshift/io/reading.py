@@ -22,26 +22,10 @@ if TYPE_CHECKING:
 CONTAINER_SUFFIXES = (".nc", ".nc4", ".h5", ".hdf5")
 # What h5py, tifffile, Pillow and NumPy raise when a file is damaged.
 _READ_ERRORS = (
-    OSError,
-    EOFError,
-    RuntimeError,
-    ValueError,
-    TypeError,
-    LookupError,
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    BufferError,
-    MemoryError,
-    SyntaxError,
-    SystemError,
-    UserWarning,
-    csv.Error,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+    OSError, EOFError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError,
+    AssertionError, AttributeError, BufferError, MemoryError, SyntaxError, SystemError, UserWarning,
+    csv.Error, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 _DEFLATE_LIMIT = 1100  # zlib cannot shrink data by more than a factor of 1032
 # Measured frames shrink by 10 at most, flags and other constants by 1000, but beside frames.
 _UNPACKED_LIMIT = 100
@@ -93,10 +77,9 @@ def memory_limit(limit_bytes: int | None) -> Iterator[None]:
 
 def check_unpacked(claimed_bytes: int, file_bytes: int, field: str) -> None:
     """Raise a `DataError` if a file asks for more memory than it may have, see `memory_limit`."""
-    allowed = _allowed_bytes.get()
-    limit = (
-        max(_ALWAYS_UNPACKED_BYTES, _UNPACKED_LIMIT * file_bytes) if allowed is None else allowed
-    )
+    limit = _allowed_bytes.get()
+    if limit is None:
+        limit = max(_ALWAYS_UNPACKED_BYTES, _UNPACKED_LIMIT * file_bytes)
     if claimed_bytes > limit:
         raise DataError(
             f"expected at most {limit} bytes of memory for a file of {file_bytes}, got "

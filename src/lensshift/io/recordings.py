@@ -103,9 +103,8 @@ def read_bag(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagImag
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise ImportError(
-            "reading bags needs rosbags: pip install 'lensshift[recordings]'"
-        ) from error
+        problem = "reading bags needs rosbags: pip install 'lensshift[recordings]'"
+        raise ImportError(problem) from error
     if not Path(path).is_dir():
         require_file(path)
     try:
@@ -113,23 +112,16 @@ def read_bag(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagImag
             reading(path),
             AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag,
         ):
-            wanted = [
-                one
-                for one in bag.connections
-                if one.msgtype == "sensor_msgs/msg/Image" and (not topics or one.topic in topics)
-            ]
+            kinds = [one for one in bag.connections if one.msgtype == "sensor_msgs/msg/Image"]
+            wanted = [one for one in kinds if not topics or one.topic in topics]
             for connection, stamp_ns, data in bag.messages(wanted) if wanted else ():
                 message = bag.deserialize(data, connection.msgtype)
-                image = _image(message)
+                image, stamp = _image(message), message.header.stamp
+                time_s = float(stamp.sec + stamp.nanosec * 1e-9) or stamp_ns * 1e-9
                 if image is not None:
-                    yield BagImage(_time_s(message, stamp_ns), connection.topic, image)
+                    yield BagImage(time_s, connection.topic, image)
     except AnyReaderError as error:
         raise DataError(f"cannot read this bag: {error}", source=path) from error
-
-
-def _time_s(message: Any, recorded_ns: int) -> float:
-    stamp = message.header.stamp
-    return float(stamp.sec + stamp.nanosec * 1e-9) or recorded_ns * 1e-9
 
 
 def _image(message: Any) -> NDArray[Any] | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import BinaryIO, NamedTuple
 
 from lensshift.core.errors import DataError, QualityWarning
@@ -66,9 +65,7 @@ def read_packets(file: BinaryIO, name: str) -> Iterator[Packet]:
             yield packet
     except _CutOffError:
         warnings.warn(
-            f"{name}: the file is cut off after {count} packets",
-            QualityWarning,
-            stacklevel=3,
+            f"{name}: the file is cut off after {count} packets", QualityWarning, stacklevel=3
         )
 
 
@@ -96,8 +93,7 @@ def _pcap(file: BinaryIO, order: str, tick_s: float) -> Iterator[Packet]:
         yield Packet(seconds + ticks * tick_s, link, _take(file, size))
 
 
-@dataclass(frozen=True, slots=True)
-class _Interface:
+class _Interface(NamedTuple):
     link: int
     tick_s: float
     start_s: int
@@ -122,10 +118,8 @@ def _pcapng(file: BinaryIO) -> Iterator[Packet]:
         _check_size(size, read + 4, file.tell())
         body = _take(file, size - read)
         if body[-4:] != size_bytes:
-            raise DataError(
-                f"damaged: the two sizes of a block differ before byte {file.tell()}",
-                field="packet",
-            )
+            problem = f"damaged: the two sizes of a block differ before byte {file.tell()}"
+            raise DataError(problem, field="packet")
         number = 0 if kind == _SECTION else struct.unpack(order + "I", kind)[0]
         if number == _INTERFACE and len(interfaces) < _MAX_INTERFACES:
             interfaces.append(_interface(body[:-4], order))

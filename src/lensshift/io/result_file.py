@@ -18,6 +18,7 @@ HR grid. For each channel `c`, which is `amplitude` or `distance`:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,24 +29,16 @@ from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.io import container_writer as writer
 from lensshift.io.container_reader import Container, open_container
-from lensshift.io.container_writer import (
-    Variable,
-    flag_attributes,
-    pixel_centres,
-    sealed_text,
-    to_json,
-    write_container,
-)
 from lensshift.io.intrinsics_fields import (
-    NAMES,
     intrinsics_attributes,
-    intrinsics_of_fields,
     intrinsics_variables,
+    read_intrinsics,
 )
 
 SCHEMA = "lensshift-reconstruction/1"
-_AXES = ("row", "col")
+_AXES, _LR_AXES = ("row", "col"), ("frame", "lr_row", "lr_col")
 # Channel -> unit, what it is
 CHANNELS = {"amplitude": ("1", "amplitude"), "distance": ("m", "radial distance, camera frame")}
 _FLYING = np.uint8(1)
@@ -63,26 +56,26 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
     """
     from lensshift.io.prediction_fields import prediction_variables
 
-    variables: dict[str, Variable] = {}
+    variables: dict[str, writer.Variable] = {}
     for name, estimate in reconstruction.channels.items():
         variables |= _channel_variables(name, estimate)
     variables |= prediction_variables(reconstruction.channels)
     if reconstruction.flying is not None:
         flags = np.where(reconstruction.flying, _FLYING, np.uint8(0))
-        variables["flags"] = Variable(_AXES, flags, flag_attributes("flying"))
+        variables["flags"] = writer.Variable(_AXES, flags, writer.flag_attributes("flying"))
     try:
         if not variables:
             raise DataError("there is neither an amplitude nor a distance channel")
-        settings = to_json(reconstruction.settings, "settings")
+        settings = writer.to_json(reconstruction.settings, "settings")
     except DataError as error:
         raise error.in_file(path) from error
-    write_container(
+    writer.write_container(
         path,
         schema=SCHEMA,
         axes=_AXES,
         variables=variables
         | intrinsics_variables(reconstruction.intrinsics)
-        | pixel_centres(reconstruction.grid.shape),
+        | writer.pixel_centres(reconstruction.grid.shape),
         attributes=picture_attributes(
             reconstruction.grid,
             reconstruction.intrinsics,
@@ -100,8 +93,8 @@ def picture_attributes(
     return {
         "pitch_mm": np.asarray(grid.pitch_mm, dtype=np.float64),
         "scale": np.int64(scale),
-        "method": sealed_text(method),
-        "settings": sealed_text(settings),
+        "method": writer.sealed_text(method),
+        "settings": writer.sealed_text(settings),
         **intrinsics_attributes(intrinsics),
     }
 
@@ -125,72 +118,53 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
         if not images:
             raise DataError("the variable is missing, and so is distance", field="amplitude")
         if images[0].shape != images[-1].shape:
-            raise DataError(
-                f"expected shape {images[0].shape} like amplitude, got {images[-1].shape}",
-                field="distance",
-            )
+            problem = f"expected shape {images[0].shape} like amplitude, got {images[-1].shape}"
+            raise DataError(problem, field="distance")
         scale = container.number("scale")
         if scale is None or scale < 1 or scale != int(scale):
             raise DataError(f"expected a whole number from 1, got {scale}", field="scale")
         settings = container.mapping("settings")
         channels = with_predictions(container, channels, int(scale), settings)
-        return Reconstruction(
-            amplitude=channels.get("amplitude"),
-            distance_m=channels.get("distance"),
-            grid=picture_grid(container, images[0].shape),
-            scale=int(scale),
-            method=container.text("method"),
-            settings=settings,
-            flying=_read_flying(container, images[0].shape),
-            intrinsics=intrinsics_of_fields(container.fields(NAMES)),
-        )
+        flying = _read_flying(container, images[0].shape)
+        return read_picture(container, channels, int(scale), settings, flying)
 
 
-def _channel_variables(name: str, estimate: Estimate) -> dict[str, Variable]:
+def _channel_variables(name: str, estimate: Estimate) -> dict[str, writer.Variable]:
     from lensshift.io.prediction_fields import phase_attributes
 
     units, label = CHANNELS[name]
     described: dict[str, Any] = {
-        "units": units,
-        "long_name": label,
-        "status": sealed_text(estimate.status.name.lower()),
-        "notes": sealed_text(to_json(estimate.notes, f"{name}@notes")),
+        "status": writer.sealed_text(estimate.status.name.lower()),
+        "notes": writer.sealed_text(writer.to_json(estimate.notes, f"{name}@notes")),
     }
     for number in _NUMBERS:
         value = getattr(estimate, number)
         described[number] = None if value is None else np.float64(value)
     described |= phase_attributes(estimate)
-    variables = {name: Variable(_AXES, np.asarray(estimate.image), described)}
+    variables = {name: writer.measured(_AXES, estimate.image, units, label, **described)}
     maps = {
         "std": (estimate.std, units, f"standard deviation of {label}"),
         "misfit": (estimate.misfit, "1", f"mean square residual of {label} in units of its noise"),
     }
     for part, (values, unit, meaning) in maps.items():
         if values is not None:
-            described = {"units": unit, "long_name": meaning}
-            variables[f"{name}_{part}"] = Variable(_AXES, np.asarray(values), described)
+            variables[f"{name}_{part}"] = writer.measured(_AXES, values, unit, meaning)
     if estimate.confidence is not None:
-        variables[f"{name}_confidence"] = Variable(
-            ("frame", "lr_row", "lr_col"),
-            np.asarray(estimate.confidence),
-            {"units": "1", "long_name": f"weight of the LR pixels of {label}"},
+        meaning = f"weight of the LR pixels of {label}"
+        variables[f"{name}_confidence"] = writer.measured(
+            _LR_AXES, estimate.confidence, "1", meaning
         )
     if estimate.objective:
-        variables[f"{name}_objective"] = Variable(
-            (f"{name}_iteration",),
-            np.asarray(estimate.objective, dtype=np.float64),
-            {"units": "1", "long_name": f"objective of {label} after each iteration"},
-        )
+        steps, meaning = (f"{name}_iteration",), f"objective of {label} after each iteration"
+        objective = np.asarray(estimate.objective, dtype=np.float64)
+        variables[f"{name}_objective"] = writer.measured(steps, objective, "1", meaning)
     return variables
 
 
 def _read_flying(container: Container, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
     if not container.has("flags"):
         return None
-    flags = container.array("flags", kinds="ui")
-    if flags.shape != shape:
-        raise DataError(f"expected shape {shape}, got {flags.shape}", field="flags")
-    return np.asarray((flags & _FLYING) != 0)
+    return np.asarray((container.array("flags", kinds="ui", shape=shape) & _FLYING) != 0)
 
 
 def _read_channel(container: Container, name: str) -> Estimate:
@@ -204,11 +178,7 @@ def _read_channel(container: Container, name: str) -> Estimate:
     optional["notes"] = container.mapping("notes", of=name)
     for part, attribute in (("std", "uncertainty"), ("misfit", "misfit")):
         if container.has(f"{name}_{part}"):
-            values = container.array(f"{name}_{part}", kinds="f")
-            if values.shape != image.shape:
-                raise DataError(
-                    f"expected shape {image.shape}, got {values.shape}", field=f"{name}_{part}"
-                )
+            values = container.array(f"{name}_{part}", kinds="f", shape=image.shape)
             optional[attribute] = values
     if container.has(f"{name}_confidence"):
         optional["confidence"] = container.array(f"{name}_confidence", kinds="f")
@@ -228,10 +198,20 @@ def _status(container: Container, name: str) -> Status:
     return names[text]
 
 
-def picture_grid(container: Container, shape: tuple[int, ...]) -> Grid:
-    """Return the HR grid of a file of pictures."""
+def read_picture(
+    container: Container,
+    channels: Mapping[str, Estimate],
+    scale: int,
+    settings: Mapping[str, Any],
+    flying: NDArray[np.bool_] | None,
+) -> Reconstruction:
+    """Return channels with what a file of pictures says of all of them."""
+    amplitude, distance = channels.get("amplitude"), channels.get("distance")
+    rows, cols = next(iter(channels.values())).image.shape
     pitch_mm = container.number_pair("pitch_mm")
     try:
-        return Grid((int(shape[0]), int(shape[1])), pitch_mm)
+        grid = Grid((rows, cols), pitch_mm)
     except ValueError as error:
         raise DataError(str(error), field="pitch_mm") from error
+    of_all = (container.text("method"), settings, flying, read_intrinsics(container))
+    return Reconstruction(amplitude, distance, grid, scale, *of_all)

@@ -25,17 +25,11 @@ from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.io import container_writer as writer
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import (
-    Allocated,
-    Variable,
-    flag_attributes,
-    pixel_centres,
-    to_json,
-)
-from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields, intrinsics_variables
+from lensshift.io.intrinsics_fields import intrinsics_variables
 from lensshift.io.piecewise_file import PiecewiseFile
-from lensshift.io.result_file import CHANNELS, picture_attributes, picture_grid
+from lensshift.io.result_file import CHANNELS, picture_attributes, read_picture
 
 SCHEMA = "lensshift-sequence/1"
 _AXES = ("window", "row", "col")
@@ -73,22 +67,22 @@ def begin_sequence(
     DataError
         As `PiecewiseFile.begin`.
     """
-    variables: dict[str, Variable] = {}
+    variables: dict[str, writer.Variable] = {}
     for channel in channels:
         units, label = CHANNELS[channel]
         for part, meaning in (("", label), ("_std", f"standard deviation of {label}")):
             described: dict[str, Any] = {"units": units, "long_name": meaning}
             variables[channel + part] = _space((windows, *grid.shape), "<f4", described)
     if flying:
-        variables["flags"] = _space((windows, *grid.shape), "<u1", flag_attributes("flying"))
+        variables["flags"] = _space((windows, *grid.shape), "<u1", writer.flag_attributes("flying"))
     for name, (dtype, units, meaning) in _NUMBERS.items():
         variables[name] = _space((windows,), dtype, {"units": units, "long_name": meaning})
-    said = to_json(settings, "settings")
+    said = writer.to_json(settings, "settings")
     return PiecewiseFile.begin(
         path,
         schema=SCHEMA,
         axes=_AXES,
-        variables=variables | intrinsics_variables(intrinsics) | pixel_centres(grid.shape),
+        variables=variables | intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape),
         attributes=picture_attributes(grid, intrinsics, scale=scale, method=method, settings=said),
         begun=said,
     )
@@ -143,18 +137,10 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
         if not channels:
             raise DataError("there is neither an amplitude nor a distance channel")
         flying = container.array("flags", part=one)[0] != 0 if container.has("flags") else None
-        shape = next(iter(channels.values())).image.shape
-        return Reconstruction(
-            amplitude=channels.get("amplitude"),
-            distance_m=channels.get("distance"),
-            grid=picture_grid(container, shape),
-            scale=int(container.number("scale") or 1),
-            method=container.text("method"),
-            settings=container.mapping("settings") | {"window": number},
-            flying=flying,
-            intrinsics=intrinsics_of_fields(container.fields(NAMES)),
-        )
+        scale = int(container.number("scale") or 1)
+        settings = container.mapping("settings") | {"window": number}
+        return read_picture(container, channels, scale, settings, flying)
 
 
-def _space(shape: tuple[int, ...], dtype: str, described: Mapping[str, Any]) -> Variable:
-    return Variable(_AXES[: len(shape)], Allocated(shape, np.dtype(dtype)), described)
+def _space(shape: tuple[int, ...], dtype: str, described: Mapping[str, Any]) -> writer.Variable:
+    return writer.Variable(_AXES[: len(shape)], writer.Allocated(shape, np.dtype(dtype)), described)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,18 +41,15 @@ class Recording:
         """Write a frame; return whether it belongs here, which one of another plan does not."""
         if shot.plan is not self._plan:
             return False
-        self._file.append(
-            FrameRecord(
-                step=shot.place,
-                amplitude=shot.frame.amplitude,
-                valid=shot.frame.valid,
-                offset_px=np.asarray(shot.offset_px),
-                time_s=shot.frame.time_s,
-                distance_m=shot.frame.distance_m,
-                stage_mm=shot.stage_mm,
-                stage_commanded_mm=shot.commanded_mm,
-            )
+        seen = {one.name: getattr(shot.frame, one.name) for one in fields(shot.frame)}
+        record = FrameRecord(
+            step=shot.place,
+            offset_px=np.asarray(shot.offset_px),
+            stage_mm=shot.stage_mm,
+            stage_commanded_mm=shot.commanded_mm,
+            **seen,
         )
+        self._file.append(record)
         self._file.frames.clear()  # they are on disk; a long recording shall not fill memory
         self.count += 1
         return True
@@ -88,13 +85,10 @@ def save_snapshot(picture: Picture, folder: Path) -> tuple[Path, ...]:
     frames, preview = result.with_name(f"{result.stem}-frames.nc"), result.with_suffix(".png")
     save_burst(picture.window, frames)
     save_reconstruction(picture.result, result)
-    shown = {"one frame": one_frame(picture), picture.settings.method: _images(picture)}
+    images = {name: np.abs(one.image) for name, one in picture.result.channels.items()}
+    shown = {"one frame": one_frame(picture), picture.settings.method: images}
     save_shots(shown, f"{picture.window.frame_count} frames", preview)
     return result, frames, preview
-
-
-def _images(picture: Picture) -> dict[str, np.ndarray[Any, Any]]:
-    return {name: np.abs(one.image) for name, one in picture.result.channels.items()}
 
 
 def unused(folder: Path, name: str, ending: str) -> Path:

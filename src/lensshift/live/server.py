@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import asynccontextmanager, suppress
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,30 +92,22 @@ class Pages:
         """Return what the page is told, with or without a picture."""
         live, now_s = self._live, time.monotonic()
         places = 0 if picture is None else picture.shot.plan.frame_count
-        frames_hz = live.arrived.per_s()
         recording, shift = live.recording, self._shift
         head: dict[str, Any] = {
             "number": 0 if picture is None else picture.number,
             "source": live.source.name,
             "pattern": live.source.pattern,
-            "settings": {
-                "scale": live.settings.scale,
-                "method": live.settings.method,
-                "blur_px": live.settings.blur_px,
-            },
+            "settings": asdict(live.settings),
             "problem": live.problem,
             "warning": live.warning,
             "ended": live.ended,
-            "recording": None
-            if recording is None
-            else {"name": recording.path.name, "frames": recording.count},
+            "recording": recording and {"name": recording.path.name, "frames": recording.count},
             "numbers": {
-                "frames_hz": round(frames_hz, 2),
+                "frames_hz": round(live.arrived.per_s(), 2),
                 "bursts_hz": round(live.visited.per_s() / places, 2) if places else None,
                 "pictures_hz": round(live.solved.per_s(), 2),
-                "shift": None
-                if shift is None
-                else {
+                "shift": shift
+                and {
                     "rms_px": round(shift["rms_px"], 5),
                     "sigma_px": round(shift["sigma_px"], 5),
                     "ago_s": round(now_s - shift["at_s"], 1),
@@ -171,11 +164,7 @@ class Pages:
 
     async def change(self, request: Request) -> Response:
         """Change a setting, or begin or end a recording."""
-        try:
-            wanted = await _asked(request)
-            await asyncio.to_thread(control, self._live, wanted, self._folder)
-        except FAILURES as error:
-            return _json({"error": str(error)}, 400)
+        await asyncio.to_thread(control, self._live, await _asked(request), self._folder)
         return _json(self.head(None) | {"number": None})
 
     async def snapshot(self, _: Request) -> Response:
@@ -183,11 +172,8 @@ class Pages:
         picture = self._live.picture
         if picture is None:
             return _json({"error": "no picture yet"}, 409)
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            files = await asyncio.to_thread(save_snapshot, picture, self._folder)
-        except FAILURES as error:
-            return _json({"error": str(error)}, 400)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        files = await asyncio.to_thread(save_snapshot, picture, self._folder)
         return _json({"files": [path.name for path in files]})
 
     async def edge(self, request: Request) -> Response:
@@ -195,11 +181,8 @@ class Pages:
         picture, pool = self._live.picture, self._pool
         if picture is None or pool is None:
             return _json({"error": "no picture yet"}, 409)
-        try:
-            box = box_of((await _asked(request)).get("box"), picture.result.grid.shape)
-            images = _edge_images(picture)
-        except FAILURES as error:
-            return _json({"error": str(error)}, 400)
+        box = box_of((await _asked(request)).get("box"), picture.result.grid.shape)
+        images = _edge_images(picture)
         scale, pitch_mm = picture.result.scale, float(np.mean(picture.window.grid.pitch_mm))
         coarse = (box[0] // scale, -(-box[1] // scale), box[2] // scale, -(-box[3] // scale))
         loop, found, most_lpmm = asyncio.get_running_loop(), {}, 0.6 * scale / pitch_mm
@@ -233,13 +216,12 @@ def _about(picture: Picture, now_s: float) -> dict[str, Any]:
     result, residual = picture.result, residual_over_noise(picture.result)
     return {
         "made": {
+            **{name: result.settings.get(name) for name in ("pace", "event")},
+            "psf_px": result.settings.get("psf_sigma_px"),
             "scale": result.scale,
             "method": result.method,
-            "pace": result.settings.get("pace"),
-            "event": result.settings.get("event"),
             "frames": picture.window.frame_count,
             "places": picture.shot.plan.frame_count,
-            "psf_px": result.settings.get("psf_sigma_px"),
         },
         "one_offset_px": picture.shot.offset_px.tolist(),
         "pitch_mm": list(result.grid.pitch_mm),
@@ -277,6 +259,10 @@ def _json(content: dict[str, Any], status: int = 200) -> Response:
     return JSONResponse(content, status)
 
 
+def _refused(_: Request, error: Exception) -> Response:
+    return _json({"error": str(error)}, 400)
+
+
 def make_app(live: Live, token: str, folder: Path) -> ASGIApp:
     """Return the application behind its gate.
 
@@ -302,7 +288,9 @@ def make_app(live: Live, token: str, folder: Path) -> ASGIApp:
         Route("/edge", pages.edge, methods=["POST"]),
         Mount("/", StaticFiles(directory=files, html=True)),
     ]
-    return Gate(Starlette(routes=routes, lifespan=pages.lifespan), token)
+    refusals = dict.fromkeys(FAILURES, _refused)
+    app = Starlette(routes=routes, lifespan=pages.lifespan, exception_handlers=refusals)
+    return Gate(app, token)
 
 
 MISSING = "the live page needs a web server: python -m pip install 'lensshift[live]'"

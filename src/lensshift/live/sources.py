@@ -103,6 +103,12 @@ class _AnyPlan:
     def _checked(self, pattern: str) -> ShiftPlan:
         return named_plan(pattern)
 
+    def _template(self, plan: ShiftPlan, camera: Any, blur_px: float | None) -> Burst:
+        known = getattr(camera, "intrinsics", None)
+        return template_of(
+            plan.target_px, camera.grid, camera.modulation_hz, known, blur_px, plan.name
+        )
+
 
 class RigSource(_AnyPlan):
     """Frames of an open rig; each began after the stage had settled."""
@@ -123,21 +129,11 @@ class RigSource(_AnyPlan):
             with closing(self._rig.frames(plan)) as records:  # type: ignore[type-var]
                 for record in records:
                     if template is None:  # where the pixels look comes with the frames
-                        template = self._template(plan)
+                        blur_px = self._rig.calibration.psf_sigma_px
+                        template = self._template(plan, self._rig.camera, blur_px)
                     yield _of_record(record, template)
                     if self._plan is not plan:
                         break
-
-    def _template(self, plan: ShiftPlan) -> Burst:
-        camera, calibration = self._rig.camera, self._rig.calibration
-        return template_of(
-            plan.target_px,
-            camera.grid,
-            camera.modulation_hz,
-            getattr(camera, "intrinsics", None),
-            calibration.psf_sigma_px,
-            plan.name,
-        )
 
 
 class SimulatedSource(_AnyPlan):
@@ -166,10 +162,8 @@ class SimulatedSource(_AnyPlan):
 
     def shots(self) -> Iterator[Shot]:
         """Yield frames at their rate; what is late is not caught up with."""
-        plan, template = self._plan, self._template(self._plan)
         while True:
-            if self._plan is not plan:
-                plan, template = self._plan, self._template(self._plan)
+            plan, template = self._plan, self._simulated(self._plan)
             for place, offset_px in enumerate(plan.target_px):
                 due_s = time.monotonic() + 1.0 / self._rate_hz
                 moved_px = offset_px + self._error_px * self._rng.standard_normal(2)
@@ -181,18 +175,12 @@ class SimulatedSource(_AnyPlan):
                 if self._plan is not plan:
                     break
 
-    def _template(self, plan: ShiftPlan) -> Burst:
+    def _simulated(self, plan: ShiftPlan) -> Burst:
         camera, optics = self._camera, self._camera.optics
-        blur_px = optics.blur_sigma_px if isinstance(optics, PlainOptics) else 0.0
-        side_px = math.sqrt(camera.pixels.fill_factor)
-        return template_of(
-            plan.target_px,
-            camera.grid,
-            camera.illumination.modulation_hz[0],
-            intrinsics_of(camera),
-            math.hypot(side_px / math.sqrt(12.0), blur_px),
-            plan.name,
-        )
+        lens_px = optics.blur_sigma_px if isinstance(optics, PlainOptics) else 0.0
+        blur_px = math.hypot(math.sqrt(camera.pixels.fill_factor / 12.0), lens_px)
+        hz, known = camera.illumination.modulation_hz[0], intrinsics_of(camera)
+        return template_of(plan.target_px, camera.grid, hz, known, blur_px, plan.name)
 
 
 class BurstSource:
@@ -272,19 +260,12 @@ class CameraSource(_AnyPlan):
                     continue
                 if template is None or self._plan is not plan:
                     plan, first = self._plan, one.cycle
-                    template = self._template(plan)
+                    template = self._template(plan, self._camera, None)
                 place = (one.cycle - first) % template.frame_count
                 offset_px = plan.target_px[place]
                 yield Shot(one.frame, place, one.arrived_s, template, offset_px)
         finally:
             self._camera.close()
-
-    def _template(self, plan: ShiftPlan) -> Burst:
-        camera = self._camera
-        known = getattr(camera, "intrinsics", None)
-        return template_of(
-            plan.target_px, camera.grid, camera.modulation_hz, known, None, plan.name
-        )
 
 
 def template_of(
@@ -312,12 +293,6 @@ def template_of(
 
 
 def _of_record(record: FrameRecord, template: Burst) -> Shot:
-    return Shot(
-        Frame(record.amplitude, record.distance_m, record.valid, record.time_s),
-        record.step,
-        record.arrived_s,
-        template,
-        record.offset_px,
-        record.stage_mm,
-        record.stage_commanded_mm,
-    )
+    frame = Frame(record.amplitude, record.distance_m, record.valid, record.time_s)
+    places = (record.offset_px, record.stage_mm, record.stage_commanded_mm)
+    return Shot(frame, record.step, record.arrived_s, template, *places)

@@ -187,7 +187,9 @@ class Live:
             plan, settings = shots[-1].plan, self.settings
             try:
                 if camera is None or made is None or made[0] is not plan or made[1] != settings:
-                    camera, made = _stream_of(plan, settings), (plan, settings)
+                    blur = "auto" if settings.blur_px is None else settings.blur_px
+                    camera = stream(plan, settings.scale, settings.method, psf_sigma_px=blur)
+                    made = plan, settings
                 self._step(camera, shots, settings)
             except FAILURES as error:  # a setting that does not go with these frames; others may
                 camera, self._refusal = None, _words(error)
@@ -201,11 +203,6 @@ class Live:
         number = 1 if self.picture is None else self.picture.number + 1
         self.picture = Picture(number, result, last, camera.window, settings)
         self.solved.tick()
-
-
-def _stream_of(plan: Burst, settings: Settings) -> Stream:
-    blur = "auto" if settings.blur_px is None else settings.blur_px
-    return stream(plan, settings.scale, settings.method, psf_sigma_px=blur)
 
 
 def _words(error: Exception) -> str:

@@ -63,39 +63,39 @@ def add_calibration(page: Page, fit: ScanFit, psnr_loss_db: float, mtf50_loss: f
         )
 
 
+@styled()
 def residual_figure(fit: ScanFit) -> Figure:
     """Draw what the calibration leaves: arrows over the stage range, and histograms."""
-    with styled():
-        figure = new_figure(9.0, 3.6)
-        arrows, spread = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-        _draw_arrows(arrows, fit)
-        _draw_spread(spread, fit.residual_px)
+    figure = new_figure(9.0, 3.6)
+    arrows, spread = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _draw_arrows(arrows, fit)
+    _draw_spread(spread, fit.residual_px)
     return figure
 
 
+@styled()
 def drift_figure(fit: ScanFit) -> Figure:
     """Draw the shift that neither stage nor play explains, over time."""
-    with styled():
-        figure = new_figure(9.0, 2.8)
-        axes = figure.subplots()
-        known = fit.burst.time_s is not None
-        time = np.arange(len(fit.residual_px), dtype=np.float64)
-        if fit.burst.time_s is not None:
-            time = fit.burst.time_s - fit.burst.time_s[0]
-        for axis, colour, marker in ((0, BLUE, "o"), (1, RED, "s")):
-            line = fit.calibration.drift_px_per_s[axis] * (time - time.mean())
-            axes.plot(time, line, color=colour, linewidth=1.2)
-            axes.plot(
-                time, line + fit.residual_px[:, axis], marker, color=colour, markersize=3.5,
-                label=_NAMES[axis],
-            )  # fmt: skip
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
-        axes.set_xlabel("time (s)" if known else "number of the frame")
-        axes.set_ylabel("shift (px)")
-        legend_above(axes, "not made by the stage")
+    figure = new_figure(9.0, 2.8)
+    axes = figure.subplots()
+    known = fit.burst.time_s is not None
+    time = np.arange(len(fit.residual_px), dtype=np.float64)
+    if fit.burst.time_s is not None:
+        time = fit.burst.time_s - fit.burst.time_s[0]
+    for axis, colour, marker in ((0, BLUE, "o"), (1, RED, "s")):
+        line = fit.calibration.drift_px_per_s[axis] * (time - time.mean())
+        axes.plot(time, line, color=colour, linewidth=1.2)
+        axes.plot(
+            time, line + fit.residual_px[:, axis], marker, color=colour, markersize=3.5,
+            label=_NAMES[axis],
+        )  # fmt: skip
+    axes.axhline(0.0, color=GREY, linewidth=0.7)
+    axes.set(xlabel="time (s)" if known else "number of the frame", ylabel="shift (px)")
+    legend_above(axes, "not made by the stage")
     return figure
 
 
+@styled()
 def field_figure(fit: ScanFit) -> Figure:
     """Draw how the shift varies over the sensor for a move along each axis.
 
@@ -118,24 +118,23 @@ def field_figure(fit: ScanFit) -> Figure:
     step = max(1, int(np.ceil(max(rows, cols) / _MOST_ARROWS)))
     row, col = np.arange(step // 2, rows, step), np.arange(step // 2, cols, step)
     beside = rows > cols
-    with styled():
-        high = 4.6 if beside else 1.4 + 2 * 8.4 * rows / cols + 0.9
-        figure = new_figure(9.0, min(high, 9.0))
-        panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
-        for axis, axes in enumerate(panels):
-            part = differing[axis][np.ix_(row, col)]
-            arrows = axes.quiver(
-                *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy",
-                scale_units="xy", scale=unit_px / (1.6 * step), width=0.0022, color=BLUE,
-            )  # fmt: skip
-            axes.quiverkey(
-                arrows, 0.9, 1.06, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
-                fontproperties={"size": SMALL_PT},
-            )  # fmt: skip
-            axes.set(aspect="equal", xlim=(-2, cols + 1), ylim=(rows + 1, -2))
-            axes.set(xlabel="col (px)", ylabel="row (px)")
-            worst_px = float(np.linalg.norm(differing[axis], axis=-1).max())
-            axes.set_title(f"move along {_NAMES[axis]}: up to {worst_px:.4f} px")
+    high = 4.6 if beside else 1.4 + 2 * 8.4 * rows / cols + 0.9
+    figure = new_figure(9.0, min(high, 9.0))
+    panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
+    for axis, axes in enumerate(panels):
+        part = differing[axis][np.ix_(row, col)]
+        arrows = axes.quiver(
+            *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy",
+            scale_units="xy", scale=unit_px / (1.6 * step), width=0.0022, color=BLUE,
+        )  # fmt: skip
+        axes.quiverkey(
+            arrows, 0.9, 1.06, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
+            fontproperties={"size": SMALL_PT},
+        )  # fmt: skip
+        axes.set(aspect="equal", xlim=(-2, cols + 1), ylim=(rows + 1, -2))
+        axes.set(xlabel="col (px)", ylabel="row (px)")
+        worst_px = float(np.linalg.norm(differing[axis], axis=-1).max())
+        axes.set_title(f"move along {_NAMES[axis]}: up to {worst_px:.4f} px")
     return figure
 
 
@@ -185,39 +184,30 @@ def _draw_spread(axes: Axes, residual_px: Floats) -> None:
 
 def _rows(fit: ScanFit) -> list[dict[str, str]]:
     found = fit.calibration
-    sigma = found.px_per_mm_sigma
-    rows: list[dict[str, str]] = []
-
-    def add(what: str, value: float, error: float | None, unit: str, digits: int = 4) -> None:
-        told = "-" if error is None else f"{error:.{digits}f}"
-        rows.append(
-            {"what": what, "value": f"{value:.{digits}f}", "standard error": told, "unit": unit}
-        )
-
-    for i in (0, 1):
-        for j in (0, 1):
-            error = None if sigma is None else float(sigma[i, j])
-            what = f"image {_NAMES[i]} per stage {_NAMES[j]}"
-            add(what, float(found.stage_map.px_per_mm[i, j]), error, "px per mm")
-    turn, cross = found.rotation_sigma_rad, found.cross_talk_sigma
+    sigma, turn, cross = found.px_per_mm_sigma, found.rotation_sigma_rad, found.cross_talk_sigma
+    numbers: list[tuple[str, float, float | None, str, int]] = []
+    for (i, j), value in np.ndenumerate(found.stage_map.px_per_mm):
+        error = None if sigma is None else float(sigma[i, j])
+        numbers += [(f"image {_NAMES[i]} per stage {_NAMES[j]}", value, error, "px per mm", 4)]
     error = None if turn is None else float(np.rad2deg(turn))
-    add("rotation of the stage", float(np.rad2deg(found.rotation_rad)), error, "degrees", 3)
-    for i in (0, 1):
-        error = None if cross is None else 100 * float(cross[i])
-        add(f"cross-talk of stage {_NAMES[i]}", 100 * float(found.cross_talk[i]), error, "%", 2)
-    for i in (0, 1):
-        play, error_mm = found.play_mm[i], found.play_sigma_mm[i]
-        if error_mm > 0:
-            add(f"play of {_NAMES[i]}", 1e3 * float(play), 1e3 * float(error_mm), "um", 2)
+    numbers += [("rotation of the stage", np.rad2deg(found.rotation_rad), error, "degrees", 3)]
+    for i, name in enumerate(_NAMES):
+        error = None if cross is None else 100 * cross[i]
+        numbers += [(f"cross-talk of stage {name}", 100 * found.cross_talk[i], error, "%", 2)]
+    for name, play, error in zip(_NAMES, found.play_mm, found.play_sigma_mm, strict=True):
+        if error > 0:
+            numbers += [(f"play of {name}", 1e3 * play, 1e3 * error, "um", 2)]
     if fit.burst.time_s is not None:
-        for i in (0, 1):
-            drift, error_px = found.drift_px_per_s[i], found.drift_sigma_px_per_s[i]
-            unit = "px per minute"
-            add(f"drift along {_NAMES[i]}", 60 * float(drift), 60 * float(error_px), unit)
+        drifts = zip(_NAMES, found.drift_px_per_s, found.drift_sigma_px_per_s, strict=True)
+        for name, drift, error in drifts:
+            numbers += [(f"drift along {name}", 60 * drift, 60 * error, "px per minute", 4)]
     if found.psf_sigma_px is not None:
         what = "width of the blur, optics and pixel"
-        add(what, found.psf_sigma_px, found.psf_sigma_sigma_px, "px", 3)
-    add("residual, rms along each axis", found.stage_map.sigma_px, None, "px")
-    rows.append({"what": "frames", "value": str(fit.burst.frame_count),
-                 "standard error": "-", "unit": ""})  # fmt: skip
-    return rows
+        numbers += [(what, found.psf_sigma_px, found.psf_sigma_sigma_px, "px", 3)]
+    numbers += [("residual, rms along each axis", found.stage_map.sigma_px, None, "px", 4)]
+    numbers += [("frames", fit.burst.frame_count, None, "", 0)]
+    return [
+        {"what": what, "value": f"{value:.{digits}f}",
+         "standard error": "-" if error is None else f"{error:.{digits}f}", "unit": unit}
+        for what, value, error, unit, digits in numbers
+    ]  # fmt: skip

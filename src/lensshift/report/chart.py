@@ -19,7 +19,7 @@ from lensshift.evaluation.chart import (
 )
 from lensshift.report import images
 from lensshift.report.page import Page
-from lensshift.report.style import BLUE, GREY, RED, SMALL_PT, new_figure, styled
+from lensshift.report.style import BLUE, GREY, RED, SMALL_PT, WIDTH_IN, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,13 +27,14 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_WIDTH_IN, _MOST_HIGH_IN = 9.0, 8.0
+_MOST_HIGH_IN = 8.0  # of a screen
 _COLOURS = dict(zip(DIRECTIONS, (BLUE, RED), strict=True))
 _STYLES = dict(zip(DIRECTIONS, ("-", "--"), strict=True))
 _BINS = 6  # of the image height, for the line through the points
 _BAR = 0.03  # half the length of an edge's bar over the diagonal
 
 
+@styled()
 def annotated_figure(image: ArrayLike, edges: Sequence[ChartEdge], unit: str = "") -> Figure:
     """Draw a photograph with what was measured in it: the edges, and MTF50 on each.
 
@@ -43,26 +44,26 @@ def annotated_figure(image: ArrayLike, edges: Sequence[ChartEdge], unit: str = "
     unit : of MTF50, for the title
     """
     picture = images.plain_image(image)
-    with styled():
-        figure = new_figure(_WIDTH_IN, _height_in(picture.shape))
-        axes = figure.subplots()
-        usable = sum(one.result.usable for one in edges)
-        title = f"{usable} usable of {len(edges)} edges, MTF50" + (f" in {unit}" if unit else "")
-        images.draw_image(axes, picture, title)
-        for one in edges:
-            colour = _COLOURS[one.direction] if one.result.usable else GREY
-            length_px = max(one.result.residual.shape) if one.result.residual is not None else 20
-            col_px, row_px = np.transpose(_bar(one, 0.4 * length_px))
-            axes.plot(col_px, row_px, color=colour, linewidth=2.4)
-            value = one.result.mtf50_lpmm.value
-            axes.text(
-                one.col_px, one.row_px, f"{value:.3g}" if np.isfinite(value) else "-",
-                color=colour, fontsize=SMALL_PT, ha="center", va="center",
-                bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8},
-            )  # fmt: skip
+    figure = new_figure(WIDTH_IN, _height_in(picture.shape))
+    axes = figure.subplots()
+    usable = sum(one.result.usable for one in edges)
+    title = f"{usable} usable of {len(edges)} edges, MTF50" + (f" in {unit}" if unit else "")
+    images.draw_image(axes, picture, title)
+    for one in edges:
+        colour = _COLOURS[one.direction] if one.result.usable else GREY
+        length_px = max(one.result.residual.shape) if one.result.residual is not None else 20
+        col_px, row_px = np.transpose(_bar(one, 0.4 * length_px))
+        axes.plot(col_px, row_px, color=colour, linewidth=2.4)
+        value = one.result.mtf50_lpmm.value
+        axes.text(
+            one.col_px, one.row_px, f"{value:.3g}" if np.isfinite(value) else "-",
+            color=colour, fontsize=SMALL_PT, ha="center", va="center",
+            bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8},
+        )  # fmt: skip
     return figure
 
 
+@styled()
 def field_figure(
     edges: Sequence[ChartEdge], shape: tuple[int, int], unit: str, factor: float = 1.0
 ) -> Figure:
@@ -76,41 +77,40 @@ def field_figure(
     known = [one for one in edges if one.result.usable]
     values = np.array([one.result.mtf50_lpmm.value * factor for one in known])
     low, high = (float(one) for one in np.nanpercentile(values, (0, 100)))
-    with styled():
-        beside = rows > cols
-        high_in = _height_in((rows, cols // 2) if beside else (2 * rows, cols))
-        figure = new_figure(_WIDTH_IN, high_in)
-        panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
-        for axes, direction in zip(panels, DIRECTIONS, strict=True):
-            here = [k for k, one in enumerate(known) if one.direction == direction]
-            bars = [_bar(known[k], _BAR * float(np.hypot(rows, cols))) for k in here]
-            shown = LineCollection(bars, linewidths=5.0, cmap="viridis")
-            shown.set_array(values[here])
-            shown.set_clim(low, high if high > low else low + 1e-6)
-            axes.add_collection(shown)
-            axes.set(xlim=(-0.5, cols - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal")
-            axes.set(xlabel="col (px)", ylabel="row (px)")
-            axes.set_title(f"MTF50 of {direction} lines, {len(here)} edges")
-            figure.colorbar(shown, ax=axes, label=unit, fraction=0.03, pad=0.02)
+    beside = rows > cols
+    high_in = _height_in((rows, cols // 2) if beside else (2 * rows, cols))
+    figure = new_figure(WIDTH_IN, high_in)
+    panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
+    for axes, direction in zip(panels, DIRECTIONS, strict=True):
+        here = [k for k, one in enumerate(known) if one.direction == direction]
+        bars = [_bar(known[k], _BAR * float(np.hypot(rows, cols))) for k in here]
+        shown = LineCollection(bars, linewidths=5.0, cmap="viridis")
+        shown.set_array(values[here])
+        shown.set_clim(low, high if high > low else low + 1e-6)
+        axes.add_collection(shown)
+        axes.set(xlim=(-0.5, cols - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal")
+        axes.set(xlabel="col (px)", ylabel="row (px)")
+        axes.set_title(f"MTF50 of {direction} lines, {len(here)} edges")
+        figure.colorbar(shown, ax=axes, label=unit, fraction=0.03, pad=0.02)
     return figure
 
 
+@styled()
 def height_figure(edges: Sequence[ChartEdge], unit: str, factor: float = 1.0) -> Figure:
     """Draw MTF50 over the image height, sagittal and tangential, with the 95 % intervals."""
-    with styled():
-        figure = new_figure(_WIDTH_IN, 3.4)
-        axes = figure.subplots()
-        for direction in DIRECTIONS:
-            here = [one for one in edges if one.direction == direction and one.result.usable]
-            if here:
-                _draw_heights(axes, here, direction, factor)
-        axes.set(xlim=(0.0, 1.0), xlabel="distance from the middle over half the diagonal")
-        axes.set_ylabel(f"MTF50 ({unit})")
-        axes.set_ylim(bottom=0.0)
-        axes.legend(loc="lower left")
+    figure = new_figure(WIDTH_IN, 3.4)
+    axes = figure.subplots()
+    for direction in DIRECTIONS:
+        here = [one for one in edges if one.direction == direction and one.result.usable]
+        if here:
+            _draw_heights(axes, here, direction, factor)
+    axes.set(xlim=(0.0, 1.0), xlabel="distance from the middle over half the diagonal")
+    axes.set(ylabel=f"MTF50 ({unit})", ylim=(0.0, None))
+    axes.legend(loc="lower left")
     return figure
 
 
+@styled()
 def focus_figure(
     series: Sequence[dict[str, Any]], fits: dict[str, FocusFit], unit: str, label: str
 ) -> Figure:
@@ -122,19 +122,18 @@ def focus_figure(
     fits : zone -> parabola, where there is one
     label : of the focus, with its unit
     """
-    with styled():
-        figure = new_figure(_WIDTH_IN, 3.4)
-        axes = figure.subplots()
-        zones = dict.fromkeys(str(row["zone"]) for row in series)
-        for zone, marker in zip(zones, "os^", strict=False):
-            here = sorted((row["focus"], row["mtf50"]) for row in series if row["zone"] == zone)
-            at, value = np.array(here).T
-            (line,) = axes.plot(at, value, f"-{marker}", markersize=4.5, label=zone)
-            if zone in fits:
-                axes.axvline(fits[zone].focus, color=line.get_color(), linewidth=0.9, ls=":")
-        axes.set(xlabel=label, ylabel=f"MTF50 ({unit})")
-        axes.set_ylim(bottom=0.0)
-        axes.legend(loc="lower left")
+    figure = new_figure(WIDTH_IN, 3.4)
+    axes = figure.subplots()
+    zones = dict.fromkeys(str(row["zone"]) for row in series)
+    for zone, marker in zip(zones, "os^", strict=False):
+        here = sorted((row["focus"], row["mtf50"]) for row in series if row["zone"] == zone)
+        at, value = np.array(here).T
+        (line,) = axes.plot(at, value, f"-{marker}", markersize=4.5, label=zone)
+        if zone in fits:
+            axes.axvline(fits[zone].focus, color=line.get_color(), linewidth=0.9, ls=":")
+    axes.set(xlabel=label, ylabel=f"MTF50 ({unit})")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(loc="lower left")
     return figure
 
 
@@ -209,7 +208,7 @@ def sharpest(edges: Sequence[ChartEdge]) -> str:
 
 
 def _height_in(shape: tuple[int, ...]) -> float:
-    return min(_WIDTH_IN * shape[0] / shape[1] + 0.9, _MOST_HIGH_IN)
+    return min(WIDTH_IN * shape[0] / shape[1] + 0.9, _MOST_HIGH_IN)
 
 
 def _bar(one: ChartEdge, half_px: float) -> list[tuple[float, float]]:
@@ -255,16 +254,12 @@ def _zone_table(edges: Sequence[ChartEdge], unit: str, factor: float) -> list[di
 
 
 def _focus_table(fits: dict[str, FocusFit], unit: str) -> list[dict[str, Any]]:
-    return [
-        {"zone": zone, "best focus": f"{_with_error(one)}", f"MTF50 ({unit})": peak}
-        for zone, one in fits.items()
-        for peak in [one.mtf50_lpmm]
-    ]
-
-
-def _with_error(one: FocusFit) -> str:
-    error = f" +- {one.sigma:.2g}" if np.isfinite(one.sigma) else ""
-    return f"{one.focus:.4g}{error}"
+    rows: list[dict[str, Any]] = []
+    for zone, one in fits.items():
+        error = f" +- {one.sigma:.2g}" if np.isfinite(one.sigma) else ""
+        told = {"zone": zone, "best focus": f"{one.focus:.4g}{error}"}
+        rows.append(told | {f"MTF50 ({unit})": one.mtf50_lpmm})
+    return rows
 
 
 def _short(row: dict[str, Any]) -> dict[str, Any]:
@@ -283,13 +278,3 @@ def _short(row: dict[str, Any]) -> dict[str, Any]:
         if name.startswith("mtf_at_") and not name.endswith(("_low", "_high"))
     }
     return shown | {"notes": row["notes"] if row["usable"] else f"not used: {row['notes']}"}
-
-
-__all__ = [
-    "annotated_figure",
-    "chart_page",
-    "field_figure",
-    "focus_figure",
-    "height_figure",
-    "sharpest",
-]

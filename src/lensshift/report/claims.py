@@ -16,6 +16,7 @@ _DASHES = ("-", "--", ":", "-.")
 _MOST_GAIN = 6.0  # on the axis: twice the largest claim
 
 
+@styled()
 def curves_figure(
     frequency_lpmm: ArrayLike,
     curves: Mapping[str, ArrayLike],
@@ -36,30 +37,28 @@ def curves_figure(
     paired : whether every second curve belongs to the one before: same colour, dashed
     """
     frequency = np.asarray(frequency_lpmm, dtype=np.float64)
-    with styled():
-        figure = new_figure(8.2, 4.6)
-        axes = figure.subplots()
-        for number, (label, values) in enumerate(curves.items()):
-            colour = colour_of(number // 2 if paired else number)
-            again = number % 2 if paired else number >= len(COLOURS)
-            style = "--" if again else "-"
-            if bands and label in bands:
-                axes.fill_between(frequency, *bands[label], color=colour, alpha=0.18, linewidth=0)
-            axes.plot(frequency, np.asarray(values), style, color=colour, label=label)
-        for number, (label, values) in enumerate(limits.items()):
-            axes.plot(
-                frequency, np.asarray(values), _DASHES[1 + number % 3], color=INK, linewidth=1.0,
-                label=label,
-            )  # fmt: skip
-        axes.set_xlim(0.0, float(frequency[-1]))
-        axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("spatial frequency on the sensor (LP/mm)")
-        axes.set_ylabel("modulation")
-        axes.legend(ncols=2)
-        axes.set_title(title)
+    figure = new_figure(8.2, 4.6)
+    axes = figure.subplots()
+    for number, (label, values) in enumerate(curves.items()):
+        colour = colour_of(number // 2 if paired else number)
+        again = number % 2 if paired else number >= len(COLOURS)
+        style = "--" if again else "-"
+        if bands and label in bands:
+            axes.fill_between(frequency, *bands[label], color=colour, alpha=0.18, linewidth=0)
+        axes.plot(frequency, np.asarray(values), style, color=colour, label=label)
+    for number, (label, values) in enumerate(limits.items()):
+        axes.plot(
+            frequency, np.asarray(values), _DASHES[1 + number % 3], color=INK, linewidth=1.0,
+            label=label,
+        )  # fmt: skip
+    axes.set(xlim=(0.0, float(frequency[-1])), ylim=(0.0, None))
+    axes.set(xlabel="spatial frequency on the sensor (LP/mm)", ylabel="modulation")
+    axes.legend(ncols=2)
+    axes.set_title(title)
     return figure
 
 
+@styled()
 def sampling_figure(pattern_px: ArrayLike, title: str = "Where four frames sample") -> Figure:
     """Draw nine pixels, and the places of the scene at which the frames of a pattern see them.
 
@@ -70,26 +69,25 @@ def sampling_figure(pattern_px: ArrayLike, title: str = "Where four frames sampl
     """
     pattern = np.asarray(pattern_px, dtype=np.float64)
     row, col = np.meshgrid(np.arange(3.0), np.arange(3.0), indexing="ij")
-    with styled():
-        figure = new_figure(8.2, 4.4)
-        axes = figure.subplots()
-        for number, (row_px, col_px) in enumerate(pattern.tolist()):
-            # Content that moves right is seen by pixels that look further left.
-            label = f"frame {number}: image at {row_px:+.2f}, {col_px:+.2f} px"
-            axes.plot((col - col_px).ravel(), (row - row_px).ravel(), "o",
-                      color=colour_of(number), label=label)  # fmt: skip
-        for edge in np.arange(-0.5, 3.0):
-            axes.plot([edge, edge], [-0.5, 2.5], color=GREY, linewidth=0.9)
-            axes.plot([-0.5, 2.5], [edge, edge], color=GREY, linewidth=0.9)
-        axes.set_aspect("equal")
-        axes.invert_yaxis()
-        axes.set_xlabel("column (LR px)")
-        axes.set_ylabel("row (LR px)")
-        axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
-        axes.set_title(title)
+    figure = new_figure(8.2, 4.4)
+    axes = figure.subplots()
+    for number, (row_px, col_px) in enumerate(pattern.tolist()):
+        # Content that moves right is seen by pixels that look further left.
+        label = f"frame {number}: image at {row_px:+.2f}, {col_px:+.2f} px"
+        axes.plot((col - col_px).ravel(), (row - row_px).ravel(), "o",
+                  color=colour_of(number), label=label)  # fmt: skip
+    for edge in np.arange(-0.5, 3.0):
+        axes.plot([edge, edge], [-0.5, 2.5], color=GREY, linewidth=0.9)
+        axes.plot([-0.5, 2.5], [edge, edge], color=GREY, linewidth=0.9)
+    axes.set_aspect("equal")
+    axes.invert_yaxis()
+    axes.set(xlabel="column (LR px)", ylabel="row (LR px)")
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    axes.set_title(title)
     return figure
 
 
+@styled()
 def profiles_figure(
     profiles: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]], title: str
 ) -> Figure:
@@ -100,24 +98,23 @@ def profiles_figure(
     profiles : name of the axis -> label -> (place in LR pixels, values)
     title : above the figure
     """
-    with styled():
-        figure = new_figure(9.0, 3.8)
-        panels = figure.subplots(1, len(profiles), squeeze=False)[0]
-        for axes, (name, lines) in zip(panels, profiles.items(), strict=True):
-            for number, (label, (place, values)) in enumerate(lines.items()):
-                style = "--" if label == "truth" else "-"
-                colour = GREY if label == "truth" else colour_of(number)
-                axes.plot(
-                    np.asarray(place), np.asarray(values), style, color=colour, marker=".",
-                    markersize=5.0, linewidth=1.3, label=label,
-                )  # fmt: skip
-            axes.set_xlabel("column (LR px)")
-            axes.set_ylabel(name)
-            axes.legend()
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    figure = new_figure(9.0, 3.8)
+    panels = figure.subplots(1, len(profiles), squeeze=False)[0]
+    for axes, (name, lines) in zip(panels, profiles.items(), strict=True):
+        for number, (label, (place, values)) in enumerate(lines.items()):
+            style = "--" if label == "truth" else "-"
+            colour = GREY if label == "truth" else colour_of(number)
+            axes.plot(
+                np.asarray(place), np.asarray(values), style, color=colour, marker=".",
+                markersize=5.0, linewidth=1.3, label=label,
+            )  # fmt: skip
+        axes.set(xlabel="column (LR px)", ylabel=name)
+        axes.legend()
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
     return figure
 
 
+@styled()
 def gains_figure(rows: Sequence[Mapping[str, Any]], branches: Sequence[str], title: str) -> Figure:
     """Draw the gain of each branch for each strip: mean with interval, and all that one line shows.
 
@@ -127,24 +124,21 @@ def gains_figure(rows: Sequence[Mapping[str, Any]], branches: Sequence[str], tit
     branches : names in the rows
     title : above the figure
     """
-    with styled():
-        figure = new_figure(9.0, 1.6 + 0.34 * len(rows))
-        axes = figure.subplots()
-        for number, branch in enumerate(branches):
-            _draw_gains(axes, rows, branch, number, len(branches))
-        names = [
-            f"{row['contrast']:g} : 1, {row['width_px']:g} px, SNR {row['snr']:g}" for row in rows
-        ]
-        axes.set_yticks(range(len(rows)), names)
-        axes.invert_yaxis()
-        axes.axvline(2.0, color=GREY, linewidth=0.9)
-        axes.axvline(3.0, color=INK, linewidth=0.9, linestyle="--")
-        axes.set_xlim(0.0, _MOST_GAIN)
-        axes.set_xlabel("gradient against one frame (thick: 95 % of the mean; thin: single lines)")
-        axes.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(branches), fontsize=SMALL_PT
-        )
-        axes.set_title(title)
+    figure = new_figure(9.0, 1.6 + 0.34 * len(rows))
+    axes = figure.subplots()
+    for number, branch in enumerate(branches):
+        _draw_gains(axes, rows, branch, number, len(branches))
+    names = [f"{row['contrast']:g} : 1, {row['width_px']:g} px, SNR {row['snr']:g}" for row in rows]
+    axes.set_yticks(range(len(rows)), names)
+    axes.invert_yaxis()
+    axes.axvline(2.0, color=GREY, linewidth=0.9)
+    axes.axvline(3.0, color=INK, linewidth=0.9, linestyle="--")
+    axes.set_xlim(0.0, _MOST_GAIN)
+    axes.set_xlabel("gradient against one frame (thick: 95 % of the mean; thin: single lines)")
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(branches), fontsize=SMALL_PT
+    )
+    axes.set_title(title)
     return figure
 
 

@@ -20,6 +20,7 @@ _THINNEST = 0.25  # of the longest side: room for the numbers along it
 _ABOVE_DEG, _BESIDE_DEG = 22.0, -62.0  # of the eye
 
 
+@styled()
 def cloud_figure(cloud: PointCloud, title: str = "") -> Figure:
     """Draw points from above and beside the camera, with equal metres on all axes.
 
@@ -43,24 +44,23 @@ def cloud_figure(cloud: PointCloud, title: str = "") -> Figure:
     if cloud.amplitude is not None:
         label, colour = "amplitude", cloud.amplitude
     darkest, brightest = np.percentile(colour[shown], OUTSIDE)
-    with styled():
-        figure = new_figure(_SIDE_IN, 0.75 * _SIDE_IN)
-        axes: Any = figure.add_subplot(projection="3d")
-        drawn = axes.scatter(
-            *place_m[:, shown],
-            c=colour[shown],
-            s=np.clip(_POINTS_PT2 / len(shown), 0.3, 8.0),
-            cmap="viridis",
-            vmin=darkest,
-            vmax=brightest if brightest > darkest else darkest + 1.0,
-            linewidths=0,
-            depthshade=False,
-            rasterized=True,
-        )
-        _lay_out(axes, low_m, high_m)
-        axes.set_title(title)
-        bar = figure.colorbar(drawn, ax=axes, shrink=0.6, aspect=24, pad=0.12)
-        bar.set_label(label)
+    figure = new_figure(_SIDE_IN, 0.75 * _SIDE_IN)
+    axes: Any = figure.add_subplot(projection="3d")
+    drawn = axes.scatter(
+        *place_m[:, shown],
+        c=colour[shown],
+        s=np.clip(_POINTS_PT2 / len(shown), 0.3, 8.0),
+        cmap="viridis",
+        vmin=darkest,
+        vmax=brightest if brightest > darkest else darkest + 1.0,
+        linewidths=0,
+        depthshade=False,
+        rasterized=True,
+    )
+    _lay_out(axes, low_m, high_m)
+    axes.set_title(title)
+    bar = figure.colorbar(drawn, ax=axes, shrink=0.6, aspect=24, pad=0.12)
+    bar.set_label(label)
     return figure
 
 
@@ -89,13 +89,13 @@ def _lay_out(axes: Any, low_m: NDArray[np.float64], high_m: NDArray[np.float64])
     axes.view_init(elev=_ABOVE_DEG, azim=_BESIDE_DEG)
 
 
+@styled()
 def drawn_pixels(figure: Figure) -> NDArray[np.uint8]:
     """Return a figure as the colours [row col 3] of its pixels, without the white around it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    with styled():
-        canvas: Any = FigureCanvasAgg(figure)
-        canvas.draw()
-        pixels = np.asarray(canvas.buffer_rgba())[..., :3]
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]
     row, col = (np.flatnonzero((pixels < 255).any(axis=(axis, 2))) for axis in (1, 0))
     return pixels[row[0] : row[-1] + 1, col[0] : col[-1] + 1].copy()

@@ -15,6 +15,7 @@ from lensshift.report.style import BAND_ALPHA, FAINT, GREY, INK, LIGHT, TITLE_PT
 
 INTERVAL_SIGMAS = 1.96  # half a 95 % interval of a normal distribution
 _LIMIT_POINTS = 301  # smooth in print
+STEPS = 41  # of the slow curves of lenses: a 40th of the axis, which still looks smooth
 _DIRECTIONS_RAD = np.linspace(0.0, 0.5 * np.pi, 46)
 _MOST = 1.9  # sharpened curves are shown up to here
 _DASHES = ("--", ":", "-.", (0, (4, 1.2, 1, 1.2, 1, 1.2)))
@@ -73,14 +74,8 @@ def draw_pixel_limits(
             [pixel_aperture_mtf(frequency_lpmm, sides_mm, angle_rad=one) for one in angles_rad],
             axis=0,
         )
-        axes.plot(
-            frequency_lpmm * factor,
-            limit,
-            linestyle=style,
-            color=INK,
-            linewidth=1.0,
-            label=f"|sinc| of {name}",
-        )
+        frequency, label = frequency_lpmm * factor, f"|sinc| of {name}"
+        axes.plot(frequency, limit, style, color=INK, linewidth=1.0, label=label)
 
 
 def draw_limits(
@@ -131,10 +126,10 @@ def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str, *, column
     columns : of the legend
     """
     axes.axhline(0.5, color=FAINT, linewidth=1.4, zorder=0.5)
-    axes.set_xlim(0.0, highest)
-    axes.set_ylim(0.0, _room_above(axes))
-    axes.set_xlabel(f"spatial frequency ({unit})")
-    axes.set_ylabel("modulation")
+    heights = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines()]
+    peak = max((float(np.nanmax(one, initial=0.0)) for one in heights), default=1.0)
+    axes.set(xlim=(0.0, highest), ylim=(0.0, min(max(1.05, 1.05 * peak), _MOST)))
+    axes.set(xlabel=f"spatial frequency ({unit})", ylabel="modulation")
     legend_above(axes, title, columns)
 
 
@@ -150,9 +145,3 @@ def legend_above(axes: Axes, title: str, columns: int = 2) -> None:
         borderaxespad=0.2,
         borderpad=0.0,
     )
-
-
-def _room_above(axes: Axes) -> float:
-    heights = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines()]
-    peak = max((float(np.nanmax(one, initial=0.0)) for one in heights), default=1.0)
-    return min(max(1.05, 1.05 * peak), _MOST)

@@ -21,6 +21,7 @@ _BINS = 61  # odd: one is centred on 0
 _SHOWN_PERCENT = 98.0  # of the errors lie on the scale
 
 
+@styled()
 def depth_figure(
     distance_m: ArrayLike,
     truth_m: ArrayLike | None = None,
@@ -56,25 +57,25 @@ def depth_figure(
     flying = flying_pixel_fraction(distance, truth_m, valid=valid, **edges)
     share = f"{100 * flying.fraction:.1f} % of the pixels at edges fly (crosses)"
     title = share if np.isfinite(flying.fraction) else "no edge was found"
-    with styled():
-        figure, panels = _panels(distance.shape, with_truth=truth_m is not None)
-        _draw_distance(panels[0], shown, flying.flying, f"distance: {title}")
-        if truth_m is None:
-            return figure
-        found = depth_error(distance, truth_m, valid=valid, **edges)
-        near = near_edges(truth_m, **edges)
-        error_mm = 1e3 * (shown - np.asarray(truth_m, dtype=np.float64))
-        reach_mm = _reach_mm(error_mm)
-        _draw_error(panels[1], error_mm, near, reach_mm)
-        known = np.isfinite(error_mm)
-        parts = (
-            (error_mm[known & near], RED, f"near edges, RMSE {1e3 * found.edge_rmse_m:.3g} mm"),
-            (error_mm[known & ~near], BLUE, f"elsewhere, RMSE {1e3 * found.flat_rmse_m:.3g} mm"),
-        )
-        _draw_histogram(panels[2], parts, reach_mm)
-        panels[2].set_title(
-            f"all: RMSE {1e3 * found.rmse_m:.3g} mm, bias {1e3 * found.bias_m:+.3g} mm"
-        )
+    figure, panels = _panels(distance.shape, with_truth=truth_m is not None)
+    _draw_distance(panels[0], shown, flying.flying, f"distance: {title}")
+    if truth_m is None:
+        return figure
+    found = depth_error(distance, truth_m, valid=valid, **edges)
+    near = near_edges(truth_m, **edges)
+    error_mm = 1e3 * (shown - np.asarray(truth_m, dtype=np.float64))
+    known = np.isfinite(error_mm)
+    reach_mm = np.percentile(np.abs(error_mm[known]), _SHOWN_PERCENT) if known.any() else 0.0
+    reach_mm = float(reach_mm) or 1.0
+    title = "measured minus true, edge zone outlined" if near.any() else "measured minus true"
+    images.draw_map(panels[1], error_mm, title, "error (mm)", largest=reach_mm)
+    images.outline(panels[1], near, INK)
+    parts = (
+        (error_mm[known & near], RED, f"near edges, RMSE {1e3 * found.edge_rmse_m:.3g} mm"),
+        (error_mm[known & ~near], BLUE, f"elsewhere, RMSE {1e3 * found.flat_rmse_m:.3g} mm"),
+    )
+    _draw_histogram(panels[2], parts, reach_mm)
+    panels[2].set_title(f"all: RMSE {1e3 * found.rmse_m:.3g} mm, bias {1e3 * found.bias_m:+.3g} mm")
     return figure
 
 
@@ -100,18 +101,6 @@ def _draw_distance(axes: Axes, distance_m: Floats, flying: Mask, title: str) -> 
     axes.plot(col_px, row_px, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
 
 
-def _draw_error(axes: Axes, error_mm: Floats, near: Mask, reach_mm: float) -> None:
-    title = "measured minus true, edge zone outlined" if near.any() else "measured minus true"
-    images.draw_map(axes, error_mm, title, "error (mm)", largest=reach_mm)
-    images.outline(axes, near, INK)
-
-
-def _reach_mm(error_mm: Floats) -> float:
-    known = np.abs(error_mm[np.isfinite(error_mm)])
-    reach_mm = float(np.percentile(known, _SHOWN_PERCENT)) if known.size else 0.0
-    return reach_mm if reach_mm > 0 else 1.0
-
-
 def _draw_histogram(
     axes: Axes, parts: tuple[tuple[Floats, str, str], ...], reach_mm: float
 ) -> None:
@@ -131,7 +120,6 @@ def _draw_histogram(
                 linewidth=1.2,
                 label=f"{label}, {errors_mm.size} px",
             )
-    axes.set_xlim(-reach_mm, reach_mm)
-    axes.set_xlabel("error (mm), those beyond in the outermost bins")
+    axes.set(xlim=(-reach_mm, reach_mm), xlabel="error (mm), those beyond in the outermost bins")
     axes.set_ylabel("share of the pixels (%)")
     axes.legend(loc="upper right")

@@ -7,28 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.gain import ResolutionGain, ratio_of
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Region
-from lensshift.report import curves, images
-from lensshift.report.style import (
-    BAND_ALPHA,
-    BLUE,
-    FAINT,
-    GREY,
-    PURPLE,
-    RED,
-    SMALL_PT,
-    WIDTH_IN,
-    colour_of,
-    new_figure,
-    note,
-    outlined,
-    styled,
-)
+from lensshift.report import curves, images, style
 
 _CURVES_IN, _IMAGE_IN, _LABELS_IN = 3.6, 4.0, 0.8  # heights
 _CURVE_WIDTHS = (1.9, 1.0)  # of the curve and of the edge beside it
@@ -42,6 +28,7 @@ _MOST_RATIO = 6.0  # on the axis
 _SAME_NYQUIST = 1.2  # of the pixels over that of LR pixels; the slant alone makes up to 1.1
 
 
+@style.styled()
 def edge_figure(
     results: Sequence[EdgeResult],
     image: ArrayLike | None = None,
@@ -73,24 +60,19 @@ def edge_figure(
     residual = _residual_map(results)
     shapes = [] if picture is None else [picture.shape]
     shapes += [] if residual is None else [residual[0].shape]
-    with styled():
-        figure, panels = _panels(shapes)
-        _draw_curves(panels[0], results, unit, factor, pitch_mm, limits)
-        _draw_profiles(panels[1], results)
-        if picture is not None:
-            _draw_places(panels[2], picture, results)
-        if residual is not None:
-            images.draw_map(
-                panels[-1],
-                residual[0],
-                "pixels minus model",
-                "standard deviations of the noise",
-                largest=_RESIDUAL_SIGMAS,
-                corner_px=residual[1],
-            )
+    figure, panels = _panels(shapes)
+    _draw_curves(panels[0], results, unit, factor, pitch_mm, limits)
+    _draw_profiles(panels[1], results)
+    if picture is not None:
+        _draw_places(panels[2], picture, results)
+    if residual is not None:
+        values, corner_px = residual
+        words = ("pixels minus model", "standard deviations of the noise")
+        images.draw_map(panels[-1], values, *words, largest=_RESIDUAL_SIGMAS, corner_px=corner_px)
     return figure
 
 
+@style.styled()
 def gain_figure(
     fine: EdgeResult,
     coarse: EdgeResult,
@@ -111,21 +93,19 @@ def gain_figure(
     names : of the two
     pitch_mm : side of an LR pixel for its limits, as in `edge_figure`
     """
-    with styled():
-        figure = new_figure(WIDTH_IN, 5.2)
-        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=_CURVE_WIDTHS)[0]
-        above, below = left.subplots(2, 1, height_ratios=(2.0, 1.0), sharex=True)
-        for result, name, colour in zip((fine, coarse), names, (BLUE, RED), strict=True):
-            _draw_result(above, result, colour, f"{name}: {_mtf50(result, unit, factor)}", factor)
-        highest_lpmm = _highest_lpmm([fine, coarse])
-        _draw_limits(above, coarse, highest_lpmm, factor, pitch_mm)
-        title = "MTF along the normal of the edge, with 95 % bands"
-        curves.finish_mtf_axes(above, highest_lpmm * factor, unit, title)
-        above.set_xlabel("")
-        _draw_ratio(below, fine, coarse, factor)
-        below.set_xlabel(f"spatial frequency ({unit})")
-        below.set_ylabel(f"{names[0]} / {names[1]}")
-        _draw_gains(right.subplots(), gain)
+    figure = style.new_figure(style.WIDTH_IN, 5.2)
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=_CURVE_WIDTHS)[0]
+    above, below = left.subplots(2, 1, height_ratios=(2.0, 1.0), sharex=True)
+    for result, name, colour in zip((fine, coarse), names, (style.BLUE, style.RED), strict=True):
+        _draw_result(above, result, colour, f"{name}: {_mtf50(result, unit, factor)}", factor)
+    highest_lpmm = _highest_lpmm([fine, coarse])
+    _draw_limits(above, coarse, highest_lpmm, factor, pitch_mm)
+    title = "MTF along the normal of the edge, with 95 % bands"
+    curves.finish_mtf_axes(above, highest_lpmm * factor, unit, title)
+    above.set_xlabel("")
+    _draw_ratio(below, fine, coarse, factor)
+    below.set(xlabel=f"spatial frequency ({unit})", ylabel=f"{names[0]} / {names[1]}")
+    _draw_gains(right.subplots(), gain)
     return figure
 
 
@@ -155,19 +135,19 @@ def _panels(shapes: list[tuple[int, ...]]) -> tuple[Figure, list[Axes]]:
     Wide images lie above each other, others side by side, tall ones right of the curves.
     """
     if not shapes:
-        figure = new_figure(WIDTH_IN, _CURVES_IN)
+        figure = style.new_figure(style.WIDTH_IN, _CURVES_IN)
         return figure, list(figure.subplots(1, 2, width_ratios=_CURVE_WIDTHS))
     rows, cols = shapes[0]
     if rows > _TALL * cols:
-        figure = new_figure(WIDTH_IN, 2.0 * _CURVES_IN)
+        figure = style.new_figure(style.WIDTH_IN, 2.0 * _CURVES_IN)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1.25, 1.0))[0]
         below = right.subplots(1, len(shapes), squeeze=False)
         return figure, [*left.subplots(2, 1), *below.ravel()]
     stacked = len(shapes) == 1 or cols > _WIDE * rows
-    each_in = (0.84 if stacked else 0.4) * WIDTH_IN
+    each_in = (0.84 if stacked else 0.4) * style.WIDTH_IN
     heights_in = [_LABELS_IN + min(each_in * rows / cols, _IMAGE_IN) for rows, cols in shapes]
     below_in = sum(heights_in) if stacked else max(heights_in)
-    figure = new_figure(WIDTH_IN, _CURVES_IN + below_in)
+    figure = style.new_figure(style.WIDTH_IN, _CURVES_IN + below_in)
     heights = (_CURVES_IN, below_in)
     top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
     below = (
@@ -189,7 +169,7 @@ def _draw_curves(
     for number, result in enumerate(results):
         name = _mtf50(result, unit, factor)
         label = f"edge, {name}" if len(results) == 1 else f"edge {number + 1}, {name}"
-        _draw_result(axes, result, colour_of(number), label, factor)
+        _draw_result(axes, result, style.colour_of(number), label, factor)
     highest_lpmm = _highest_lpmm(results)
     _draw_limits(axes, results[0], highest_lpmm, factor, pitch_mm)
     curves.draw_limits(axes, limits, highest_lpmm, factor)
@@ -224,7 +204,9 @@ def _draw_limits(
     curves.mark_frequency(axes, result.nyquist_lpmm * factor, "LR Nyquist")
     samples_lpmm = result.sample_nyquist_lpmm
     if highest_lpmm > samples_lpmm:
-        axes.axvspan(samples_lpmm * factor, highest_lpmm * factor, color=FAINT, alpha=0.45, lw=0)
+        axes.axvspan(
+            samples_lpmm * factor, highest_lpmm * factor, color=style.FAINT, alpha=0.45, lw=0
+        )
     if samples_lpmm > _SAME_NYQUIST * result.nyquist_lpmm:
         curves.mark_frequency(axes, samples_lpmm * factor, "Nyquist of the pixels")
 
@@ -233,21 +215,19 @@ def _draw_profiles(axes: Axes, results: Sequence[EdgeResult]) -> None:
     reach_px = _PROFILE_PX
     for number, result in enumerate(results):
         place_px, value, std = result.esf.normal_px, result.esf.value, result.esf.std
-        colour = colour_of(number)
+        colour = style.colour_of(number)
         if std is not None:
             half = curves.INTERVAL_SIGMAS * std
             ends = (value - half, value + half)
-            axes.fill_between(place_px, *ends, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
+            axes.fill_between(place_px, *ends, color=colour, alpha=style.BAND_ALPHA, linewidth=0.0)
         axes.plot(place_px, value, color=colour, linewidth=1.4)
         width_px = result.rise_mm.value / result.pitch_mm
         if np.isfinite(width_px):
             reach_px = max(reach_px, _PROFILE_WIDTHS * width_px)
     for level in (0.0, 1.0):
-        axes.axhline(level, color=FAINT, linewidth=1.4, zorder=0.5)
-    axes.set_xlim(-reach_px, reach_px)
-    axes.set_title("edge spread function")
-    axes.set_xlabel("distance from the edge (px)")
-    axes.set_ylabel("level (dark 0, bright 1)")
+        axes.axhline(level, color=style.FAINT, linewidth=1.4, zorder=0.5)
+    axes.set(xlim=(-reach_px, reach_px), title="edge spread function")
+    axes.set(xlabel="distance from the edge (px)", ylabel="level (dark 0, bright 1)")
 
 
 def _draw_places(axes: Axes, picture: Floats, results: Sequence[EdgeResult]) -> None:
@@ -256,14 +236,20 @@ def _draw_places(axes: Axes, picture: Floats, results: Sequence[EdgeResult]) -> 
     title = "regions" if many else "region"
     images.draw_image(axes, picture, f"{title} and fitted edge{'s' * many}" if fitted else title)
     for number, result in enumerate(results):
-        colour, place = colour_of(number), result.region
-        images.draw_region(axes, *_ends(place), colour)
+        colour, place = style.colour_of(number), result.region
+        top, stop, left, right = _ends(place)
+        corner, sides = (left - 0.5, top - 0.5), (right - left, stop - top)
+        borders = Rectangle(
+            corner, *sides, fill=False, edgecolor=colour, linewidth=1.3,
+            path_effects=style.outlined(1.3), clip_on=False,  # an image that it fills cuts it not
+        )  # fmt: skip
+        axes.add_patch(borders)
         row_px, col_px = edge_line_px(result)
-        axes.plot(col_px, row_px, color=colour, linewidth=1.3, path_effects=outlined(1.3))
+        axes.plot(col_px, row_px, color=colour, linewidth=1.3, path_effects=style.outlined(1.3))
         if many:
-            images.number_region(axes, number + 1, place.row_start, place.col_start, colour)
-    axes.set_xlim(-0.5, picture.shape[1] - 0.5)
-    axes.set_ylim(picture.shape[0] - 0.5, -0.5)
+            how = {"color": colour, "va": "top", "fontweight": "bold"}
+            style.note(axes, str(number + 1), corner, (3.0, -3.0), **how)
+    axes.set(xlim=(-0.5, picture.shape[1] - 0.5), ylim=(picture.shape[0] - 0.5, -0.5))
 
 
 def _residual_map(results: Sequence[EdgeResult]) -> tuple[Floats, tuple[int, int]] | None:
@@ -316,13 +302,14 @@ def _draw_ratio(axes: Axes, fine: EdgeResult, coarse: EdgeResult, factor: float)
     ratios = [ratio_of(one, other) for one, other in zip(above, below, strict=True)]
     low, value, high = np.array([(one.low, one.value, one.high) for one in ratios]).T
     frequency = frequency_lpmm * factor
-    axes.fill_between(frequency, low, high, color=PURPLE, alpha=BAND_ALPHA, linewidth=0.0)
-    axes.plot(frequency, value, color=PURPLE)
-    axes.axhline(1.0, color=GREY, linewidth=0.9, zorder=1.0)
+    axes.fill_between(
+        frequency, low, high, color=style.PURPLE, alpha=style.BAND_ALPHA, linewidth=0.0
+    )
+    axes.plot(frequency, value, color=style.PURPLE)
+    axes.axhline(1.0, color=style.GREY, linewidth=0.9, zorder=1.0)
     curves.mark_frequency(axes, coarse.nyquist_lpmm * factor, "")
     highest = float(np.nanmax(value, initial=1.0))
-    axes.set_ylim(0.0, min(max(2.0, 1.3 * highest), _MOST_RATIO))
-    axes.set_title("ratio of the curves")
+    axes.set(ylim=(0.0, min(max(2.0, 1.3 * highest), _MOST_RATIO)), title="ratio of the curves")
 
 
 def _curve_at(result: EdgeResult, frequency_lpmm: Floats) -> list[Interval]:
@@ -345,17 +332,18 @@ def _draw_gains(axes: Axes, gain: ResolutionGain) -> None:
     }
     for place, (name, ratio) in enumerate(rows.items()):
         if not np.isfinite(ratio.value):
-            axes.text(1.0, place, " not reached", va="center", fontsize=SMALL_PT, color=GREY)
+            axes.text(
+                1.0, place, " not reached", va="center", fontsize=style.SMALL_PT, color=style.GREY
+            )
             continue
-        colour = GREY if name == "noise" else BLUE
+        colour = style.GREY if name == "noise" else style.BLUE
         if np.isfinite(ratio.low) and np.isfinite(ratio.high):
             axes.plot([ratio.low, ratio.high], [place, place], color=colour, linewidth=1.4)
         axes.plot(ratio.value, place, "o", color=colour, markersize=5.5)
-        note(axes, _three_digits(ratio), (ratio.value, place), (0.0, 7.0), ha="center")
-    axes.axvline(1.0, color=GREY, linewidth=0.9, zorder=1.0)
+        style.note(axes, _three_digits(ratio), (ratio.value, place), (0.0, 7.0), ha="center")
+    axes.axvline(1.0, color=style.GREY, linewidth=0.9, zorder=1.0)
     axes.set_yticks(range(len(rows)), list(rows))
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.margins(x=0.25)
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel("ratio, with 95 % interval")
-    axes.set_title("gain in resolution and in noise")
+    axes.set(xlabel="ratio, with 95 % interval", title="gain in resolution and in noise")

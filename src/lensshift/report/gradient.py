@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -40,6 +41,7 @@ class MeasuredLines:
         return np.atleast_2d(np.asarray(self.values, dtype=np.float64))
 
 
+@styled()
 def gradient_figure(
     gradient: EdgeGradient,
     values: ArrayLike,
@@ -73,23 +75,21 @@ def gradient_figure(
             raise ValueError(
                 f"expected {len(one.gradient.lines)} lines as measured, got {len(one.lines)}"
             )
-    with styled():
-        figure = new_figure(9.0, 3.9)
-        profiles, slopes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
-        for number, one in enumerate(measured):
-            _draw_profiles(profiles, one, colour_of(number), length)
-            _draw_slopes(slopes, one, colour_of(number))
-        reach_mm = _SHOWN_WIDTHS * max(float(one.gradient.width_mm.max()) for one in measured)
-        profiles.set_xlim(-reach_mm, reach_mm)
-        profiles.set_xlabel(f"distance from the edge along the line ({length})")
-        profiles.set_ylabel(f"value ({unit})" if unit else "value")
-        legend_above(profiles, "lines across the edge: limits and gradient", columns=1)
-        slopes.set_xlim(-0.7, max(len(one.lines) for one in measured) - 0.3)
-        slopes.set_ylim(0.0, 1.1 * slopes.dataLim.y1)
-        slopes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        slopes.set_xlabel("line")
-        slopes.set_ylabel(f"gradient (share of the step per {length})")
-        legend_above(slopes, "gradient of every line", columns=1)
+    figure = new_figure(9.0, 3.9)
+    profiles, slopes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    for number, one in enumerate(measured):
+        _draw_profiles(profiles, one, colour_of(number), length)
+        _draw_slopes(slopes, one, colour_of(number))
+    reach_mm = _SHOWN_WIDTHS * max(float(one.gradient.width_mm.max()) for one in measured)
+    profiles.set_xlim(-reach_mm, reach_mm)
+    profiles.set_xlabel(f"distance from the edge along the line ({length})")
+    profiles.set_ylabel(f"value ({unit})" if unit else "value")
+    legend_above(profiles, "lines across the edge: limits and gradient", columns=1)
+    slopes.set_xlim(-0.7, max(len(one.lines) for one in measured) - 0.3)
+    slopes.set_ylim(0.0, 1.1 * slopes.dataLim.y1)
+    slopes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    slopes.set(xlabel="line", ylabel=f"gradient (share of the step per {length})")
+    legend_above(slopes, "gradient of every line", columns=1)
     return figure
 
 
@@ -105,17 +105,11 @@ def _draw_profiles(axes: Axes, measured: MeasuredLines, colour: str, length: str
         place_mm - edge.position_mm, lines[middle], ".-", color=colour, linewidth=1.2, markersize=5
     )
     ends_mm = np.array([edge.low_position_mm, edge.high_position_mm]) - edge.position_mm
-    axes.plot(
-        ends_mm,
-        [edge.low_limit, edge.high_limit],
-        "o-",
-        color=colour,
-        linewidth=3.0,
-        markersize=6.0,
-        markeredgecolor="white",
-        label=f"{measured.name}, line {middle} of {len(lines)}: "
-        f"{edge.slope_per_mm:.3g} per {length} over {edge.width_mm:.3g} {length}",
-    )
+    label = f"{measured.name}, line {middle} of {len(lines)}: {edge.slope_per_mm:.3g} per {length} "
+    label += f"over {edge.width_mm:.3g} {length}"
+    how: dict[str, Any] = {"linewidth": 3.0, "markersize": 6.0, "markeredgecolor": "white"}
+    limits = [edge.low_limit, edge.high_limit]
+    axes.plot(ends_mm, limits, "o-", color=colour, label=label, **how)
     _draw_limits(axes, edge)
 
 
@@ -145,10 +139,5 @@ def _draw_slopes(axes: Axes, measured: MeasuredLines, colour: str) -> None:
     )
     if gradient.averaged is not None:
         averaged = gradient.averaged.normalised_per_mm
-        axes.axhline(
-            averaged,
-            color=colour,
-            linewidth=1.2,
-            linestyle="--",
-            label=f"{measured.name}, averaged profile {averaged:.3g}",
-        )
+        label = f"{measured.name}, averaged profile {averaged:.3g}"
+        axes.axhline(averaged, color=colour, linewidth=1.2, linestyle="--", label=label)

@@ -7,12 +7,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.image import AxesImage
-from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
 from lensshift.report.preview import shown_range
-from lensshift.report.style import INK, note, outlined
+from lensshift.report.style import INK
 
 _WITHOUT_VALUE = "#EADCC2"
 _DIVERGING = "RdBu_r"
@@ -82,24 +81,6 @@ def add_scale(axes: Axes, shown: AxesImage, label: str) -> None:
     place.grid(visible=False)
 
 
-def draw_region(
-    axes: Axes, row_start: int, row_stop: int, col_start: int, col_stop: int, colour: str
-) -> None:
-    """Draw the outer borders of the pixels of a region."""
-    axes.add_patch(
-        Rectangle(
-            (col_start - 0.5, row_start - 0.5),
-            col_stop - col_start,
-            row_stop - row_start,
-            fill=False,
-            edgecolor=colour,
-            linewidth=1.3,
-            path_effects=outlined(1.3),
-            clip_on=False,  # a region that fills the image is not cut in half
-        )
-    )
-
-
 def outline(axes: Axes, mask: NDArray[np.bool_], colour: str) -> None:
     """Draw a line along the borders between pixels inside and outside a mask [row col]."""
     inside = np.pad(mask, 1)
@@ -110,12 +91,6 @@ def outline(axes: Axes, mask: NDArray[np.bool_], colour: str) -> None:
     axes.add_collection(
         LineCollection([*upright, *level], colors=colour, linewidths=0.8), autolim=False
     )
-
-
-def number_region(axes: Axes, number: int, row_px: int, col_px: int, colour: str) -> None:
-    """Write the number of a region into its upper left corner."""
-    place = (col_px - 0.5, row_px - 0.5)
-    note(axes, str(number), place, (3.0, -3.0), color=colour, va="top", fontweight="bold")
 
 
 def plain_image(values: ArrayLike) -> Floats:

@@ -22,21 +22,7 @@ from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band, diffraction_limit
 from lensshift.optics.psf import point_spread
 from lensshift.optics.spots import distortion, spots
-from lensshift.report import curves
-from lensshift.report.style import (
-    BLUE,
-    COLOURS,
-    FAINT,
-    GREY,
-    INK,
-    LIGHT,
-    RED,
-    SMALL_PT,
-    TITLE_PT,
-    colour_of,
-    new_figure,
-    styled,
-)
+from lensshift.report import curves, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,17 +31,15 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
-_FIELD_STEPS = 25
-_MTF_FIELDS = 13
-_FREQUENCIES = 41
-_WIDTH_IN = 9.0
-_SIDES = 121
+_FIELD_STEPS, _MTF_FIELDS = 25, 13  # from centre to corner: smooth; every other for the slow MTF
+_SIDES = 3 * 40 + 1  # of squares, up to 1.5 pixels or more: steps of an 80th of a pixel
 _NEAR_AXIS = 1e-3  # of the corner: where the scale of the image is that of the middle
 _PSF_PIXELS = 1.3  # that a picture of a point shows at least
 _PSF_RADII, _PSF_RINGS = 1.6, 4  # rms radii of a spot that is wider, and rings to find it
 _TINY = 1e-4  # of the peak: where the grey scale ends
 
 
+@style.styled()
 def fans_figure(
     lens: Lens, grid: Grid, fields_tan: Sequence[Pair], *, band: Band | None = None
 ) -> Figure:
@@ -73,32 +57,31 @@ def fans_figure(
     if band is not None:
         ordered = np.sort(band.wavelength_nm)
         wavelengths_nm = list(dict.fromkeys(map(float, ordered[[0, len(ordered) // 2, -1]])))
-    colours = (BLUE,) if len(wavelengths_nm) == 1 else (BLUE, INK, RED)
+    colours = (style.BLUE,) if len(wavelengths_nm) == 1 else (style.BLUE, style.INK, style.RED)
     quarter_um = 250.0 * min(grid.pitch_mm)
-    with styled():
-        figure = new_figure(_WIDTH_IN, 0.8 + 1.9 * len(fields_tan))
-        panels = figure.subplots(len(fields_tan), 2, squeeze=False, sharex=True, sharey=True)
-        for line, field in zip(panels, fields_tan, strict=True):
-            for axes in line:
-                axes.axhspan(-quarter_um, quarter_um, color=FAINT, zorder=0.5, linewidth=0.0)
-                axes.axhline(0.0, color=LIGHT, linewidth=0.9, zorder=1.0)
-            for nm, colour in zip(wavelengths_nm, colours, strict=False):
-                fan = ray_fan(lens, field, wavelength_nm=nm)
-                line[0].plot(fan.pupil, 1e3 * fan.tangential_mm, color=colour, label=f"{nm:.4g} nm")
-                line[1].plot(fan.pupil, 1e3 * fan.sagittal_mm, color=colour)
-            line[0].set_ylabel("ray error (um)")
-            for axes, section in zip(line, ("tangential", "sagittal"), strict=True):
-                axes.set_title(f"{_degrees(field)}, {section}")
-                axes.set_xlim(-1.0, 1.0)
-                axes.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])
-        for axes in panels[-1]:
-            axes.set_xlabel("place in the stop (1 at its edge)")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        labels[-1] += f"; strip: a pixel of half the size, {2.0 * quarter_um:.3g} um"
-        figure.legend(handles, labels, loc="outside upper left", ncols=4)
+    figure = style.new_figure(style.WIDTH_IN, 0.8 + 1.9 * len(fields_tan))
+    panels = figure.subplots(len(fields_tan), 2, squeeze=False, sharex=True, sharey=True)
+    for line, field in zip(panels, fields_tan, strict=True):
+        for axes in line:
+            axes.axhspan(-quarter_um, quarter_um, color=style.FAINT, zorder=0.5, linewidth=0.0)
+            axes.axhline(0.0, color=style.LIGHT, linewidth=0.9, zorder=1.0)
+        for nm, colour in zip(wavelengths_nm, colours, strict=False):
+            fan = ray_fan(lens, field, wavelength_nm=nm)
+            line[0].plot(fan.pupil, 1e3 * fan.tangential_mm, color=colour, label=f"{nm:.4g} nm")
+            line[1].plot(fan.pupil, 1e3 * fan.sagittal_mm, color=colour)
+        line[0].set_ylabel("ray error (um)")
+        for axes, section in zip(line, ("tangential", "sagittal"), strict=True):
+            axes.set(title=f"{_degrees(field)}, {section}", xlim=(-1.0, 1.0))
+            axes.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])
+    for axes in panels[-1]:
+        axes.set_xlabel("place in the stop (1 at its edge)")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    labels[-1] += f"; strip: a pixel of half the size, {2.0 * quarter_um:.3g} um"
+    figure.legend(handles, labels, loc="outside upper left", ncols=4)
     return figure
 
 
+@style.styled()
 def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     """Draw focus of both sections, distortion and illumination from the axis to the corner.
 
@@ -115,36 +98,34 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     scale = 1.0 + distortion(lens, np.concatenate([_NEAR_AXIS * fields[-1:], fields[1:]]))
     percent = 100.0 * (scale / scale[0] - 1.0)
     light = 100.0 * relative_illumination(lens, fields)
-    with styled():
-        figure = new_figure(_WIDTH_IN, 4.4)
-        focus, departure, bright = figure.subplots(1, 3, sharey=True)
-        focus.plot(found.tangential_mm, height_mm, color=BLUE, label="tangential")
-        focus.plot(found.sagittal_mm, height_mm, "--", color=RED, label="sagittal")
-        focus.plot(
-            found.sagittal_mm[0] + petzval_mm, height_mm, ":", color=GREY, label="Petzval surface"
-        )
-        focus.axvline(0.0, color=LIGHT, linewidth=0.9, zorder=1.0)
-        focus.set_xlabel("focus behind the sensor (mm)")
-        focus.set_ylabel("height of the image (mm)")
-        departure.plot(percent, height_mm, color=BLUE)
-        departure.axvline(0.0, color=LIGHT, linewidth=0.9, zorder=1.0)
-        departure.locator_params(axis="x", nbins=4)
-        departure.set_xlabel("distortion against the middle (%)")
-        departure.set_title(f"{percent[-1]:+.2f} % in the corner")
-        bright.plot(light, height_mm, color=BLUE)
-        bright.set_xlim(0.0, 105.0)
-        bright.set_xlabel("relative illumination (%)")
-        bright.set_title(f"{light[-1]:.1f} % in the corner")
-        focus.set_ylim(0.0, height_mm[-1])
-        for axes in (departure, focus):
-            _widen(axes)
-        curves.legend_above(focus, "", 1)
-        figure.suptitle(
-            f"{lens.name or 'lens'}, centre to corner, {_degrees(fields[-1])}", fontsize=TITLE_PT
-        )
+    figure = style.new_figure(style.WIDTH_IN, 4.4)
+    focus, departure, bright = figure.subplots(1, 3, sharey=True)
+    focus.plot(found.tangential_mm, height_mm, color=style.BLUE, label="tangential")
+    focus.plot(found.sagittal_mm, height_mm, "--", color=style.RED, label="sagittal")
+    focus.plot(
+        found.sagittal_mm[0] + petzval_mm, height_mm, ":", color=style.GREY, label="Petzval surface"
+    )
+    focus.axvline(0.0, color=style.LIGHT, linewidth=0.9, zorder=1.0)
+    focus.set(xlabel="focus behind the sensor (mm)", ylabel="height of the image (mm)")
+    departure.plot(percent, height_mm, color=style.BLUE)
+    departure.axvline(0.0, color=style.LIGHT, linewidth=0.9, zorder=1.0)
+    departure.locator_params(axis="x", nbins=4)
+    departure.set_xlabel("distortion against the middle (%)")
+    departure.set_title(f"{percent[-1]:+.2f} % in the corner")
+    bright.plot(light, height_mm, color=style.BLUE)
+    bright.set(xlim=(0.0, 105.0), xlabel="relative illumination (%)")
+    bright.set_title(f"{light[-1]:.1f} % in the corner")
+    focus.set_ylim(0.0, height_mm[-1])
+    for axes in (departure, focus):
+        _widen(axes)
+    curves.legend_above(focus, "", 1)
+    figure.suptitle(
+        f"{lens.name or 'lens'}, centre to corner, {_degrees(fields[-1])}", fontsize=style.TITLE_PT
+    )
     return figure
 
 
+@style.styled()
 def sections_figure(
     lens: Lens,
     grid: Grid,
@@ -164,45 +145,39 @@ def sections_figure(
     """
     double_lpmm = 1.0 / max(grid.pitch_mm)
     end_lpmm = 1.25 * double_lpmm if highest_lpmm is None else highest_lpmm
-    frequency_lpmm = np.linspace(0.0, end_lpmm, _FREQUENCIES)
+    frequency_lpmm = np.linspace(0.0, end_lpmm, curves.STEPS)
     shares = np.linspace(0.0, 1.0, _MTF_FIELDS)
     fields = sensor_fields(lens, grid, shares)
     chosen_lpmm = np.array([0.25, 0.5, 1.0]) * double_lpmm
     over_field = np.array([section_mtf(lens, one, chosen_lpmm, band=band) for one in fields])
-    with styled():
-        figure = new_figure(_WIDTH_IN, 4.6)
-        left, right = figure.subplots(1, 2, sharey=True)
-        for number, field in enumerate(fields_tan):
-            found = section_mtf(lens, field, frequency_lpmm, band=band)
-            for values, dashes, name in zip(found, ("-", "--"), ("T", "S"), strict=True):
-                label = f"{_degrees(field)} {name}"
-                left.plot(frequency_lpmm, values, dashes, color=colour_of(number), label=label)
-        curves.draw_limits(left, [diffraction_limit(lens, frequency_lpmm)], end_lpmm)
-        curves.mark_frequency(left, 0.5 * double_lpmm, "LR Nyquist")
-        curves.mark_frequency(left, double_lpmm, "twice that")
-        curves.finish_mtf_axes(left, end_lpmm, "LP/mm", "", columns=2)
-        half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
-        height_mm = shares * float(np.hypot(*half_mm))
-        for number, lpmm in enumerate(chosen_lpmm):
-            for section, dashes, name in ((0, "-", "T"), (1, "--", "S")):
-                right.plot(
-                    height_mm,
-                    over_field[:, section, number],
-                    dashes,
-                    color=COLOURS[-1 - number],
-                    label=f"{lpmm:.3g} LP/mm {name}",
-                )
-        right.set_xlim(0.0, height_mm[-1])
-        right.set_ylim(0.0, 1.05)
-        right.set_xlabel("height of the image, centre to corner (mm)")
-        curves.legend_above(right, "", 3)
-        figure.suptitle(
-            f"{lens.name or 'lens'}: T tangential (pattern repeats along the field), S sagittal",
-            fontsize=TITLE_PT,
-        )
+    figure = style.new_figure(style.WIDTH_IN, 4.6)
+    left, right = figure.subplots(1, 2, sharey=True)
+    for number, field in enumerate(fields_tan):
+        found = section_mtf(lens, field, frequency_lpmm, band=band)
+        for values, dashes, name in zip(found, ("-", "--"), ("T", "S"), strict=True):
+            label = f"{_degrees(field)} {name}"
+            left.plot(frequency_lpmm, values, dashes, color=style.colour_of(number), label=label)
+    curves.draw_limits(left, [diffraction_limit(lens, frequency_lpmm)], end_lpmm)
+    curves.mark_frequency(left, 0.5 * double_lpmm, "LR Nyquist")
+    curves.mark_frequency(left, double_lpmm, "twice that")
+    curves.finish_mtf_axes(left, end_lpmm, "LP/mm", "", columns=2)
+    half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
+    height_mm = shares * float(np.hypot(*half_mm))
+    for number, lpmm in enumerate(chosen_lpmm):
+        for section, dashes, name in ((0, "-", "T"), (1, "--", "S")):
+            values, label = over_field[:, section, number], f"{lpmm:.3g} LP/mm {name}"
+            right.plot(height_mm, values, dashes, color=style.COLOURS[-1 - number], label=label)
+    right.set(xlim=(0.0, height_mm[-1]), ylim=(0.0, 1.05))
+    right.set_xlabel("height of the image, centre to corner (mm)")
+    curves.legend_above(right, "", 3)
+    figure.suptitle(
+        f"{lens.name or 'lens'}: T tangential (pattern repeats along the field), S sagittal",
+        fontsize=style.TITLE_PT,
+    )
     return figure
 
 
+@style.styled()
 def psf_figure(
     lens: Lens, grid: Grid, fields_tan: Sequence[Pair], *, band: Band | None = None
 ) -> Figure:
@@ -221,38 +196,34 @@ def psf_figure(
     reach_um = max(0.5 * _PSF_PIXELS * largest_um, spot_um)
     side_mm = np.linspace(0.0, 1e-3 * max(1.5 * largest_um, 2.0 * spot_um), _SIDES)
     found = [point_spread(lens, field, float(side_mm[-1]), band=band) for field in fields_tan]
-    with styled():
-        figure = new_figure(max(6.0, 0.8 + 2.8 * len(fields_tan)), 6.2)
-        above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.05, 1.0))[:, 0]
-        panels = above.subplots(1, len(fields_tan), squeeze=False, sharey=True)[0]
-        axes_below = below.subplots()
-        for number, (axes, field, psf) in enumerate(zip(panels, fields_tan, found, strict=True)):
-            decades = np.log10(np.maximum(psf.per_mm2 / psf.per_mm2.max(), _TINY))
-            end_um = 1e3 * (psf.at_mm[-1] + 0.5 * psf.step_mm)
-            shown = axes.imshow(
-                decades, extent=(-end_um, end_um, end_um, -end_um), cmap="viridis", vmax=0.0,
-                vmin=np.log10(_TINY),
-            )  # fmt: skip
-            _draw_pixel(axes, pixel_um)
-            axes.set_xlim(-reach_um, reach_um)
-            axes.set_ylim(reach_um, -reach_um)
-            axes.grid(visible=False)
-            axes.set_title(_degrees(field))
-            axes.set_xlabel("column (um)")
-            inside = 100.0 * psf.ensquared(side_mm)
-            axes_below.plot(1e3 * side_mm, inside, color=colour_of(number), label=_degrees(field))
-        panels[0].set_ylabel("row (um)")
-        above.colorbar(
-            shown, ax=list(panels), label="irradiance over its peak", shrink=0.8,
-            ticks=[-4, -3, -2, -1, 0], format=lambda power, _: f"$10^{{{power:.0f}}}$",
+    figure = style.new_figure(max(6.0, 0.8 + 2.8 * len(fields_tan)), 6.2)
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.05, 1.0))[:, 0]
+    panels = above.subplots(1, len(fields_tan), squeeze=False, sharey=True)[0]
+    axes_below = below.subplots()
+    for number, (axes, field, psf) in enumerate(zip(panels, fields_tan, found, strict=True)):
+        decades = np.log10(np.maximum(psf.per_mm2 / psf.per_mm2.max(), _TINY))
+        end_um = 1e3 * (psf.at_mm[-1] + 0.5 * psf.step_mm)
+        shown = axes.imshow(
+            decades, extent=(-end_um, end_um, end_um, -end_um), cmap="viridis", vmax=0.0,
+            vmin=np.log10(_TINY),
         )  # fmt: skip
-        for um, name in ((largest_um, "pixel"), (0.5 * largest_um, "half a pixel")):
-            curves.mark_frequency(axes_below, um, name)
-        axes_below.set_xlim(0.0, 1e3 * side_mm[-1])
-        axes_below.set_ylim(0.0, 102.0)
-        axes_below.set_xlabel("side of a square about the centroid (um)")
-        axes_below.set_ylabel("light in the square (%)")
-        curves.legend_above(axes_below, "", 4)
+        _draw_pixel(axes, pixel_um)
+        axes.set(xlim=(-reach_um, reach_um), ylim=(reach_um, -reach_um))
+        axes.grid(visible=False)
+        axes.set(title=_degrees(field), xlabel="column (um)")
+        inside = 100.0 * psf.ensquared(side_mm)
+        axes_below.plot(1e3 * side_mm, inside, color=style.colour_of(number), label=_degrees(field))
+    panels[0].set_ylabel("row (um)")
+    above.colorbar(
+        shown, ax=list(panels), label="irradiance over its peak", shrink=0.8,
+        ticks=[-4, -3, -2, -1, 0], format=lambda power, _: f"$10^{{{power:.0f}}}$",
+    )  # fmt: skip
+    for um, name in ((largest_um, "pixel"), (0.5 * largest_um, "half a pixel")):
+        curves.mark_frequency(axes_below, um, name)
+    axes_below.set(xlim=(0.0, 1e3 * side_mm[-1]), ylim=(0.0, 102.0))
+    axes_below.set_xlabel("side of a square about the centroid (um)")
+    axes_below.set_ylabel("light in the square (%)")
+    curves.legend_above(axes_below, "", 4)
     return figure
 
 
@@ -264,15 +235,8 @@ def _draw_pixel(axes: Axes, pixel_um: Floats) -> None:
             fill=False, edgecolor="white", linewidth=1.0, linestyle="--",
         )
     )  # fmt: skip
-    axes.annotate(
-        "pixel",
-        (-0.5 * col_um, -0.5 * row_um),
-        xytext=(3.0, -3.0),
-        textcoords="offset points",
-        va="top",
-        color="white",
-        fontsize=SMALL_PT,
-    )
+    at, how = (-0.5 * col_um, -0.5 * row_um), {"va": "top", "color": "white"}
+    style.note(axes, "pixel", at, (3.0, -3.0), path_effects=None, **how)
 
 
 def _widen(axes: Axes) -> None:

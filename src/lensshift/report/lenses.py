@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lensshift.evaluation.limits import paper_sensor_limit, pixel_aperture_mtf
 from lensshift.optics.layout import layout
@@ -14,22 +14,7 @@ from lensshift.optics.mtf import diffraction_limit
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.shift import moving
 from lensshift.optics.which import label_of
-from lensshift.report import curves
-from lensshift.report.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    LIGHT,
-    ORANGE,
-    RED,
-    SMALL_PT,
-    colour_of,
-    new_figure,
-    outlined,
-    round_number,
-    styled,
-)
+from lensshift.report import curves, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,17 +29,17 @@ Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 _GLASS = "#E3EDF6"
-_FIELDS_DEG = (0.0, 6.5)
+_FIELDS_DEG = (0.0, 6.5)  # centre and edge of the sensor of the paper, behind 42.7 mm
 _VISIBLE = 0.03  # of the height of the lens: a smaller travel is drawn enlarged
-_STEPS = 41
-_WIDTH_IN, _WIDE_IN = 9.0, 10.0
+_WIDE_IN = 10.0  # of four panels with names beside them
 _DRAWN, _HIGH_IN, _AROUND_IN = 0.85, (1.5, 7.0), 1.9  # of a section: share of the width, heights
-_LEVEL_PT = 1.4 * SMALL_PT  # from one row of names to the next
+_LEVEL_PT = 1.4 * style.SMALL_PT  # from one row of names to the next
 _FIRST_PT = 6.0
-_LETTER_PT = 0.62 * SMALL_PT
+_LETTER_PT = 0.62 * style.SMALL_PT
 _STATES = ((0.0, "-", "at rest"), (1.0, "--", "moved"), (-1.0, ":", "moved the other way"))
 
 
+@style.styled()
 def layout_figure(
     lens: Lens, element: int, travel_mm: Pair, *, fields_deg: Sequence[float] = _FIELDS_DEG
 ) -> Figure:
@@ -72,29 +57,20 @@ def layout_figure(
     height_mm = max(float(np.max(line.height_mm)) for line in rest.outlines)
     times, travel = 1.0, abs(travel_mm[1])
     if 0.0 < travel < _VISIBLE * height_mm:
-        times = round_number(3.0 * _VISIBLE * height_mm / travel)
+        times = style.round_number(3.0 * _VISIBLE * height_mm / travel)
     moved = layout(lens, element, (times * travel_mm[0], times * travel_mm[1]), rays=1)
     dashed = moved.outlines[element]
     ending = "" if times == 1.0 else f", drawn {times:g} times as far"
-    with styled():
-        figure, mm_per_pt = _section_figure(rest, dashed)
-        axes = figure.subplots()
-        _draw_rays(axes, rest, fields_deg)
-        _draw_parts(axes, rest, element)
-        _draw_names(axes, rest, dashed, mm_per_pt)
-        axes.plot(
-            dashed.z_mm,
-            dashed.height_mm,
-            "--",
-            color=RED,
-            linewidth=1.3,
-            label=f"element {element + 1} moved by {1e3 * travel_mm[1]:.1f} um{ending}",
-        )
-        axes.set_aspect("equal")
-        axes.set_xlabel("along the axis (mm)")
-        axes.set_ylabel("along columns (mm)")
-        title = f"{lens.name or 'lens'}, stop {lens.stop.diameter_mm:.4g} mm"
-        curves.legend_above(axes, title, columns=3)
+    figure, mm_per_pt = _section_figure(rest, dashed)
+    axes = figure.subplots()
+    _draw_rays(axes, rest, fields_deg)
+    _draw_parts(axes, rest, element)
+    _draw_names(axes, rest, dashed, mm_per_pt)
+    label = f"element {element + 1} moved by {1e3 * travel_mm[1]:.1f} um{ending}"
+    axes.plot(dashed.z_mm, dashed.height_mm, "--", color=style.RED, linewidth=1.3, label=label)
+    axes.set(aspect="equal", xlabel="along the axis (mm)", ylabel="along columns (mm)")
+    title = f"{lens.name or 'lens'}, stop {lens.stop.diameter_mm:.4g} mm"
+    curves.legend_above(axes, title, columns=3)
     return figure
 
 
@@ -104,12 +80,13 @@ def _section_figure(section: Layout, moved: Polyline) -> tuple[Figure, float]:
     lines = [*parts, *(ray.line for ray in section.rays)]
     long_mm = max(line.z_mm.max() for line in lines) - min(line.z_mm.min() for line in lines)
     high_mm = 2.0 * max(float(np.abs(line.height_mm).max()) for line in parts)
-    drawn_in = _DRAWN * _WIDTH_IN
+    drawn_in = _DRAWN * style.WIDTH_IN
     high_in = float(np.clip(drawn_in * high_mm / long_mm, *_HIGH_IN))
     mm_per_pt = max(long_mm / drawn_in, high_mm / high_in) / 72.0
-    return new_figure(_WIDTH_IN, high_in + _AROUND_IN), mm_per_pt
+    return style.new_figure(style.WIDTH_IN, high_in + _AROUND_IN), mm_per_pt
 
 
+@style.styled()
 def mtf_figure(
     lens: Lens,
     element: int,
@@ -133,33 +110,36 @@ def mtf_figure(
     highest_lpmm : where the curves end
     azimuth_rad : direction in which the pattern repeats, from the columns towards the rows
     """
-    frequency_lpmm = np.linspace(0.0, highest_lpmm, _STEPS)
-    with styled():
-        figure = new_figure(9.0, 6.2)
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
-        for number, field in enumerate(fields_tan):
-            row_deg, col_deg = np.rad2deg(np.arctan(field))
-            name, colour = f"{row_deg:.1f}/{col_deg:.1f} degrees", colour_of(number)
-            found = _mtf_of(lens, element, travel_mm, field, frequency_lpmm, azimuth_rad)
-            for values, (_, dashes, state) in zip(found, _STATES, strict=True):
-                label = f"{name} {state}"
-                above.plot(frequency_lpmm, values, dashes, color=colour, label=label)
-            for values, (_, dashes, _) in zip(found[1:], _STATES[1:], strict=True):
-                below.plot(frequency_lpmm, values - found[0], dashes, color=colour)
-        _draw_sensor(above, grid, frequency_lpmm, azimuth_rad)
-        curves.draw_limits(above, [diffraction_limit(lens, frequency_lpmm)], highest_lpmm)
-        um = ", ".join(f"{1e3 * travel:.1f}" for travel in travel_mm)
-        title = f"{lens.name or 'lens'}, element {element + 1} moved by ({um}) um (row, column)"
-        along = _direction(azimuth_rad)
-        curves.finish_mtf_axes(above, highest_lpmm, "LP/mm", title, columns=3)
-        above.set_xlabel("")
-        above.set_ylabel(f"modulation {along}")
-        below.axhline(0.0, color=GREY, linewidth=0.9, zorder=1.0)
-        below.set_xlabel("spatial frequency on the sensor (LP/mm)")
-        below.set_ylabel("moved minus rest")
+    frequency_lpmm = np.linspace(0.0, highest_lpmm, curves.STEPS)
+    figure = style.new_figure(9.0, 6.2)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
+    for number, field in enumerate(fields_tan):
+        row_deg, col_deg = np.rad2deg(np.arctan(field))
+        name, colour = f"{row_deg:.1f}/{col_deg:.1f} degrees", style.colour_of(number)
+        builds = (moving(lens, element, sign * np.asarray(travel_mm)) for sign, _, _ in _STATES)
+        found = [
+            np.abs(exact_otf(lens, field, frequency_lpmm, azimuth_rad, build=build)[0])
+            for build in builds
+        ]
+        for values, (_, dashes, state) in zip(found, _STATES, strict=True):
+            label = f"{name} {state}"
+            above.plot(frequency_lpmm, values, dashes, color=colour, label=label)
+        for values, (_, dashes, _) in zip(found[1:], _STATES[1:], strict=True):
+            below.plot(frequency_lpmm, values - found[0], dashes, color=colour)
+    _draw_sensor(above, grid, frequency_lpmm, azimuth_rad)
+    curves.draw_limits(above, [diffraction_limit(lens, frequency_lpmm)], highest_lpmm)
+    um = ", ".join(f"{1e3 * travel:.1f}" for travel in travel_mm)
+    title = f"{lens.name or 'lens'}, element {element + 1} moved by ({um}) um (row, column)"
+    turn_deg = round(np.rad2deg(azimuth_rad))
+    along = {0: "along columns", 90: "along rows"}.get(turn_deg, f"at {turn_deg} degrees")
+    curves.finish_mtf_axes(above, highest_lpmm, "LP/mm", title, columns=3)
+    above.set(xlabel="", ylabel=f"modulation {along}")
+    below.axhline(0.0, color=style.GREY, linewidth=0.9, zorder=1.0)
+    below.set(xlabel="spatial frequency on the sensor (LP/mm)", ylabel="moved minus rest")
     return figure
 
 
+@style.styled()
 def which_figure(movers: Sequence[Mover]) -> Figure:
     """Draw what shifting the image with each element takes and costs.
 
@@ -181,21 +161,20 @@ def which_figure(movers: Sequence[Mover]) -> Figure:
         ("error of the shift (px)", [one.max_shift_error_px for one in movers], None),
         ("loss of MTF", [one.mtf_loss for one in movers], None),
     )
-    with styled():
-        figure = new_figure(_WIDE_IN, 1.2 + 0.5 * len(movers))
-        grid = figure.subplots(1, len(panels) + 1, sharey=True, width_ratios=(1.1, 1.0, 1.0, 1.1))
-        for axes, (label, values, texts) in zip(grid, panels, strict=False):
-            _draw_bars(axes, names, values, BLUE, texts=texts)
-            axes.set_xlabel(label)
-        for away, label, values in (
-            (-0.19, "rest", [one.mtf_centred for one in movers]),
-            (0.19, "moved", [one.mtf_moved for one in movers]),
-        ):
-            colour = LIGHT if label == "rest" else BLUE
-            _draw_bars(grid[-1], names, values, colour, away=away, label=label)
-        grid[-1].set_xlabel("least MTF")
-        curves.legend_above(grid[-1], "")
-        grid[0].set_ylim(len(movers) - 0.4, -0.6)
+    figure = style.new_figure(_WIDE_IN, 1.2 + 0.5 * len(movers))
+    grid = figure.subplots(1, len(panels) + 1, sharey=True, width_ratios=(1.1, 1.0, 1.0, 1.1))
+    for axes, (label, values, texts) in zip(grid, panels, strict=False):
+        _draw_bars(axes, names, values, style.BLUE, texts=texts)
+        axes.set_xlabel(label)
+    for away, label, values in (
+        (-0.19, "rest", [one.mtf_centred for one in movers]),
+        (0.19, "moved", [one.mtf_moved for one in movers]),
+    ):
+        colour = style.LIGHT if label == "rest" else style.BLUE
+        _draw_bars(grid[-1], names, values, colour, away=away, label=label)
+    grid[-1].set_xlabel("least MTF")
+    curves.legend_above(grid[-1], "")
+    grid[0].set_ylim(len(movers) - 0.4, -0.6)
     return figure
 
 
@@ -210,18 +189,9 @@ def _draw_bars(
     texts: Sequence[str] | None = None,
 ) -> None:
     places = np.arange(len(values)) + away
-    axes.barh(places, values, color=colour, height=0.36 if away else 0.6, label=label)
-    for place, value, text in zip(
-        places, values, texts or [f"{value:.3g}" for value in values], strict=True
-    ):
-        axes.annotate(
-            text,
-            (value, place),
-            xytext=(3.0, 0.0),
-            textcoords="offset points",
-            va="center",
-            fontsize=SMALL_PT,
-        )
+    bars = axes.barh(places, values, color=colour, height=0.36 if away else 0.6, label=label)
+    shown = texts or [f"{value:.3g}" for value in values]
+    axes.bar_label(bars, shown, padding=3.0, fontsize=style.SMALL_PT)
     axes.set_yticks(range(len(names)), names)
     axes.set_xlim(0.0, 1.5 * max(max(values), axes.get_xlim()[1] / 1.5 if away > 0 else 0.0))
     axes.locator_params(axis="x", nbins=3)
@@ -229,7 +199,7 @@ def _draw_bars(
 
 
 def _draw_rays(axes: Axes, section: Layout, fields_deg: Sequence[float]) -> None:
-    colours, named = (BLUE, GREEN, ORANGE), set()
+    colours, named = (style.BLUE, style.GREEN, style.ORANGE), set()
     for ray in section.rays:
         colour = colours[ray.field % len(colours)]
         label = "_" if ray.field in named else f"field {fields_deg[ray.field]:.3g} degrees"
@@ -243,22 +213,14 @@ def _draw_rays(axes: Axes, section: Layout, fields_deg: Sequence[float]) -> None
 def _draw_parts(axes: Axes, section: Layout, element: int) -> None:
     """Draw glass, stop and sensor."""
     for number, line in enumerate(section.outlines):
-        colour = RED if number == element else INK
+        colour = style.RED if number == element else style.INK
         axes.fill(
             line.z_mm, line.height_mm, facecolor=_GLASS, edgecolor=colour, linewidth=1.1, alpha=0.8
         )
-    for part in section.stop:
-        axes.plot(part.z_mm, part.height_mm, color=INK, linewidth=2.2)
-    axes.plot(section.sensor.z_mm, section.sensor.height_mm, color=INK, linewidth=2.2)
-    axes.annotate(
-        "sensor",
-        (float(section.sensor.z_mm[0]), 0.0),
-        xytext=(4.0, 0.0),
-        textcoords="offset points",
-        rotation=90,
-        va="center",
-        fontsize=SMALL_PT,
-    )
+    for part in (*section.stop, section.sensor):
+        axes.plot(part.z_mm, part.height_mm, color=style.INK, linewidth=2.2)
+    place = (float(section.sensor.z_mm[0]), 0.0)
+    style.note(axes, "sensor", place, (4.0, 0.0), rotation=90, va="center", path_effects=None)
 
 
 def _draw_names(axes: Axes, section: Layout, moved: Polyline, mm_per_pt: float) -> None:
@@ -289,34 +251,14 @@ def _draw_names(axes: Axes, section: Layout, moved: Polyline, mm_per_pt: float) 
             xytext=(middle_mm, at_mm),
             ha="center",
             va="bottom" if side > 0 else "top",
-            fontsize=SMALL_PT,
-            path_effects=outlined(2.5),
+            fontsize=style.SMALL_PT,
+            path_effects=style.outlined(2.5),
             zorder=5.0 - 0.1 * level,  # lines to lower rows pass below the names
-            arrowprops={"arrowstyle": "-", "color": LIGHT, "linewidth": 0.6, "shrinkB": 0.0},
+            arrowprops={"arrowstyle": "-", "color": style.LIGHT, "linewidth": 0.6, "shrinkB": 0.0},
         )
-    rows = {1: 0, -1: 0}
-    for side, level in taken_mm:
-        rows[side] = max(rows[side], level + 1)
-    axes.set_ylim(
-        low_mm - (_FIRST_PT + (rows[-1] + 0.3) * _LEVEL_PT) * mm_per_pt,
-        top_mm + (_FIRST_PT + (rows[1] + 0.3) * _LEVEL_PT) * mm_per_pt,
-    )
-
-
-def _mtf_of(
-    lens: Lens,
-    element: int,
-    travel_mm: Pair,
-    field_tan: ArrayLike,
-    frequency_lpmm: Floats,
-    azimuth_rad: float,
-) -> list[Floats]:
-    """Return the MTF at rest, moved and moved the other way."""
-    builds = [moving(lens, element, sign * np.asarray(travel_mm)) for sign, _, _ in _STATES]
-    found = [
-        exact_otf(lens, field_tan, frequency_lpmm, azimuth_rad, build=build)[0] for build in builds
-    ]
-    return [np.asarray(np.abs(values), dtype=np.float64) for values in found]
+    rows = {side: max((n for at, n in taken_mm if at == side), default=-1) for side in (-1, 1)}
+    room_mm = {n: (_FIRST_PT + (row + 1.3) * _LEVEL_PT) * mm_per_pt for n, row in rows.items()}
+    axes.set_ylim(low_mm - room_mm[-1], top_mm + room_mm[1])
 
 
 def _draw_sensor(axes: Axes, grid: Grid, frequency_lpmm: Floats, azimuth_rad: float) -> None:
@@ -324,12 +266,9 @@ def _draw_sensor(axes: Axes, grid: Grid, frequency_lpmm: Floats, azimuth_rad: fl
     row_mm, col_mm = grid.pitch_mm
     along_mm = float(np.hypot(row_mm * np.sin(azimuth_rad), col_mm * np.cos(azimuth_rad)))
     published = paper_sensor_limit(frequency_lpmm, along_mm)
-    axes.plot(frequency_lpmm, aperture, "--", color=INK, linewidth=1.0, label="pixel |sinc|")
-    axes.plot(frequency_lpmm, published, ":", color=INK, linewidth=1.0, label="pixel sinc$^2$")
+    axes.plot(frequency_lpmm, aperture, "--", color=style.INK, linewidth=1.0, label="pixel |sinc|")
+    axes.plot(
+        frequency_lpmm, published, ":", color=style.INK, linewidth=1.0, label="pixel sinc$^2$"
+    )
     if 0.5 / along_mm < frequency_lpmm[-1]:
         curves.mark_frequency(axes, 0.5 / along_mm, "LR Nyquist")
-
-
-def _direction(azimuth_rad: float) -> str:
-    named = {0: "along columns", 90: "along rows"}
-    return named.get(round(np.rad2deg(azimuth_rad)), f"at {np.rad2deg(azimuth_rad):.0f} degrees")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import html
-from base64 import b64encode
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -18,6 +16,7 @@ from lensshift.core.showing import Shown, described
 from lensshift.core.types import Burst, Estimate, Reconstruction
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
 from lensshift.io import save_burst, save_reconstruction
+from lensshift.report.page import embedded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,7 +108,15 @@ def table_of(value: Burst | EdgeResult | MtfCurve) -> DataFrame:
     if isinstance(value, MtfCurve):
         columns = {"frequency_lpmm": value.frequency_lpmm, "modulation": value.modulation}
         return pd.DataFrame(columns | ({} if value.std is None else {"std": value.std}))
-    return pd.DataFrame(_edge_rows(value), columns=["value", "low", "high"]).rename_axis("quantity")
+    rows: dict[str, tuple[float, float, float]] = {}
+    for name in value.__dataclass_fields__:
+        number = getattr(value, name)
+        if isinstance(number, Interval):
+            rows[name] = (number.value, number.low, number.high)
+        elif isinstance(number, float):
+            rows[name] = (number, float("nan"), float("nan"))
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=["value", "low", "high"])
+    return table.rename_axis("quantity")
 
 
 def _frame_columns(burst: Burst) -> dict[str, Any]:
@@ -123,19 +130,6 @@ def _frame_columns(burst: Burst) -> dict[str, Any]:
         columns["time_s"] = burst.time_s
     valid = np.ones(burst.frame_count) if burst.valid is None else burst.valid.mean(axis=(1, 2))
     return columns | {"valid_share": valid}
-
-
-def _edge_rows(edge: EdgeResult) -> Any:
-    import pandas as pd
-
-    rows: dict[str, tuple[float, float, float]] = {}
-    for name in edge.__dataclass_fields__:
-        number = getattr(edge, name)
-        if isinstance(number, Interval):
-            rows[name] = (number.value, number.low, number.high)
-        elif isinstance(number, float):
-            rows[name] = (number, float("nan"), float("nan"))
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["value", "low", "high"])
 
 
 def _picture(value: Shown) -> str:
@@ -152,11 +146,7 @@ def _picture(value: Shown) -> str:
         figure = value.plot()
     except (ImportError, ValueError):  # no matplotlib, or nothing to draw: the table alone
         return ""
-    image = BytesIO()
-    figure.savefig(image, format="png", dpi=_SCREEN_DPI)
-    said = html.escape(type(value).__name__)
-    code = b64encode(image.getvalue()).decode("ascii")
-    return f'<img alt="Picture of this {said}" src="data:image/png;base64,{code}">'
+    return embedded(figure, f"Picture of this {type(value).__name__}", _SCREEN_DPI)
 
 
 def _quick(estimate: Estimate) -> Estimate:
@@ -192,8 +182,7 @@ def _burst_figure(burst: Burst) -> Figure:
         place.errorbar(across, down, yerr=row_px, xerr=col_px, fmt="o", color=BLUE, markersize=4)
         for number, at in enumerate(zip(across, down, strict=True)):
             note(place, str(number), at, (3.0, 3.0))
-        place.set_title(f"offsets, {burst.offset_source}")
-        place.set_xlabel("content moved right (px)")
+        place.set(title=f"offsets, {burst.offset_source}", xlabel="content moved right (px)")
         place.set_ylabel("content moved down (px)")
         place.invert_yaxis()
         place.set_aspect("equal", adjustable="datalim")

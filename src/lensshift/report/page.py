@@ -15,6 +15,7 @@ from lensshift.io.atomic import written_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_PAGE_DPI = 110  # a figure of 9 in fills the width of a page of 62 rem
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 62rem; margin: 2rem auto;
@@ -65,15 +66,10 @@ class Page:
         """Add a figure as a picture in the page."""
         from lensshift.report.style import styled
 
-        picture = io.BytesIO()
         with styled():
-            figure.savefig(picture, format="png", dpi=110)
-        data = base64.b64encode(picture.getvalue()).decode("ascii")
+            picture = embedded(figure, caption, _PAGE_DPI)
         words = html.escape(caption)
-        self._parts.append(
-            f'<figure><img alt="{words}" src="data:image/png;base64,{data}">'
-            f"<figcaption>{words}</figcaption></figure>"
-        )
+        self._parts.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
 
     def table(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add a table; the keys of the first row are its header."""
@@ -102,6 +98,14 @@ class Page:
         """
         with written_whole(path) as part:
             part.write_text(self.html(), encoding="utf-8")
+
+
+def embedded(figure: Figure, words: str, dpi: int) -> str:
+    """Return a figure as a picture in HTML that needs no other file."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=dpi)
+    data = base64.b64encode(picture.getvalue()).decode("ascii")
+    return f'<img alt="{html.escape(words)}" src="data:image/png;base64,{data}">'
 
 
 def _cell(name: str, value: Any) -> str:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Estimate, Reconstruction
+from lensshift.io.picture_layers import COLOURS
 from lensshift.report.cloud import cloud_figure, drawn_pixels
 from lensshift.report.preview import shown_range
 from lensshift.report.style import SMALL_PT, new_figure, styled
 
 _UNITS = {"amplitude": "", "distance": " (m)"}
-_COLOURS = {"amplitude": "gray", "distance": "viridis"}
 _MOST_MISFIT = 10.0  # ten times the variance that was expected
 _TITLE_IN, _CLOUD_IN = 0.32, 6.0  # heights
 
@@ -33,6 +33,7 @@ class _Panel:
     measured: str
 
 
+@styled()
 def result_figure(
     result: Reconstruction,
     reference: Mapping[str, NDArray[Any]] | None = None,
@@ -64,46 +65,45 @@ def result_figure(
     heights_in = [high_in]
     if below is not None:
         heights_in.append(_CLOUD_IN * below.shape[0] / below.shape[1] + _TITLE_IN)
-    with styled():
-        figure = new_figure(wide_in, sum(heights_in) + 0.4)
-        parts: Any = figure.subfigures(len(heights_in), 1, squeeze=False, height_ratios=heights_in)
-        axes = parts[0, 0].subplots(down, across, squeeze=False)
-        for spare in axes.flat:
-            spare.set_axis_off()
-        for number, panels in enumerate(lists):
-            for place, panel in enumerate(panels):
-                at = divmod(number * most + place, across) if beside else (place, number)
-                _draw(axes[at], panel)
-        if cloud is not None:
-            one = parts[1, 0].subplots()
-            one.imshow(below, interpolation="antialiased")
-            said = f"{len(cloud)} points, those between surfaces left out"
-            one.set_title(said, fontsize=SMALL_PT)
-            one.set_axis_off()
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    figure = new_figure(wide_in, sum(heights_in) + 0.4)
+    parts: Any = figure.subfigures(len(heights_in), 1, squeeze=False, height_ratios=heights_in)
+    axes = parts[0, 0].subplots(down, across, squeeze=False)
+    for spare in axes.flat:
+        spare.set_axis_off()
+    for number, panels in enumerate(lists):
+        for place, panel in enumerate(panels):
+            at = divmod(number * most + place, across) if beside else (place, number)
+            _draw(axes[at], panel)
+    if cloud is not None:
+        one = parts[1, 0].subplots()
+        one.imshow(below, interpolation="antialiased")
+        said = f"{len(cloud)} points, those between surfaces left out"
+        one.set_title(said, fontsize=SMALL_PT)
+        one.set_axis_off()
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
     return figure
 
 
+@styled()
 def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
     """Draw one channel and its standard deviation below each other or side by side."""
     panels = _panels("image", estimate, None)
     rows, cols = estimate.image.shape
     across = len(panels) if 2 * rows > cols else 1
     high_in = wide_in / across * rows / cols * 0.85 + _TITLE_IN
-    with styled():
-        figure = new_figure(wide_in, high_in * len(panels) / across + 0.2)
-        for axes, panel in zip(
-            figure.subplots(len(panels) // across, across, squeeze=False).flat, panels, strict=True
-        ):
-            axes.set_axis_off()
-            _draw(axes, panel)
+    figure = new_figure(wide_in, high_in * len(panels) / across + 0.2)
+    for axes, panel in zip(
+        figure.subplots(len(panels) // across, across, squeeze=False).flat, panels, strict=True
+    ):
+        axes.set_axis_off()
+        _draw(axes, panel)
     return figure
 
 
 def _panels(
     name: str, estimate: Estimate, reference: Mapping[str, NDArray[Any]] | None
 ) -> list[_Panel]:
-    unit, colours = _UNITS.get(name, ""), _COLOURS.get(name, "gray")
+    unit, colours = _UNITS.get(name, ""), COLOURS.get(name, "gray")
     image = np.abs(estimate.image) if np.iscomplexobj(estimate.image) else estimate.image
     scale, measured = Normalize(*shown_range(image)), name + unit
     found = [_Panel(name, image, colours, scale, measured)]

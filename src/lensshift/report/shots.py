@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from lensshift.io.picture_layers import COLOURS
 from lensshift.report.preview import Shots, channel_range
 from lensshift.report.style import SMALL_PT, new_figure, styled
 
 _UNITS = {"amplitude": "amplitude", "distance": "distance (m)"}
-_COLOURS = {"amplitude": "gray", "distance": "viridis"}
 
 
+@styled()
 def shots_figure(shown: Shots, title: str = "", *, wide_in: float = 11.0) -> Figure:
     """Draw images of one scene on one scale per channel.
 
@@ -33,26 +34,23 @@ def shots_figure(shown: Shots, title: str = "", *, wide_in: float = 11.0) -> Fig
     beside = rows > cols  # tall images stand side by side
     count = (len(channels), len(shown)) if beside else (len(shown), len(channels))
     side_in = wide_in / count[1]
-    with styled():
-        figure = new_figure(wide_in, count[0] * (side_in * rows / cols + 0.3) + 0.7)
-        panels = figure.subplots(*count, squeeze=False)
-        panels = panels.T if beside else panels
-        for number, channel in enumerate(channels):
-            low, high = channel_range(shown, channel)
-            drawn = None
-            for axes, (label, images) in zip(panels[:, number], shown.items(), strict=True):
-                axes.set_axis_off()
-                if channel not in images:
-                    continue
-                drawn = axes.imshow(
-                    np.abs(images[channel]), cmap=_COLOURS[channel], vmin=low, vmax=high
-                )
-                axes.set_title(label, fontsize=SMALL_PT)
-            if drawn is not None:
-                where = "right" if beside else "bottom"
-                bar = figure.colorbar(
-                    drawn, ax=list(panels[:, number]), location=where, shrink=0.6, aspect=40
-                )
-                bar.set_label(_UNITS[channel])
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    figure = new_figure(wide_in, count[0] * (side_in * rows / cols + 0.3) + 0.7)
+    panels = figure.subplots(*count, squeeze=False)
+    panels = panels.T if beside else panels
+    for number, channel in enumerate(channels):
+        low, high = channel_range(shown, channel)
+        drawn = None
+        for axes, (label, images) in zip(panels[:, number], shown.items(), strict=True):
+            axes.set_axis_off()
+            if channel not in images:
+                continue
+            drawn = axes.imshow(np.abs(images[channel]), cmap=COLOURS[channel], vmin=low, vmax=high)
+            axes.set_title(label, fontsize=SMALL_PT)
+        if drawn is not None:
+            where = "right" if beside else "bottom"
+            bar = figure.colorbar(
+                drawn, ax=list(panels[:, number]), location=where, shrink=0.6, aspect=40
+            )
+            bar.set_label(_UNITS[channel])
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
     return figure

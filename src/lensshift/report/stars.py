@@ -15,25 +15,16 @@ from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.limits import pitch_pair_mm
 from lensshift.evaluation.siemens import SiemensResult
 from lensshift.evaluation.zone_plate import ZonePlateResult
-from lensshift.report import curves, images
-from lensshift.report.style import (
-    BLUE,
-    GREY,
-    RED,
-    WIDTH_IN,
-    colour_of,
-    new_figure,
-    note,
-    outlined,
-    styled,
-)
+from lensshift.report import curves, images, style
 
-Pitch = float | tuple[float, float]
+Pair = tuple[float, float]
+Pitch = float | Pair
 
 _RINGS_SHOWN = 3  # named a, b, c
 _WEDGE_RAD = np.pi / 12  # of the curves along rows and columns
 
 
+@style.styled()
 def star_figure(
     star: SiemensResult,
     image: ArrayLike,
@@ -63,27 +54,30 @@ def star_figure(
     picture, sides_mm = images.plain_image(image), pitch_pair_mm(pitch_mm)
     chosen = np.unique(np.linspace(0, star.radius_mm.size - 1, _RINGS_SHOWN).round().astype(int))
     named = [(star.mtf, "all directions")] if star.sectors else [(star.mtf, "star")]
-    named += [(curve, f"{_sector_deg(k, star)} degrees") for k, curve in enumerate(star.sectors)]
-    with styled():
-        figure = new_figure(WIDTH_IN, 6.4)
-        top, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.6, 1.0))[:, 0]
-        left, right = top.subplots(1, 2, width_ratios=(1.45, 1.0))
-        title = "MTF of the Siemens star, with 95 % band"
-        _draw_curves(left, named, limits, lr_pitch_mm or sides_mm, unit, factor, title)
-        images.draw_image(right, picture, "rings fitted below")
-        _draw_center(right, star.center_px, sides_mm)
-        panels = below.subplots(1, chosen.size, squeeze=False, sharey=True)[0]
-        panels[0].set_ylabel("pixel over mean")
-        for letter, axes, ring in zip("abc", panels, chosen, strict=False):
-            _draw_ring(right, star.center_px, sides_mm, float(star.radius_mm[ring]), letter)
-            _draw_wave(axes, star, int(ring), picture, sides_mm)
-            place = star.mtf.frequency_lpmm[ring] * factor
-            samples = f"{star.pixels_per_cycle[ring]:.1f} px per cycle"
-            axes.set_title(f"{letter}: {place:.3g} {unit}, {samples}")
-            _mark_ring(left, place, float(star.mtf.modulation[ring]), letter)
+    turn_deg = 360 / max(1, len(star.sectors))
+    named += [(curve, f"{round(turn_deg * k)} degrees") for k, curve in enumerate(star.sectors)]
+    figure = style.new_figure(style.WIDTH_IN, 6.4)
+    top, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.6, 1.0))[:, 0]
+    left, right = top.subplots(1, 2, width_ratios=(1.45, 1.0))
+    title = "MTF of the Siemens star, with 95 % band"
+    _draw_curves(left, named, limits, lr_pitch_mm or sides_mm, unit, factor, title)
+    images.draw_image(right, picture, "rings fitted below")
+    _draw_center(right, star.center_px, sides_mm)
+    panels = below.subplots(1, chosen.size, squeeze=False, sharey=True)[0]
+    panels[0].set_ylabel("pixel over mean")
+    for letter, axes, ring in zip("abc", panels, chosen, strict=False):
+        _draw_ring(right, star.center_px, sides_mm, float(star.radius_mm[ring]), letter)
+        _draw_wave(axes, star, int(ring), picture, sides_mm)
+        place = star.mtf.frequency_lpmm[ring] * factor
+        samples = f"{star.pixels_per_cycle[ring]:.1f} px per cycle"
+        axes.set_title(f"{letter}: {place:.3g} {unit}, {samples}")
+        modulation = float(star.mtf.modulation[ring])
+        left.plot(place, modulation, "o", color=style.RED, markersize=4.5)
+        _write(left, letter, place, modulation, (0.0, 7.0))
     return figure
 
 
+@style.styled()
 def zone_plate_figure(
     plate: ZonePlateResult,
     image: ArrayLike,
@@ -110,21 +104,17 @@ def zone_plate_figure(
     named = [(plate.radial, "all directions"), (plate.row, "along rows (up, down)")]
     named += [(plate.col, "along columns (left, right)")]
     if plate.folded is not None:
-        named += [
-            (plate.folded[0], "folded, along rows"),
-            (plate.folded[1], "folded, along columns"),
-        ]
-    with styled():
-        figure = new_figure(WIDTH_IN, 4.4)
-        left, right = figure.subplots(1, 2, width_ratios=(1.45, 1.0))
-        title = "response to the zone plate, with 95 % bands"
-        _draw_curves(left, named, limits, lr_pitch_mm or sides_mm, unit, factor, title)
-        images.draw_image(right, picture, "centre and sectors of the curves")
-        _draw_center(right, plate.center_px, sides_mm)
-        for number, (row, col) in ((1, (1.0, 0.0)), (2, (0.0, 1.0))):
-            _draw_wedge(right, plate.center_px, sides_mm, (row, col), colour_of(number))
-        right.set_xlim(-0.5, picture.shape[1] - 0.5)
-        right.set_ylim(picture.shape[0] - 0.5, -0.5)
+        rows, cols = plate.folded
+        named += [(rows, "folded, along rows"), (cols, "folded, along columns")]
+    figure = style.new_figure(style.WIDTH_IN, 4.4)
+    left, right = figure.subplots(1, 2, width_ratios=(1.45, 1.0))
+    title = "response to the zone plate, with 95 % bands"
+    _draw_curves(left, named, limits, lr_pitch_mm or sides_mm, unit, factor, title)
+    images.draw_image(right, picture, "centre and sectors of the curves")
+    _draw_center(right, plate.center_px, sides_mm)
+    for number, (row, col) in ((1, (1.0, 0.0)), (2, (0.0, 1.0))):
+        _draw_wedge(right, plate.center_px, sides_mm, (row, col), style.colour_of(number))
+    right.set(xlim=(-0.5, picture.shape[1] - 0.5), ylim=(picture.shape[0] - 0.5, -0.5))
     return figure
 
 
@@ -139,7 +129,7 @@ def _draw_curves(
 ) -> None:
     shown = [(curve, label) for curve, label in named if curve.frequency_lpmm.size]
     for number, (curve, label) in enumerate(shown):
-        curves.draw_curve(axes, curve, colour_of(number), label, factor=factor)
+        curves.draw_curve(axes, curve, style.colour_of(number), label, factor=factor)
     highest_lpmm = max(float(curve.frequency_lpmm[-1]) for curve, _ in shown)
     curves.draw_pixel_limits(axes, lr_pitch_mm, None, highest_lpmm, factor)
     curves.draw_limits(axes, limits, highest_lpmm, factor)
@@ -149,82 +139,57 @@ def _draw_curves(
     curves.finish_mtf_axes(axes, 1.02 * highest_lpmm * factor, unit, title)
 
 
-def _draw_center(axes: Axes, center_px: tuple[float, float], sides_mm: tuple[float, float]) -> None:
-    axes.plot(center_px[1], center_px[0], "+", color=BLUE, markersize=9.0, markeredgewidth=1.4)
+def _draw_center(axes: Axes, center_px: Pair, sides_mm: Pair) -> None:
+    axes.plot(
+        center_px[1], center_px[0], "+", color=style.BLUE, markersize=9.0, markeredgewidth=1.4
+    )
     axes.set_aspect(sides_mm[0] / sides_mm[1])
 
 
-def _draw_ring(
-    axes: Axes,
-    center_px: tuple[float, float],
-    sides_mm: tuple[float, float],
-    radius_mm: float,
-    letter: str,
-) -> None:
+def _draw_ring(axes: Axes, center_px: Pair, sides_mm: Pair, radius_mm: float, letter: str) -> None:
     axes.add_patch(
         Ellipse(
             (center_px[1], center_px[0]),
             2.0 * radius_mm / sides_mm[1],
             2.0 * radius_mm / sides_mm[0],
             fill=False,
-            edgecolor=RED,
+            edgecolor=style.RED,
             linewidth=1.3,
-            path_effects=outlined(1.3),
+            path_effects=style.outlined(1.3),
         )
     )
     top_px = center_px[0] - radius_mm / sides_mm[0]
     _write(axes, letter, center_px[1], top_px, (0.0, -9.0))
 
 
-def _mark_ring(axes: Axes, frequency: float, modulation: float, letter: str) -> None:
-    axes.plot(frequency, modulation, "o", color=RED, markersize=4.5)
-    _write(axes, letter, frequency, modulation, (0.0, 7.0))
+def _write(axes: Axes, text: str, x: float, y: float, away_pt: Pair) -> None:
+    how = {"ha": "center", "va": "center", "color": style.RED, "fontweight": "bold"}
+    style.note(axes, text, (x, y), away_pt, fontsize=None, **how)
 
 
-def _write(axes: Axes, text: str, x: float, y: float, away_pt: tuple[float, float]) -> None:
-    how = {"ha": "center", "va": "center", "color": RED, "fontweight": "bold"}
-    note(axes, text, (x, y), away_pt, fontsize=None, **how)
-
-
-def _draw_wedge(
-    axes: Axes,
-    center_px: tuple[float, float],
-    sides_mm: tuple[float, float],
-    axis: tuple[float, float],
-    colour: str,
-) -> None:
+def _draw_wedge(axes: Axes, center_px: Pair, sides_mm: Pair, axis: Pair, colour: str) -> None:
     """Draw the two lines through the centre that bound the pixels about an axis (row, col)."""
     far_mm = 1e3 * max(sides_mm)  # cut by the axes
     for turn_rad in (-_WEDGE_RAD, _WEDGE_RAD):
         row = far_mm * (axis[0] * np.cos(turn_rad) + axis[1] * np.sin(turn_rad)) / sides_mm[0]
         col = far_mm * (axis[1] * np.cos(turn_rad) + axis[0] * np.sin(turn_rad)) / sides_mm[1]
-        axes.plot(
-            [center_px[1] - col, center_px[1] + col],
-            [center_px[0] - row, center_px[0] + row],
-            color=colour,
-            linewidth=1.1,
-            path_effects=outlined(1.1),
+        cols, rows = (
+            np.array([at - by, at + by]) for at, by in zip(center_px[::-1], (col, row), strict=True)
         )
+        axes.plot(cols, rows, color=colour, linewidth=1.1, path_effects=style.outlined(1.1))
 
 
-def _draw_wave(
-    axes: Axes,
-    star: SiemensResult,
-    ring: int,
-    picture: Floats,
-    sides_mm: tuple[float, float],
-) -> None:
+def _draw_wave(axes: Axes, star: SiemensResult, ring: int, picture: Floats, sides_mm: Pair) -> None:
     """Draw the pixels of one ring over the phase, freed of uneven light, and the fitted wave."""
     phase, values, modulation = ring_wave(star, ring, picture, sides_mm)
-    axes.plot(phase, values, ".", color=GREY, markersize=2.5, alpha=0.6)
+    axes.plot(phase, values, ".", color=style.GREY, markersize=2.5, alpha=0.6)
     turn = np.linspace(-0.5, 0.5, 101)
-    axes.plot(turn, 1.0 + modulation * np.cos(2.0 * np.pi * turn), color=RED)
-    axes.set_xlim(-0.5, 0.5)
-    axes.set_xlabel("phase (cycles)")
+    axes.plot(turn, 1.0 + modulation * np.cos(2.0 * np.pi * turn), color=style.RED)
+    axes.set(xlim=(-0.5, 0.5), xlabel="phase (cycles)")
 
 
 def ring_wave(
-    star: SiemensResult, ring: int, picture: Floats, sides_mm: tuple[float, float]
+    star: SiemensResult, ring: int, picture: Floats, sides_mm: Pair
 ) -> tuple[Floats, Floats, float]:
     """Return phase in cycles and value over mean of the pixels of a ring, and the modulation.
 
@@ -257,7 +222,3 @@ def ring_wave(
     shift_rad = float(np.arctan2(found[1], found[0]))
     phase = (cycles * angle_rad - shift_rad) / (2.0 * np.pi)
     return np.mod(phase + 0.5, 1.0) - 0.5, even, float(np.hypot(found[0], found[1]) / mean)
-
-
-def _sector_deg(number: int, star: SiemensResult) -> int:
-    return round(360 * number / len(star.sectors))

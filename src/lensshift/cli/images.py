@@ -3,33 +3,23 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from csv import writer as csv_writer
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from lensshift.cli.inputs import (
-    Kind,
-    burst_channel,
-    kind_of,
-    load_input_image,
-    one_frame,
-    parse_pitch_mm,
-    refuse_overwriting,
-)
-from lensshift.core.errors import QualityWarning
+from lensshift.cli.inputs import Kind, kind_of, parse_numbers, parse_pitch_mm
+from lensshift.cli.verbs import argument, option
+from lensshift.core.errors import DataError, QualityWarning
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    import numpy as np
     from numpy.typing import NDArray
 
-    from lensshift.cli.session import Session
+    from lensshift.core.types import Burst
 
-ImageArgument = Annotated[Path, typer.Argument(help="Image, burst file or reconstruction.")]
+
 PitchOption = Annotated[
     str | None,
     typer.Option(
@@ -41,14 +31,9 @@ RegionOption = Annotated[
     str | None,
     typer.Option("--region", help="Region in pixels: row start,row stop,col start,col stop."),
 ]
-FrameOption = Annotated[int, typer.Option(min=0, help="Frame of IMAGE, if it holds several.")]
 KeyOption = Annotated[
     str | None,
     typer.Option("--key", help="Array of an NPZ file; amplitude or distance of other files."),
-]
-CsvOption = Annotated[Path | None, typer.Option("--csv", help="Write the table there.")]
-PlotOption = Annotated[
-    Path | None, typer.Option("--plot", help="Draw the result: a .png, .svg or .pdf file.")
 ]
 FocalOption = Annotated[
     float | None,
@@ -58,40 +43,28 @@ FocalOption = Annotated[
 ]
 
 
-class ColourChannel(StrEnum):
-    """What of a colour photograph is measured."""
+@dataclass(frozen=True, slots=True)
+class ImageOptions:
+    """The image that is measured."""
 
-    LUMINANCE = "luminance"
-    RED = "red"
-    GREEN = "green"
-    BLUE = "blue"
-
-
-ChannelOption = Annotated[
-    ColourChannel | None,
-    typer.Option("--channel", help="Of a colour photograph; luminance, of a mosaic green."),
-]
-GammaOption = Annotated[
-    float | None,
-    typer.Option("--gamma", help="Light = level^gamma; 2.2 for sRGB photographs. Else linear."),
-]
-OecfOption = Annotated[
-    Path | None, typer.Option("--oecf", help="Instead: CSV of the measured curve, level,light.")
-]
-BayerOption = Annotated[
-    str | None,
-    typer.Option("--bayer", help="Raw mosaic, as RGGB; pixels are then those of one colour."),
-]
+    image: Path = argument("Image, burst file or reconstruction.")
+    pitch_mm: PitchOption = None
+    frame: int = option(0, "Frame of IMAGE, if it holds several.", min=0)
+    key: KeyOption = None
 
 
 @dataclass(frozen=True, slots=True)
 class PhotoOptions:
     """How the levels of a photograph become light."""
 
-    channel: ColourChannel | None = None
-    gamma: float | None = None
-    oecf: Path | None = None
-    bayer: str | None = None
+    channel: Literal["luminance", "red", "green", "blue"] | None = option(
+        None, "Of a colour photograph; luminance, of a mosaic green."
+    )
+    gamma: float | None = option(
+        None, "Light = level^gamma; 2.2 for sRGB photographs. Else linear."
+    )
+    oecf: Path | None = option(None, "Instead: CSV of the measured curve, level,light.")
+    bayer: str | None = option(None, "Raw mosaic, as RGGB; pixels are then those of one colour.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,34 +97,41 @@ class Measured:
 def measured_image(
     path: Path, pitch_mm: str | None, *, key: str | None = None, frame: int = 0
 ) -> Measured:
-    """Read one image and what its file says about it."""
+    """Read one image [row col] and what its file says about it."""
     from lensshift.io import load_burst, load_reconstruction, load_window
+    from lensshift.io.image_file import load_frames, load_named_arrays
 
     kind = kind_of(path)
     if kind is not Kind.STACK and pitch_mm is not None:
         raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
     if kind is Kind.BURST:
         burst = load_burst(path)
-        values = burst_channel(burst, path, key)
-        valid = None if burst.valid is None else one_frame(burst.valid, path, frame)
-        return Measured(one_frame(values, path, frame), burst.grid.pitch_mm, True, valid)
-    values = load_input_image(path, key=key, frame=frame)
-    if kind in (Kind.RECONSTRUCTION, Kind.SEQUENCE):
+        values = _one_frame(_burst_channel(burst, path, key), path, frame)
+        valid = None if burst.valid is None else _one_frame(burst.valid, path, frame)
+        return Measured(values, burst.grid.pitch_mm, True, valid)
+    if kind is not Kind.STACK:
         one = kind is Kind.RECONSTRUCTION
         result = load_reconstruction(path) if one else load_window(path, frame)
-        return Measured(values, result.grid.pitch_mm, True, scale=result.scale)
+        name = key or next(iter(result.channels))
+        if name not in result.channels:
+            raise DataError(f"expected {' or '.join(result.channels)}, got {name!r}", source=path)
+        image = result.channels[name].image
+        return Measured(image, result.grid.pitch_mm, True, scale=result.scale)
+    if path.suffix.lower() == ".npz":
+        arrays = load_named_arrays(path)
+        frames = arrays[_image_name(arrays, path, key)]
+    else:
+        frames = load_frames(path)
     pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
-    return Measured(values, pitch, pitch_mm is not None)
+    return Measured(_one_frame(frames, path, frame), pitch, pitch_mm is not None)
 
 
-def measured_photograph(
-    path: Path,
-    pitch_mm: str | None,
-    options: PhotoOptions,
-    *,
-    key: str | None = None,
-    frame: int = 0,
-) -> Measured:
+def measured_of(asked: ImageOptions) -> Measured:
+    """Read the image that is asked for."""
+    return measured_image(asked.image, asked.pitch_mm, key=asked.key, frame=asked.frame)
+
+
+def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     """Read one image; of a photograph one channel, as linear light."""
     from lensshift.evaluation.levels import bayer_frames, linear_light, one_channel
     from lensshift.io.photograph import (
@@ -161,26 +141,25 @@ def measured_photograph(
         load_photograph,
     )
 
-    suffix = path.suffix.lower()
+    path, pitch_mm, suffix = asked.image, asked.pitch_mm, asked.image.suffix.lower()
     if suffix not in PHOTOGRAPH_SUFFIXES and options == PhotoOptions():
-        return measured_image(path, pitch_mm, key=key, frame=frame)
+        return measured_of(asked)
     if options.gamma is not None and options.oecf is not None:
         raise typer.BadParameter("expected --gamma or --oecf, not both")
     curve = options.gamma if options.oecf is None else load_oecf(options.oecf)
     if suffix in PHOTOGRAPH_SUFFIXES:
-        levels = load_photograph(path, frame=frame)
+        levels = load_photograph(path, frame=asked.frame)
         pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
         read = Measured(levels, pitch, pitch_mm is not None)
     else:
-        read = measured_image(path, pitch_mm, key=key, frame=frame)
+        read = measured_of(asked)
     if curve is None and suffix in JPEG_SUFFIXES:
         warnings.warn(
             f"{path.name}: the levels are taken for light; those of a JPEG rarely are: --gamma 2.2",
             QualityWarning,
             stacklevel=2,
         )
-    light = linear_light(read.values, curve)
-    channel = None if options.channel is None else options.channel.value
+    light, channel = linear_light(read.values, curve), options.channel
     if options.bayer is None:
         return replace(read, values=one_channel(light, channel))
     values, offset_px = bayer_frames(one_channel(light), options.bayer, channel or "green")
@@ -198,7 +177,7 @@ def measured_frames(path: Path, *, key: str | None = None) -> Measured:
         raise typer.BadParameter(f"--joint needs a burst file, got {path}")
     burst = load_burst(path)
     return Measured(
-        burst_channel(burst, path, key),
+        _burst_channel(burst, path, key),
         burst.grid.pitch_mm,
         True,
         burst.valid,
@@ -226,6 +205,10 @@ class Unit:
     name: str
     factor: float = 1.0
 
+    def shown(self) -> dict[str, Any]:
+        """Return what the figures of `lensshift.report` ask for."""
+        return {"unit": self.name, "factor": self.factor}
+
 
 def frequency_unit(measured: Measured, focal_length_mm: float | None) -> Unit:
     """Return the unit in which frequencies are shown."""
@@ -249,6 +232,16 @@ def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
     return row_start, row_stop, col_start, col_stop
 
 
+def scaled(
+    region: tuple[int, int, int, int] | None, scale: int
+) -> tuple[int, int, int, int] | None:
+    """Return a region in pixels that are `scale` times finer."""
+    if region is None:
+        return None
+    row_start, row_stop, col_start, col_stop = (scale * end for end in region)
+    return row_start, row_stop, col_start, col_stop
+
+
 def slices_of(region: tuple[int, int, int, int] | None, shape: tuple[int, ...]) -> Any:
     """Return the slices of a region, of the whole image for None."""
     rows, cols = shape
@@ -259,55 +252,41 @@ def slices_of(region: tuple[int, int, int, int] | None, shape: tuple[int, ...]) 
     return slice(*region[:2]), slice(*region[2:])
 
 
-def parse_numbers(text: str, count: int, expected: str) -> tuple[float, ...]:
-    """Return numbers separated by commas."""
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError as error:
-        raise typer.BadParameter(f"expected {expected}, got {text!r}") from error
-    if len(numbers) != count:
-        raise typer.BadParameter(f"expected {expected}, got {text!r}")
-    return numbers
-
-
-def check_outputs(inputs: Sequence[Path | None], csv: Path | None, plot: Path | None) -> None:
-    """Complain before the work about files that cannot be written."""
-    refuse_overwriting(inputs, [path for path in (csv, plot) if path is not None])
-    if plot is not None:
-        from lensshift.report.save import check_ending
-
-        check_ending(plot)
-
-
-def write_table(current: Session, csv: Path | None, columns: Mapping[str, Any]) -> None:
-    """Write columns of one length under their names."""
-    if csv is None:
-        return
-    from lensshift.io.atomic import written_whole
-
-    rows = zip(*columns.values(), strict=True)
-    with written_whole(csv) as part, part.open("w", encoding="utf-8", newline="") as file:
-        writer = csv_writer(file, lineterminator="\n")  # quotes what holds a comma
-        writer.writerow(columns)
-        writer.writerows([_cell(cell) for cell in row] for row in rows)
-    current.say(f"wrote {csv}")
-
-
-def write_plot(current: Session, plot: Path | None, draw: Callable[[], Figure]) -> None:
-    """Draw a figure and write it."""
-    if plot is None:
-        return
-    from lensshift.report.save import save_figure
-
-    save_figure(draw(), plot)
-    current.say(f"wrote {plot}")
-
-
 def interval_row(number: Any, factor: float = 1.0) -> dict[str, float]:
     """Return an interval for JSON."""
     scaled = number.scaled(factor)
     return {"value": scaled.value, "low": scaled.low, "high": scaled.high}
 
 
-def _cell(value: Any) -> str:
-    return value if isinstance(value, str) else f"{value:.8g}"
+def _burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[Any]:
+    """Return the frames [frame row col] of a channel, by default the amplitude."""
+    channels = {"amplitude": burst.amplitude, "distance": burst.distance_m}
+    frames = channels.get(key or "amplitude")
+    if frames is None:
+        known = " or ".join(name for name, values in channels.items() if values is not None)
+        raise DataError(f"expected {known}, got {key!r}", source=path)
+    return frames
+
+
+def _one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
+    """Return one image [row col] of frames, or the image itself."""
+    if values.ndim == 2 and frame == 0:
+        return values
+    if values.ndim != 3:
+        raise DataError(f"expected [row col] and frame 0, got shape {values.shape}", source=path)
+    if not 0 <= frame < values.shape[0]:
+        raise DataError(
+            f"expected a frame from 0 to {values.shape[0] - 1}, got {frame}", source=path
+        )
+    image: NDArray[Any] = values[frame]
+    return image
+
+
+def _image_name(arrays: dict[str, NDArray[np.generic]], path: Path, key: str | None) -> str:
+    images = [name for name, values in arrays.items() if values.ndim in (2, 3)]
+    candidates = [key] if key else ["amplitude"] if "amplitude" in arrays else images
+    if len(candidates) == 1 and candidates[0] in arrays:
+        return candidates[0]
+    raise DataError(
+        f"cannot tell which array to take; choose a key among {', '.join(arrays)}", source=path
+    )
