@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.reconstruction.noise import GAUSSIAN_MAD, robust_scale
+from lensshift.core.gaussian import MAD_TO_SIGMA
+from lensshift.reconstruction.noise import robust_scale
 from lensshift.reconstruction.options import check_settings, option, positive
 from lensshift.reconstruction.quantiles import weighted_mad, weighted_median
 
@@ -130,7 +131,7 @@ class Confidences:
         """Return w beta."""
         bias = [abs(weighted_median(r, w)) for r, w in zip(residual, weight, strict=True)]
         even = (np.array(bias) < self.bias_limit).astype(weight.dtype)[:, None, None]
-        sigma = max(GAUSSIAN_MAD * weighted_mad(residual, even * before), LEAST_SIGMA)
+        sigma = max(MAD_TO_SIGMA * weighted_mad(residual, even * before), LEAST_SIGMA)
         beta = even * weight * _huber(residual, sigma)
         return Belief(beta, beta, sigma)
 

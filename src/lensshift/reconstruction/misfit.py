@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label, maximum, maximum_filter, uniform_filter
 
+from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import LinearOperator, single
 
 Array = NDArray[Any]
@@ -39,7 +40,7 @@ MOVED_DOUBT, MOVED_BELIEF, OTHER_BELIEF = 3.5, (0.5, 0.8), (1.0, 2.5)
 # Pixels beyond 3 sigma are outliers; beyond 5 they count no more, one of them proves nothing.
 OUTLIER_SQUARE, MOST_SQUARE = 9.0, 25.0
 # Blocks in which most pixels tell of noise that is larger than told.
-BLOCK_PX, MEDIAN_SQUARE, GAUSSIAN_MEDIAN = 6, 0.4549, 0.6745
+BLOCK_PX = 6
 # What is left besides the light is at least this part of the noise, which other light inflates.
 LEAST_REST = 0.25
 # A frame is somewhere else if it contradicts in so much of what would show it.
@@ -243,7 +244,7 @@ def _excess_noise(q: Array, used: Mask) -> Array:
     ordered = np.sort(blocks.reshape(tall, wide, -1), axis=-1)  # NaN last
     last = np.maximum(np.isfinite(ordered).sum(axis=-1, keepdims=True) - 1, 0)
     middle = np.nan_to_num(np.take_along_axis(ordered, last // 2, axis=-1)[..., 0])
-    excess = np.maximum(maximum_filter(middle, 3) / MEDIAN_SQUARE, 1.0)
+    excess = np.maximum(maximum_filter(middle, 3) / MEDIAN_SIZE**2, 1.0)
     return np.repeat(np.repeat(excess, BLOCK_PX, 0), BLOCK_PX, 1)[:rows, :cols]
 
 
@@ -318,7 +319,7 @@ def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Arra
     )
     odd = np.maximum(doubt / np.maximum(_middle(doubt, on), 1e-12), 1.0)
     fit = fits(terms, variance * odd**2, r, on)[0][:, None]
-    rest = _middle(np.abs(r - (fit @ terms)[:, 0]), on) / GAUSSIAN_MEDIAN
+    rest = _middle(np.abs(r - (fit @ terms)[:, 0]), on) / MEDIAN_SIZE
     rest = np.maximum(rest, LEAST_REST * np.sqrt(_middle(variance, on)))[:, 0]
     own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
     light = np.abs((own @ terms[:, :2])[:, 0]) ** 2

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.gaussian import MAD_TO_SIGMA, UPPER_QUARTILE_SIZE
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.differences import differences
 from lensshift.reconstruction.least_squares import NEIGHBOURS, smooth_fit
@@ -23,8 +24,6 @@ CALM_STIFFNESS = 3.0
 # Of each, the quietest blocks; at most about so many of them, whatever the size of the frames.
 BLOCK_PX, MOST_BLOCKS, QUIET_SHARE = 6, 1500, 0.1
 OUTLIER_SIGMAS = 4.0
-GAUSSIAN_MAD = 1.4826
-GAUSSIAN_UPPER_QUARTILE = 1.1503  # of |values| in standard deviations
 # Pixels of all frames among which an outlier has to stand out.
 NEIGHBOURHOOD_PX = 3
 
@@ -36,7 +35,7 @@ def robust_scale(values: Array) -> float:
     """
     if values.dtype.kind == "c":
         values = np.concatenate([values.real.ravel(), values.imag.ravel()])
-    return float(GAUSSIAN_MAD * np.median(np.abs(values - np.median(values))))
+    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +164,7 @@ def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
     ordered = np.sort(blocks[full], axis=1)  # NaN last; nanmedian takes ten times as long
     last = np.isfinite(ordered).sum(axis=1) - 1
     middle = [np.take_along_axis(ordered, k[:, None], 1) for k in (last // 2, (last + 1) // 2)]
-    return float(GAUSSIAN_MAD * np.quantile(np.mean(middle, axis=0), QUIET_SHARE))
+    return float(MAD_TO_SIGMA * np.quantile(np.mean(middle, axis=0), QUIET_SHARE))
 
 
 def _best_followed(
@@ -191,7 +190,7 @@ def usual_size(residual: Array) -> Array:
     reach = NEIGHBOURHOOD_PX // 2
     padded = np.pad(np.abs(residual), ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (NEIGHBOURHOOD_PX,) * 2, (1, 2))
-    return np.asarray(np.quantile(windows, 0.75, axis=(0, 3, 4)) / GAUSSIAN_UPPER_QUARTILE)
+    return np.asarray(np.quantile(windows, 0.75, axis=(0, 3, 4)) / UPPER_QUARTILE_SIZE)
 
 
 def _spread(values: Array) -> float:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import uniform_filter
 
-from lensshift.reconstruction.noise import GAUSSIAN_MAD
+from lensshift.core.gaussian import MAD_TO_SIGMA
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -290,7 +290,7 @@ def _usual(rest: Array, used: Mask) -> Array:
     middle = np.isfinite(ordered).sum(axis=-1, keepdims=True) // 2
     found = np.nan_to_num(np.take_along_axis(ordered, middle, axis=-1)[..., 0])
     around = np.repeat(np.repeat(found, side, axis=1), side, axis=2)[:, None, :rows, :cols]
-    return np.asarray(GAUSSIAN_MAD * around)
+    return np.asarray(MAD_TO_SIGMA * around)
 
 
 def _refilled(values: Array, missing: Mask, filters: _Filters) -> Array:

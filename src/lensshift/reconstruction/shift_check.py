@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
+from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.least_squares import smooth_fit
@@ -33,7 +34,7 @@ FOLDS, CONFIRMING_FOLDS = 4, 2
 # A smooth fit of little stiffness follows the scene; what it assumes of the blur hardly matters.
 STIFFNESS, ITERATIONS, BLUR_PX, SCALE = 0.03, 15, 0.3, 2
 # Errors count up to this many robust deviations, or this part of the spread of the scene.
-CLIP_SIGMAS, GAUSSIAN_MAD, CLIP_CONTRAST = 5.0, 1.4826, 0.5
+CLIP_SIGMAS, CLIP_CONTRAST = 5.0, 0.5
 # A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
 LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
 # Directions whose gradients have a smaller part than this of the power of the others tell nothing.
@@ -198,7 +199,7 @@ class _Trial:
         if both.sum() < max(LEAST_HELD_OUT, 0.5 * np.isfinite(one).sum()):
             return 1.0, 0.0
         one, two = one[both], two[both]
-        quiet = GAUSSIAN_MAD * min(np.median(one), np.median(two))
+        quiet = MAD_TO_SIGMA * min(np.median(one), np.median(two))
         clip = max(CLIP_SIGMAS * quiet, CLIP_CONTRAST)
         one, two = np.minimum(one, clip), np.minimum(two, clip)
         if one.mean() >= SUSPICIOUS * two.mean():
@@ -300,7 +301,7 @@ def _lone(values: Array) -> Mask:
         np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
     )
     apart = values - np.median(windows, axis=(0, 3, 4))
-    usual = np.maximum(usual_size(apart), GAUSSIAN_MAD * np.median(np.abs(apart)))
+    usual = np.maximum(usual_size(apart), MAD_TO_SIGMA * np.median(np.abs(apart)))
     return np.asarray(np.abs(apart) > CLIP_SIGMAS * usual)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Floats
+from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.core.types import Burst
 from lensshift.registration.reference_image import reference_image
 from lensshift.registration.taper import taper_frames
@@ -133,7 +134,7 @@ def _coefficients(
         reference = reference_image(frames, weight, moved_px, slip_px)
         rest = frames - reference.seen
         here = used > 0
-        spread = 1.4826 * float(np.median(np.abs(rest[here])))
+        spread = MAD_TO_SIGMA * float(np.median(np.abs(rest[here])))
         here &= np.abs(rest) <= _OUTLIER_SIGMAS * max(spread, 1e-12)
         columns = [
             -(reference.slope[i] * away_mm[:, j, None, None] * term)[here]

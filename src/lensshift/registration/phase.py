@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
+from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.registration.spectrum import Frequencies
 from lensshift.registration.taper import taper_frames
 
@@ -74,7 +75,7 @@ def rival_shifts(frames: Array, reference: int) -> Shifts:
     for k, frame in enumerate(frames):
         score = _score(frames[reference], frame)
         peak = np.unravel_index(int(np.argmax(score)), score.shape)
-        spread = 1.4826 * float(np.median(np.abs(score - np.median(score))))
+        spread = MAD_TO_SIGMA * float(np.median(np.abs(score - np.median(score))))
         best = float(score[peak])
         least = min(_RIVAL_SHARE * best, best - _RIVAL_SIGMAS * spread)
         maxima = np.argwhere((score == maximum_filter(score, 3, mode="wrap")) & (score >= least))

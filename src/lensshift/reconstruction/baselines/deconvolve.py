@@ -7,12 +7,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.reconstruction.baselines.interpolate import bicubic
 from lensshift.reconstruction.baselines.result import Baseline, check_frame
 
 Restoration = Literal["wiener", "unsupervised", "richardson-lucy"]
 
-_MAD_TO_SIGMA = 1.4826
 # A frame without noise is still not deconvolved where the PSF has let nothing through.
 _LEAST_BALANCE = 1e-3
 # Share of the roughness that is taken for detail however noisy the frame.
@@ -97,7 +97,7 @@ def frame_noise(frame: NDArray[Any], weight: NDArray[np.float64]) -> float:
         return 0.0
     cross = 0.5 * (frame[:-1, :-1] - frame[:-1, 1:] - frame[1:, :-1] + frame[1:, 1:])[whole]
     parts = np.concatenate((cross.real, cross.imag)) if np.iscomplexobj(cross) else cross
-    return _MAD_TO_SIGMA * float(np.median(np.abs(parts)))
+    return MAD_TO_SIGMA * float(np.median(np.abs(parts)))
 
 
 def gaussian_psf(sigma_hr_px: float) -> NDArray[np.float64]:

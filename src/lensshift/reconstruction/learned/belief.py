@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import single
 from lensshift.reconstruction.learned.solver import Asked, Solution
-from lensshift.reconstruction.misfit import MEDIAN_SQUARE
 
 # Variance over that of the noise as it was read, of half of the pixels in half of the frames; it
 # was below 1.3 in all of 112 bursts of photographs, print and shapes, some of them with outliers,
@@ -37,7 +37,7 @@ def refuted(asked: Asked, found: Solution) -> bool:
         return False
     rest = (asked.y - asked.model.operator.forward(single(found.image))) / asked.sigma
     squares = [np.median(r[s < np.inf] ** 2) for r, s in zip(rest, asked.sigma, strict=True)]
-    return bool(np.nanmedian(squares) > REFUTED * MEDIAN_SQUARE)
+    return bool(np.nanmedian(squares) > REFUTED * MEDIAN_SIZE**2)
 
 
 def as_predicted(asked: Asked, solve: Callable[[Asked], Solution]) -> Asked:
