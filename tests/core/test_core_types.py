@@ -199,6 +199,12 @@ def test_other_units_than_metres_and_hertz_are_questioned(
     assert str(caught[0].message).startswith(doubted) if doubted else True
 
 
+@pytest.mark.parametrize("pitch_mm", [155.0, (0.155, 155.0)])
+def test_a_pitch_that_can_hardly_be_in_millimetres_is_questioned(pitch_mm: object) -> None:
+    with pytest.warns(QualityWarning, match="pitch_mm: expected the pixel pitch in mm, got"):
+        Burst.from_arrays(np.ones((1, *SHAPE)), offset_px=[[0, 0]], pitch_mm=pitch_mm)
+
+
 @pytest.mark.parametrize("sent", [5.0, np.ones(3), np.ones((1, 2, 4, 6))])
 def test_what_the_camera_sent_has_an_entry_a_frame(sent: object) -> None:
     with pytest.raises(DataError, match="raw_sent"):

@@ -33,7 +33,7 @@ from lensshift.core.optical import MtfCurve as MtfCurve
 from lensshift.core.optical import Psf as Psf
 from lensshift.core.point_cloud import PointCloud, make_cloud
 from lensshift.core.showing import AsDataset, AsTable, Shown
-from lensshift.core.units import doubt_about_units
+from lensshift.core.units import doubt_about_pitch, doubt_about_units
 
 OffsetSource = Literal["planned", "calibrated", "registered", "unknown"]
 OFFSET_SOURCES: tuple[OffsetSource, ...] = get_args(OffsetSource)
@@ -173,7 +173,7 @@ class Burst(Shown, AsDataset, AsTable):
         Warns
         -----
         QualityWarning
-            If the frequency or the distances can hardly be in Hz and m.
+            If pitch, frequency or distances can hardly be in mm, Hz and m.
         """
         valid = unmasked(amplitude, distance_m) if valid is None else valid
         given = np.asarray(amplitude)
@@ -201,12 +201,13 @@ class Burst(Shown, AsDataset, AsTable):
             modulation_hz=frequencies,
             **fields,
         )
+        doubts = [doubt_about_pitch(max(grid.pitch_mm))]
         if burst.frequencies_hz:
             seen_m = None if burst.distance_m is None else burst.distance_m[burst.valid]
             typical_m = None if seen_m is None else float(np.median(seen_m))
-            doubt = doubt_about_units(min(burst.frequencies_hz), typical_m)
-            if doubt:
-                warnings.warn(doubt, QualityWarning, stacklevel=2)
+            doubts.append(doubt_about_units(min(burst.frequencies_hz), typical_m))
+        for doubt in filter(None, doubts):
+            warnings.warn(doubt, QualityWarning, stacklevel=2)
         return burst
 
     @property

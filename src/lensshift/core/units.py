@@ -11,6 +11,8 @@ SPEED_OF_LIGHT_MPS = 299_792_458.0  # by definition
 MILLIMETRE_M = 1e-3
 # c / 2f is 150 km here, which no camera lights: a smaller number is meant in kHz or MHz.
 LEAST_MODULATION_HZ = 1e3
+# No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
+MOST_PITCH_MM = 10.0
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
 # thousand times too large: even a scene at a twentieth of the range shows.
 _MOST_RANGES = 25.0
@@ -47,6 +49,13 @@ def doubt_about_units(modulation_hz: float, typical_m: float | None) -> str:
         f"distance_m: expected metres, got a median of {typical_m:g} where light of "
         f"{modulation_hz:g} Hz is unambiguous up to {range_m:.4g} m; are they millimetres?"
     )
+
+
+def doubt_about_pitch(pitch_mm: float) -> str:
+    """Say why a pitch can hardly be in mm; or ""."""
+    if pitch_mm <= MOST_PITCH_MM:
+        return ""
+    return f"pitch_mm: expected the pixel pitch in mm, got {pitch_mm:g}; 155 um are 0.155"
 
 
 @dataclass(frozen=True, slots=True)
