@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lensshift.camera.demodulate import demodulate, unwrap
 from lensshift.camera.readout import Reading
 from lensshift.camera.settings import MOST_BITS, TofCamera
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 
 # Bits of the confidence of an O3M pixel.
 _INVALID, _LOW_SIGNAL = 1, 4096  # between them: exposure (2) and gain (4)
@@ -32,7 +32,7 @@ class O3mImages:
     distance_cm: NDArray[np.uint16]
     amplitude_counts: NDArray[np.uint16]
     confidence: NDArray[np.uint16]
-    amplitude_normalization: NDArray[np.float64]
+    amplitude_normalization: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ class Image:
 
     amplitude: Array
     distance_m: Array
-    valid: NDArray[np.bool_]
+    valid: Mask
     o3m: O3mImages | None = None
     phasors: NDArray[np.complex128] | None = None
 
@@ -76,8 +76,8 @@ def _o3m_image(
     camera: TofCamera,
     counts: Array,
     distance_m: Array,
-    valid: NDArray[np.bool_],
-    weak: NDArray[np.bool_],
+    valid: Mask,
+    weak: Mask,
 ) -> Image:
     readout = camera.readout
     fraction = 2 ** (MOST_BITS - (readout.bits or MOST_BITS))
@@ -94,7 +94,7 @@ def _o3m_image(
     return Image(amplitude, distance_cm / 100.0, valid, o3m)
 
 
-def _normalization(camera: TofCamera) -> NDArray[np.float64]:
+def _normalization(camera: TofCamera) -> Floats:
     """Return the amplitude of one count for (short, long) exposure at low, then at high gain."""
     readout = camera.readout
     exposure = np.resize(readout.exposure_s[-1] / np.asarray(readout.exposure_s), 2)

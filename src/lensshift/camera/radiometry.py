@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.camera.settings import PlainOptics, TofCamera
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, unambiguous_range_m
 
@@ -41,7 +42,7 @@ def ambient_electrons_per_s(camera: TofCamera) -> float:
 
 def relative_illumination(
     optics: PlainOptics, grid: Grid, down: ArrayLike, right: ArrayLike
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the light from directions [...] over that from the axis.
 
         cos(field angle)^4 * overlap(s),    s = s at the corner * tan / tan at the corner
@@ -68,7 +69,7 @@ def relative_illumination(
     return np.asarray(light * _overlap(apart * np.sqrt(square) / corner))
 
 
-def _overlap(apart: ArrayLike) -> NDArray[np.float64]:
+def _overlap(apart: ArrayLike) -> Floats:
     half = np.minimum(0.5 * np.asarray(apart, dtype=np.float64), 1.0)
     return np.asarray(2.0 / np.pi * (np.arccos(half) - half * np.sqrt(1.0 - half * half)))
 
@@ -80,7 +81,7 @@ def closed_form_distance_std_m(
     *,
     read_noise_electrons: float = 0.0,
     taps: Literal[1, 2] = 2,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the standard deviation of distances from four phases, for little noise.
 
         std = c / (4 pi f) * sqrt(mean + read noise^2) / (amplitude * sqrt(2 taps))

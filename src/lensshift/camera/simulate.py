@@ -16,7 +16,7 @@ from lensshift.camera.radiometry import active_electrons_per_s, ambient_electron
 from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
 from lensshift.camera.settings import LensOptics, Scatter, TofCamera
 from lensshift.camera.view import intrinsics_of, motions, response_width_px
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
 from lensshift.core.units import unambiguous_range_m
@@ -44,12 +44,12 @@ class TofTruth:
     offset_field : the same for every pixel, if the shift varies over the sensor, or None
     """
 
-    amplitude: NDArray[np.float64]
-    distance_m: NDArray[np.float64]
-    valid: NDArray[np.bool_]
-    flying: NDArray[np.bool_]
-    flying_in_frames: NDArray[np.bool_]
-    offset_px: NDArray[np.float64]
+    amplitude: Floats
+    distance_m: Floats
+    valid: Mask
+    flying: Mask
+    flying_in_frames: Mask
+    offset_px: Floats
     offset_field: ShiftField | None
 
 
@@ -67,11 +67,11 @@ class RawPhases:
     modulation_hz : [frequency]
     """
 
-    difference: NDArray[Any]
-    electrons_per_count: NDArray[np.float64]
+    difference: Array
+    electrons_per_count: Floats
     exposure: NDArray[np.uint8]
     gain: NDArray[np.uint8]
-    saturated: NDArray[np.bool_]
+    saturated: Mask
     modulation_hz: tuple[float, ...]
 
 
@@ -187,7 +187,7 @@ def simulate_tof(
     )
 
 
-def _planned(planned_px: ArrayLike) -> NDArray[np.float64]:
+def _planned(planned_px: ArrayLike) -> Floats:
     planned = np.asarray(planned_px, dtype=np.float64)
     if planned.ndim != 2 or planned.shape[1] != 2 or not len(planned):
         raise ValueError(f"expected planned_px [frame 2], got shape {planned.shape}")
@@ -228,14 +228,14 @@ def _scattered(values: Array, scatter: Scatter) -> Array:
     return np.asarray((1.0 - scatter.scattered) * values + scatter.scattered * spread)
 
 
-def _flying(seen: Seen, camera: TofCamera) -> NDArray[np.bool_]:
+def _flying(seen: Seen, camera: TofCamera) -> Mask:
     return np.asarray(seen.distances()[1] > camera.validity.flying_std_m)
 
 
 def _truth(
     ideal: Seen,
     camera: TofCamera,
-    flying_in_frames: NDArray[np.bool_],
+    flying_in_frames: Mask,
     offset_px: Array,
     field: ShiftField | None,
 ) -> TofTruth:
@@ -260,7 +260,7 @@ def true_images(ideal: Seen, camera: TofCamera) -> tuple[Array, Array]:
     return amplitude, _nearest_turn(phasor, ideal.distances()[0], hz)
 
 
-def _nearest_turn(phasor: Array, mean_m: Array, modulation_hz: float) -> NDArray[np.float64]:
+def _nearest_turn(phasor: Array, mean_m: Array, modulation_hz: float) -> Floats:
     """Return the distance of a phasor, of all that are c / 2f apart the nearest to the mean one."""
     range_m = unambiguous_range_m(modulation_hz)
     expected = np.exp(2j * np.pi * mean_m / range_m)
@@ -270,7 +270,7 @@ def _nearest_turn(phasor: Array, mean_m: Array, modulation_hz: float) -> NDArray
 def _burst(
     images: list[Image],
     camera: TofCamera,
-    planned_px: NDArray[np.float64],
+    planned_px: Floats,
     shift_error_px: float,
     notes: dict[str, Any],
 ) -> Burst:

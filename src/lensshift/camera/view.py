@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera.flat import GOLDEN
 from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
@@ -226,7 +225,7 @@ def airy_points(count: int) -> Array:
     return np.asarray(radius[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1))
 
 
-def _between(nodes: Array, places: Array) -> NDArray[np.float64]:
+def _between(nodes: Array, places: Array) -> Floats:
     """Return weights [place node] that interpolate linearly between evenly spaced nodes."""
     step = nodes[1] - nodes[0]
     at = np.clip((places - nodes[0]) / step, 0.0, len(nodes) - 1.0)

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.rig import Camera, Stage
+from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
@@ -28,7 +28,7 @@ _SAME_MM = 1e-6  # far below what an encoder resolves, far above what rounding d
 def capture_header(
     stage: Stage,
     camera: Camera,
-    position_mm: NDArray[Any],
+    position_mm: Array,
     calibration: Calibration,
     settings: Mapping[str, Any],
     plan_name: str,
@@ -152,7 +152,7 @@ def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str |
         )
 
 
-def _same_places(before_mm: NDArray[Any], now_mm: NDArray[Any]) -> bool:
+def _same_places(before_mm: Array, now_mm: Array) -> bool:
     """Compare positions [step 2] in any order: that depends on where the stage stood."""
     near = np.abs(before_mm[:, None] - now_mm).max(axis=-1) <= _SAME_MM
     return bool(near.any(axis=0).all() and near.any(axis=1).all())

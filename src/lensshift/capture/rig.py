@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
 
@@ -33,7 +33,7 @@ class CameraFrame:
     frame: Frame
     cycle: int
     arrived_s: float
-    raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    raw: Mapping[str, Array] = field(default_factory=dict)
 
 
 class Stage(Protocol):
@@ -48,15 +48,15 @@ class Stage(Protocol):
         ...
 
     @property
-    def travel_mm(self) -> NDArray[np.float64]:
+    def travel_mm(self) -> Floats:
         """[2 2] (axis; lowest, highest) position that it goes to."""
         ...
 
-    def position_mm(self) -> NDArray[np.float64]:
+    def position_mm(self) -> Floats:
         """Return the position [2] read back from the device, also while it moves."""
         ...
 
-    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         """Move both axes at once, wait until settled, return the position read back.
 
         Every move ends in the same direction, so that play lies on one side; with `direct` it goes

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth
 from lensshift.camera import simulate_tof as take
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
 from lensshift.forward.model import MAX_SCALE
@@ -47,7 +47,7 @@ class Experiment:
 
     scene: Scene
     camera: TofCamera
-    pattern_px: NDArray[np.float64]
+    pattern_px: Floats
     shift_error_px: float = 0.02
     seed: int = 0
     scale: int = 2
@@ -97,7 +97,7 @@ class Outcome:
 
     capture: TofCapture
     reconstruction: Reconstruction
-    images: dict[str, dict[str, NDArray[Any]]]
+    images: dict[str, dict[str, Array]]
     fidelity: dict[str, dict[str, float]]
     depth: dict[str, dict[str, float]]
     seconds: float
@@ -197,12 +197,12 @@ def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
     return shift_map(optics.lens, optics.element, decenter_mm, burst.grid)
 
 
-def images_of(result: Reconstruction) -> dict[str, NDArray[Any]]:
+def images_of(result: Reconstruction) -> dict[str, Array]:
     """Return the images of a reconstruction by channel."""
     return {name: estimate.image for name, estimate in result.channels.items()}
 
 
-def depth_numbers(distance_m: NDArray[Any], truth: TofTruth, scale: int) -> dict[str, float]:
+def depth_numbers(distance_m: Array, truth: TofTruth, scale: int) -> dict[str, float]:
     """Return the errors of a distance image against the truth."""
     found = asdict(depth_error(distance_m, truth.distance_m, truth_valid=truth.valid, scale=scale))
     return {name: float(value) for name, value in found.items()}

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.scene.shapes import Rays, Scene, Shape
 
 _RAYS_AT_ONCE = 16_384  # some 5 MB of work besides the result
@@ -29,12 +29,12 @@ class Hits:
     normal : [... 3] of length 1, on the side that the ray comes from, NaN where nothing is met
     """
 
-    distance_m: NDArray[np.float64]
-    reflectance: NDArray[np.float64]
-    cos_incidence: NDArray[np.float64]
-    hit: NDArray[np.bool_]
-    point_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    distance_m: Floats
+    reflectance: Floats
+    cos_incidence: Floats
+    hit: Mask
+    point_m: Floats
+    normal: Floats
 
 
 def cast(scene: Scene, direction: ArrayLike, *, origin_m: ArrayLike = (0.0, 0.0, 0.0)) -> Hits:
@@ -71,7 +71,7 @@ def cast(scene: Scene, direction: ArrayLike, *, origin_m: ArrayLike = (0.0, 0.0,
     )
 
 
-def visible(scene: Scene, from_m: ArrayLike, to_m: ArrayLike) -> NDArray[np.bool_]:
+def visible(scene: Scene, from_m: ArrayLike, to_m: ArrayLike) -> Mask:
     """Tell which points see each other: nothing stands between the ends of a segment.
 
     For shadows of a light beside the camera and for light that bounces twice. Surfaces within

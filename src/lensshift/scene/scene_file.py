@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
 from lensshift.core.settings import fit, parse_toml, read_text
 from lensshift.scene.checks import number, numbers
@@ -207,7 +207,7 @@ def _path(file: Any, where: str, folder: Path) -> Path:
     return folder / file
 
 
-def _grey_image(path: Path) -> NDArray[np.float64]:
+def _grey_image(path: Path) -> Floats:
     """Read a grey picture, 0 to 1 in proportion to its numbers."""
     from PIL import Image
 

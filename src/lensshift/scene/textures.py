@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats
 from lensshift.scene.checks import number, positive, positives, share, table
 
-Texture = Callable[[Floats, Floats], NDArray[Any]]
+Texture = Callable[[Floats, Floats], Array]
 
 DARK, BRIGHT = 0.05, 0.85  # black and white card
 

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.settings import built
@@ -133,7 +134,7 @@ class CheckedStage:
         if not np.all(low < high):
             raise DeviceError("its travel_mm is empty", device=self.name)
 
-    def _asked(self, what: str, of: Callable[[], Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    def _asked(self, what: str, of: Callable[[], Any], shape: tuple[int, ...]) -> Array:
         with _Named(self.name, DeviceError):
             values = np.asarray(of(), dtype=np.float64)
         if values.shape != shape or not np.all(np.isfinite(values)):
@@ -142,15 +143,15 @@ class CheckedStage:
         return values
 
     @property
-    def travel_mm(self) -> NDArray[np.float64]:
+    def travel_mm(self) -> Floats:
         """[2 2] (axis; lowest, highest) position that it goes to."""
         return self._asked("travel_mm", lambda: self._stage.travel_mm, (2, 2))
 
-    def position_mm(self) -> NDArray[np.float64]:
+    def position_mm(self) -> Floats:
         """Return the position [2] read back."""
         return self._asked("position_mm", self._stage.position_mm, (2,))
 
-    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         """Move within the travel, wait, return the position read back."""
         goal_mm = np.asarray(position_mm, dtype=np.float64)
         low, high = self.travel_mm.T

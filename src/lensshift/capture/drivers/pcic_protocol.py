@@ -11,9 +11,9 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.drivers.pcic_directions import BOUGUET, bouguet_directions, sent_directions
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
 from lensshift.core.units import MILLIMETRE_M
 
@@ -184,7 +184,7 @@ class Chunk:
     metadata: Mapping[str, Any]
     data: bytes
 
-    def image(self) -> NDArray[Any]:
+    def image(self) -> Array:
         """Return the pixels [row col] or [row col 3].
 
         Raises
@@ -311,15 +311,15 @@ class PcicImage:
     raw : the pixels as they came, by the name of their chunk
     """
 
-    amplitude: NDArray[np.float64]
-    distance_m: NDArray[np.float64] | None
-    valid: NDArray[np.bool_]
+    amplitude: Floats
+    distance_m: Floats | None
+    valid: Mask
     frame_count: int
     time_us: int
     time_s: float | None
     info: TofInfo | None
-    direction: NDArray[np.float64] | None = None
-    raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    direction: Floats | None = None
+    raw: Mapping[str, Array] = field(default_factory=dict)
 
 
 def read_result(content: bytes) -> PcicImage:
@@ -366,13 +366,13 @@ def read_result(content: bytes) -> PcicImage:
     )  # fmt: skip
 
 
-def _is_valid(confidence: NDArray[Any]) -> NDArray[np.bool_]:
+def _is_valid(confidence: Array) -> Mask:
     if confidence.dtype.kind not in "ui":
         raise DataError(f"expected whole numbers, got {confidence.dtype}", field="confidence")
     return np.asarray((confidence & _INVALID) == 0)
 
 
-def _distance_m(chunk: Chunk, counts: NDArray[Any], info: TofInfo | None) -> NDArray[np.float64]:
+def _distance_m(chunk: Chunk, counts: Array, info: TofInfo | None) -> Floats:
     """Return metres: floats are metres, counts have the resolution told, else millimetres."""
     if counts.dtype.kind == "f":
         return counts.astype(np.float64)

@@ -10,10 +10,10 @@ from contextlib import ExitStack, suppress
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.emulators.apt_controller import AptController
 from lensshift.capture.emulators.listener import listen
+from lensshift.core.arrays import Floats
 
 __all__ = ["AptController", "EmulatedStagePair", "Served", "serve_pty", "serve_tcp"]
 
@@ -169,7 +169,7 @@ class EmulatedStagePair:
         self._link = link
         self._served = ExitStack()
 
-    def lens_mm(self, now_s: float | None = None) -> NDArray[np.float64]:
+    def lens_mm(self, now_s: float | None = None) -> Floats:
         """Return the true position [2] of the lens at `time.monotonic()`, also seconds ago."""
         return np.array([one.lens_mm(now_s) for one in self.controllers])
 

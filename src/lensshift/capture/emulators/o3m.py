@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.emulators.listener import check_own
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
@@ -132,7 +132,7 @@ def pixel_message(
     return (magic + body).ljust(LAYOUTS[layout], b"\0")
 
 
-def _distances(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _distances(frame: Frame) -> tuple[Floats, Floats]:
     """Return distances in metres and in whole centimetres; an invalid pixel reads 1 cm."""
     seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
     distance_m = np.where(frame.valid & np.isfinite(seen_m), seen_m, 0.01)
@@ -140,7 +140,7 @@ def _distances(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @cache
-def _directions() -> NDArray[np.float64]:
+def _directions() -> Floats:
     """Return unit vectors [3 row col]: x forward, y left, z up; row 0 is the top."""
     up = np.tan(_HALF_FIELD_RAD[0]) * np.linspace(1, -1, ROWS)[:, None]
     left = np.tan(_HALF_FIELD_RAD[1]) * np.linspace(1, -1, COLS)[None, :]

@@ -10,8 +10,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.types import Frame
 
 MODELS = ("O3D", "O3R")
@@ -27,7 +27,7 @@ class _Blob(NamedTuple):
 
     kind: int
     pixel: int
-    data: NDArray[Any]
+    data: Array
 
 
 class Seen(NamedTuple):
@@ -37,7 +37,7 @@ class Seen(NamedTuple):
     model: str
 
 
-def _counts(seen: Seen, values: NDArray[Any] | None, step: float) -> NDArray[Any]:
+def _counts(seen: Seen, values: Array | None, step: float) -> Array:
     known = np.zeros(seen.frame.amplitude.shape) if values is None else values
     return np.clip(np.rint(np.where(seen.frame.valid, known, 0.0) / step), 0, 65535).astype("<u2")
 
@@ -104,7 +104,7 @@ def _tof_info(seen: Seen) -> _Blob:
 
 
 @cache
-def directions(shape: tuple[int, ...]) -> NDArray[np.float64]:
+def directions(shape: tuple[int, ...]) -> Floats:
     """Return unit vectors [row col 3] of a pinhole: x right, y down, z forward."""
     fx, fy, mx, my = _intrinsic(shape)[:4]
     row, col = np.indices(shape)

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.rig import Camera, CameraFrame
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.gradient import texture_covariance
 
@@ -44,7 +43,7 @@ class View:
     """
 
     amplitude: Floats
-    valid: NDArray[np.bool_]
+    valid: Mask
     rate_hz: float
     lost_share: float
     snr: float
@@ -126,9 +125,7 @@ def _view(frames: list[CameraFrame]) -> View:
     return replace(dark, snr=snr, sigma_px=sigma_px, brightness_jump=jump)
 
 
-def _settings_share(
-    raw: list[Mapping[str, NDArray[Any]]], amplitude: Floats, always: NDArray[np.bool_]
-) -> float:
+def _settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Mask) -> float:
     """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
     if not all({"confidence", "normalization"} <= set(one) for one in raw):
         return 0.0

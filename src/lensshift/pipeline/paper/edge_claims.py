@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, named_pattern_px, simulate_tof
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult
@@ -113,7 +112,7 @@ def limit(share: float, angle_rad: float = np.deg2rad(10.0)) -> Floats:
     return pixel_aperture_mtf(FREQUENCY_LPMM, share * PITCH_MM, angle_rad=angle_rad)
 
 
-def upto(frequency_lpmm: Floats, good: NDArray[np.bool_]) -> float:
+def upto(frequency_lpmm: Floats, good: Mask) -> float:
     """Return the highest frequency up to which all is good, 0 if the first is not."""
     count = int(np.argmin(good)) if not np.all(good) else good.size
     return float(frequency_lpmm[count - 1]) if count else 0.0
