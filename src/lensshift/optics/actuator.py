@@ -7,14 +7,11 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Lens
 from lensshift.optics.shift import decenter_for_shift, px_per_mm_over, px_per_um
-
-Array = NDArray[np.float64]
 
 # Losses of a reconstruction with scale 2, method "auto", from four frames whose shifts are wrong by
 # normal errors of this rms along each axis: PSNR of a target on 64 x 16 pixels, MTF50 of a Siemens

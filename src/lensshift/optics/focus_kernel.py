@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.optics.otf_kernel import diffraction, overlap_square
-
-Array = NDArray[Any]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, refractive_index
-from lensshift.optics.lens import Element, Stop
+from lensshift.optics.lens import WAVELENGTH_NM, Element, Stop
 from lensshift.optics.mtf import Band
 
 
@@ -53,7 +53,7 @@ class Goal:
     shift_error_px: float = 0.01
     mtf: float = 0.9
     transmission: float = 0.9
-    wavelength_nm: float = 850.0
+    wavelength_nm: float = WAVELENGTH_NM
     band: Band | None = None
     temperature_c: float = REFERENCE_TEMPERATURE_C
     cover: Element | None = None
@@ -104,13 +104,6 @@ class Goal:
             return self.back_focal_mm
         behind_mm = self.cover.length_mm + self.cover_mm
         return self.cover_path_mm + max(self.clearance_mm, self.back_focal_mm - behind_mm)
-
-    @property
-    def light(self) -> list[tuple[float, float]]:
-        """Wavelengths in nm with their shares."""
-        if self.band is None:
-            return [(self.wavelength_nm, 1.0)]
-        return list(zip(map(float, self.band.wavelength_nm), self.band.weight, strict=True))
 
     @property
     def judged_lpmm(self) -> float:

@@ -7,16 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Element, Lens
 from lensshift.optics.paraxial import entrance_pupil
 from lensshift.optics.shift import moving
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build, RayBundle, trace
-
-Array = NDArray[np.float64]
 
 _AXES = {"row": 0, "col": 1}
 _SURFACE_POINTS = 33
@@ -34,8 +33,8 @@ class Polyline:
     height_mm : [point] from the axis, along rows or columns
     """
 
-    z_mm: Array
-    height_mm: Array
+    z_mm: Floats
+    height_mm: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +129,7 @@ def layout(
     )
 
 
-def _surfaces(lens: Lens, crossing_mm: Array, along: int) -> tuple[tuple[Polyline, ...], ...]:
+def _surfaces(lens: Lens, crossing_mm: Floats, along: int) -> tuple[tuple[Polyline, ...], ...]:
     drawn, number = [], 0
     for one, start_mm in zip(lens.elements, lens.positions_mm(), strict=False):
         depths_mm = np.cumsum([0.0, *one.thickness_mm])
@@ -151,14 +150,14 @@ def _surfaces(lens: Lens, crossing_mm: Array, along: int) -> tuple[tuple[Polylin
 
 
 def _placed(
-    element: Element, along: int, start_mm: float, z_mm: Array, height_mm: Array
+    element: Element, along: int, start_mm: float, z_mm: Floats, height_mm: Floats
 ) -> Polyline:
     """Return a line in the axes of an element in those of the lens."""
     z_mm, height_mm = _turned(z_mm, height_mm, element.tilt_rad[along])
     return Polyline(z_mm=start_mm + z_mm, height_mm=element.decenter_mm[along] + height_mm)
 
 
-def _turned(z_mm: Array, height_mm: Array, lean_rad: float) -> tuple[Array, Array]:
+def _turned(z_mm: Floats, height_mm: Floats, lean_rad: float) -> tuple[Floats, Floats]:
     """Return the points of a line whose axis leans."""
     cos, sin = math.cos(lean_rad), math.sin(lean_rad)
     return cos * z_mm - sin * height_mm, cos * height_mm + sin * z_mm
@@ -179,7 +178,7 @@ def _outline(lines: tuple[Polyline, ...]) -> Polyline:
 
 
 def _rays(
-    lens: Lens, bundle: RayBundle, crossing_mm: Array, fields: Array, along: int, lead_mm: float
+    lens: Lens, bundle: RayBundle, crossing_mm: Floats, fields: Floats, along: int, lead_mm: float
 ) -> Iterator[DrawnRay]:
     start_mm = min(0.0, lens.stop.position_mm) - lead_mm
     sensor_mm = float(lens.positions_mm()[-1])
@@ -240,9 +239,9 @@ class DistortionGrid:
     error_px : [row col 2] (row, col) real minus paraxial, in pixels
     """
 
-    paraxial_mm: Array
-    real_mm: Array
-    error_px: Array
+    paraxial_mm: Floats
+    real_mm: Floats
+    error_px: Floats
 
 
 def distortion_grid(

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Surface, cover_glass
 from lensshift.optics.paraxial import paraxial
+from lensshift.optics.shift import central_slope, moving
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build
 from lensshift.optics.variables import is_plate
@@ -25,8 +26,6 @@ from lensshift.optics.which import (
     judged_lpmm,
     which_element,
 )
-
-Array = NDArray[np.float64]
 
 _RINGS = 4  # of the pupil: centroids
 _PROBE_RAD, _PROBE_TURN = 1e-3, 0.02
@@ -154,17 +153,15 @@ class _Turning:
     element: int
     name: str
     kind: str
-    look: Callable[[Array], tuple[Lens, Build]]
+    look: Callable[[Floats], tuple[Lens, Build]]
     probe: float
     most: float
     degrees: Callable[[float], float]
 
 
 def _tilted(lens: Lens, number: int, kind: str) -> _Turning:
-    def look(tilt_rad: Array) -> tuple[Lens, Build]:
-        tilts = np.zeros((len(lens.elements), 2))
-        tilts[number] = tilt_rad
-        return lens, Build(tilt_rad=tilts)
+    def look(tilt_rad: Floats) -> tuple[Lens, Build]:
+        return lens, moving(lens, number, tilt_rad, tilt=True)
 
     name = lens.elements[number].name
     return _Turning(number, name, kind, look, _PROBE_RAD, _MOST_TILT_RAD, math.degrees)
@@ -177,7 +174,7 @@ def _wedges(lens: Lens, grid: Grid, shift_px: float) -> _Turning:
     turned_rad = diagonal_mm / abs(image_per_field_mm(lens))
     wedge_rad = turned_rad / (2.0 * _WEDGE_USE * (index - 1.0))
 
-    def look(state: Array) -> tuple[Lens, Build]:
+    def look(state: Floats) -> tuple[Lens, Build]:
         middle_rad = math.atan2(state[0], state[1])
         aside_rad = math.acos(min(1.0, math.hypot(*state)))
         turn_rad = (middle_rad + aside_rad, middle_rad - aside_rad)
@@ -196,7 +193,7 @@ def _row(one: _Turning, grid: Grid, shift_px: float, frequency_lpmm: float) -> M
     fields = edge_fields(lens, grid)
     resting_mm = spots(lens, fields, build=still, rings=_RINGS).centroid_mm
 
-    def shifts(states: Array) -> Array:
+    def shifts(states: Floats) -> Floats:
         looks = [one.look(state) for state in states]
         moved_mm = [spots(a, fields, build=b, rings=_RINGS).centroid_mm for a, b in looks]
         return np.asarray((np.array(moved_mm) - resting_mm) / pitch_mm)
@@ -224,12 +221,10 @@ def _row(one: _Turning, grid: Grid, shift_px: float, frequency_lpmm: float) -> M
     )
 
 
-def _states(one: _Turning, shifts: Callable[[Array], Array], shift_px: float) -> Array | None:
+def _states(one: _Turning, shifts: Callable[[Floats], Floats], shift_px: float) -> Floats | None:
     """Return the states [6 2] of the four diagonal shifts, and along rows and columns alone."""
     wanted = shift_px * np.concatenate([DIAGONALS, np.eye(2)])
-    sides = one.probe * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    at = shifts(sides)[:, 0]
-    slope = np.stack([at[0] - at[1], at[2] - at[3]], axis=-1) / (2.0 * one.probe)
+    slope = central_slope(lambda states: shifts(states)[:, 0], one.probe)
     if abs(np.linalg.det(slope)) < (shift_px / one.most) ** 2:
         return None
     states = wanted @ np.linalg.inv(slope).T

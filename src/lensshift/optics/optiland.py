@@ -9,15 +9,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.optics.glass import GLASSES, glass_called, refractive_index
 from lensshift.optics.lens import Lens, Surface
 from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 from lensshift.optics.trace import rotations_of
-
-Array = NDArray[np.float64]
 
 _APERTURES = {"EPD": "ENPD", "imageFNO": "FNUM", "float_by_stop_size": "FLOA"}
 _SHAPES = {"Plane": "STANDARD", "StandardGeometry": "STANDARD", "EvenAsphere": "EVENASPH"}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.pattern import named_pattern_px
 from lensshift.optics.lens import Lens
@@ -16,8 +17,6 @@ from lensshift.optics.mtf import diffraction_limit
 from lensshift.optics.shift import decenter_for_shift, moving, px_per_um
 from lensshift.optics.spots import spots
 from lensshift.optics.which import edge_fields
-
-Array = NDArray[np.float64]
 
 _ALIASES = np.arange(-2, 2)  # scenes up to two cycles per pixel, twice what half pixels carry
 _WAVES = 8  # frequencies of the baseband along each axis
@@ -120,14 +119,14 @@ class TracedFrames:
     lens, pitch_mm : what made them
     """
 
-    offset_px: Array
-    ray_px: Array
-    weight: Array
+    offset_px: Floats
+    ray_px: Floats
+    weight: Floats
     px_per_um: float
     lens: Lens
-    pitch_mm: Array
+    pitch_mm: Floats
 
-    def otf(self, field: int) -> Callable[[Array], NDArray[np.complex128]]:
+    def otf(self, field: int) -> Callable[[Floats], NDArray[np.complex128]]:
         """Return the OTF [frame ...] of a field at frequencies [... 2] in cycles per pixel."""
         return _SpotOtf(self.lens, self.ray_px[:, field], self.weight[:, field], self.pitch_mm)
 
@@ -158,12 +157,12 @@ def traced_frames(lens: Lens, element: int, grid: Grid, pattern_px: ArrayLike) -
 class _SpotOtf:
     """OTF of spots [frame ray 2] in pixels times the diffraction limit, made once."""
 
-    def __init__(self, lens: Lens, ray_px: Array, weight: Array, pitch_mm: Array) -> None:
+    def __init__(self, lens: Lens, ray_px: Floats, weight: Floats, pitch_mm: Floats) -> None:
         self.lens, self.ray_px, self.weight, self.pitch_mm = lens, ray_px, weight, pitch_mm
-        self.at: Array = np.empty(0)
+        self.at: Floats = np.empty(0)
         self.found: NDArray[np.complex128] = np.empty(0, dtype=np.complex128)
 
-    def __call__(self, frequency: Array) -> NDArray[np.complex128]:
+    def __call__(self, frequency: Floats) -> NDArray[np.complex128]:
         if not np.array_equal(self.at, frequency):
             spot = [
                 np.exp(-2j * np.pi * (frequency @ ray_px.T)) @ weight
@@ -178,7 +177,7 @@ class _SpotOtf:
 
 def linear_rmse(
     offset_px: ArrayLike,
-    otf: Callable[[Array], NDArray[np.complex128]],
+    otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
     shift_error_px: float = 0.0,
     *,
@@ -219,7 +218,7 @@ def linear_rmse(
 
 def linear_mtf(
     offset_px: ArrayLike,
-    otf: Callable[[Array], NDArray[np.complex128]],
+    otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
     shift_error_px: float = 0.0,
     *,
@@ -256,16 +255,16 @@ class _Estimate:
     known : [f m m'] covariance of the estimate
     """
 
-    frequency: Array
+    frequency: Floats
     alias: NDArray[np.signedinteger]
-    power: Array
-    aperture: Array
+    power: Floats
+    aperture: Floats
     known: NDArray[np.complex128]
 
 
 def _estimate(
     offset_px: ArrayLike,
-    otf: Callable[[Array], NDArray[np.complex128]],
+    otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
     shift_error_px: float,
     scene: float,
