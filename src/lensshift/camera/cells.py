@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from lensshift.camera.channels import Tones
+from lensshift.camera.flat import GOLDEN
 from lensshift.camera.multipath import IndirectLight
 from lensshift.camera.view import View
 from lensshift.core.arrays import Array, Mask
@@ -18,7 +19,7 @@ from lensshift.scene import Hits, Scene, cast
 _CELLS_AT_ONCE = 1024  # of those that are cast again
 _UNEVEN = 0.1  # of the light: what a weaker edge gets wrong is lost in noise
 # Places (row, col) of rays in a cell, all in different rows and columns.
-_RANKS = np.argsort(np.argsort(np.mod(np.arange(16) * 0.5 * (5.0**0.5 - 1.0), 1.0)))
+_RANKS = np.argsort(np.argsort(np.mod(np.arange(16) * GOLDEN, 1.0)))
 _WITHIN = (np.stack([np.arange(16), _RANKS], axis=-1) + 0.5) / 16
 
 

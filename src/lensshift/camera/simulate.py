@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from lensshift.camera.flat import QUARTER_SQUARE_PX
 from lensshift.camera.footprints import Footprints, see
 from lensshift.camera.output import Image, O3mImages, image_of
 from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
-from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
+from lensshift.camera.readout import Rates, harmonic_shares, read
 from lensshift.camera.settings import LensOptics, Scatter, TofCamera
 from lensshift.camera.view import intrinsics_of, motions, response_width_px
 from lensshift.core.arrays import Array, Floats, Mask
@@ -182,7 +183,7 @@ def simulate_tof(
     return TofCapture(
         burst=_burst(images, camera, planned, shift_error_px, notes),
         truth=_truth(ideal, camera, flying, offset, field),
-        raw=_raw(readings, camera),
+        raw=RawPhases(**_stacked(readings), modulation_hz=camera.illumination.modulation_hz),
         o3m=_o3m(images),
     )
 
@@ -256,15 +257,10 @@ def true_images(ideal: Seen, camera: TofCamera) -> tuple[Array, Array]:
     phasor = ideal.phasor[0, 0]
     full = camera.readout.exposure_s[-1] * active_electrons_per_s(camera) * camera.pixels.contrast
     amplitude = np.abs(phasor) * full / camera.readout.full_well_electrons
-    hz = camera.illumination.modulation_hz[0]
-    return amplitude, _nearest_turn(phasor, ideal.distances()[0], hz)
-
-
-def _nearest_turn(phasor: Array, mean_m: Array, modulation_hz: float) -> Floats:
-    """Return the distance of a phasor, of all that are c / 2f apart the nearest to the mean one."""
-    range_m = unambiguous_range_m(modulation_hz)
-    expected = np.exp(2j * np.pi * mean_m / range_m)
-    return np.asarray(mean_m + np.angle(phasor * expected.conj()) * range_m / (2.0 * np.pi))
+    range_m = unambiguous_range_m(camera.illumination.modulation_hz[0])
+    mean_m = ideal.distances()[0]  # of all that are c / 2f apart the nearest to it
+    turned_rad = np.angle(phasor * np.exp(-2j * np.pi * mean_m / range_m))
+    return amplitude, np.asarray(mean_m + turned_rad * range_m / (2.0 * np.pi))
 
 
 def _burst(
@@ -274,6 +270,7 @@ def _burst(
     shift_error_px: float,
     notes: dict[str, Any],
 ) -> Burst:
+    sent = [image.phasors for image in images if image.phasors is not None]
     return Burst(
         amplitude=np.stack([image.amplitude for image in images]),
         distance_m=np.stack([image.distance_m for image in images]),
@@ -282,26 +279,9 @@ def _burst(
         offset_sigma_px=np.full(planned_px.shape, float(shift_error_px)),
         grid=camera.grid,
         modulation_hz=camera.illumination.modulation_hz,
-        phasors=_phasors(images),
+        phasors=np.stack(sent, axis=1) if sent and len(sent[0]) > 1 else None,
         intrinsics=intrinsics_of(camera),
         meta={**notes, **camera.settings()},
-    )
-
-
-def _phasors(images: list[Image]) -> NDArray[np.complex128] | None:
-    """Return [frequency frame row col] where there are several, and the camera gives them."""
-    sent = [image.phasors for image in images if image.phasors is not None]
-    return np.stack(sent, axis=1) if sent and len(sent[0]) > 1 else None
-
-
-def _raw(readings: list[Reading], camera: TofCamera) -> RawPhases:
-    return RawPhases(
-        difference=np.stack([one.difference for one in readings]),
-        electrons_per_count=np.stack([one.electrons_per_count for one in readings]),
-        exposure=np.stack([one.exposure for one in readings]),
-        gain=np.stack([one.gain for one in readings]),
-        saturated=np.stack([one.saturated for one in readings]),
-        modulation_hz=camera.illumination.modulation_hz,
     )
 
 
@@ -309,9 +289,11 @@ def _o3m(images: list[Image]) -> O3mImages | None:
     sent = [image.o3m for image in images if image.o3m is not None]
     if not sent:
         return None
-    return O3mImages(
-        distance_cm=np.stack([one.distance_cm for one in sent]),
-        amplitude_counts=np.stack([one.amplitude_counts for one in sent]),
-        confidence=np.stack([one.confidence for one in sent]),
-        amplitude_normalization=sent[0].amplitude_normalization,
-    )
+    factors = sent[0].amplitude_normalization
+    return O3mImages(**_stacked(sent) | {"amplitude_normalization": factors})
+
+
+def _stacked(frames: Sequence[Any]) -> dict[str, Array]:
+    """Return the fields of frames, each [frame ...]."""
+    names = [one.name for one in fields(frames[0])]
+    return {name: np.stack([getattr(one, name) for one in frames]) for name in names}

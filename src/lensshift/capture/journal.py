@@ -146,16 +146,14 @@ def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str |
             source=path,
         )
     before, now = (np.asarray(one["position_mm"], dtype=float) for one in (begun, wanted))
-    if before.shape != now.shape or not _same_places(before, now):
+    same = before.shape == now.shape
+    if same:  # in any order: that depends on where the stage stood
+        near = np.abs(before[:, None] - now).max(axis=-1) <= _SAME_MM
+        same = bool(near.any(axis=0).all() and near.any(axis=1).all())
+    if not same:
         raise DataError(
             "the capture was begun with other positions", field="position_mm", source=path
         )
-
-
-def _same_places(before_mm: Array, now_mm: Array) -> bool:
-    """Compare positions [step 2] in any order: that depends on where the stage stood."""
-    near = np.abs(before_mm[:, None] - now_mm).max(axis=-1) <= _SAME_MM
-    return bool(near.any(axis=0).all() and near.any(axis=1).all())
 
 
 def _identified(calibration: Calibration) -> dict[str, Any]:

@@ -10,12 +10,7 @@ from itertools import product
 from lensshift.optics.gaps import Effort, best_gaps, train_lens
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
-from lensshift.optics.shift import (
-    ENOUGH_PIXELS,
-    decenter_for_shift,
-    shift_map,
-    shift_uniformity,
-)
+from lensshift.optics.shift import decenter_for_shift, largest_error_px
 from lensshift.optics.spots import spots
 from lensshift.optics.which import DIAGONALS, edge_fields, least_mtf
 
@@ -133,15 +128,13 @@ def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]
     if element is not None:
         wanted_px = goal.shift_px * DIAGONALS
         moves_mm = decenter_for_shift(lens, element, wanted_px, goal.grid)
-        over = shift_map(lens, element, moves_mm, goal.grid, most=ENOUGH_PIXELS)
-        even = shift_uniformity(over, wanted_px)
-        error_px = max(one.max_error_px for one in even)
+        error_px = largest_error_px(lens, element, moves_mm, goal.grid, wanted_px)
         stroke_mm = float(moves_mm[0, 1])
     rest, moved = least_mtf(
         lens, goal.grid, element, shift_px=goal.shift_px, frequency_lpmm=goal.judged_lpmm,
         band=goal.band,
     )  # fmt: skip
-    fields = edge_fields(lens, goal.grid)
+    light = spots(lens, edge_fields(lens, goal.grid), rings=_RINGS).transmission
     return Design(
         lens=lens,
         element=element,
@@ -150,5 +143,5 @@ def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]
         mtf_moved=moved,
         shift_error_px=error_px,
         stroke_mm=stroke_mm,
-        transmission=float(spots(lens, fields, rings=_RINGS).transmission.min()),
+        transmission=float(light.min()),
     )

@@ -24,12 +24,18 @@ def spot_means(rays: RayBundle, weight: Floats) -> tuple[Floats, Floats, Floats]
     transmission [...], the share of the light through the stop that reaches the sensor; centroid
     [... 2] (row, col) in mm, NaN if no light arrives; how far [... 2] it moves per mm of the sensor
     """
-    from lensshift.optics import focus_kernel
+    alive = np.where(rays.passed, weight, 0.0)
+    transmission = alive.sum(axis=-1)
 
-    shape, count = rays.status.shape[:-1], int(np.prod(rays.status.shape[:-1]))
-    transmission, centroid, slope = np.empty(count), np.empty((count, 2)), np.empty((count, 2))
-    focus_kernel.spot_means(*_flat(rays), weight, transmission, centroid, slope)
-    return transmission.reshape(shape), centroid.reshape(*shape, 2), slope.reshape(*shape, 2)
+    def mean(values: Floats) -> Floats:
+        reached = np.where(rays.passed[..., None], values, 0.0)
+        with np.errstate(invalid="ignore"):  # no light
+            return np.asarray(
+                np.einsum("...r,...ri->...i", alive, reached) / transmission[..., None]
+            )
+
+    slope = rays.direction[..., :2] / rays.direction[..., 2:]
+    return transmission, mean(rays.position_mm), mean(slope)
 
 
 def scan_focus(

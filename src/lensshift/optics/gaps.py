@@ -178,13 +178,14 @@ class _Search:
         gap_mm[:, : len(self.matrices)] = trains.gaps_mm - [*self.least_mm, goal.least_back_mm]
         fields = field_tan(goal, trains.magnification, self.effort.fields, self.pupil_mm)
         build = Build(decenter_mm=moves, gap_mm=gap_mm[:, None, None])
+        azimuths_rad = np.linspace(0.0, np.pi, self.effort.azimuths, endpoint=False)
         mtf, rays = np.zeros(1), None
         for nm, share in light_of(
             goal.band, goal.wavelength_nm
         ):  # without what colours beside each other take from the sum
             rays = trace(self.base, fields[:, None], self.points, build=build, wavelength_nm=nm)
             mtf = mtf + share * scan_focus(
-                rays, self.weight, self.effort.rings, goal.judged_lpmm, self._azimuths(),
+                rays, self.weight, self.effort.rings, goal.judged_lpmm, azimuths_rad,
                 nm, first_mm=first_mm[:, None, None], step_mm=step_mm, planes=_PLANES,
             )  # fmt: skip
         if goal.band is not None or rays is None:
@@ -200,9 +201,6 @@ class _Search:
         gaps_mm = trains.gaps_mm[one].copy()
         gaps_mm[-1] += behind_mm[one]
         return _Found(float(score[one]), gaps_mm, float(behind_mm[one]))
-
-    def _azimuths(self) -> Floats:
-        return np.linspace(0.0, np.pi, self.effort.azimuths, endpoint=False)
 
     def _penalty(self, centroid_mm: Floats, wanted_mm: Floats) -> Floats:
         """Return what the shift errors of [candidate position field] cost each candidate."""
@@ -236,15 +234,12 @@ class _Search:
             image_mm = -whole[:, 0, 1] / whole[:, 1, 1]
             magnification = np.abs(whole[:, 0, 0] + image_mm * whole[:, 1, 0])
         gaps_mm = np.column_stack([free_mm, solved_mm, image_mm])
-        gain = self._gain(gaps_mm)
+        gain = np.ones(len(gaps_mm))
+        if self.element is not None:
+            gain = gains_of(self.matrices, gaps_mm)[:, self.element]
         reach_mm = goal.least_back_mm - self.unit * (_ASIDE_MM + _PLANE_MM * _PLANES)
         kept = (image_mm > max(reach_mm, 0.0)) & (np.abs(gain) > _LEAST_GAIN)
         return _Trains(gaps_mm[kept], magnification[kept], gain[kept])
-
-    def _gain(self, gaps_mm: Floats) -> Floats:
-        if self.element is None:
-            return np.ones(len(gaps_mm))
-        return np.asarray(gains_of(self.matrices, gaps_mm)[:, self.element])
 
 
 def field_tan(

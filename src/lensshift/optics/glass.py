@@ -186,7 +186,8 @@ def is_shipped(name: str) -> bool:
 def glass_called(name: str) -> str | None:
     """Return the glass that design programs call `name`, or None if it is not known."""
     upper = name.upper()
-    for known in (_OTHER_NAMES.get(upper), upper, _lower_case(upper)):
+    own = next((name for name in GLASSES if name.upper() == upper.replace("_", " ")), None)
+    for known in (_OTHER_NAMES.get(upper), upper, own):
         if known is not None and (is_shipped(known) or known in _added):
             return known
     code = re.fullmatch(r"(\d{3})[.\-]?(\d{3})", name)
@@ -375,8 +376,3 @@ def _thermal_change(data: Glass, index: float, wavelength_nm: float, temperature
     square = (wavelength_nm * 1e-3) ** 2
     bracket = d0 * t + d1 * t**2 + d2 * t**3 + (e0 * t + e1 * t**2) / (square - resonance_um**2)
     return (index**2 - 1.0) / (2.0 * index) * bracket
-
-
-def _lower_case(upper: str) -> str | None:
-    """Return the own name that differs in case or with an underscore for a blank."""
-    return next((name for name in GLASSES if name.upper() == upper.replace("_", " ")), None)

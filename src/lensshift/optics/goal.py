@@ -9,6 +9,7 @@ from lensshift.core.grid import Grid
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, refractive_index
 from lensshift.optics.lens import WAVELENGTH_NM, Element, Stop
 from lensshift.optics.mtf import Band
+from lensshift.optics.which import judged_lpmm
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +109,4 @@ class Goal:
     @property
     def judged_lpmm(self) -> float:
         """The frequency of the MTF."""
-        if self.frequency_lpmm is None:
-            return 1.0 / max(self.grid.pitch_mm)
-        return self.frequency_lpmm
+        return judged_lpmm(self.grid, self.frequency_lpmm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
-from lensshift.optics.lens import Element, Lens
+from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import entrance_pupil
 from lensshift.optics.shift import moving
 from lensshift.optics.spots import image_per_field_mm, spots
@@ -143,18 +143,11 @@ def _surfaces(lens: Lens, crossing_mm: Floats, along: int) -> tuple[tuple[Polyli
             sag_mm, height_mm = _turned(
                 surface.sag_mm(height_mm), height_mm, surface.tilt_rad[along]
             )
-            lines.append(_placed(one, along, start_mm, depth_mm + sag_mm, height_mm))
+            z_mm, height_mm = _turned(depth_mm + sag_mm, height_mm, one.tilt_rad[along])
+            lines.append(Polyline(start_mm + z_mm, one.decenter_mm[along] + height_mm))
             number += 1
         drawn.append(tuple(lines))
     return tuple(drawn)
-
-
-def _placed(
-    element: Element, along: int, start_mm: float, z_mm: Floats, height_mm: Floats
-) -> Polyline:
-    """Return a line in the axes of an element in those of the lens."""
-    z_mm, height_mm = _turned(z_mm, height_mm, element.tilt_rad[along])
-    return Polyline(z_mm=start_mm + z_mm, height_mm=element.decenter_mm[along] + height_mm)
 
 
 def _turned(z_mm: Floats, height_mm: Floats, lean_rad: float) -> tuple[Floats, Floats]:
@@ -166,15 +159,14 @@ def _turned(z_mm: Floats, height_mm: Floats, lean_rad: float) -> tuple[Floats, F
 def _outline(lines: tuple[Polyline, ...]) -> Polyline:
     """Return front, edge, back and edge of an element as a closed line."""
     front, back = lines[0], lines[-1]
-    upper = [(line.z_mm[-1], line.height_mm[-1]) for line in lines[1:-1]]
-    lower = [(line.z_mm[0], line.height_mm[0]) for line in lines[-2:0:-1]]
-    z_mm = [front.z_mm, *([z] for z, _ in upper), back.z_mm[::-1], *([z] for z, _ in lower)]
-    height_mm = [front.height_mm, *([h] for _, h in upper)]
-    height_mm += [back.height_mm[::-1], *([h] for _, h in lower)]
-    return Polyline(
-        z_mm=np.concatenate([*z_mm, front.z_mm[:1]]),
-        height_mm=np.concatenate([*height_mm, front.height_mm[:1]]),
-    )
+    rim = lines[1:-1]
+
+    def around(along: Callable[[Polyline], Floats]) -> Floats:
+        upper, lower = [along(one)[-1] for one in rim], [along(one)[0] for one in rim[::-1]]
+        first = along(front)
+        return np.concatenate([first, upper, along(back)[::-1], lower, first[:1]])
+
+    return Polyline(around(lambda line: line.z_mm), around(lambda line: line.height_mm))
 
 
 def _rays(
@@ -189,21 +181,16 @@ def _rays(
         if not len(met_mm):
             continue
         first_mm, first_z_mm = met_mm[0, along], met_mm[0, 2]
-        slope = _slope_before(lens, fields[number, along], first_mm, first_z_mm)
+        slope = fields[number, along]  # in front of the lens
+        if math.isfinite(lens.object_mm):
+            source_mm = -slope * (lens.object_mm + entrance_pupil(lens)[0])
+            slope = (first_mm - source_mm) / (first_z_mm + lens.object_mm)
         z_mm = [start_mm, *met_mm[:, 2]]
         height_mm = [first_mm + slope * (start_mm - first_z_mm), *met_mm[:, along]]
         if failed_at < 0:
             z_mm.append(sensor_mm)
             height_mm.append(bundle.position_mm[number, ray, along])
         yield DrawnRay(number, Polyline(np.array(z_mm), np.array(height_mm)), failed_at < 0)
-
-
-def _slope_before(lens: Lens, tangent: float, height_mm: float, z_mm: float) -> float:
-    """Return the slope of a ray of a field that first meets glass at a point."""
-    if math.isinf(lens.object_mm):
-        return tangent
-    source_mm = -tangent * (lens.object_mm + entrance_pupil(lens)[0])
-    return (height_mm - source_mm) / (z_mm + lens.object_mm)
 
 
 def _stop(

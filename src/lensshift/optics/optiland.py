@@ -67,7 +67,8 @@ def from_optiland(optic: Any) -> Lens:
     entries, frames = [], []
     for number, surface in enumerate(optic.surfaces):
         entries.append(_entry(number, surface, wavelength_um))
-        frames.append(_frame(surface))
+        origin, axes = surface.geometry.cs.get_effective_transform()
+        frames.append(Frame(np.asarray(origin, dtype=float).ravel(), np.asarray(axes, dtype=float)))
     kind = _APERTURES.get(getattr(optic.aperture, "ap_type", ""))
     if kind is None:
         raise DataError(f"expected an aperture of {', '.join(_APERTURES)}, got {optic.aperture!r}")
@@ -192,11 +193,6 @@ def _glass(material: Any, wavelength_um: float, entry: Entry) -> str:
         f"expected a glass of {', '.join(GLASSES)}, got {name or 'one'} of index {index:.6f}",
         field=entry.where(),
     )
-
-
-def _frame(surface: Any) -> Frame:
-    origin, axes = surface.geometry.cs.get_effective_transform()
-    return Frame(np.asarray(origin, dtype=float).ravel(), np.asarray(axes, dtype=float))
 
 
 def _from_object(entries: list[Entry], frames: list[Frame]) -> list[Frame]:

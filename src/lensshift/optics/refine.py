@@ -71,7 +71,8 @@ def refine(
     """
     from scipy.optimize import least_squares
 
-    plain = replace(lens, elements=tuple(_straight(one) for one in lens.elements))
+    straight = (replace(one, decenter_mm=(0.0, 0.0), tilt_rad=(0.0, 0.0)) for one in lens.elements)
+    plain = replace(lens, elements=tuple(straight))
     for done, share in enumerate(grow, start=1):
         bench = _Bench(plain, task, freedom, share)
         start = bench.variables.start()
@@ -108,10 +109,6 @@ def merit(lens: Lens, task: Task, freedom: Freedom, share: float = 1.0) -> float
     """Return what `refine` makes least of a lens, at a share of aperture and field."""
     bench = _Bench(lens, task, freedom, share)
     return float(np.sum(bench.errors(bench.variables.start()) ** 2))
-
-
-def _straight(element: Element) -> Element:
-    return replace(element, decenter_mm=(0.0, 0.0), tilt_rad=(0.0, 0.0))
 
 
 class _Bench:

@@ -274,20 +274,17 @@ def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Ele
         surfaces[number : number + 2] = trimmed(
             surfaces[number], surfaces[number + 1], length_mm, entries[number].number, notes
         )
+    first, last = entries[0].number, entries[-1].number
+    name = f"surface {first}" if first == last else f"surfaces {first}-{last}"
     with about(entries[0].where()):
         return Element(
             surfaces=tuple(surfaces),
             glass=tuple(entry.glass for entry in entries[:-1]),
             thickness_mm=tuple(thickness_mm),
-            name=entries[0].comment or _numbers(entries),
+            name=entries[0].comment or name,
             decenter_mm=(float(frames[0].origin[1]), float(frames[0].origin[0])),
             tilt_rad=tilt_rad,
         )
-
-
-def _numbers(entries: list[Entry]) -> str:
-    first, last = entries[0].number, entries[-1].number
-    return f"surface {first}" if first == last else f"surfaces {first}-{last}"
 
 
 def _axis(entries: list[Entry], frames: list[Frame]) -> tuple[Floats, list[float], list[float]]:

@@ -158,6 +158,14 @@ def shift_uniformity(field: ShiftField, wanted_px: ArrayLike) -> tuple[ShiftUnif
     )
 
 
+def largest_error_px(
+    lens: Lens, element: int, moves_mm: Floats, grid: Grid, wanted_px: ArrayLike
+) -> float:
+    """Return the largest error of the shifts over the sensor, at enough pixels to tell."""
+    over = shift_map(lens, element, moves_mm, grid, most=ENOUGH_PIXELS)
+    return max(one.max_error_px for one in shift_uniformity(over, wanted_px))
+
+
 def moving(lens: Lens, element: int, by: Floats, *, tilt: bool = False) -> Build:
     """Return builds [...] in which one element is moved by [... 2] (mm), or tilted (rad)."""
     lens.check_element(element)

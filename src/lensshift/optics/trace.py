@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.arrays import Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import entrance_pupil
 
@@ -190,14 +190,8 @@ class _System:
         self.curvature = np.array([surface.curvature_per_mm for surface in surfaces])
         self.conic = np.array([surface.conic for surface in surfaces])
         self.semi_diameter = np.array([surface.semi_diameter_mm for surface in surfaces])
-        self.terms = np.array([len(surface.asphere) for surface in surfaces])
-        self.asphere = np.zeros((len(surfaces), max(1, self.terms.max())))
-        for row, surface in zip(self.asphere, surfaces, strict=True):
-            row[: len(surface.asphere)] = surface.asphere
-        self.radial_terms = np.array([len(surface.radial) for surface in surfaces])
-        self.radial = np.zeros((len(surfaces), max(1, self.radial_terms.max())))
-        for row, surface in zip(self.radial, surfaces, strict=True):
-            row[: len(surface.radial)] = surface.radial
+        self.terms, self.asphere = _table([surface.asphere for surface in surfaces])
+        self.radial_terms, self.radial = _table([surface.radial for surface in surfaces])
         self.mirror = np.array([surface.mirror for surface in surfaces])
 
     def _lean(self, lens: Lens) -> None:
@@ -250,6 +244,15 @@ class _System:
             heights=None if heights is None else heights.reshape(*shape, surfaces),
             crossing_mm=None if met is None else met.reshape(*shape, surfaces, 3),
         )
+
+
+def _table(rows: list[tuple[float, ...]]) -> tuple[Array, Floats]:
+    """Return the lengths of rows, and the rows filled up with zeros."""
+    terms = np.array([len(row) for row in rows])
+    table = np.zeros((len(rows), max(1, terms.max())))
+    for into, row in zip(table, rows, strict=True):
+        into[: len(row)] = row
+    return terms, table
 
 
 _NO_HEIGHTS = np.zeros((1, 1, 0))

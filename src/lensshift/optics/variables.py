@@ -84,7 +84,11 @@ class Variables:
         for number in made:
             lens.check_element(number)
         self.made = made
-        self._stop_mm = lens.stop.position_mm - self._end_mm(lens)
+        before_mm = 0.0  # where the last vertex in front of the stop is
+        if self._before:
+            front = self._before - 1
+            before_mm = float(lens.positions_mm()[front] + lens.elements[front].length_mm)
+        self._stop_mm = lens.stop.position_mm - before_mm
         self._slots = self._found(freedom, semi_mm)
         if not self._slots:
             raise ValueError("expected something that may change, got a lens that stays as it is")
@@ -120,13 +124,6 @@ class Variables:
         if freedom.stop and 0 < self._before < len(lens.elements):
             slots.append(_Slot("stop", 0, 0, 0.2 * long_mm))
         return slots
-
-    def _end_mm(self, lens: Lens) -> float:
-        """Return where the last vertex in front of the stop is, 0 if there is none."""
-        if not self._before:
-            return 0.0
-        number = self._before - 1
-        return float(lens.positions_mm()[number] + lens.elements[number].length_mm)
 
     def start(self) -> Floats:
         """Return the vector of the lens that this started from."""

@@ -15,10 +15,10 @@ from lensshift.optics.paraxial import focal_length_mm
 from lensshift.optics.shift import (
     ENOUGH_PIXELS,
     decenter_for_shift,
+    largest_error_px,
     moving,
     px_per_um,
     shift_map,
-    shift_uniformity,
 )
 from lensshift.optics.spots import fields_for_image
 from lensshift.optics.trace import Build
@@ -97,8 +97,7 @@ def which_element(
         if np.isinf(focal_length_mm(element, indices)):
             continue
         moves_mm = decenter_for_shift(lens, number, shift_px * DIAGONALS, grid)
-        over = shift_map(lens, number, moves_mm, grid, most=ENOUGH_PIXELS)
-        even = shift_uniformity(over, shift_px * DIAGONALS)
+        error_px = largest_error_px(lens, number, moves_mm, grid, shift_px * DIAGONALS)
         stroke_mm = float(decenter_for_shift(lens, number, [0.0, shift_px], grid)[1])
         along = shift_map(lens, number, stroke_mm * np.eye(2), grid, most=ENOUGH_PIXELS).offset_px
         moved = moved_mtf(lens, fields, frequency, number, moves_mm)
@@ -109,7 +108,7 @@ def which_element(
                 stroke_mm=stroke_mm,
                 gain=shift_px * grid.pitch_mm[1] / stroke_mm,
                 sensitivity_px_per_um=px_per_um(lens, number, grid),
-                max_shift_error_px=max(one.max_error_px for one in even),
+                max_shift_error_px=error_px,
                 mtf_centred=float(centred.min()),
                 mtf_moved=float(moved.min()),
                 mtf_loss=float((centred - moved).max()),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,14 +61,8 @@ def cast(scene: Scene, direction: ArrayLike, *, origin_m: ArrayLike = (0.0, 0.0,
     for first in range(0, len(vectors), _RAYS_AT_ONCE):
         some = slice(first, first + _RAYS_AT_ONCE)
         _cast_some(scene, origins[some], _unit(vectors[some]), hits, first)
-    return Hits(
-        distance_m=hits.distance_m.reshape(axes),
-        reflectance=hits.reflectance.reshape(axes),
-        cos_incidence=hits.cos_incidence.reshape(axes),
-        hit=hits.hit.reshape(axes),
-        point_m=hits.point_m.reshape(*axes, 3),
-        normal=hits.normal.reshape(*axes, 3),
-    )
+    found = {one.name: getattr(hits, one.name) for one in fields(hits)}
+    return Hits(**{name: each.reshape((*axes, *each.shape[1:])) for name, each in found.items()})
 
 
 def visible(scene: Scene, from_m: ArrayLike, to_m: ArrayLike) -> Mask:

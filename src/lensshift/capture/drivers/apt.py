@@ -120,18 +120,7 @@ class AptStage:
         return np.array([axis.position_mm() for axis in self.axes])
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
-        """Move both axes at once, wait until settled, return the position [2] read back.
-
-        With `direct` straight there, without the run-up that keeps play on one side.
-
-        Raises
-        ------
-        ValueError
-            If the position is not two numbers within `travel_mm`.
-        DeviceError
-            If an axis fails or does not arrive; both have been stopped. `DeviceTimeout` if it
-            takes longer than its speed and acceleration allow.
-        """
+        """Move both axes at once; see `Stage.move_to`."""
         goal_mm = np.asarray(position_mm, dtype=np.float64)
         low_mm, high_mm = self.travel_mm.T
         if goal_mm.shape != (2,) or not np.all((goal_mm >= low_mm) & (goal_mm <= high_mm)):

@@ -163,6 +163,10 @@ class Record:
 
     FORMAT: ClassVar[str]
 
+    def __init_subclass__(cls, layout: str = "") -> None:
+        if layout:  # not when `slots` makes the class anew
+            cls.FORMAT = layout
+
     def pack(self) -> bytes:
         """Return the data of the message."""
         return struct.pack(self.FORMAT, CHANNEL, *astuple(self))  # type: ignore[call-overload]
@@ -185,27 +189,23 @@ class Record:
 
 
 @dataclass(frozen=True, slots=True)
-class Target(Record):
+class Target(Record, layout="<Hl"):
     """Where an absolute move goes, in counts of the encoder."""
 
     counts: int
 
-    FORMAT: ClassVar[str] = "<Hl"
-
 
 @dataclass(frozen=True, slots=True)
-class Velocity(Record):
+class Velocity(Record, layout="<Hlll"):
     """Speed and acceleration in units of the servo, see `servo_velocity`."""
 
     lowest: int
     acceleration: int
     highest: int
 
-    FORMAT: ClassVar[str] = "<Hlll"
-
 
 @dataclass(frozen=True, slots=True)
-class Home(Record):
+class Home(Record, layout="<HHHll"):
     """How to find the zero: direction (2: backward), switch (1: backward), speed, way back."""
 
     direction: int
@@ -213,20 +213,16 @@ class Home(Record):
     velocity: int
     offset: int
 
-    FORMAT: ClassVar[str] = "<HHHll"
-
 
 @dataclass(frozen=True, slots=True)
-class Backlash(Record):
+class Backlash(Record, layout="<Hl"):
     """How far the firmware overruns after a backward move, in counts."""
 
     counts: int
 
-    FORMAT: ClassVar[str] = "<Hl"
-
 
 @dataclass(frozen=True, slots=True)
-class Limits(Record):
+class Limits(Record, layout="<HHHllH"):
     """Sense of the two switches, soft limits in counts, what happens at these (1: nothing)."""
 
     forward_switch: int
@@ -235,19 +231,15 @@ class Limits(Record):
     backward: int
     mode: int
 
-    FORMAT: ClassVar[str] = "<HHHllH"
-
 
 @dataclass(frozen=True, slots=True)
-class Status(Record):
+class Status(Record, layout="<HlhhL"):
     """Where the motor is: counts, speed, current (or nothing), `Bits`."""
 
     counts: int
     velocity: int
     current: int
     bits: int
-
-    FORMAT: ClassVar[str] = "<HlhhL"
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
@@ -270,12 +262,10 @@ class Status(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class StatusBits(Record):
+class StatusBits(Record, layout="<HL"):
     """`Bits` alone."""
 
     bits: int
-
-    FORMAT: ClassVar[str] = "<HL"
 
 
 @dataclass(frozen=True, slots=True)

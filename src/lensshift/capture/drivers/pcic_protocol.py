@@ -107,9 +107,9 @@ class PcicParser:
         buffer += data
         messages = []
         at = 0
-        while (start := self._next_head(at)) is not None:
-            self.skipped_bytes += start - at
-            at = start
+        while (head := _HEAD.search(buffer, at)) is not None:
+            self.skipped_bytes += head.start() - at
+            at = head.start()
             end = self._end(at)
             if end is None:
                 at += 1
@@ -135,10 +135,6 @@ class PcicParser:
             return b""
         at = _HEAD_BYTES + _TICKET_BYTES
         return bytes(buffer[at : at + 4 + _CHUNK.size])
-
-    def _next_head(self, at: int) -> int | None:
-        found = _HEAD.search(self._buffer, at)
-        return None if found is None else found.start()
 
     def _end(self, at: int) -> int | None:
         """Return where the message ends that may begin here, None if it is none."""

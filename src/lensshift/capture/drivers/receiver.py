@@ -175,15 +175,7 @@ class ReceivingCamera(ABC):
         return self._grid
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest whole frame not yet fetched; wait for one if there is none.
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time; the message says why.
-        DeviceError
-            If the camera has gone, has started anew, or is not open.
-        """
+        """Return the oldest whole frame not yet fetched; see `Camera.next_frame`."""
         return self._receiver.take(timeout_s, self._explaining())
 
     def counts(self) -> Mapping[str, int]:

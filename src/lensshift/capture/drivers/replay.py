@@ -170,15 +170,7 @@ class ReplayCamera(ReceivingCamera):
         return self._stream.newest_cycle() if self._is_o3m else self._cycle
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest frame not yet fetched; wait for one if there is none.
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time.
-        DeviceError
-            If the recording has ended, is damaged, or the camera started anew in it.
-        """
+        """Return the oldest frame not yet fetched; see `Camera.next_frame`."""
         frame = super().next_frame(timeout_s)
         self._fetched = frame.cycle
         return frame

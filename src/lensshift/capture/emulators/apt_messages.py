@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from lensshift.capture.drivers import apt_codec as apt
 
@@ -40,7 +39,7 @@ class More(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Jog(apt.Record):
+class Jog(apt.Record, layout="<HHllllH"):
     """How to jog: mode (1 until stopped, 2 one step), step in counts, speeds, how to stop."""
 
     mode: int
@@ -50,11 +49,9 @@ class Jog(apt.Record):
     highest: int
     stop: int
 
-    FORMAT: ClassVar[str] = "<HHllllH"
-
 
 @dataclass(frozen=True, slots=True)
-class Gains(apt.Record):
+class Gains(apt.Record, layout="<HllllH"):
     """Of the servo: proportional, integral, differential, limit of the integral, which count."""
 
     proportional: int
@@ -63,16 +60,12 @@ class Gains(apt.Record):
     limit: int
     which: int
 
-    FORMAT: ClassVar[str] = "<HllllH"
-
 
 @dataclass(frozen=True, slots=True)
-class Lamps(apt.Record):
+class Lamps(apt.Record, layout="<HH"):
     """When the lamp of the controller shines."""
 
     mode: int
-
-    FORMAT: ClassVar[str] = "<HH"
 
 
 def records(counts_per_mm: float) -> dict[int, apt.Record]:

@@ -72,10 +72,6 @@ def _coordinate(axis: int) -> Callable[[Seen], _Blob]:
     return blob
 
 
-def _vectors(seen: Seen) -> _Blob:
-    return _Blob(223, _F4_3, directions(seen.frame.amplitude.shape).astype("<f4"))
-
-
 def _numbers(kind: int, numbers: Callable[[tuple[int, ...]], Sequence[float]]) -> Any:
     def blob(seen: Seen) -> _Blob:
         return _Blob(kind, _F4, np.asarray([numbers(seen.frame.amplitude.shape)], dtype="<f4"))
@@ -113,13 +109,9 @@ def directions(shape: tuple[int, ...]) -> Floats:
 
 
 def _intrinsic(shape: tuple[int, ...]) -> list[float]:
-    """Return fx, fy, mx, my of a pinhole with square pixels."""
+    """Return fx, fy, mx, my of a pinhole with square pixels, and 12 numbers that bend nothing."""
     focal_px = 0.5 * shape[1] / math.tan(_HALF_FIELD_RAD)
-    return [focal_px, focal_px, 0.5 * shape[1], 0.5 * shape[0]]
-
-
-def _lens(shape: tuple[int, ...]) -> list[float]:
-    return [*_intrinsic(shape), *[0.0] * 12]
+    return [focal_px, focal_px, 0.5 * shape[1], 0.5 * shape[0], *[0.0] * 12]
 
 
 BLOBS: Mapping[str, Callable[[Seen], _Blob]] = {
@@ -130,10 +122,12 @@ BLOBS: Mapping[str, Callable[[Seen], _Blob]] = {
     "y_image": _coordinate(1),
     "z_image": _coordinate(2),
     "confidence_image": _confidence,
-    "all_unit_vector_matrices": _vectors,
+    "all_unit_vector_matrices": lambda seen: _Blob(
+        223, _F4_3, directions(seen.frame.amplitude.shape).astype("<f4")
+    ),
     "extrinsic_calibration": _numbers(400, lambda _: [0.0] * 6),
-    "intrinsic_calibration": _numbers(401, _lens),
-    "inverse_intrinsic_calibration": _numbers(402, _lens),
+    "intrinsic_calibration": _numbers(401, _intrinsic),
+    "inverse_intrinsic_calibration": _numbers(402, _intrinsic),
     "diagnostic_data": _diagnostic,
     "diagnostic": _diagnostic,
     "json_diagnostic": _json_diagnostic,
