@@ -160,10 +160,10 @@ def simulate_tof(
         raise ValueError(f"expected shift_error_px of at least 0, got {shift_error_px}")
     rng = np.random.default_rng(seed)
     offset = planned + shift_error_px * rng.standard_normal(planned.shape)
-    *moved, rest = motions(camera, np.concatenate([offset, np.zeros((1, 2))]))
+    *moved, (_, rest_blur) = motions(camera, np.concatenate([offset, np.zeros((1, 2))]))
     side_px = camera.pixels.fill_factor**0.5
-    looks = [Footprints(1, one.offset_px, side_px, one.blur) for one in moved]
-    looks.append(Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, rest.blur))
+    looks = [Footprints(1, moved_px, side_px, blur) for moved_px, blur in moved]
+    looks.append(Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, rest_blur))
     tones = Tones(camera.illumination.modulation_hz, tuple(harmonic_shares(camera.pixels)))
     *frames, ideal = see(scene, camera, tones, looks, samples)
     if camera.multipath is not None:
@@ -175,14 +175,20 @@ def simulate_tof(
     images = [image_of(reading, camera) for reading in readings]
     notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
     # What `calibrate` would tell of a real camera.
-    notes["psf_sigma_px"] = response_width_px(side_px, rest.blur, camera.grid.shape)
-    flying = np.stack([_flying(seen, camera) for seen in frames])
+    notes["psf_sigma_px"] = response_width_px(side_px, rest_blur, camera.grid.shape)
     field = None
     if isinstance(camera.optics, LensOptics) and camera.optics.element is not None:
-        field = ShiftField(np.stack([one.offset_px for one in moved]))
+        field = ShiftField(np.stack([moved_px for moved_px, _ in moved]))
     return TofCapture(
         burst=_burst(images, camera, planned, shift_error_px, notes),
-        truth=_truth(ideal, camera, flying, offset, field),
+        truth=TofTruth(
+            *true_images(ideal, camera),
+            valid=ideal.light > 0,
+            flying=_flying(ideal, camera),
+            flying_in_frames=np.stack([_flying(seen, camera) for seen in frames]),
+            offset_px=offset,
+            offset_field=field,
+        ),
         raw=RawPhases(**_stacked(readings), modulation_hz=camera.illumination.modulation_hz),
         o3m=_o3m(images),
     )
@@ -231,25 +237,6 @@ def _scattered(values: Array, scatter: Scatter) -> Array:
 
 def _flying(seen: Seen, camera: TofCamera) -> Mask:
     return np.asarray(seen.distances()[1] > camera.validity.flying_std_m)
-
-
-def _truth(
-    ideal: Seen,
-    camera: TofCamera,
-    flying_in_frames: Mask,
-    offset_px: Array,
-    field: ShiftField | None,
-) -> TofTruth:
-    amplitude, distance_m = true_images(ideal, camera)
-    return TofTruth(
-        amplitude=amplitude,
-        distance_m=distance_m,
-        valid=ideal.light > 0,
-        flying=_flying(ideal, camera),
-        flying_in_frames=flying_in_frames,
-        offset_px=offset_px,
-        offset_field=field,
-    )
 
 
 def true_images(ideal: Seen, camera: TofCamera) -> tuple[Array, Array]:

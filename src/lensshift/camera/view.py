@@ -45,25 +45,21 @@ class SpotBlur:
         return landing, np.einsum("rn,cm,nmk->rck", rows, cols, self.weight, optimize=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """How the image of one frame differs from what the camera at rest sees.
-
-    Parameters
-    ----------
-    offset_px : [row col 2] at the pixels, or [1 1 2]; the content moved down / right
-    blur : sigma in LR pixels of a Gaussian that is the same all over the sensor, or spots
-    """
-
-    offset_px: Array
-    blur: float | SpotBlur
+Motion = tuple[Array, float | SpotBlur]
 
 
 def motions(camera: TofCamera, offset_px: Array) -> list[Motion]:
-    """Return the motion of each frame of `offset_px` [frame 2] at the centre of the sensor."""
+    """Return what differs in each frame of `offset_px` [frame 2] from what the camera at rest sees.
+
+    Returns
+    -------
+    for each frame the offset in px [row col 2] of the pixels, or [1 1 2], at the centre of the
+    sensor as asked for; and the blur: sigma in LR pixels of a Gaussian that is the same all over
+    the sensor, or spots
+    """
     if isinstance(camera.optics, PlainOptics):
         sigma_px = camera.optics.blur_sigma_px
-        return [Motion(offset[None, None, :], sigma_px) for offset in offset_px]
+        return [(offset[None, None, :], sigma_px) for offset in offset_px]
     return _lens_motions(camera.optics, camera.grid, offset_px)
 
 
@@ -75,7 +71,7 @@ def response_width_px(side_px: float, blur: float | SpotBlur, shape: tuple[int, 
     Parameters
     ----------
     side_px : of the sensitive square of a pixel
-    blur : as in `Motion`
+    blur : as of `motions`
     shape : of the sensor
     """
     from scipy.optimize import brentq
@@ -160,11 +156,11 @@ def _lens_motions(optics: LensOptics, grid: Grid, offset_px: Array) -> list[Moti
 
     if optics.element is None:
         (blur,) = _spot_blurs(optics, 0, grid, np.zeros((1, 2)))
-        return [Motion(offset[None, None, :], blur) for offset in offset_px]
+        return [(offset[None, None, :], blur) for offset in offset_px]
     decenter_mm = decenter_for_shift(optics.lens, optics.element, offset_px, grid)
     fields_px = _offset_fields(optics.lens, optics.element, grid, decenter_mm)
     blurs = _spot_blurs(optics, optics.element, grid, decenter_mm)
-    return [Motion(field, blur) for field, blur in zip(fields_px, blurs, strict=True)]
+    return list(zip(fields_px, blurs, strict=True))
 
 
 def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> Array:

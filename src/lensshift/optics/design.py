@@ -7,16 +7,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from lensshift.optics.gaps import Effort, best_gaps, train_lens
+from lensshift.optics.gaps import MOST_ELEMENTS, Effort, best_gaps, train_lens
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
 from lensshift.optics.shift import decenter_for_shift, largest_error_px
 from lensshift.optics.spots import spots
 from lensshift.optics.which import DIAGONALS, edge_fields, least_mtf
 
-_MOST_ELEMENTS = 5
 _RINGS = 10  # of the light that arrives
-_ROUNDING_MM = 1e-3
+_ROUNDING_MM = 1e-3  # more than five gaps of four digits lose together
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +88,8 @@ def optimise_gaps(
         If there are fewer than two or more than five elements, or no gaps give the focal length
         with room for all elements, the back focal distance and the light.
     """
-    if not 2 <= len(elements) <= _MOST_ELEMENTS:
-        raise ValueError(f"expected 2 to {_MOST_ELEMENTS} elements, got {len(elements)}")
+    if not 2 <= len(elements) <= MOST_ELEMENTS:
+        raise ValueError(f"expected 2 to {MOST_ELEMENTS} elements, got {len(elements)}")
     if element is not None and not 0 <= element < len(elements):
         raise ValueError(f"expected an element from 0 to {len(elements) - 1}, got {element}")
     choices = list(orientations(len(elements))) if turn else [(False,) * len(elements)]

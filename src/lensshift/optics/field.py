@@ -16,14 +16,12 @@ from lensshift.core.grid import Grid
 from lensshift.core.lens_field import MOTIONS, LensField, Motion
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import fast_otf
-from lensshift.optics.shift import PROBE_MM, central_slope, moving
-from lensshift.optics.spots import fields_for_image, spots
+from lensshift.optics.shift import NEAR, PROBE_MM, central_slope, moving
+from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
 from lensshift.optics.trace import Build
 
 Sample = Callable[[Floats, Floats], Floats]
 
-_RINGS = 2  # of the pupil: the centroid is smooth
-_NEAR = 1e-5  # of a pixel, to which a traced point has to come; the shift changes by far less
 _PROBE = {"decentre": PROBE_MM, "tilt": 2e-3, "sensor": PROBE_MM}  # or rad, where it is linear
 _MARGIN = 1.02  # of the states, for what is not linear
 # Degrees over the sensor and over the states, tried in this order until the fit is good enough.
@@ -36,9 +34,9 @@ _DOUBTFUL_PX = 1e-3  # far below what costs anything (docs/lens.md)
 _SPOT_PX2 = 1e-4  # and a variance: a width of 0.3 px by 2e-4 px
 _CHECKED = (5, 4)  # places and states along an axis where a fit is checked
 # Cycles per pixel at which the spot is compared with a Gaussian.
-_CPP = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
-_NO_CONTRAST = 1e-3
-_LEAST_GAIN_PX = 1e-6
+_CPP = np.arange(1, 8) / 8.0
+_NO_CONTRAST = 1e-3  # its logarithm would weigh nothing
+_LEAST_GAIN_PX = 1e-6  # of a probe: an element that moves the image by less does not move it
 
 
 def lens_field(
@@ -136,8 +134,8 @@ class _Mover:
         if self.element is None:
             return np.broadcast_to(-state / pitch_mm, (len(u), len(s), 2))
         fields, build = self._aimed(u, state)
-        moved_mm = spots(self.lens, fields, build=build, rings=_RINGS).centroid_mm
-        resting_mm = spots(self.lens, fields, rings=_RINGS).centroid_mm
+        moved_mm = spots(self.lens, fields, build=build, rings=CENTROID_RINGS).centroid_mm
+        resting_mm = spots(self.lens, fields, rings=CENTROID_RINGS).centroid_mm
         return np.asarray((moved_mm - resting_mm) / pitch_mm)
 
     def contrast(self, u: Floats, s: Floats) -> Floats:
@@ -161,7 +159,7 @@ class _Mover:
         """Return the fields [place state 2] imaged at places, and the build [state]."""
         half_mm = 0.5 * np.asarray(self.grid.shape) * np.asarray(self.grid.pitch_mm)
         places_mm = np.broadcast_to((u * half_mm)[:, None], (len(u), len(state), 2))
-        near_mm = _NEAR * min(self.grid.pitch_mm)
+        near_mm = NEAR * min(self.grid.pitch_mm)
         if self.element is None:
             places_mm = places_mm + state
             return fields_for_image(self.lens, places_mm, tolerance_mm=near_mm), None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
 from lensshift.optics.mtf import azimuth_axes
@@ -65,21 +65,14 @@ def scan_focus(
     from lensshift.optics import focus_kernel
 
     axes = azimuth_axes(azimuth_rad)
-    shape = rays.status.shape[:-1]
+    *shape, count = rays.status.shape
     first = np.broadcast_to(np.asarray(first_mm, dtype=np.float64), shape).copy().ravel()
     mtf = np.empty((len(first), len(axes), planes))
     focus_kernel.focus_mtf(
-        *_flat(rays), weight, axes, np.abs(axes @ pupil_arms(rings).T), ring_edges(rings),
-        frequency_lpmm, wavelength_nm * 1e-6, first, step_mm, mtf,
-    )  # fmt: skip
-    return mtf.reshape(*shape, len(axes), planes)
-
-
-def _flat(rays: RayBundle) -> tuple[Floats, Floats, NDArray[np.uint8]]:
-    """Return position, direction and status with one leading axis."""
-    count = rays.status.shape[-1]
-    return (
         np.ascontiguousarray(rays.position_mm).reshape(-1, count, 2),
         np.ascontiguousarray(rays.direction).reshape(-1, count, 3),
         np.ascontiguousarray(rays.status).reshape(-1, count),
-    )
+        weight, axes, np.abs(axes @ pupil_arms(rings).T), ring_edges(rings),
+        frequency_lpmm, wavelength_nm * 1e-6, first, step_mm, mtf,
+    )  # fmt: skip
+    return mtf.reshape(*shape, len(axes), planes)

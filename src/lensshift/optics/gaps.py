@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from lensshift.optics.which import POSITIONS
 
 _LONGEST_GAP = 1.2  # of the focal length
 _COARSE = {0: 1, 1: 64, 2: 24, 3: 12}  # grid points along each free gap, by their number
+MOST_ELEMENTS = max(_COARSE) + 2  # the sensor and the focal length take a gap each
 _FINE, _ZOOM = 9, 4.0  # points of a refinement, and how much closer the next one is
 _ASIDE_MM, _PLANE_MM, _PLANES = -0.6, 0.02, 51  # of the sensor from the paraxial image
 _NEAR_ASIDE_MM, _NEAR_PLANE_MM = -0.125, 0.005  # of the sensor from the best one so far
@@ -109,30 +111,20 @@ def train_lens(train: tuple[Element, ...], gaps_mm: Floats, goal: Goal, name: st
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """The best of some candidates: its score, gaps, and sensor relative to the paraxial image."""
+class _Found(NamedTuple):
+    """The best of some candidates."""
 
     score: float
     gaps_mm: Floats
-    aside_mm: float
+    aside_mm: float  # of the sensor, from the paraxial image
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Trains:
-    """Candidates by the laws of paraxial optics.
+class _Trains(NamedTuple):
+    """Candidates by the laws of paraxial optics."""
 
-    Parameters
-    ----------
-    gaps_mm : [candidate element] the last one to the paraxial image
-    magnification : [candidate] size of the image over that of the object, or image height over
-        tangent of the angle in mm for an infinitely far object
-    gain : [candidate] image movement over element movement; 1 if none moves
-    """
-
-    gaps_mm: Floats
-    magnification: Floats
-    gain: Floats
+    gaps_mm: Floats  # [candidate element] the last one to the paraxial image
+    magnification: Floats  # [candidate] as in `field_tan`
+    gain: Floats  # [candidate] image movement over element movement; 1 if none moves
 
 
 class _Search:

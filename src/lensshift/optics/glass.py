@@ -10,11 +10,11 @@ from importlib import resources
 
 import numpy as np
 
-REFERENCE_TEMPERATURE_C = 20.0
+REFERENCE_TEMPERATURE_C = 20.0  # of most catalogues
 AIR = "air"
 
 D_UM, _F_UM, _C_UM, _G_UM = 0.5875618, 0.4861327, 0.6562725, 0.4358343
-_SAME_INDEX = 5e-4
+_SAME_INDEX = 5e-4  # a usual tolerance of n_d from melt to melt
 _MODEL_RANGE_NM = (350.0, 2000.0)  # about the visible; beyond 1 um it is a guess
 BY_CODE = "index and Abbe number"  # all that is known of a glass
 NO_CHANGE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

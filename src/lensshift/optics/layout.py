@@ -18,9 +18,9 @@ from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build, RayBundle, trace
 
 _AXES = {"row": 0, "col": 1}
-_SURFACE_POINTS = 33
+_SURFACE_POINTS = 33  # a curve that looks smooth
 _ROOM = 1.1  # of a surface without an edge, over the highest ray
-_EDGE_DEG = 6.5
+_EDGE_DEG = 6.5  # half the field of the paper's camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,12 +119,14 @@ def layout(
     bundle = trace(lens, fields, pupil, crossings=True)
     crossing_mm = np.empty(0) if bundle.crossing_mm is None else bundle.crossing_mm
     surfaces = _surfaces(lens, crossing_mm, along)
+    image_mm = bundle.position_mm[..., along][bundle.passed]
+    edge_mm = _ROOM * float(np.abs(image_mm).max(initial=1.0))
     return Layout(
         surfaces=surfaces,
         outlines=tuple(_outline(lines) for lines in surfaces),
         rays=tuple(_rays(lens, bundle, crossing_mm, fields, along, lead_mm)),
         stop=_stop(lens, along, surfaces),
-        sensor=_sensor(lens, bundle, along),
+        sensor=Polyline(np.full(2, lens.positions_mm()[-1]), np.array([-edge_mm, edge_mm])),
         names=tuple(one.name for one in lens.elements),
     )
 
@@ -206,13 +208,6 @@ def _stop(
         Polyline(z_mm, np.array([middle_mm - hole_mm, -outer_mm])),
         Polyline(z_mm, np.array([middle_mm + hole_mm, outer_mm])),
     )
-
-
-def _sensor(lens: Lens, bundle: RayBundle, along: int) -> Polyline:
-    image_mm = bundle.position_mm[..., along][bundle.passed]
-    edge_mm = _ROOM * float(np.abs(image_mm).max(initial=1.0))
-    z_mm = np.full(2, lens.positions_mm()[-1])
-    return Polyline(z_mm, np.array([-edge_mm, edge_mm]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

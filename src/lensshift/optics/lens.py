@@ -303,14 +303,11 @@ class Lens:
 
     def with_decenter(self, element: int, decenter_mm: tuple[float, float]) -> Lens:
         """Return the lens with one element at another decentre (row, col)."""
-        self.check_element(element)
-        moved = replace(self.elements[element], decenter_mm=decenter_mm)
-        return self._with_element(element, moved)
+        return self._with(element, decenter_mm=decenter_mm)
 
     def with_tilt(self, element: int, tilt_rad: tuple[float, float]) -> Lens:
         """Return the lens with one element at another tilt (row, col)."""
-        self.check_element(element)
-        return self._with_element(element, replace(self.elements[element], tilt_rad=tilt_rad))
+        return self._with(element, tilt_rad=tilt_rad)
 
     def with_sensor(self, back_focal_mm: float) -> Lens:
         """Return the lens with the sensor at another distance behind the last vertex."""
@@ -323,9 +320,11 @@ class Lens:
                 f"expected an element from 0 to {len(self.elements) - 1}, got {element}"
             )
 
-    def _with_element(self, number: int, element: Element) -> Lens:
-        elements = (*self.elements[:number], element, *self.elements[number + 1 :])
-        return replace(self, elements=elements)
+    def _with(self, element: int, **changes: tuple[float, float]) -> Lens:
+        self.check_element(element)
+        elements = list(self.elements)
+        elements[element] = replace(elements[element], **changes)  # type: ignore[arg-type]
+        return replace(self, elements=tuple(elements))
 
 
 def cover_glass(glass: str, thickness_mm: float, semi_diameter_mm: float = math.inf) -> Element:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,10 +29,10 @@ from lensshift.optics.which import (
 )
 
 _RINGS = 4  # of the pupil: centroids
-_PROBE_RAD, _PROBE_TURN = 1e-3, 0.02
-_STEPS = 8
-_CLOSE_PX = 1e-6
-_MOST_TILT_RAD = math.radians(30.0)
+_PROBE_RAD, _PROBE_TURN = 1e-3, 0.02  # where shifts are linear
+_STEPS = 8  # of Newton, from the linear guess
+_CLOSE_PX = 1e-6  # far below any error of a shift
+_MOST_TILT_RAD = math.radians(30.0)  # no mount turns farther
 _PLATE_GLASS, _PLATE_MM = "N-BK7", 1.0
 _PLATE_ROOM_MM = 0.2  # on either side
 _WEDGE_MM, _WEDGE_ROOM_MM = 1.0, 1.0
@@ -139,24 +140,16 @@ def with_wedges(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Turning:
-    """Something whose state is a pair of angles or sines, about 0 at rest.
-
-    Parameters
-    ----------
-    look : the lens and its build in a state [2]
-    probe, most : a small state, and the largest
-    degrees : of a state along columns
-    """
+class _Turning(NamedTuple):
+    """Something whose state is a pair of angles or sines, about 0 at rest."""
 
     element: int
     name: str
     kind: str
-    look: Callable[[Floats], tuple[Lens, Build]]
-    probe: float
-    most: float
-    degrees: Callable[[float], float]
+    look: Callable[[Floats], tuple[Lens, Build]]  # in a state [2]
+    probe: float  # a small state
+    most: float  # the largest
+    degrees: Callable[[float], float]  # of a state along columns
 
 
 def _tilted(lens: Lens, number: int, kind: str) -> _Turning:

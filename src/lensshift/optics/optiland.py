@@ -18,8 +18,7 @@ from lensshift.optics.trace import rotations_of
 
 _APERTURES = {"EPD": "ENPD", "imageFNO": "FNUM", "float_by_stop_size": "FLOA"}
 _SHAPES = {"Plane": "STANDARD", "StandardGeometry": "STANDARD", "EvenAsphere": "EVENASPH"}
-_CLOSE = 1e-9  # mm and direction cosines
-_SAME_INDEX = 1e-6
+_SAME_INDEX = 1e-6  # catalogues have six digits
 
 
 def to_optiland(lens: Lens) -> Any:

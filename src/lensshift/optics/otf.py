@@ -23,7 +23,7 @@ _DEGREE = 12  # of the polynomials in the direction cosines
 _MARGIN = 1.02  # of the square that holds the pupil
 _BEYOND = 1.03  # of the outermost ray, where the pupil ends at the latest
 _LOST = 0.02  # of the light: more that the fit gets wrong is told
-_SAMPLES = 128
+_SAMPLES = 128  # within 1e-3 of 400 (tests)
 _BLOCK = 16  # rows of the pupil at once, so that they stay in the cache
 
 

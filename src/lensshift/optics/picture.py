@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.pattern import named_pattern_px
+from lensshift.optics.actuator import PIXEL_NOISE
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import diffraction_limit
 from lensshift.optics.shift import decenter_for_shift, moving, px_per_um
@@ -20,7 +22,7 @@ from lensshift.optics.which import edge_fields
 
 _ALIASES = np.arange(-2, 2)  # scenes up to two cycles per pixel, twice what half pixels carry
 _WAVES = 8  # frequencies of the baseband along each axis
-_RINGS = 8
+_RINGS = 8  # of the pupil, for the OTF up to two cycles per pixel
 _SCENE = 0.2  # standard deviation of a scene as a share of full scale
 PLACE_PX = 0.25  # of the pixels of a picture of twice as many, from the middle of a pixel
 # What a search tries: patterns, and where the picture has its pixels.
@@ -65,7 +67,7 @@ def picture_score(
     pattern: str = "square",
     place_px: float = PLACE_PX,
     actuator_um: float = 1.0,
-    noise: float = 0.005,
+    noise: float = PIXEL_NOISE,
 ) -> PictureScore:
     """Return the error of the best linear reconstruction with a lens, a mover and a pattern.
 
@@ -242,24 +244,14 @@ def linear_mtf(
     return float(passed[(high > 0.5) & (high < 1.0) & (low < 1.0 / _WAVES)].mean())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Estimate:
-    """What frames tell of each frequency and its aliases.
+class _Estimate(NamedTuple):
+    """What frames tell of each frequency and its aliases."""
 
-    Parameters
-    ----------
-    frequency : [f m 2] cycles per pixel
-    alias : [m 2] whole cycles per pixel
-    power : [f m] of the scene
-    aperture : [f m] of pixels half the size
-    known : [f m m'] covariance of the estimate
-    """
-
-    frequency: Floats
-    alias: NDArray[np.signedinteger]
-    power: Floats
-    aperture: Floats
-    known: NDArray[np.complex128]
+    frequency: Floats  # [f m 2] cycles per pixel
+    alias: NDArray[np.signedinteger]  # [m 2] whole cycles per pixel
+    power: Floats  # [f m] of the scene
+    aperture: Floats  # [f m] of pixels half the size
+    known: NDArray[np.complex128]  # [f m m'] covariance of the estimate
 
 
 def _estimate(

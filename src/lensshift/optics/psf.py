@@ -16,7 +16,7 @@ from lensshift.optics.otf import PupilFit, pupils
 from lensshift.optics.trace import Build
 
 _LEAST_SAMPLES, _MOST_SAMPLES = 256, 2048  # across the pupil
-_MARGIN = 1.2
+_MARGIN = 1.2  # copies of the image lie so much farther apart than they are wide
 _PER_WAVE = 4.0  # samples of the image per wavelength / (2 sine): twice what intensity needs
 _PER_SIDE = 16.0  # and of the smallest square
 

@@ -20,12 +20,12 @@ from lensshift.optics.task import Task
 from lensshift.optics.trace import RayBundle, trace
 from lensshift.optics.variables import Freedom, Variables
 
-_RINGS, _ARMS = 4, 12
+_RINGS, _ARMS = 4, 12  # of rays; the half of them that is traced
 _RIM = np.array([[0.0, 1.0], [0.0, -1.0], [1.0, 0.0]])  # rays that tell how wide surfaces are
 _SHARE_OF_PITCH = 0.1  # a ray error that counts as 1
 _PER_MM, _PER_SHARE = 300.0, 1000.0  # what a limit costs that is missed by so much
 _LOST_PITCHES = 30.0  # what a ray counts that does not arrive
-_STEP = 1e-6
+_STEP = 1e-6  # of a variable, whose unit is a large step; far above rounding
 _ROOM = 1.03  # of a surface over its highest ray
 _AIM_STEPS, _MOST_AIM = 4, 1.1  # of fields, and by how much each at most
 _STEEPEST = 0.85  # sine of the largest slope of a surface

@@ -17,9 +17,9 @@ from lensshift.optics.paraxial import entrance_pupil, paraxial
 from lensshift.optics.trace import rotations_of
 
 _CLOSE = 1e-9  # of an image plane to the axis, in mm and in direction cosines
-_UNSET_STOP_MM = 1e-6
-_ROUNDING = 1e-9
-_HEIGHTS = 257
+_UNSET_STOP_MM = 1e-6  # smaller than any surface
+_ROUNDING = 1e-9  # of numbers in files
+_HEIGHTS = 257  # where edges cross is found to 1/256 of them
 _LEAST_SHARE = 0.5  # of the semi-diameter that must be left where edges cross
 
 

@@ -14,15 +14,14 @@ from lensshift.core.motion import ShiftField
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import pixel_centres_mm
 from lensshift.optics.paraxial import decenter_gains
-from lensshift.optics.spots import fields_for_image, spots
+from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
 from lensshift.optics.trace import Build
 
 SIDES = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # for differences
 ENOUGH_PIXELS = 17  # rows and columns that tell how even a shift is
-_RINGS = 2  # of the pupil: the centroid is smooth
-_NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
-_INVERSE_STEPS = 12
-_INVERSE_PX = 1e-9
+NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
+_INVERSE_STEPS = 12  # each divides the error by what is not linear in a shift, 100 and more
+_INVERSE_PX = 1e-9  # far below any error of a shift
 PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
 
 
@@ -62,11 +61,10 @@ def shift_map(
             centres_mm = centres_mm.take(kept, axis=axis)
     pixels_mm = centres_mm.reshape(-1, 2)
     moved = moving(lens, element, moves[:, None, :])
-    fields = fields_for_image(
-        lens, pixels_mm, build=moved, rings=_RINGS, tolerance_mm=_NEAR * min(grid.pitch_mm)
-    )
-    moved_mm = spots(lens, fields, build=moved, rings=_RINGS).centroid_mm
-    resting_mm = spots(lens, fields, rings=_RINGS).centroid_mm
+    near_mm = NEAR * min(grid.pitch_mm)
+    fields = fields_for_image(lens, pixels_mm, build=moved, tolerance_mm=near_mm)
+    moved_mm = spots(lens, fields, build=moved, rings=CENTROID_RINGS).centroid_mm
+    resting_mm = spots(lens, fields, rings=CENTROID_RINGS).centroid_mm
     offset_px = (moved_mm - resting_mm) / np.asarray(grid.pitch_mm)
     return ShiftField(offset_px.reshape(len(moves), *centres_mm.shape), grid.pitch_mm)
 

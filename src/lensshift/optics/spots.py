@@ -15,6 +15,7 @@ from lensshift.optics.paraxial import matrices_around_stop
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.trace import Build, RayBundle, trace
 
+CENTROID_RINGS = 2  # of the pupil: the centroid is smooth
 _FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
 
 
@@ -98,7 +99,7 @@ def fields_for_image(
     image_mm: ArrayLike,
     *,
     build: Build | None = None,
-    rings: int = 2,
+    rings: int = CENTROID_RINGS,
     tolerance_mm: float = 1e-7,
 ) -> Floats:
     """Return the fields [... 2] whose spots have their centroids at points of the sensor.

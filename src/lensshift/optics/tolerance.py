@@ -164,7 +164,13 @@ def tolerance_analysis(
         if on_progress is not None:
             on_progress(start + len(chunk), builds)
     mtf, moved_px, away_mm = (np.concatenate(values) for values in zip(*parts, strict=True))
-    bench.warn_of_range(away_mm)
+    beyond = int(np.sum(np.abs(away_mm) > refocus_mm - _COARSE_MM))
+    if beyond:
+        warnings.warn(
+            f"{beyond} of {builds} builds would need a refocus of more than {refocus_mm} mm",
+            QualityWarning,
+            stacklevel=2,
+        )
     return ToleranceResult(bench.frequency_lpmm, mtf, moved_px, away_mm, drawn[0][0], drawn[1][0])
 
 
@@ -324,14 +330,3 @@ class _Bench:
             rays, self.weight, _RINGS, self.frequency_lpmm, AZIMUTHS_RAD, self.lens.wavelength_nm,
             first_mm=first_mm, step_mm=step_mm, planes=planes,
         )  # fmt: skip
-
-    def warn_of_range(self, away_mm: Floats) -> None:
-        """Warn of builds that ended at the end of the refocus."""
-        beyond = int(np.sum(np.abs(away_mm) > self.refocus_mm - _COARSE_MM))
-        if beyond:
-            warnings.warn(
-                f"{beyond} of {len(away_mm)} builds would need a refocus of more than "
-                f"{self.refocus_mm} mm",
-                QualityWarning,
-                stacklevel=3,
-            )

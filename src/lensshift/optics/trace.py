@@ -12,8 +12,8 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import entrance_pupil
 
-_AIM_STEPS = 50
-_AIM_MM = 1e-10
+_AIM_STEPS = 50  # each leaves the share by which the pupil is aberrated
+_AIM_MM = 1e-10  # a tenth of what positions are compared to
 
 
 @dataclass(frozen=True, slots=True, eq=False)

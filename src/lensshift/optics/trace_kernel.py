@@ -10,7 +10,7 @@ from lensshift.core.arrays import Array
 # What can happen to a ray.
 PASSED, MISSED, REFLECTED, VIGNETTED = 0, 1, 2, 3
 
-_NEWTON_STEPS = 20
+_NEWTON_STEPS = 20  # it squares its error, or is lost
 _CLOSE_MM = 1e-10  # the last step squares it
 _Vector = tuple[float, float, float]
 

@@ -15,6 +15,7 @@ from lensshift.core.arrays import Array, Floats
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
 from lensshift.forward.model import MAX_SCALE
+from lensshift.optics.lens import Lens
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -65,9 +66,8 @@ class Experiment:
             raise ValueError(f"expected a channel of {expected}, got {self.channel!r}")
         if self.shifts not in SHIFTS:
             raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
-        if self.shifts == "traced" and not self._moves_a_lens:
-            raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
-
+        if self.shifts == "traced":
+            _moving_lens(self.camera)
         width_px, scale = self.psf_sigma_px, self.scale
         known = isinstance(width_px, (int, float))
         if width_px is not None and not (known and 0.0 <= width_px < np.inf):
@@ -75,10 +75,12 @@ class Experiment:
         if scale not in range(1, MAX_SCALE + 1):
             raise ValueError(f"expected an integer scale from 1 to {MAX_SCALE}, got {scale!r}")
 
-    @property
-    def _moves_a_lens(self) -> bool:
-        optics = self.camera.optics
-        return isinstance(optics, LensOptics) and optics.element is not None
+
+def _moving_lens(camera: TofCamera) -> tuple[Lens, int]:
+    optics = camera.optics
+    if not isinstance(optics, LensOptics) or optics.element is None:
+        raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
+    return optics.lens, optics.element
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,11 +192,9 @@ def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
     """
     from lensshift.optics.shift import decenter_for_shift, shift_map
 
-    optics = camera.optics
-    if not isinstance(optics, LensOptics) or optics.element is None:
-        raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
-    decenter_mm = decenter_for_shift(optics.lens, optics.element, burst.offset_px, burst.grid)
-    return shift_map(optics.lens, optics.element, decenter_mm, burst.grid)
+    lens, element = _moving_lens(camera)
+    decenter_mm = decenter_for_shift(lens, element, burst.offset_px, burst.grid)
+    return shift_map(lens, element, decenter_mm, burst.grid)
 
 
 def images_of(result: Reconstruction) -> dict[str, Array]:

@@ -39,13 +39,6 @@ _FORMATS: Mapping[int, tuple[str, tuple[int, ...]]] = {
     8: ("<f8", ()),
     10: ("<f4", (3,)),
 }
-_IMAGES = {
-    100: "distance",
-    101: "normalised_amplitude",
-    103: "amplitude",
-    105: "distance_noise",
-    300: "confidence",
-}
 _INVALID = 1  # bit of the confidence
 
 
@@ -71,6 +64,15 @@ class ChunkKind(IntEnum):
     INVERSE_INTRINSIC = 402
     TOF_INFO = 420
     RGB_INFO = 421
+
+
+_IMAGES: Mapping[int, str] = {
+    kind: kind.name.lower()
+    for kind in (
+        ChunkKind.DISTANCE, ChunkKind.NORMALISED_AMPLITUDE, ChunkKind.AMPLITUDE,
+        ChunkKind.DISTANCE_NOISE, ChunkKind.CONFIDENCE,
+    )
+}  # fmt: skip
 
 
 class Message(NamedTuple):

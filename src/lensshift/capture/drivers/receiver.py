@@ -16,6 +16,7 @@ from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
 
 QUEUE_FRAMES = 64  # more than a second at 50 Hz
+LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
 _JOIN_S = 10.0  # loops look at their stop event several times a second
 
 

@@ -23,6 +23,7 @@ from lensshift.pipeline.paper.gratings import (
 )
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, measured_edge
 from lensshift.scene import slanted_edge_card
+from lensshift.scene.targets import SLANT_RAD
 
 FREQUENCY_LPMM = np.linspace(0.0, 8.0, 81)
 KINDS = ("one frame", "bicubic", *SOLVERS)
@@ -107,7 +108,7 @@ def mean_curve(runs: list[EdgeRun], kind: str) -> Floats:
     return np.asarray(np.mean([run.edges[kind].mtf.modulation for run in runs], axis=0))
 
 
-def limit(share: float, angle_rad: float = np.deg2rad(10.0)) -> Floats:
+def limit(share: float, angle_rad: float = SLANT_RAD) -> Floats:
     """Return what a pixel of a share of the pitch lets through along the normal of the edge."""
     return pixel_aperture_mtf(FREQUENCY_LPMM, share * PITCH_MM, angle_rad=angle_rad)
 
