@@ -63,23 +63,12 @@ def image_of(reading: Reading, camera: TofCamera) -> Image:
     electrons = counts * reading.electrons_per_count
     weak = (electrons < camera.validity.min_amplitude_electrons) | (electrons <= 0)
     valid = ~(reading.saturated | weak)
-    if camera.output == "o3m":
-        return _o3m_image(reading, camera, counts, distance_m, valid, weak)
-    exposure_s = np.asarray(camera.readout.exposure_s)
-    longer = exposure_s[-1] / exposure_s[reading.exposure]
-    unit = longer * reading.electrons_per_count / camera.readout.full_well_electrons
-    return Image(counts * unit, distance_m, valid, phasors=each * unit)
-
-
-def _o3m_image(
-    reading: Reading,
-    camera: TofCamera,
-    counts: Array,
-    distance_m: Array,
-    valid: Mask,
-    weak: Mask,
-) -> Image:
     readout = camera.readout
+    if camera.output != "o3m":
+        exposure_s = np.asarray(readout.exposure_s)
+        longer = exposure_s[-1] / exposure_s[reading.exposure]
+        unit = longer * reading.electrons_per_count / readout.full_well_electrons
+        return Image(counts * unit, distance_m, valid, phasors=each * unit)
     fraction = 2 ** (MOST_BITS - (readout.bits or MOST_BITS))
     words = np.minimum(np.rint(counts * fraction), 2**MOST_BITS - 1).astype(np.uint16)
     distance_cm = np.clip(np.rint(100.0 * distance_m), 0, _FARTHEST_CM).astype(np.uint16)
@@ -89,9 +78,8 @@ def _o3m_image(
     confidence[~valid] |= _INVALID
     confidence[weak] |= _LOW_SIGNAL
     factors = _normalization(camera) / fraction
-    amplitude = words * factors[state]
     o3m = O3mImages(distance_cm, words, confidence, factors)
-    return Image(amplitude, distance_cm / 100.0, valid, o3m)
+    return Image(words * factors[state], distance_cm / 100.0, valid, o3m)
 
 
 def _normalization(camera: TofCamera) -> Floats:

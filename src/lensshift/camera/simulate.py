@@ -15,7 +15,7 @@ from lensshift.camera.footprints import Footprints, see
 from lensshift.camera.output import Image, O3mImages, image_of
 from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
 from lensshift.camera.readout import Rates, harmonic_shares, read
-from lensshift.camera.settings import LensOptics, Scatter, TofCamera
+from lensshift.camera.settings import LensOptics, TofCamera
 from lensshift.camera.view import intrinsics_of, motions, response_width_px
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.motion import ShiftField
@@ -216,7 +216,11 @@ def _samples(scale: int, samples_per_px: int | None) -> int:
 def rates_of(seen: Seen, camera: TofCamera, frame: int) -> Rates:
     """Return electrons per second of one frame: scattered light, drift, sunlight, dark current."""
     if camera.scatter is not None:
-        seen = Seen(_scattered(seen.values, camera.scatter), seen.tones)
+        from scipy.ndimage import gaussian_filter
+
+        sigma_px, share = camera.scatter.sigma_px, camera.scatter.scattered  # the sum stays
+        spread = gaussian_filter(seen.values, sigma_px, axes=(0, 1), mode="reflect")
+        seen = Seen((1.0 - share) * seen.values + share * spread, seen.tones)
     active = active_electrons_per_s(camera)
     phasor = active * seen.phasor
     if camera.drift is not None:
@@ -225,14 +229,6 @@ def rates_of(seen: Seen, camera: TofCamera, frame: int) -> Rates:
         phasor = phasor * np.exp(1j * delay).reshape(*phasor.shape[:2], 1, 1)
     constant = ambient_electrons_per_s(camera) * seen.reflectance
     return Rates(active * seen.light, constant + camera.pixels.dark_electrons_per_s, phasor)
-
-
-def _scattered(values: Array, scatter: Scatter) -> Array:
-    """Return [row col channel] with a share of the light spread widely; the sum stays."""
-    from scipy.ndimage import gaussian_filter
-
-    spread = gaussian_filter(values, scatter.sigma_px, axes=(0, 1), mode="reflect")
-    return np.asarray((1.0 - scatter.scattered) * values + scatter.scattered * spread)
 
 
 def _flying(seen: Seen, camera: TofCamera) -> Mask:

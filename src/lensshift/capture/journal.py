@@ -34,6 +34,9 @@ def capture_header(
     plan_name: str,
 ) -> dict[str, Any]:
     """Return what a journal says of the whole capture; `settings` are those of `Acquisition`."""
+    # Notes, such as the date, do not count.
+    content = {k: v for k, v in calibration_content(calibration).items() if k != "notes"}
+    text = json.dumps(content, sort_keys=True)
     return {
         "plan": plan_name,
         "frames": settings["frames"],
@@ -43,7 +46,7 @@ def capture_header(
         "modulation_hz": camera.modulation_hz,
         "position_mm": position_mm.tolist(),
         "offset_source": calibration.offset_source,
-        "calibration": _identified(calibration),
+        "calibration": {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()},
         "meta": {
             "plan": plan_name,
             "stage": {"name": stage.name, **stage.describe()},
@@ -154,10 +157,3 @@ def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str |
         raise DataError(
             "the capture was begun with other positions", field="position_mm", source=path
         )
-
-
-def _identified(calibration: Calibration) -> dict[str, Any]:
-    """Return a calibration and the hash of it; notes, such as the date, do not count."""
-    content = {k: v for k, v in calibration_content(calibration).items() if k != "notes"}
-    text = json.dumps(content, sort_keys=True)
-    return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}

@@ -313,10 +313,7 @@ class _Bench:
         return mtf, (at_mm[:, 1:] - at_mm[:, :1]) / self.pitch_mm, away_mm
 
     def _refocus(self, rays: RayBundle) -> Floats:
-        """Return for [build position field ray] where the least MTF is largest, [build].
-
-        Over all positions: one plane serves the element at rest and moved.
-        """
+        """Return where the least MTF over positions and fields [build ...] is largest, [build]."""
         planes = 1 + 2 * math.ceil(self.refocus_mm / _COARSE_MM)
         start_mm = np.full(rays.status.shape[:1], -_COARSE_MM * (planes // 2))
         least = self._scan(rays, start_mm[:, None, None], _COARSE_MM, planes).min(axis=(1, 2, 3))

@@ -112,7 +112,9 @@ def pixel_message(
         setting[amplitude <= _FULL_COUNT * factors[choice]] = choice
     counts = np.clip(np.rint(amplitude / factors[setting]), 0, 65535)
     confidence = (setting << 1) | ~frame.valid
-    distance_m, coarse_cm = _distances(frame)
+    seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
+    distance_m = np.where(frame.valid & np.isfinite(seen_m), seen_m, 0.01)  # invalid: 1 cm
+    coarse_cm = np.clip(np.rint(distance_m * 100.0), 0, 15000)
     place_m = np.asarray(_CAMERA_M)[:, None, None] + _directions() * distance_m
     body = b"".join(
         [
@@ -130,13 +132,6 @@ def pixel_message(
     major, minor = (int(part) for part in layout.split("."))
     magic = b"" if layout == "1.0" else b"O3M!DIA1" + bytes([major, minor, 0, 0])
     return (magic + body).ljust(LAYOUTS[layout], b"\0")
-
-
-def _distances(frame: Frame) -> tuple[Floats, Floats]:
-    """Return distances in metres and in whole centimetres; an invalid pixel reads 1 cm."""
-    seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
-    distance_m = np.where(frame.valid & np.isfinite(seen_m), seen_m, 0.01)
-    return distance_m, np.clip(np.rint(distance_m * 100.0), 0, 15000)
 
 
 @cache

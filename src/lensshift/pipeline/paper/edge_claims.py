@@ -68,21 +68,16 @@ def take_edge(seed: int, response: Response = PUBLISHED) -> EdgeRun:
         kind: measured_edge(image, 1 if kind == "one frame" else 2, FREQUENCY_LPMM)
         for kind, image in images.items()
     }
-    return EdgeRun(edges, images, _departures(np.asarray(unrounded.amplitude[0])))
+    frame, departures = np.asarray(unrounded.amplitude[0]), {}
+    for bits in (0, *BITS):
+        step = np.max(frame) / 2**bits
+        rounded = np.round(frame / step) * step if bits else frame
+        departures[bits] = _departure(measured_edge(rounded, 1, FREQUENCY_LPMM))
+    return EdgeRun(edges, images, departures)
 
 
 def _camera(element: int | None) -> TofCamera:
     return paper_camera(SNR, CARD_LIGHT, CARD_LIGHT, optics="petzval_a", element=element)
-
-
-def _departures(frame: Floats) -> dict[int, float]:
-    """Return how far from its limit a frame is when it is rounded to so many bits."""
-    found = {}
-    for bits in (0, *BITS):
-        step = np.max(frame) / 2**bits
-        rounded = np.round(frame / step) * step if bits else frame
-        found[bits] = _departure(measured_edge(rounded, 1, FREQUENCY_LPMM))
-    return found
 
 
 def _departure(edge: EdgeResult) -> float:

@@ -6,8 +6,7 @@ within a pixel. What the paper reads off one line is read off all of them.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -92,11 +91,6 @@ def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> 
         channel = "amplitude" if branch == "amplitude" else "distance"
         gains[branch] = _gain(fine[branch], frame[channel], true[channel], strip, channel)
     return gains
-
-
-def as_row(strip: Strip, gains: dict[str, Gain]) -> dict[str, Any]:
-    """Return everything about one strip as plain numbers."""
-    return asdict(strip) | {branch: asdict(gain) for branch, gain in gains.items()}
 
 
 def _scene(strip: Strip) -> Scene:

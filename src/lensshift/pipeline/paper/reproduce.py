@@ -24,7 +24,7 @@ from lensshift.pipeline.paper.beyond import (
 from lensshift.pipeline.paper.box_claims import BoxRun, box_claims, response_rows, take_boxes
 from lensshift.pipeline.paper.claims import CRITERIA, Claim
 from lensshift.pipeline.paper.edge_claims import EdgeRun, edge_claims, take_edge
-from lensshift.pipeline.paper.gradient_question import Strip, as_row, study_strip
+from lensshift.pipeline.paper.gradient_question import Strip, study_strip
 from lensshift.pipeline.paper.gratings import GRATINGS_LPMM, GratingRun, take_grating
 from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
 from lensshift.pipeline.paper.measure import SNR, Response, calibrated_response
@@ -177,7 +177,8 @@ def _jobs(quick: bool, response: Response) -> list[Job]:
 def study_row(contrast: float, width_px: float, snr: float, response: Response) -> dict[str, Any]:
     """Return the gains over one strip as plain numbers."""
     strip = Strip(contrast, width_px, snr)
-    return as_row(strip, study_strip(strip, 0, response))
+    gains = study_strip(strip, 0, response)
+    return asdict(strip) | {branch: asdict(gain) for branch, gain in gains.items()}
 
 
 def _of_kind(done: list[tuple[str, Any]], kind: str) -> list[Any]:
