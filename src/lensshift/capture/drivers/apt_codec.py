@@ -17,7 +17,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 HOST, CONTROLLER = 0x01, 0x50  # a cube on its own USB port
 CHANNEL = 1  # the only one of a cube
@@ -134,28 +134,20 @@ class Bits(IntFlag):
 
 
 LIMITS = Bits.FORWARD_LIMIT | Bits.BACKWARD_LIMIT
-MOVING = (
-    Bits.MOVING_FORWARD
-    | Bits.MOVING_BACKWARD
-    | Bits.JOGGING_FORWARD
-    | Bits.JOGGING_BACKWARD
-    | Bits.HOMING
-)
+_SOFT_LIMITS = Bits.FORWARD_SOFT_LIMIT | Bits.BACKWARD_SOFT_LIMIT
+_MOVES = Bits.MOVING_FORWARD | Bits.MOVING_BACKWARD
+_JOGS = Bits.JOGGING_FORWARD | Bits.JOGGING_BACKWARD
+MOVING = _MOVES | _JOGS | Bits.HOMING
 # What may differ between two replies of a motor that is well.
-CHANGING = (
-    MOVING
-    | LIMITS
-    | Bits.FORWARD_SOFT_LIMIT
-    | Bits.BACKWARD_SOFT_LIMIT
-    | Bits.TRACKING
-    | Bits.SETTLED
-)
+CHANGING = MOVING | LIMITS | _SOFT_LIMITS | Bits.TRACKING | Bits.SETTLED
 FAULTS = Bits.MOTION_ERROR | Bits.CURRENT_LIMIT | Bits.ENCODER_FAULT
-_BOTH_WAYS = (
-    LIMITS,
-    Bits.MOVING_FORWARD | Bits.MOVING_BACKWARD,
-    Bits.JOGGING_FORWARD | Bits.JOGGING_BACKWARD,
-)
+_BOTH_WAYS = (LIMITS, _MOVES, _JOGS)
+
+
+def _unpacked(layout: str, data: bytes) -> tuple[Any, ...]:
+    if len(data) != struct.calcsize(layout):
+        raise DamagedMessage(f"expected {struct.calcsize(layout)} bytes, got {len(data)}")
+    return struct.unpack(layout, data)
 
 
 class Record:
@@ -180,9 +172,7 @@ class Record:
         DamagedMessage
             If the length or the channel is wrong.
         """
-        if len(data) != struct.calcsize(cls.FORMAT):
-            raise DamagedMessage(f"expected {struct.calcsize(cls.FORMAT)} bytes, got {len(data)}")
-        channel, *fields = struct.unpack(cls.FORMAT, data)
+        channel, *fields = _unpacked(cls.FORMAT, data)
         if channel != CHANNEL:
             raise DamagedMessage(f"expected channel {CHANNEL}, got {channel}")
         return cls(*fields)
@@ -298,9 +288,7 @@ class Info:
         DamagedMessage
             If the length is wrong or the model is no text.
         """
-        if len(data) != struct.calcsize(cls.FORMAT):
-            raise DamagedMessage(f"expected {struct.calcsize(cls.FORMAT)} bytes, got {len(data)}")
-        fields = struct.unpack(cls.FORMAT, data)
+        fields = _unpacked(cls.FORMAT, data)
         serial_number, model, _, minor, interim, major, _, notes = fields[:8]
         text = model.split(b"\0")[0].decode("ascii", "replace").strip()
         if not text.isalnum():

@@ -75,10 +75,9 @@ class O3MCamera(ReceivingCamera):
             udp.bind((self._host, self.port))
         except OSError as error:
             udp.close()
-            raise DeviceError(
+            raise self._error(
                 f"cannot listen at {self._host}: {error.strerror}; close other programs that "
-                "receive from the camera",
-                device=self.name,
+                "receive from the camera"
             ) from error
         # The system may have granted less; Linux tells twice what it holds.
         self._held_bytes = udp.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)

@@ -27,18 +27,8 @@ _CHUNK = struct.Struct("<9I")
 _CHUNK_TIME = struct.Struct("<3I")  # from header version 2 on
 _METADATA_AT = 48  # from header version 3 on
 _INFO = struct.Struct("<I2f3f6fI32fI32f")
-_FORMATS: Mapping[int, tuple[str, tuple[int, ...]]] = {
-    0: ("<u1", ()),
-    1: ("<i1", ()),
-    2: ("<u2", ()),
-    3: ("<i2", ()),
-    4: ("<u4", ()),
-    5: ("<i4", ()),
-    6: ("<f4", ()),
-    7: ("<u8", ()),
-    8: ("<f8", ()),
-    10: ("<f4", (3,)),
-}
+_SCALARS = ("<u1", "<i1", "<u2", "<i2", "<u4", "<i4", "<f4", "<u8", "<f8")
+_FORMATS = dict(enumerate(map(np.dtype, _SCALARS))) | {10: np.dtype(("<f4", (3,)))}
 _INVALID = 1  # bit of the confidence
 
 
@@ -195,15 +185,14 @@ class Chunk:
                 f"expected a known pixel format, got {self.pixel_format}",
                 field=f"chunk {self.kind}",
             )
-        name, tail = _FORMATS[self.pixel_format]
-        pixel = np.dtype((name, tail))
+        pixel = _FORMATS[self.pixel_format]
         count = self.shape[0] * self.shape[1]
         if not 0 < count * pixel.itemsize <= len(self.data):
             raise DataError(
                 f"{len(self.data)} bytes do not hold {self.shape[1]} x {self.shape[0]} pixels",
                 field=f"chunk {self.kind}",
             )
-        return np.frombuffer(self.data, pixel, count).reshape(self.shape + tail)
+        return np.frombuffer(self.data, pixel, count).reshape(self.shape + pixel.shape)
 
 
 def read_chunks(content: bytes) -> list[Chunk]:

@@ -172,7 +172,7 @@ class ReceivingCamera(ABC):
     def grid(self) -> Grid:
         """Shape and pitch of the frames; known once it is open."""
         if self._grid is None:
-            raise DeviceError("the shape is not known before open()", device=self.name)
+            raise self._error("the shape is not known before open()")
         return self._grid
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
@@ -188,9 +188,14 @@ class ReceivingCamera(ABC):
         """Stop receiving; a second call does nothing."""
         self._receiver.close()
 
+    def _error(
+        self, problem: str, command: str = "", kind: type[DeviceError] = DeviceError
+    ) -> DeviceError:
+        return kind(problem, device=self.name, command=command)
+
     def _refuse_open(self) -> None:
         if self._receiver.running:
-            raise DeviceError("is open already", device=self.name)
+            raise self._error("is open already")
 
     def _start(self) -> None:
         self._receiver = Receiver(self.name)

@@ -18,7 +18,6 @@ ADDRESSES = (apt.CONTROLLER, 0x11, 0x21)
 class More(IntEnum):
     """Ids; SET, REQUEST and the answer follow each other."""
 
-    DISCONNECT = 0x0002
     START_UPDATES = 0x0011
     IDENTIFY = 0x0223
     SET_ENCODER = 0x0409
@@ -86,7 +85,7 @@ SIZES: Mapping[int, tuple[int, ...]] = {
     **apt.TO_CONTROLLER,
     **{number: (size,) for number, size in _SET.items()},
     **{number + 1: (0,) for number in _SET},
-    **dict.fromkeys((More.DISCONNECT, More.START_UPDATES, More.IDENTIFY, More.ACKNOWLEDGE), (0,)),
+    **dict.fromkeys((apt.Id.DISCONNECT, More.START_UPDATES, More.IDENTIFY, More.ACKNOWLEDGE), (0,)),
     **dict.fromkeys((More.REQUEST_ENCODER, More.REQUEST_POSITION), (0,)),
     **dict.fromkeys((More.MOVE_VELOCITY, More.MOVE_JOG), (0,)),
     **dict.fromkeys((More.SET_ENCODER, More.SET_POSITION), (6,)),

@@ -19,13 +19,7 @@ from lensshift.core.types import Frame
 Look = Callable[[float, float], Frame]
 
 ROWS, COLS = 16, 64  # of the only sensor there is
-LAYOUTS: Mapping[str, int] = {
-    "1.0": 18900,
-    "1.1": 19036,
-    "1.2": 19044,
-    "1.3": 19224,
-    "1.4": 19224,
-}
+LAYOUTS = {"1.0": 18900, "1.1": 19036, "1.2": 19044, "1.3": 19224, "1.4": 19224}  # bytes
 RUN_MODE = 0x22
 
 PACKET_BYTES = 1460  # header and payload
