@@ -35,12 +35,11 @@ def exact_mtf(
     *,
     build: Build | None = None,
     band: Band | None = None,
-    label: str = "",
 ) -> MtfCurve:
     """Return the MTF of one field: the modulus of `exact_otf`."""
     frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
     otf = exact_otf(lens, field_tan, frequency, azimuth_rad, build=build, band=band)
-    return MtfCurve(frequency, np.abs(otf[0]), label=label)
+    return MtfCurve(frequency, np.abs(otf[0]))
 
 
 def exact_otf(
