@@ -114,7 +114,9 @@ def wedge(glass: str, thickness_mm: float, wedge_rad: float, towards_rad: float)
     return Element((Surface(math.inf), back), (glass,), (thickness_mm,), name="wedge")
 
 
-def with_wedges(lens: Lens, wedge_rad: float, turn_rad: tuple[float, float]) -> Lens:
+def with_wedges(
+    lens: Lens, wedge_rad: float, turn_rad: tuple[float, float], glass: str = _PLATE_GLASS
+) -> Lens:
     """Return the lens behind two equal wedges, 1 mm thick and 1 mm apart, in front of the stop.
 
     Parameters
@@ -127,10 +129,7 @@ def with_wedges(lens: Lens, wedge_rad: float, turn_rad: tuple[float, float]) -> 
     carrier = lens.stop.rides_on
     return replace(
         lens,
-        elements=(
-            *(wedge(_PLATE_GLASS, _WEDGE_MM, wedge_rad, at) for at in turn_rad),
-            *lens.elements,
-        ),
+        elements=(*(wedge(glass, _WEDGE_MM, wedge_rad, at) for at in turn_rad), *lens.elements),
         gaps_mm=(_WEDGE_ROOM_MM, ahead_mm, *lens.gaps_mm),
         stop=replace(
             lens.stop,

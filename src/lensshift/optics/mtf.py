@@ -287,18 +287,25 @@ def _spot_otf(
 
 
 def sensor_mtf(
-    lens: Lens, grid: Grid, frequency_lpmm: ArrayLike, *, build: Build | None = None
+    lens: Lens,
+    grid: Grid,
+    frequency_lpmm: ArrayLike,
+    azimuth_rad: ArrayLike = AZIMUTHS_RAD,
+    *,
+    build: Build | None = None,
+    band: Band | None = None,
+    rings: int | None = None,
 ) -> Floats:
     """Return the fast MTF at every pixel of a sensor, [row col azimuth frequency].
 
     Parameters
     ----------
     grid : of the sensor, centred on the axis
-    frequency_lpmm, build : as for `fast_mtf`
+    frequency_lpmm, azimuth_rad, build, band, rings : as for `fast_mtf`
     """
     near_mm = 1e-2 * min(grid.pitch_mm)  # the MTF changes slowly
     fields = fields_for_image(lens, pixel_centres_mm(grid), tolerance_mm=near_mm)
-    return fast_mtf(lens, fields, frequency_lpmm, build=build)
+    return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, build=build, band=band, rings=rings)
 
 
 def through_focus(
@@ -307,6 +314,8 @@ def through_focus(
     frequency_lpmm: float,
     defocus_mm: ArrayLike,
     azimuth_rad: ArrayLike = AZIMUTHS_RAD,
+    *,
+    band: Band | None = None,
 ) -> Floats:
     """Return the fast MTF at several sensor positions, [focus ... azimuth].
 
@@ -318,7 +327,7 @@ def through_focus(
     fields = np.asarray(field_tan, dtype=np.float64)
     steps = np.asarray(defocus_mm, dtype=np.float64)
     away = steps.reshape(-1, *(1,) * (fields.ndim - 1))
-    return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, defocus_mm=away)[..., 0]
+    return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, band=band, defocus_mm=away)[..., 0]
 
 
 def pixel_centres_mm(grid: Grid) -> Floats:

@@ -35,11 +35,12 @@ def exact_mtf(
     *,
     build: Build | None = None,
     band: Band | None = None,
+    label: str = "",
 ) -> MtfCurve:
     """Return the MTF of one field: the modulus of `exact_otf`."""
     frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
     otf = exact_otf(lens, field_tan, frequency, azimuth_rad, build=build, band=band)
-    return MtfCurve(frequency, np.abs(otf[0]))
+    return MtfCurve(frequency, np.abs(otf[0]), label=label)
 
 
 def exact_otf(

@@ -102,7 +102,7 @@ def object_for_magnification_mm(
     return float((system[1, 1] - 1.0 / magnification) / power)
 
 
-def decenter_gains(lens: Lens) -> Floats:
+def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> Floats:
     """Return by how much the image moves per decentre of each element, [element].
 
         gain_j = [ M_j (1 - E_j) (1, 0) ]_height
@@ -110,7 +110,7 @@ def decenter_gains(lens: Lens) -> Floats:
     with E_j the matrix of element j and M_j that of everything from there to the sensor: an
     element that moves by s adds (1 - E_j) (s, 0) to the ray behind it.
     """
-    return gains_of(_elements(lens, None), np.asarray(lens.gaps_mm))
+    return gains_of(_elements(lens, wavelength_nm), np.asarray(lens.gaps_mm))
 
 
 def gains_of(chain: list[Floats], gaps_mm: Floats) -> Floats:

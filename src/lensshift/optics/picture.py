@@ -183,6 +183,7 @@ def linear_rmse(
     noise: float,
     shift_error_px: float = 0.0,
     *,
+    scene: float = _SCENE,
     place_px: float | None = PLACE_PX,
 ) -> float:
     """Return the root mean square error of the best linear estimate of a picture from frames.
@@ -203,13 +204,14 @@ def linear_rmse(
     otf : of the lens [frame ...] at frequencies [... 2] in cycles per pixel
     noise : standard deviation of a pixel
     shift_error_px : standard deviation along each axis
+    scene : standard deviation of the scene
     place_px : of a pixel of the picture from the middle of a pixel of the frames, along each axis:
         1/4 as pictures have them, 0 for half a pixel of the picture aside; None: mean over all
 
     Source: N. Wiener, Extrapolation, Interpolation, and Smoothing (1949); the power of scenes:
     D. J. Field, J. Opt. Soc. Am. A 4 (1987) 2379.
     """
-    found = _estimate(offset_px, otf, noise, shift_error_px)
+    found = _estimate(offset_px, otf, noise, shift_error_px, scene)
     left = -found.known
     left[:, range(len(found.alias)), range(len(found.alias))] += found.power
     wanted = found.aperture[:, :, None] * found.aperture[:, None, :] * _folded(found, place_px)
@@ -222,6 +224,7 @@ def linear_mtf(
     noise: float,
     shift_error_px: float = 0.0,
     *,
+    scene: float = _SCENE,
     place_px: float | None = PLACE_PX,
 ) -> float:
     """Return the contrast of the best linear estimate beyond what the pixels of frames carry.
@@ -231,9 +234,9 @@ def linear_mtf(
 
     Parameters
     ----------
-    offset_px, otf, noise, shift_error_px, place_px : as for `linear_rmse`
+    offset_px, otf, noise, shift_error_px, scene, place_px : as for `linear_rmse`
     """
-    found = _estimate(offset_px, otf, noise, shift_error_px)
+    found = _estimate(offset_px, otf, noise, shift_error_px, scene)
     folded = _folded(found, place_px) * found.aperture[:, :, None]
     passed = np.einsum("fnm,fnm->fm", folded.conj(), found.known).real
     passed = passed / (found.aperture * found.power)
@@ -256,6 +259,7 @@ def _estimate(
     otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
     shift_error_px: float,
+    scene: float,
 ) -> _Estimate:
     offsets = np.asarray(offset_px, dtype=np.float64)
     base = (np.arange(_WAVES) + 0.5) / _WAVES - 0.5
@@ -264,7 +268,7 @@ def _estimate(
     frequency = waves + 0.5 * (len(_ALIASES) % 2 == 0) + alias  # even about 0
     square = np.sum(frequency**2, axis=-1)
     power = 1.0 / (_LARGEST_PX**-2 + square)
-    power *= _SCENE**2 / power.sum()
+    power *= scene**2 / power.sum()
     aperture = np.prod(np.sinc(frequency), axis=-1)
     shift = np.exp(-2j * np.pi * np.einsum("kx,fmx->kfm", offsets, frequency))
     response = np.moveaxis(otf(frequency) * aperture * shift, 0, 1)  # [f frame m]

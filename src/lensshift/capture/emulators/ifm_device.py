@@ -11,7 +11,6 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 # The second number is the family: an O3D has 1 to 255, an O3R 768 to 1023.
 _TYPES = {"O3D": "1:2", "O3R": "1:1000"}
 _FIRMWARE = {"O3D": "1.30.4123", "O3R": "1.4.30"}
-_HOST = "127.0.0.1"
 _MOST_BYTES = 1 << 16  # of a request
 _LOOK_S = 0.05  # how soon it notices the end
 _REQUEST_S = 2.0  # that a client may take over one
@@ -47,16 +46,19 @@ class IfmDevice:
     model : "O3D" or "O3R"
     pcic_port : where its results are
     port : TCP port, 80 of a real one; 0 takes a free one
+    host : own address
     """
 
-    def __init__(self, model: str, pcic_port: int, *, port: int = 0) -> None:
+    def __init__(
+        self, model: str, pcic_port: int, *, port: int = 0, host: str = "127.0.0.1"
+    ) -> None:
         self._model = model
         self._about = _about(model, pcic_port)
         try:
-            self._server = SimpleXMLRPCServer((_HOST, port), _Handler, logRequests=False)
+            self._server = SimpleXMLRPCServer((host, port), _Handler, logRequests=False)
         except OSError as error:
             raise OSError(
-                f"cannot listen at {_HOST}:{port} ({error.strerror}); choose another port, or 0 "
+                f"cannot listen at {host}:{port} ({error.strerror}); choose another port, or 0 "
                 "for any that is free"
             ) from error
         self._server.timeout = _LOOK_S

@@ -138,12 +138,12 @@ def _directions() -> Floats:
     return np.asarray(vector / np.linalg.norm(vector, axis=0))
 
 
-def diagnosis_message(mode: int) -> bytes:
+def diagnosis_message(mode: int, main_celsius: float = 41.5, light_celsius: float = 48.25) -> bytes:
     """Write the diagnosis; unlike all else it is big-endian."""
     magic, size = _DIAGNOSIS
     message = bytearray(magic.ljust(size, b"\0"))
-    struct.pack_into(">f", message, 12, 41.5)  # degrees of the board
-    struct.pack_into(">f", message, 148, 48.25)  # and of the light
+    struct.pack_into(">f", message, 12, main_celsius)
+    struct.pack_into(">f", message, 148, light_celsius)
     message[152] = mode
     return bytes(message)
 

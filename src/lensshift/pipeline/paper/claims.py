@@ -186,7 +186,7 @@ def exactly(value: float) -> Number:
     return value, (value, value)
 
 
-def mean_interval(values: Sequence[float]) -> Number:
+def mean_interval(values: Sequence[float], *, seed: int = 0) -> Number:
     """Return the mean of the finite values and 95 % of it, from a bootstrap over them.
 
     For fewer than five values the interval is that of Student's t.
@@ -201,7 +201,8 @@ def mean_interval(values: Sequence[float]) -> Number:
 
         half = float(t.ppf(0.975, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample)))
         return mean, (mean - half, mean + half)
-    draws = np.random.default_rng(0).choice(sample, (_DRAWS, len(sample))).mean(axis=1)
+    rng = np.random.default_rng(seed)
+    draws = rng.choice(sample, (_DRAWS, len(sample))).mean(axis=1)
     low, high = np.percentile(draws, (2.5, 97.5)).tolist()
     return mean, (low, high)
 

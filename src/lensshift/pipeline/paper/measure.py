@@ -27,11 +27,11 @@ PRIOR_WEIGHT = 0.003
 _HALF_COLS = 10  # of the region around an edge, in LR pixels
 
 
-def calibrated_response() -> tuple[Response, float]:
+def calibrated_response(seed: int = 0) -> tuple[Response, float]:
     """Return the width that `calibrate` finds on the edge card of this bench, and its error."""
     burst = simulate_tof(
         slanted_edge_card(), paper_camera(SNR, CARD_LIGHT, CARD_LIGHT, optics="petzval_a"),
-        named_pattern_px("4x4"), shift_error_px=SHIFT_ERROR_PX,
+        named_pattern_px("4x4"), shift_error_px=SHIFT_ERROR_PX, seed=seed,
     ).burst  # fmt: skip
     found = psf_width_px(burst)
     if found is None:
