@@ -94,6 +94,11 @@ class PacketCounts:
     oversize: int = 0
     restarts: int = 0
 
+    @property
+    def loss(self) -> float:
+        """Share of the packets that were lost."""
+        return self.lost / max(1, self.lost + self.packets)
+
 
 class Reassembler:
     """Puts the packets of one sender together to whole messages.
