@@ -28,7 +28,6 @@ from lensshift.optics.which import (
 
 SENSOR = Grid((16, 64), (0.155, 0.155))
 SMALL = Grid((3, 5), (0.7, 1.9))
-QUARTER = np.array([[0.25, 0.25], [0.25, -0.25], [-0.25, 0.25], [-0.25, -0.25]])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from lensshift.pipeline.paper.claims import CRITERIA, VERDICTS, exactly, mean_in
 from lensshift.pipeline.paper.edge_claims import jaggedness_px, upto
 from lensshift.pipeline.paper.gradient_question import PHASES, Strip, study_strip
 from lensshift.pipeline.paper.gratings import grating, read_grating, take_grating
-from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
+from lensshift.pipeline.paper.jobs import carry_out_jobs
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims
 from lensshift.report.page import Page
 from lensshift.scene import Plane, Scene
@@ -212,12 +213,12 @@ def half(number: int) -> float:
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_jobs_come_back_in_order_and_fail_aloud(processes: int) -> None:
     seen: list[tuple[int, int]] = []
-    jobs = [Job("even" if n % 2 == 0 else "odd", half, (n,)) for n in range(4)]
+    jobs = [("even" if n % 2 == 0 else "odd", partial(half, n)) for n in range(4)]
     done = carry_out_jobs(jobs, processes, lambda *step: seen.append(step))
     assert done == [("even", 0.0), ("odd", 0.5), ("even", 1.0), ("odd", 1.5)]
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
     with pytest.raises(ArithmeticError, match="no half of -1"):
-        carry_out_jobs([Job("bad", half, (-1,))], processes)
+        carry_out_jobs([("bad", partial(half, -1))], processes)
     with pytest.raises(ValueError, match="at least one process"):
         carry_out_jobs(jobs, 0)
 

@@ -8,18 +8,18 @@ cell, so that an edge lies right to about 1/500 of a pixel with 16 cells across 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera.channels import Tones
+from lensshift.camera.flat import GOLDEN
 from lensshift.camera.multipath import IndirectLight
 from lensshift.camera.view import View
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Mask
 from lensshift.scene import Hits, Scene, cast
 
 _CELLS_AT_ONCE = 1024  # of those that are cast again
 _UNEVEN = 0.1  # of the light: what a weaker edge gets wrong is lost in noise
 # Places (row, col) of rays in a cell, all in different rows and columns.
-_RANKS = np.argsort(np.argsort(np.mod(np.arange(16) * 0.5 * (5.0**0.5 - 1.0), 1.0)))
+_RANKS = np.argsort(np.argsort(np.mod(np.arange(16) * GOLDEN, 1.0)))
 _WITHIN = (np.stack([np.arange(16), _RANKS], axis=-1) + 0.5) / 16
 
 
@@ -84,7 +84,7 @@ class World:
         return self._indirect.at(hits.point_m[places], hits.normal[places])[None, pixel]
 
 
-def _uneven(values: Array) -> NDArray[np.bool_]:
+def _uneven(values: Array) -> Mask:
     """Tell which cells [row col] may hold an edge: any of their values [row col n] bends sharply.
 
     A step shows in the second difference on both of its sides, a smooth wave hardly.

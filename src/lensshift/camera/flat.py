@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.pattern import named_pattern_px
 from lensshift.core.types import Burst
@@ -68,8 +69,8 @@ class Truth:
     offset_px : [frame 2] where the image content really was
     """
 
-    image: NDArray[np.float64]
-    offset_px: NDArray[np.float64]
+    image: Floats
+    offset_px: Floats
 
 
 def simulate_burst(
@@ -129,7 +130,7 @@ def simulate_burst(
 
 def pixel_means(
     target: Target, grid: Grid, offset_px: ArrayLike, samples: int, optics_sigma_px: float
-) -> NDArray[np.float64]:
+) -> Floats:
     """Integrate a target over the pixels of a grid, without noise.
 
     Parameters
@@ -151,9 +152,7 @@ def pixel_means(
     return means
 
 
-def _binned(
-    sharp: NDArray[np.float64], samples: int, optics_sigma_px: float, margin: int
-) -> NDArray[np.float64]:
+def _binned(sharp: Floats, samples: int, optics_sigma_px: float, margin: int) -> Floats:
     """Blur samples, take the mean of each pixel and cut the margin off."""
     from scipy.ndimage import gaussian_filter
 
@@ -164,13 +163,13 @@ def _binned(
         )
     rows, cols = (count // samples for count in seen.shape)
     means = seen.reshape(rows, samples, cols, samples).mean(axis=(1, 3))
-    inside: NDArray[np.float64] = means[margin : rows - margin, margin : cols - margin]
+    inside: Floats = means[margin : rows - margin, margin : cols - margin]
     return inside
 
 
 def _sample_places(
-    grid: Grid, rows: tuple[int, int], margin: int, samples: int, moved_px: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    grid: Grid, rows: tuple[int, int], margin: int, samples: int, moved_px: Floats
+) -> tuple[Floats, Floats]:
     """Return where the samples of some rows of pixels lie on the target, in mm from the middle.
 
     Each line of samples is staggered by another fraction of their spacing: on a plain lattice
@@ -186,13 +185,11 @@ def _sample_places(
     return row_px * grid.pitch_mm[0], col_px * grid.pitch_mm[1]
 
 
-def _expose(
-    image: NDArray[np.float64], sensor: Sensor, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _expose(image: Floats, sensor: Sensor, rng: np.random.Generator) -> Floats:
     """Return an image with shot noise, read noise and quantisation, full scale 1."""
     electrons = rng.poisson(np.maximum(image, 0.0) * sensor.full_well_electrons)
     read = rng.normal(0.0, sensor.read_noise_electrons, image.shape)
     top = 2**sensor.bits - 1
     codes = np.rint((electrons + read) / sensor.full_well_electrons * top)
-    exposed: NDArray[np.float64] = np.clip(codes, 0, top) / top
+    exposed: Floats = np.clip(codes, 0, top) / top
     return exposed

@@ -74,11 +74,6 @@ class _Tile:
         index = self.first[axis] * self.samples - self.margin + np.arange(self.cells[axis])
         return np.asarray(index / self.samples - 0.5)
 
-    def in_cells(self, axis: int, place_px: Array) -> Array:
-        """Return places on the sensor as counted in cells from the first corner."""
-        before = self.first[axis] * self.samples - self.margin
-        return np.asarray((place_px + 0.5) * self.samples - before)
-
 
 def see(
     scene: Scene, camera: TofCamera, tones: Tones, footprints: Sequence[Footprints], samples: int
@@ -181,7 +176,8 @@ def _means_through_spots(cells: Array, one: Footprints, blur: SpotBlur, tile: _T
     if offset_px.shape[:2] != (1, 1):
         offset_px = offset_px[tile.first[0] : tile.last[0], tile.first[1] : tile.last[1]]
     centre_px = np.stack(np.meshgrid(row_px, col_px, indexing="ij"), axis=-1) - offset_px
-    centre = np.stack([tile.in_cells(axis, centre_px[..., axis]) for axis in (0, 1)], axis=-1)
+    # In cells from the first corner.
+    centre = (centre_px + 0.5) * tile.samples - (np.array(tile.first) * tile.samples - tile.margin)
     sums = np.zeros((cells.shape[0] + 1, cells.shape[1] + 1, cells.shape[2]))
     np.cumsum(cells, axis=0, out=sums[1:, 1:])
     np.cumsum(sums, axis=1, out=sums)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lensshift.camera.demodulate import demodulate, unwrap
 from lensshift.camera.readout import Reading
 from lensshift.camera.settings import MOST_BITS, TofCamera
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 
 # Bits of the confidence of an O3M pixel.
 _INVALID, _LOW_SIGNAL = 1, 4096  # between them: exposure (2) and gain (4)
@@ -32,7 +32,7 @@ class O3mImages:
     distance_cm: NDArray[np.uint16]
     amplitude_counts: NDArray[np.uint16]
     confidence: NDArray[np.uint16]
-    amplitude_normalization: NDArray[np.float64]
+    amplitude_normalization: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ class Image:
 
     amplitude: Array
     distance_m: Array
-    valid: NDArray[np.bool_]
+    valid: Mask
     o3m: O3mImages | None = None
     phasors: NDArray[np.complex128] | None = None
 
@@ -63,23 +63,12 @@ def image_of(reading: Reading, camera: TofCamera) -> Image:
     electrons = counts * reading.electrons_per_count
     weak = (electrons < camera.validity.min_amplitude_electrons) | (electrons <= 0)
     valid = ~(reading.saturated | weak)
-    if camera.output == "o3m":
-        return _o3m_image(reading, camera, counts, distance_m, valid, weak)
-    exposure_s = np.asarray(camera.readout.exposure_s)
-    longer = exposure_s[-1] / exposure_s[reading.exposure]
-    unit = longer * reading.electrons_per_count / camera.readout.full_well_electrons
-    return Image(counts * unit, distance_m, valid, phasors=each * unit)
-
-
-def _o3m_image(
-    reading: Reading,
-    camera: TofCamera,
-    counts: Array,
-    distance_m: Array,
-    valid: NDArray[np.bool_],
-    weak: NDArray[np.bool_],
-) -> Image:
     readout = camera.readout
+    if camera.output != "o3m":
+        exposure_s = np.asarray(readout.exposure_s)
+        longer = exposure_s[-1] / exposure_s[reading.exposure]
+        unit = longer * reading.electrons_per_count / readout.full_well_electrons
+        return Image(counts * unit, distance_m, valid, phasors=each * unit)
     fraction = 2 ** (MOST_BITS - (readout.bits or MOST_BITS))
     words = np.minimum(np.rint(counts * fraction), 2**MOST_BITS - 1).astype(np.uint16)
     distance_cm = np.clip(np.rint(100.0 * distance_m), 0, _FARTHEST_CM).astype(np.uint16)
@@ -89,12 +78,11 @@ def _o3m_image(
     confidence[~valid] |= _INVALID
     confidence[weak] |= _LOW_SIGNAL
     factors = _normalization(camera) / fraction
-    amplitude = words * factors[state]
     o3m = O3mImages(distance_cm, words, confidence, factors)
-    return Image(amplitude, distance_cm / 100.0, valid, o3m)
+    return Image(words * factors[state], distance_cm / 100.0, valid, o3m)
 
 
-def _normalization(camera: TofCamera) -> NDArray[np.float64]:
+def _normalization(camera: TofCamera) -> Floats:
     """Return the amplitude of one count for (short, long) exposure at low, then at high gain."""
     readout = camera.readout
     exposure = np.resize(readout.exposure_s[-1] / np.asarray(readout.exposure_s), 2)

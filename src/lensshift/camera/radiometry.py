@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.camera.settings import PlainOptics, TofCamera
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, unambiguous_range_m
+from lensshift.optics.mtf import diffraction_mtf
 
 _PLANCK_J_S = 6.626_070_15e-34  # by definition
 # Of sunlight at 850 nm, in W / (m2 nm klx): about 0.9 W / (m2 nm) at 110 klx.
@@ -41,13 +43,14 @@ def ambient_electrons_per_s(camera: TofCamera) -> float:
 
 def relative_illumination(
     optics: PlainOptics, grid: Grid, down: ArrayLike, right: ArrayLike
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the light from directions [...] over that from the axis.
 
         cos(field angle)^4 * overlap(s),    s = s at the corner * tan / tan at the corner
         overlap = 2 / pi (acos(s / 2) - s / 2 sqrt(1 - s^2 / 4))
 
-    the common share of two round apertures of radius 1 whose middles are s apart. It goes with the
+    the common share of two round apertures of radius 1 whose middles are s apart, as in the MTF of
+    a perfect lens. It goes with the
     direction, so it moves with the image when lens or sensor move.
 
     Parameters
@@ -64,13 +67,8 @@ def relative_illumination(
     from scipy.optimize import brentq
 
     corner = 0.5 * np.hypot(*np.multiply(grid.shape, grid.pitch_mm)) / optics.focal_length_mm
-    apart = brentq(lambda s: 1.0 - optics.vignetting - float(_overlap(s)), 0.0, 2.0)
-    return np.asarray(light * _overlap(apart * np.sqrt(square) / corner))
-
-
-def _overlap(apart: ArrayLike) -> NDArray[np.float64]:
-    half = np.minimum(0.5 * np.asarray(apart, dtype=np.float64), 1.0)
-    return np.asarray(2.0 / np.pi * (np.arccos(half) - half * np.sqrt(1.0 - half * half)))
+    apart = brentq(lambda s: 1.0 - optics.vignetting - float(diffraction_mtf(s, 2.0)), 0.0, 2.0)
+    return np.asarray(light * diffraction_mtf(apart * np.sqrt(square) / corner, 2.0))
 
 
 def closed_form_distance_std_m(
@@ -80,7 +78,7 @@ def closed_form_distance_std_m(
     *,
     read_noise_electrons: float = 0.0,
     taps: Literal[1, 2] = 2,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the standard deviation of distances from four phases, for little noise.
 
         std = c / (4 pi f) * sqrt(mean + read noise^2) / (amplitude * sqrt(2 taps))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.camera.settings import Pixels, Readout
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Mask
 
 PHASES = 4  # of the correlation, a quarter turn apart
 
@@ -46,7 +46,7 @@ class Reading:
     electrons_per_count: Array
     exposure: NDArray[np.uint8]
     gain: NDArray[np.uint8]
-    saturated: NDArray[np.bool_]
+    saturated: Mask
 
 
 def expected_taps(rates: Rates, pixels: Pixels, exposure_s: float) -> tuple[Array, Array]:
@@ -88,7 +88,7 @@ def read(rates: Rates, pixels: Pixels, readout: Readout, rng: np.random.Generato
 
 def _expose(
     taps: tuple[Array, Array], readout: Readout, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Return tap A - tap B in electrons, and which pixels were full in any phase."""
     a, b = (rng.poisson(tap).astype(np.float64) if readout.shot_noise else tap for tap in taps)
     removed = np.minimum(np.minimum(a, b), readout.background_electrons)
@@ -105,7 +105,7 @@ def _expose(
 
 
 def _convert(
-    electrons: Array, exposure: NDArray[np.uint8], full: NDArray[np.bool_], readout: Readout
+    electrons: Array, exposure: NDArray[np.uint8], full: Mask, readout: Readout
 ) -> Reading:
     """Amplify and quantise: the largest gain at which all phases stay within the converter."""
     gain = np.zeros(exposure.shape, dtype=np.uint8)

@@ -367,10 +367,6 @@ def _plain(group: Any) -> Any:
     if group is None:
         return None
     if isinstance(group, LensOptics):
-        return {
-            "lens": group.lens.name,
-            "element": group.element,
-            "transmission": group.transmission,
-            "diffraction": group.diffraction,
-        }
+        told = {one.name: getattr(group, one.name) for one in fields(group)}
+        return told | {"lens": group.lens.name}
     return asdict(group)

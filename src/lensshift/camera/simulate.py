@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from lensshift.camera.flat import QUARTER_SQUARE_PX
 from lensshift.camera.footprints import Footprints, see
 from lensshift.camera.output import Image, O3mImages, image_of
 from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
-from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
-from lensshift.camera.settings import LensOptics, Scatter, TofCamera
+from lensshift.camera.readout import Rates, harmonic_shares, read
+from lensshift.camera.settings import LensOptics, TofCamera
 from lensshift.camera.view import intrinsics_of, motions, response_width_px
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
 from lensshift.core.units import unambiguous_range_m
@@ -44,12 +45,12 @@ class TofTruth:
     offset_field : the same for every pixel, if the shift varies over the sensor, or None
     """
 
-    amplitude: NDArray[np.float64]
-    distance_m: NDArray[np.float64]
-    valid: NDArray[np.bool_]
-    flying: NDArray[np.bool_]
-    flying_in_frames: NDArray[np.bool_]
-    offset_px: NDArray[np.float64]
+    amplitude: Floats
+    distance_m: Floats
+    valid: Mask
+    flying: Mask
+    flying_in_frames: Mask
+    offset_px: Floats
     offset_field: ShiftField | None
 
 
@@ -67,11 +68,11 @@ class RawPhases:
     modulation_hz : [frequency]
     """
 
-    difference: NDArray[Any]
-    electrons_per_count: NDArray[np.float64]
+    difference: Array
+    electrons_per_count: Floats
     exposure: NDArray[np.uint8]
     gain: NDArray[np.uint8]
-    saturated: NDArray[np.bool_]
+    saturated: Mask
     modulation_hz: tuple[float, ...]
 
 
@@ -159,10 +160,10 @@ def simulate_tof(
         raise ValueError(f"expected shift_error_px of at least 0, got {shift_error_px}")
     rng = np.random.default_rng(seed)
     offset = planned + shift_error_px * rng.standard_normal(planned.shape)
-    *moved, rest = motions(camera, np.concatenate([offset, np.zeros((1, 2))]))
+    *moved, (_, rest_blur) = motions(camera, np.concatenate([offset, np.zeros((1, 2))]))
     side_px = camera.pixels.fill_factor**0.5
-    looks = [Footprints(1, one.offset_px, side_px, one.blur) for one in moved]
-    looks.append(Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, rest.blur))
+    looks = [Footprints(1, moved_px, side_px, blur) for moved_px, blur in moved]
+    looks.append(Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, rest_blur))
     tones = Tones(camera.illumination.modulation_hz, tuple(harmonic_shares(camera.pixels)))
     *frames, ideal = see(scene, camera, tones, looks, samples)
     if camera.multipath is not None:
@@ -174,20 +175,26 @@ def simulate_tof(
     images = [image_of(reading, camera) for reading in readings]
     notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
     # What `calibrate` would tell of a real camera.
-    notes["psf_sigma_px"] = response_width_px(side_px, rest.blur, camera.grid.shape)
-    flying = np.stack([_flying(seen, camera) for seen in frames])
+    notes["psf_sigma_px"] = response_width_px(side_px, rest_blur, camera.grid.shape)
     field = None
     if isinstance(camera.optics, LensOptics) and camera.optics.element is not None:
-        field = ShiftField(np.stack([one.offset_px for one in moved]))
+        field = ShiftField(np.stack([moved_px for moved_px, _ in moved]))
     return TofCapture(
         burst=_burst(images, camera, planned, shift_error_px, notes),
-        truth=_truth(ideal, camera, flying, offset, field),
-        raw=_raw(readings, camera),
+        truth=TofTruth(
+            *true_images(ideal, camera),
+            valid=ideal.light > 0,
+            flying=_flying(ideal, camera),
+            flying_in_frames=np.stack([_flying(seen, camera) for seen in frames]),
+            offset_px=offset,
+            offset_field=field,
+        ),
+        raw=RawPhases(**_stacked(readings), modulation_hz=camera.illumination.modulation_hz),
         o3m=_o3m(images),
     )
 
 
-def _planned(planned_px: ArrayLike) -> NDArray[np.float64]:
+def _planned(planned_px: ArrayLike) -> Floats:
     planned = np.asarray(planned_px, dtype=np.float64)
     if planned.ndim != 2 or planned.shape[1] != 2 or not len(planned):
         raise ValueError(f"expected planned_px [frame 2], got shape {planned.shape}")
@@ -209,7 +216,11 @@ def _samples(scale: int, samples_per_px: int | None) -> int:
 def rates_of(seen: Seen, camera: TofCamera, frame: int) -> Rates:
     """Return electrons per second of one frame: scattered light, drift, sunlight, dark current."""
     if camera.scatter is not None:
-        seen = Seen(_scattered(seen.values, camera.scatter), seen.tones)
+        from scipy.ndimage import gaussian_filter
+
+        sigma_px, share = camera.scatter.sigma_px, camera.scatter.scattered  # the sum stays
+        spread = gaussian_filter(seen.values, sigma_px, axes=(0, 1), mode="reflect")
+        seen = Seen((1.0 - share) * seen.values + share * spread, seen.tones)
     active = active_electrons_per_s(camera)
     phasor = active * seen.phasor
     if camera.drift is not None:
@@ -220,35 +231,8 @@ def rates_of(seen: Seen, camera: TofCamera, frame: int) -> Rates:
     return Rates(active * seen.light, constant + camera.pixels.dark_electrons_per_s, phasor)
 
 
-def _scattered(values: Array, scatter: Scatter) -> Array:
-    """Return [row col channel] with a share of the light spread widely; the sum stays."""
-    from scipy.ndimage import gaussian_filter
-
-    spread = gaussian_filter(values, scatter.sigma_px, axes=(0, 1), mode="reflect")
-    return np.asarray((1.0 - scatter.scattered) * values + scatter.scattered * spread)
-
-
-def _flying(seen: Seen, camera: TofCamera) -> NDArray[np.bool_]:
+def _flying(seen: Seen, camera: TofCamera) -> Mask:
     return np.asarray(seen.distances()[1] > camera.validity.flying_std_m)
-
-
-def _truth(
-    ideal: Seen,
-    camera: TofCamera,
-    flying_in_frames: NDArray[np.bool_],
-    offset_px: Array,
-    field: ShiftField | None,
-) -> TofTruth:
-    amplitude, distance_m = true_images(ideal, camera)
-    return TofTruth(
-        amplitude=amplitude,
-        distance_m=distance_m,
-        valid=ideal.light > 0,
-        flying=_flying(ideal, camera),
-        flying_in_frames=flying_in_frames,
-        offset_px=offset_px,
-        offset_field=field,
-    )
 
 
 def true_images(ideal: Seen, camera: TofCamera) -> tuple[Array, Array]:
@@ -256,24 +240,20 @@ def true_images(ideal: Seen, camera: TofCamera) -> tuple[Array, Array]:
     phasor = ideal.phasor[0, 0]
     full = camera.readout.exposure_s[-1] * active_electrons_per_s(camera) * camera.pixels.contrast
     amplitude = np.abs(phasor) * full / camera.readout.full_well_electrons
-    hz = camera.illumination.modulation_hz[0]
-    return amplitude, _nearest_turn(phasor, ideal.distances()[0], hz)
-
-
-def _nearest_turn(phasor: Array, mean_m: Array, modulation_hz: float) -> NDArray[np.float64]:
-    """Return the distance of a phasor, of all that are c / 2f apart the nearest to the mean one."""
-    range_m = unambiguous_range_m(modulation_hz)
-    expected = np.exp(2j * np.pi * mean_m / range_m)
-    return np.asarray(mean_m + np.angle(phasor * expected.conj()) * range_m / (2.0 * np.pi))
+    range_m = unambiguous_range_m(camera.illumination.modulation_hz[0])
+    mean_m = ideal.distances()[0]  # of all that are c / 2f apart the nearest to it
+    turned_rad = np.angle(phasor * np.exp(-2j * np.pi * mean_m / range_m))
+    return amplitude, np.asarray(mean_m + turned_rad * range_m / (2.0 * np.pi))
 
 
 def _burst(
     images: list[Image],
     camera: TofCamera,
-    planned_px: NDArray[np.float64],
+    planned_px: Floats,
     shift_error_px: float,
     notes: dict[str, Any],
 ) -> Burst:
+    sent = [image.phasors for image in images if image.phasors is not None]
     return Burst(
         amplitude=np.stack([image.amplitude for image in images]),
         distance_m=np.stack([image.distance_m for image in images]),
@@ -282,26 +262,9 @@ def _burst(
         offset_sigma_px=np.full(planned_px.shape, float(shift_error_px)),
         grid=camera.grid,
         modulation_hz=camera.illumination.modulation_hz,
-        phasors=_phasors(images),
+        phasors=np.stack(sent, axis=1) if sent and len(sent[0]) > 1 else None,
         intrinsics=intrinsics_of(camera),
         meta={**notes, **camera.settings()},
-    )
-
-
-def _phasors(images: list[Image]) -> NDArray[np.complex128] | None:
-    """Return [frequency frame row col] where there are several, and the camera gives them."""
-    sent = [image.phasors for image in images if image.phasors is not None]
-    return np.stack(sent, axis=1) if sent and len(sent[0]) > 1 else None
-
-
-def _raw(readings: list[Reading], camera: TofCamera) -> RawPhases:
-    return RawPhases(
-        difference=np.stack([one.difference for one in readings]),
-        electrons_per_count=np.stack([one.electrons_per_count for one in readings]),
-        exposure=np.stack([one.exposure for one in readings]),
-        gain=np.stack([one.gain for one in readings]),
-        saturated=np.stack([one.saturated for one in readings]),
-        modulation_hz=camera.illumination.modulation_hz,
     )
 
 
@@ -309,9 +272,11 @@ def _o3m(images: list[Image]) -> O3mImages | None:
     sent = [image.o3m for image in images if image.o3m is not None]
     if not sent:
         return None
-    return O3mImages(
-        distance_cm=np.stack([one.distance_cm for one in sent]),
-        amplitude_counts=np.stack([one.amplitude_counts for one in sent]),
-        confidence=np.stack([one.confidence for one in sent]),
-        amplitude_normalization=sent[0].amplitude_normalization,
-    )
+    factors = sent[0].amplitude_normalization
+    return O3mImages(**_stacked(sent) | {"amplitude_normalization": factors})
+
+
+def _stacked(frames: Sequence[Any]) -> dict[str, Array]:
+    """Return the fields of frames, each [frame ...]."""
+    names = [one.name for one in fields(frames[0])]
+    return {name: np.stack([getattr(one, name) for one in frames]) for name in names}

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera.flat import GOLDEN
 from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
@@ -46,25 +45,21 @@ class SpotBlur:
         return landing, np.einsum("rn,cm,nmk->rck", rows, cols, self.weight, optimize=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """How the image of one frame differs from what the camera at rest sees.
-
-    Parameters
-    ----------
-    offset_px : [row col 2] at the pixels, or [1 1 2]; the content moved down / right
-    blur : sigma in LR pixels of a Gaussian that is the same all over the sensor, or spots
-    """
-
-    offset_px: Array
-    blur: float | SpotBlur
+Motion = tuple[Array, float | SpotBlur]
 
 
 def motions(camera: TofCamera, offset_px: Array) -> list[Motion]:
-    """Return the motion of each frame of `offset_px` [frame 2] at the centre of the sensor."""
+    """Return what differs in each frame of `offset_px` [frame 2] from what the camera at rest sees.
+
+    Returns
+    -------
+    for each frame the offset in px [row col 2] of the pixels, or [1 1 2], at the centre of the
+    sensor as asked for; and the blur: sigma in LR pixels of a Gaussian that is the same all over
+    the sensor, or spots
+    """
     if isinstance(camera.optics, PlainOptics):
         sigma_px = camera.optics.blur_sigma_px
-        return [Motion(offset[None, None, :], sigma_px) for offset in offset_px]
+        return [(offset[None, None, :], sigma_px) for offset in offset_px]
     return _lens_motions(camera.optics, camera.grid, offset_px)
 
 
@@ -76,7 +71,7 @@ def response_width_px(side_px: float, blur: float | SpotBlur, shape: tuple[int, 
     Parameters
     ----------
     side_px : of the sensitive square of a pixel
-    blur : as in `Motion`
+    blur : as of `motions`
     shape : of the sensor
     """
     from scipy.optimize import brentq
@@ -161,11 +156,11 @@ def _lens_motions(optics: LensOptics, grid: Grid, offset_px: Array) -> list[Moti
 
     if optics.element is None:
         (blur,) = _spot_blurs(optics, 0, grid, np.zeros((1, 2)))
-        return [Motion(offset[None, None, :], blur) for offset in offset_px]
+        return [(offset[None, None, :], blur) for offset in offset_px]
     decenter_mm = decenter_for_shift(optics.lens, optics.element, offset_px, grid)
     fields_px = _offset_fields(optics.lens, optics.element, grid, decenter_mm)
     blurs = _spot_blurs(optics, optics.element, grid, decenter_mm)
-    return [Motion(field, blur) for field, blur in zip(fields_px, blurs, strict=True)]
+    return list(zip(fields_px, blurs, strict=True))
 
 
 def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> Array:
@@ -226,7 +221,7 @@ def airy_points(count: int) -> Array:
     return np.asarray(radius[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1))
 
 
-def _between(nodes: Array, places: Array) -> NDArray[np.float64]:
+def _between(nodes: Array, places: Array) -> Floats:
     """Return weights [place node] that interpolate linearly between evenly spaced nodes."""
     step = nodes[1] - nodes[0]
     at = np.clip((places - nodes[0]) / step, 0.0, len(nodes) - 1.0)

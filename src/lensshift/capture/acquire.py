@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.capture.journal import capture_header, finished, opened
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, CameraFrame, Stage
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.ending import Ending, ended_by_signals
 from lensshift.core.errors import DeviceError, DeviceTimeout
@@ -73,7 +73,7 @@ class Progress:
 
     step: int
     steps: int
-    position_mm: NDArray[np.float64]
+    position_mm: Floats
     rate_hz: float
     counts: Mapping[str, int]
 

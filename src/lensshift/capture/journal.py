@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.rig import Camera, Stage
+from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
@@ -28,12 +28,15 @@ _SAME_MM = 1e-6  # far below what an encoder resolves, far above what rounding d
 def capture_header(
     stage: Stage,
     camera: Camera,
-    position_mm: NDArray[Any],
+    position_mm: Array,
     calibration: Calibration,
     settings: Mapping[str, Any],
     plan_name: str,
 ) -> dict[str, Any]:
     """Return what a journal says of the whole capture; `settings` are those of `Acquisition`."""
+    # Notes, such as the date, do not count.
+    content = {k: v for k, v in calibration_content(calibration).items() if k != "notes"}
+    text = json.dumps(content, sort_keys=True)
     return {
         "plan": plan_name,
         "frames": settings["frames"],
@@ -43,7 +46,7 @@ def capture_header(
         "modulation_hz": camera.modulation_hz,
         "position_mm": position_mm.tolist(),
         "offset_source": calibration.offset_source,
-        "calibration": _identified(calibration),
+        "calibration": {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()},
         "meta": {
             "plan": plan_name,
             "stage": {"name": stage.name, **stage.describe()},
@@ -146,20 +149,11 @@ def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str |
             source=path,
         )
     before, now = (np.asarray(one["position_mm"], dtype=float) for one in (begun, wanted))
-    if before.shape != now.shape or not _same_places(before, now):
+    same = before.shape == now.shape
+    if same:  # in any order: that depends on where the stage stood
+        near = np.abs(before[:, None] - now).max(axis=-1) <= _SAME_MM
+        same = bool(near.any(axis=0).all() and near.any(axis=1).all())
+    if not same:
         raise DataError(
             "the capture was begun with other positions", field="position_mm", source=path
         )
-
-
-def _same_places(before_mm: NDArray[Any], now_mm: NDArray[Any]) -> bool:
-    """Compare positions [step 2] in any order: that depends on where the stage stood."""
-    near = np.abs(before_mm[:, None] - now_mm).max(axis=-1) <= _SAME_MM
-    return bool(near.any(axis=0).all() and near.any(axis=1).all())
-
-
-def _identified(calibration: Calibration) -> dict[str, Any]:
-    """Return a calibration and the hash of it; notes, such as the date, do not count."""
-    content = {k: v for k, v in calibration_content(calibration).items() if k != "notes"}
-    text = json.dumps(content, sort_keys=True)
-    return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}

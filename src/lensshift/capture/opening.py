@@ -100,11 +100,10 @@ class Rig:
         on_step: OnStep | None = None,
     ) -> Burst:
         """Take the burst of a plan, see `lensshift.capture.acquire.acquire`."""
-        wanted = named_plan(plan) if isinstance(plan, str) else plan
         return acquire(
             self.stage,
             self.camera,
-            wanted,
+            _plan(plan),
             self.calibration,
             path,
             self.acquisition,
@@ -139,13 +138,11 @@ class Rig:
 
     def bursts(self, plan: ShiftPlan | str) -> Iterator[Burst]:
         """Yield one burst after another until the caller stops."""
-        wanted = named_plan(plan) if isinstance(plan, str) else plan
-        return bursts(self.stage, self.camera, wanted, self.calibration, self.acquisition)
+        return bursts(self.stage, self.camera, _plan(plan), self.calibration, self.acquisition)
 
     def frames(self, plan: ShiftPlan | str) -> Iterator[FrameRecord]:
         """Yield one frame after another until the caller stops, see `capture.rounds.frames`."""
-        wanted = named_plan(plan) if isinstance(plan, str) else plan
-        return frames(self.stage, self.camera, wanted, self.calibration, self.acquisition)
+        return frames(self.stage, self.camera, _plan(plan), self.calibration, self.acquisition)
 
     def close(self) -> None:
         """Stop and let go of everything; a second call does nothing."""
@@ -156,6 +153,10 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _plan(plan: ShiftPlan | str) -> ShiftPlan:
+    return named_plan(plan) if isinstance(plan, str) else plan
 
 
 def open_rig(

@@ -6,8 +6,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.pattern import PATTERNS, named_pattern_px
@@ -88,11 +89,11 @@ def shortest_order(
     return [place - 1 for place in _bettered(order, way)]
 
 
-def _length(order: list[int], way: NDArray[np.float64]) -> float:
+def _length(order: list[int], way: Floats) -> float:
     return float(sum(way[a, b] for a, b in pairwise([0, *order])))
 
 
-def _best_of_all(way: NDArray[np.float64], count: int) -> list[int]:
+def _best_of_all(way: Floats, count: int) -> list[int]:
     """Return the shortest of all orders, part by part (Held and Karp)."""
     best: dict[tuple[int, int], tuple[float, int]] = {
         (1 << last, last): (float(way[0, last + 1]), -1) for last in range(count)
@@ -118,7 +119,7 @@ def _best_of_all(way: NDArray[np.float64], count: int) -> list[int]:
     return order[::-1]
 
 
-def _bettered(order: list[int], way: NDArray[np.float64]) -> list[int]:
+def _bettered(order: list[int], way: Floats) -> list[int]:
     length = _length(order, way)
     gained = True
     while gained:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
 
@@ -33,7 +33,7 @@ class CameraFrame:
     frame: Frame
     cycle: int
     arrived_s: float
-    raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    raw: Mapping[str, Array] = field(default_factory=dict)
 
 
 class Stage(Protocol):
@@ -45,18 +45,15 @@ class Stage(Protocol):
     @property
     def name(self) -> str:
         """What the stage is called in messages."""
-        ...
 
     @property
-    def travel_mm(self) -> NDArray[np.float64]:
+    def travel_mm(self) -> Floats:
         """[2 2] (axis; lowest, highest) position that it goes to."""
-        ...
 
-    def position_mm(self) -> NDArray[np.float64]:
+    def position_mm(self) -> Floats:
         """Return the position [2] read back from the device, also while it moves."""
-        ...
 
-    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         """Move both axes at once, wait until settled, return the position read back.
 
         Every move ends in the same direction, so that play lies on one side; with `direct` it goes
@@ -69,19 +66,15 @@ class Stage(Protocol):
         DeviceError
             If the stage fails; it has been stopped. `DeviceTimeout` if it takes too long.
         """
-        ...
 
     def stop(self) -> None:
         """Stand still at once. Never raises for a stage that is gone."""
-        ...
 
     def close(self) -> None:
         """Stop and let go of the device; a second call does nothing."""
-        ...
 
     def describe(self) -> Mapping[str, Any]:
         """Return what to keep beside the frames: model, serial, firmware, settings."""
-        ...
 
 
 class Camera(Protocol):
@@ -94,17 +87,14 @@ class Camera(Protocol):
     @property
     def name(self) -> str:
         """What the camera is called in messages."""
-        ...
 
     @property
     def grid(self) -> Grid:
         """Shape and pitch of the frames."""
-        ...
 
     @property
     def modulation_hz(self) -> float | None:
         """Modulation frequency of the distance, if it is known."""
-        ...
 
     def open(self) -> None:
         """Begin to receive.
@@ -114,11 +104,9 @@ class Camera(Protocol):
         DeviceError
             If the device or its port cannot be had.
         """
-        ...
 
     def newest_cycle(self) -> int:
         """Return the counter of the newest frame that has begun to arrive, -1 before the first."""
-        ...
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
         """Return the oldest whole frame not yet fetched; wait for one if there is none.
@@ -131,16 +119,12 @@ class Camera(Protocol):
         DeviceError
             If the camera has gone or has started anew.
         """
-        ...
 
     def counts(self) -> Mapping[str, int]:
         """Return what came and what was lost since `open`: frames, lost_packets, and so on."""
-        ...
 
     def close(self) -> None:
         """Stop receiving and let go of the device; a second call does nothing."""
-        ...
 
     def describe(self) -> Mapping[str, Any]:
         """Return what to keep beside the frames: model, firmware, settings, factors."""
-        ...

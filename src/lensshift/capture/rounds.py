@@ -78,13 +78,7 @@ def frames(
 def _in_order(
     stage: Stage, plan: ShiftPlan, calibration: Calibration, settings: Acquisition
 ) -> tuple[list[int], Array]:
-    """Return the places of a plan in the order of visits that go on for ever, and where they are.
-
-    Raises
-    ------
-    ValueError
-        If the plan leads out of the travel of the stage.
-    """
+    """Return the places of a plan in the order of endless visits, and where they are."""
     positions = calibration.stage_mm(plan.target_px)
     check_travel(stage, positions)
     order = list(range(len(positions)))

@@ -5,23 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.shift import SIDES
 from lensshift.optics.spots import fields_for_image, image_per_field_mm
 from lensshift.optics.trace import Build, trace
 
-Array = NDArray[np.float64]
-
 _NEAR_CHIEF = 1e-3  # of the stop radius: close enough for differences, far enough from rounding
-_FAN_RAYS = 41
-_RINGS = 16
+_FAN_RAYS = 41  # a curve that looks smooth, with its chief ray
+_RINGS = 16  # the edge of vignetting is known to 1 / 16^2
 _STEP = 1e-3  # of the field and of the pupil, for central differences
-_SIDES = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+_SIDES = np.concatenate([np.zeros((1, 2)), SIDES])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +37,9 @@ class RayFan:
     Both against the chief ray, NaN for rays that do not arrive.
     """
 
-    pupil: Array
-    tangential_mm: Array
-    sagittal_mm: Array
+    pupil: Floats
+    tangential_mm: Floats
+    sagittal_mm: Floats
 
 
 def ray_fan(
@@ -82,7 +82,7 @@ def ray_fan(
     return RayFan(pupil, errors[..., 0, :], errors[..., 1, :])
 
 
-def sections(field_tan: ArrayLike) -> Array:
+def sections(field_tan: ArrayLike) -> Floats:
     """Return unit vectors (row, col) along and across a field, [2 2]; along columns on the axis."""
     row, col = np.asarray(field_tan, dtype=np.float64)
     size = np.hypot(row, col)
@@ -100,11 +100,11 @@ class FocalSurfaces:
     sagittal_mm : [...] of rays displaced across it
     """
 
-    tangential_mm: Array
-    sagittal_mm: Array
+    tangential_mm: Floats
+    sagittal_mm: Floats
 
     @property
-    def astigmatism_mm(self) -> Array:
+    def astigmatism_mm(self) -> Floats:
         """[...] tangential minus sagittal."""
         return np.asarray(self.tangential_mm - self.sagittal_mm)
 
@@ -171,7 +171,7 @@ def petzval_curvature_per_mm(lens: Lens, wavelength_nm: float | None = None) -> 
 
 def relative_illumination(
     lens: Lens, field_tan: ArrayLike, *, build: Build | None = None, rings: int = _RINGS
-) -> Array:
+) -> Floats:
     """Return the irradiance at the image of each field over that on the axis, [...].
 
         E ~ integral of the direction cosines (du dv) that a point of the sensor gets light from
@@ -199,10 +199,10 @@ def relative_illumination(
     return np.asarray(np.array(light[1:]).reshape(fields.shape[:-1]) / light[0])
 
 
-def _irradiance(lens: Lens, field_tan: Array, build: Build | None, rings: int) -> float:
+def _irradiance(lens: Lens, field_tan: Floats, build: Build | None, rings: int) -> float:
     points, weight = pupil_quadrature(rings)
     points = points * (1.0 - _STEP)  # their neighbours lie in the stop too
-    moved = trace(lens, field_tan + _STEP * _SIDES[1:], points, build=build)
+    moved = trace(lens, field_tan + _STEP * SIDES, points, build=build)
     shifted = (points[:, None] + _STEP * _SIDES).reshape(-1, 2)
     rays = trace(lens, field_tan, shifted, build=build)
     by_stop = rays.position_mm.reshape(-1, 5, 2), rays.direction[:, :2].reshape(-1, 5, 2)
@@ -222,7 +222,7 @@ def section_mtf(
     *,
     build: Build | None = None,
     band: Band | None = None,
-) -> Array:
+) -> Floats:
     """Return the exact MTF of both sections of one field, [section frequency].
 
     Tangential first: the pattern repeats along the field, its lines lie across it.
@@ -242,7 +242,7 @@ def section_mtf(
     return np.abs(exact_otf(lens, field_tan, frequency_lpmm, azimuth_rad, build=build, band=band))
 
 
-def sensor_fields(lens: Lens, grid: Grid, shares: ArrayLike) -> Array:
+def sensor_fields(lens: Lens, grid: Grid, shares: ArrayLike) -> Floats:
     """Return the fields [share 2] whose images lie at shares of the half diagonal of a sensor.
 
     Raises

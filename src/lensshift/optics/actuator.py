@@ -7,15 +7,13 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Lens
 from lensshift.optics.shift import decenter_for_shift, px_per_mm_over, px_per_um
 
-Array = NDArray[np.float64]
-
+PIXEL_NOISE = 0.005  # a share of full scale, the less noisy of those that were simulated
 # Losses of a reconstruction with scale 2, method "auto", from four frames whose shifts are wrong by
 # normal errors of this rms along each axis: PSNR of a target on 64 x 16 pixels, MTF50 of a Siemens
 # star. Measured by `python benchmarks/shift_budget.py --draws 6`, standard errors behind each.
@@ -111,7 +109,7 @@ def actuator_budget(
     grid: Grid,
     actuator: Actuator,
     *,
-    noise: float = 0.005,
+    noise: float = PIXEL_NOISE,
     shift_px: float = 0.25,
 ) -> ActuatorBudget:
     """Return the errors of the shifts that an actuator makes, and what they cost.

@@ -5,7 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from lensshift.core.errors import DataError
-from lensshift.optics.glass import CONSTANT_COUNTS, REFERENCE_TEMPERATURE_C, Glass, add_glasses
+from lensshift.optics.glass import (
+    CONSTANT_COUNTS,
+    NO_CHANGE,
+    REFERENCE_TEMPERATURE_C,
+    Glass,
+    add_glasses,
+)
 
 _FORMULAS = {
     1: "schott", 2: "sellmeier 1", 3: "herzberger", 4: "sellmeier 2", 5: "conrady",
@@ -75,7 +81,7 @@ def _glass(lines: dict[str, tuple[int, list[str]]]) -> tuple[str, Glass]:
         return name, Glass(
             formula,
             tuple(values),
-            tuple(float(word) for word in thermal[:6]) if known else (0.0,) * 6,
+            tuple(float(word) for word in thermal[:6]) if known else NO_CHANGE,
             float(thermal[6]) if known and len(thermal) > 6 else REFERENCE_TEMPERATURE_C,
             (1e3 * low_um, 1e3 * high_um),
             " ".join(lines.get("GC", (0, []))[1]),

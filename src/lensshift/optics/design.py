@@ -7,21 +7,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from lensshift.optics.gaps import Effort, best_gaps, train_lens
+from lensshift.optics.gaps import MOST_ELEMENTS, Effort, best_gaps, train_lens
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
-from lensshift.optics.shift import (
-    ENOUGH_PIXELS,
-    decenter_for_shift,
-    shift_map,
-    shift_uniformity,
-)
+from lensshift.optics.shift import decenter_for_shift, largest_error_px
 from lensshift.optics.spots import spots
 from lensshift.optics.which import DIAGONALS, edge_fields, least_mtf
 
-_MOST_ELEMENTS = 5
 _RINGS = 10  # of the light that arrives
-_ROUNDING_MM = 1e-3
+_ROUNDING_MM = 1e-3  # more than five gaps of four digits lose together
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +88,8 @@ def optimise_gaps(
         If there are fewer than two or more than five elements, or no gaps give the focal length
         with room for all elements, the back focal distance and the light.
     """
-    if not 2 <= len(elements) <= _MOST_ELEMENTS:
-        raise ValueError(f"expected 2 to {_MOST_ELEMENTS} elements, got {len(elements)}")
+    if not 2 <= len(elements) <= MOST_ELEMENTS:
+        raise ValueError(f"expected 2 to {MOST_ELEMENTS} elements, got {len(elements)}")
     if element is not None and not 0 <= element < len(elements):
         raise ValueError(f"expected an element from 0 to {len(elements) - 1}, got {element}")
     choices = list(orientations(len(elements))) if turn else [(False,) * len(elements)]
@@ -133,15 +127,13 @@ def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]
     if element is not None:
         wanted_px = goal.shift_px * DIAGONALS
         moves_mm = decenter_for_shift(lens, element, wanted_px, goal.grid)
-        over = shift_map(lens, element, moves_mm, goal.grid, most=ENOUGH_PIXELS)
-        even = shift_uniformity(over, wanted_px)
-        error_px = max(one.max_error_px for one in even)
+        error_px = largest_error_px(lens, element, moves_mm, goal.grid, wanted_px)
         stroke_mm = float(moves_mm[0, 1])
     rest, moved = least_mtf(
         lens, goal.grid, element, shift_px=goal.shift_px, frequency_lpmm=goal.judged_lpmm,
         band=goal.band,
     )  # fmt: skip
-    fields = edge_fields(lens, goal.grid)
+    light = spots(lens, edge_fields(lens, goal.grid), rings=_RINGS).transmission
     return Design(
         lens=lens,
         element=element,
@@ -150,5 +142,5 @@ def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]
         mtf_moved=moved,
         shift_error_px=error_px,
         stroke_mm=stroke_mm,
-        transmission=float(spots(lens, fields, rings=_RINGS).transmission.min()),
+        transmission=float(light.min()),
     )

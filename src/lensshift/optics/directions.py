@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import PixelDirections
 from lensshift.optics.lens import Lens
 from lensshift.optics.spots import fields_for_image
-
-Array = NDArray[np.float64]
 
 
 def lens_directions(lens: Lens, grid: Grid) -> PixelDirections:
@@ -46,12 +44,12 @@ def direction_splines(lens: Lens, grid: Grid, margin_px: float) -> tuple[Any, An
     return down, right
 
 
-def nodes_px(count: int, margin_px: float) -> Array:
+def nodes_px(count: int, margin_px: float) -> Floats:
     """Return places along an axis, from beyond its first pixel to beyond its last."""
     return np.linspace(-margin_px, count - 1 + margin_px, min(max(5, count // 4), 17))
 
 
-def places_mm(grid: Grid, row_px: Array, col_px: Array) -> Array:
+def places_mm(grid: Grid, row_px: Floats, col_px: Floats) -> Floats:
     """Return places [row col 2] (row, col) on the sensor, from the axis."""
     along = [
         (place_px - 0.5 * (count - 1)) * pitch_mm

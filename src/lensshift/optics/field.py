@@ -9,22 +9,20 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import MOTIONS, LensField, Motion
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import fast_otf
-from lensshift.optics.spots import fields_for_image, spots
+from lensshift.optics.shift import NEAR, PROBE_MM, central_slope, moving
+from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
 from lensshift.optics.trace import Build
 
-Array = NDArray[np.float64]
-Sample = Callable[[Array, Array], Array]
+Sample = Callable[[Floats, Floats], Floats]
 
-_RINGS = 2  # of the pupil: the centroid is smooth
-_NEAR = 1e-5  # of a pixel, to which a traced point has to come; the shift changes by far less
-_PROBE = {"decentre": 0.05, "tilt": 2e-3, "sensor": 0.05}  # mm or rad: the shift is linear there
+_PROBE = {"decentre": PROBE_MM, "tilt": 2e-3, "sensor": PROBE_MM}  # or rad, where it is linear
 _MARGIN = 1.02  # of the states, for what is not linear
 # Degrees over the sensor and over the states, tried in this order until the fit is good enough.
 _DEGREES = ((6, 4), (8, 5), (11, 6))
@@ -36,9 +34,9 @@ _DOUBTFUL_PX = 1e-3  # far below what costs anything (docs/lens.md)
 _SPOT_PX2 = 1e-4  # and a variance: a width of 0.3 px by 2e-4 px
 _CHECKED = (5, 4)  # places and states along an axis where a fit is checked
 # Cycles per pixel at which the spot is compared with a Gaussian.
-_CPP = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
-_NO_CONTRAST = 1e-3
-_LEAST_GAIN_PX = 1e-6
+_CPP = np.arange(1, 8) / 8.0
+_NO_CONTRAST = 1e-3  # its logarithm would weigh nothing
+_LEAST_GAIN_PX = 1e-6  # of a probe: an element that moves the image by less does not move it
 
 
 def lens_field(
@@ -107,7 +105,7 @@ def lens_field(
 
 def _reaching(
     lens: Lens, grid: Grid, element: int | None, motion: Motion | None
-) -> tuple[_Mover, Array, float]:
+) -> tuple[_Mover, Floats, float]:
     """Return what moves, coefficients of the shift and their error for the reach that it allows."""
     mover = _mover(lens, grid, element, motion, _REACH_PX)
     try:
@@ -130,17 +128,17 @@ class _Mover:
     motion: Motion
     reach: tuple[float, float]
 
-    def shifts(self, u: Array, s: Array) -> Array:
+    def shifts(self, u: Floats, s: Floats) -> Floats:
         """Return the offset in px [place state 2] at places [place 2] and states [state 2]."""
         pitch_mm, state = np.asarray(self.grid.pitch_mm), s * np.asarray(self.reach)
         if self.element is None:
             return np.broadcast_to(-state / pitch_mm, (len(u), len(s), 2))
         fields, build = self._aimed(u, state)
-        moved_mm = spots(self.lens, fields, build=build, rings=_RINGS).centroid_mm
-        resting_mm = spots(self.lens, fields, rings=_RINGS).centroid_mm
+        moved_mm = spots(self.lens, fields, build=build, rings=CENTROID_RINGS).centroid_mm
+        resting_mm = spots(self.lens, fields, rings=CENTROID_RINGS).centroid_mm
         return np.asarray((moved_mm - resting_mm) / pitch_mm)
 
-    def contrast(self, u: Array, s: Array) -> Array:
+    def contrast(self, u: Floats, s: Floats) -> Floats:
         """Return the real part of the OTF [place state 2 frequency] along (row, col)."""
         fields, build = self._aimed(u, s * np.asarray(self.reach))
         found = np.empty((len(u), len(s), 2, len(_CPP)))
@@ -153,23 +151,23 @@ class _Mover:
                 found[place, :, axes] = otf.real
         return found
 
-    def spots(self, u: Array, s: Array) -> Array:
+    def spots(self, u: Floats, s: Floats) -> Floats:
         """Return the variance in px^2 [place state 2] of the Gaussian that stands for the spot."""
         return equivalent_px2(self.contrast(u, s))
 
-    def _aimed(self, u: Array, state: Array) -> tuple[Array, Build | None]:
+    def _aimed(self, u: Floats, state: Floats) -> tuple[Floats, Build | None]:
         """Return the fields [place state 2] imaged at places, and the build [state]."""
         half_mm = 0.5 * np.asarray(self.grid.shape) * np.asarray(self.grid.pitch_mm)
         places_mm = np.broadcast_to((u * half_mm)[:, None], (len(u), len(state), 2))
-        near_mm = _NEAR * min(self.grid.pitch_mm)
+        near_mm = NEAR * min(self.grid.pitch_mm)
         if self.element is None:
             places_mm = places_mm + state
             return fields_for_image(self.lens, places_mm, tolerance_mm=near_mm), None
-        build = _build(self.lens, self.element, self.motion, state)
+        build = moving(self.lens, self.element, state, tilt=self.motion == "tilt")
         return fields_for_image(self.lens, places_mm, build=build, tolerance_mm=near_mm), build
 
 
-def equivalent_px2(contrast: Array) -> Array:
+def equivalent_px2(contrast: Floats) -> Floats:
     """Return the variance in px^2 of the Gaussian that passes about the contrast [... frequency].
 
         sigma^2 = - sum w f^2 ln m / (2 pi^2 sum w f^4),   w = (m sinc f)^2
@@ -181,13 +179,6 @@ def equivalent_px2(contrast: Array) -> Array:
     above = -np.sum(weight * _CPP**2 * np.log(seen), axis=-1)
     below = 2.0 * np.pi**2 * np.sum(weight * _CPP**4, axis=-1)
     return np.asarray(above / below)
-
-
-def _build(lens: Lens, element: int, motion: Motion, state: Array) -> Build:
-    """Return builds [state] in which one element is moved by [state 2]."""
-    moves = np.zeros((*state.shape[:-1], len(lens.elements), 2))
-    moves[..., element, :] = state
-    return Build(tilt_rad=moves) if motion == "tilt" else Build(decenter_mm=moves)
 
 
 def _mover(
@@ -202,9 +193,7 @@ def _mover(
         lens.check_element(element)
     probe = _PROBE[kind]
     trial = _Mover(lens, grid, element, kind, (probe, probe))
-    ends = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    there = trial.shifts(np.zeros((1, 2)), ends)[0]
-    px_per_unit = np.stack([there[0] - there[1], there[2] - there[3]], axis=-1) / (2.0 * probe)
+    px_per_unit = central_slope(lambda ends: trial.shifts(np.zeros((1, 2)), ends)[0], 1.0) / probe
     if np.linalg.cond(px_per_unit) > 1e6 or np.abs(px_per_unit).max() * probe < _LEAST_GAIN_PX:
         name = "" if element is None else lens.elements[element].name
         raise ValueError(
@@ -215,7 +204,7 @@ def _mover(
     return _Mover(lens, grid, element, kind, (float(row), float(col)))
 
 
-def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> tuple[Array, float]:
+def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> tuple[Floats, float]:
     """Return Chebyshev coefficients [i j a b 2] and the largest error where it is checked.
 
     Interpolation at the Chebyshev nodes, of the least of the degrees that reaches the goal.
@@ -238,7 +227,7 @@ def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> t
     return best, least
 
 
-def _spot_errors(mover: _Mover, spot_px2: Array) -> tuple[float, float]:
+def _spot_errors(mover: _Mover, spot_px2: Floats) -> tuple[float, float]:
     """Return the largest errors of a width in px, and of the contrast behind lens and pixel."""
     places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
     contrast = mover.contrast(places, states)
@@ -249,7 +238,7 @@ def _spot_errors(mover: _Mover, spot_px2: Array) -> tuple[float, float]:
     return float(np.abs(np.sqrt(fitted_px2) - width_px).max()), float(off.max())
 
 
-def _values(coefficients: Array, places: Array, states: Array) -> Array:
+def _values(coefficients: Floats, places: Floats, states: Floats) -> Floats:
     """Return the polynomials [place state 2] at places [place 2] and states [state 2]."""
     bases: list[Any] = [
         chebvander(points[:, axis], coefficients.shape[2 * part + axis] - 1)
@@ -259,10 +248,10 @@ def _values(coefficients: Array, places: Array, states: Array) -> Array:
     return np.asarray(np.einsum("ijabq,pi,pj,sa,sb->psq", coefficients, *bases, optimize=True))
 
 
-def _nodes(count: int) -> Array:
+def _nodes(count: int) -> Floats:
     return np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
-def _crossed(along: Array) -> Array:
+def _crossed(along: Floats) -> Floats:
     """Return the points [n n, 2] of a square grid."""
     return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -2,54 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
+from lensshift.optics.mtf import azimuth_axes
 from lensshift.optics.pupil import pupil_arms, ring_edges
 from lensshift.optics.trace import RayBundle
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SpotMeans:
-    """What a spot is like on average.
-
-    Parameters
-    ----------
-    transmission : [...] share of the light through the stop that reaches the sensor
-    centroid_mm : [... 2] (row, col) on the sensor, NaN if no light arrives
-    slope : [... 2] by which the centroid moves per mm that the sensor moves away
-    """
-
-    transmission: Array
-    centroid_mm: Array
-    slope: Array
-
-
-def spot_means(rays: RayBundle, weight: Array) -> SpotMeans:
+def spot_means(rays: RayBundle, weight: Floats) -> tuple[Floats, Floats, Floats]:
     """Return light, centroid and mean slope of each spot; unlike `spots`, dark ones are allowed.
 
     Parameters
     ----------
     rays : [... ray] traced through the points of `pupil_quadrature`
     weight : [ray] of the quadrature
-    """
-    from lensshift.optics import focus_kernel
 
-    shape, count = rays.status.shape[:-1], int(np.prod(rays.status.shape[:-1]))
-    transmission, centroid, slope = np.empty(count), np.empty((count, 2)), np.empty((count, 2))
-    focus_kernel.spot_means(*_flat(rays), weight, transmission, centroid, slope)
-    return SpotMeans(
-        transmission.reshape(shape), centroid.reshape(*shape, 2), slope.reshape(*shape, 2)
-    )
+    Returns
+    -------
+    transmission [...], the share of the light through the stop that reaches the sensor; centroid
+    [... 2] (row, col) in mm, NaN if no light arrives; how far [... 2] it moves per mm of the sensor
+    """
+    alive = np.where(rays.passed, weight, 0.0)
+    transmission = alive.sum(axis=-1)
+
+    def mean(values: Floats) -> Floats:
+        reached = np.where(rays.passed[..., None], values, 0.0)
+        with np.errstate(invalid="ignore"):  # no light
+            return np.asarray(
+                np.einsum("...r,...ri->...i", alive, reached) / transmission[..., None]
+            )
+
+    slope = rays.direction[..., :2] / rays.direction[..., 2:]
+    return transmission, mean(rays.position_mm), mean(slope)
 
 
 def scan_focus(
     rays: RayBundle,
-    weight: Array,
+    weight: Floats,
     rings: int,
     frequency_lpmm: float,
     azimuth_rad: ArrayLike,
@@ -58,7 +49,7 @@ def scan_focus(
     first_mm: ArrayLike = 0.0,
     step_mm: float = 0.0,
     planes: int = 1,
-) -> Array:
+) -> Floats:
     """Return the fast MTF [... azimuth plane] at one frequency in evenly spaced planes.
 
     As `fast_mtf`, without tracing again, and 0 where no light arrives.
@@ -73,23 +64,15 @@ def scan_focus(
     """
     from lensshift.optics import focus_kernel
 
-    azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
-    axes = np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
-    shape = rays.status.shape[:-1]
+    axes = azimuth_axes(azimuth_rad)
+    *shape, count = rays.status.shape
     first = np.broadcast_to(np.asarray(first_mm, dtype=np.float64), shape).copy().ravel()
-    mtf = np.empty((len(first), len(azimuth), planes))
+    mtf = np.empty((len(first), len(axes), planes))
     focus_kernel.focus_mtf(
-        *_flat(rays), weight, axes, np.abs(axes @ pupil_arms(rings).T), ring_edges(rings),
-        frequency_lpmm, wavelength_nm * 1e-6, first, step_mm, mtf,
-    )  # fmt: skip
-    return mtf.reshape(*shape, len(azimuth), planes)
-
-
-def _flat(rays: RayBundle) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Return position, direction and status with one leading axis."""
-    count = rays.status.shape[-1]
-    return (
         np.ascontiguousarray(rays.position_mm).reshape(-1, count, 2),
         np.ascontiguousarray(rays.direction).reshape(-1, count, 3),
         np.ascontiguousarray(rays.status).reshape(-1, count),
-    )
+        weight, axes, np.abs(axes @ pupil_arms(rings).T), ring_edges(rings),
+        frequency_lpmm, wavelength_nm * 1e-6, first, step_mm, mtf,
+    )  # fmt: skip
+    return mtf.reshape(*shape, len(axes), planes)

@@ -2,48 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.optics.otf_kernel import diffraction, overlap_square
-
-Array = NDArray[Any]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def spot_means(
-    position: Array, direction: Array, status: Array, weight: Array, transmission: Array,
-    centroid: Array, slope: Array,
-) -> None:  # fmt: skip
-    """Write the share of light, its centroid and its mean slope; NaN for a dark spot.
-
-    Parameters
-    ----------
-    position : [spot ray 2] in mm
-    direction : [spot ray 3]
-    status : [spot ray] 0 for rays that arrive
-    weight : [ray] sums to 1
-    transmission : [spot]
-    centroid : [spot 2] in mm
-    slope : [spot 2] by which the centroid moves per mm of focus
-    """
-    for s in range(status.shape[0]):
-        total = 0.0
-        for r in range(status.shape[1]):
-            if status[s, r] == 0:
-                total += weight[r]
-        transmission[s] = total
-        for i in range(2):
-            at, lean = 0.0, 0.0
-            for r in range(status.shape[1]):
-                if status[s, r] == 0:
-                    at += weight[r] * position[s, r, i]
-                    lean += weight[r] * direction[s, r, i] / direction[s, r, 2]
-            centroid[s, i] = at / total
-            slope[s, i] = lean / total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -81,7 +44,8 @@ def focus_mtf(
 
     Parameters
     ----------
-    position, direction, status, weight : as in `spot_means`, ring by ring
+    position, direction : [spot ray 2] in mm and [spot ray 3], ring by ring
+    status, weight : [spot ray] 0 for rays that arrive, and [ray] that sums to 1
     axes : [azimuth 2] (row, col) directions in which the pattern repeats
     along : [azimuth arm] |cosine| of the angle between arm and azimuth
     edges : [ring + 1] squared radii of the annuli that the rings stand for

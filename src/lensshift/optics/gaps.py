@@ -6,21 +6,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.optics.focus import scan_focus, spot_means
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
-from lensshift.optics.paraxial import element_matrix, entrance_pupil
+from lensshift.optics.mtf import light_of
+from lensshift.optics.paraxial import element_matrix, entrance_pupil, gains_of, gap_matrix
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.trace import Build, trace
-
-Array = NDArray[np.float64]
+from lensshift.optics.which import POSITIONS
 
 _LONGEST_GAP = 1.2  # of the focal length
 _COARSE = {0: 1, 1: 64, 2: 24, 3: 12}  # grid points along each free gap, by their number
+MOST_ELEMENTS = max(_COARSE) + 2  # the sensor and the focal length take a gap each
 _FINE, _ZOOM = 9, 4.0  # points of a refinement, and how much closer the next one is
 _ASIDE_MM, _PLANE_MM, _PLANES = -0.6, 0.02, 51  # of the sensor from the paraxial image
 _NEAR_ASIDE_MM, _NEAR_PLANE_MM = -0.125, 0.005  # of the sensor from the best one so far
@@ -29,7 +31,6 @@ _LEAST_GAIN = 0.1  # image movement over element movement
 _SHIFT_WEIGHT = 10.0  # MTF given up per px of shift error above the limit
 _DIGITS = 4  # of a gap in mm
 _IMPOSSIBLE = -1.0
-_STEPS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class Effort:
 
 def best_gaps(
     train: tuple[Element, ...], goal: Goal, element: int | None, effort: Effort
-) -> tuple[float, Array] | None:
+) -> tuple[float, Floats] | None:
     """Return the best score and its gaps [element], or None if there are none that fit.
 
     Parameters
@@ -86,7 +87,7 @@ def best_gaps(
     return None if best.score <= _IMPOSSIBLE else (best.score, best.gaps_mm)
 
 
-def train_lens(train: tuple[Element, ...], gaps_mm: Array, goal: Goal, name: str = "") -> Lens:
+def train_lens(train: tuple[Element, ...], gaps_mm: Floats, goal: Goal, name: str = "") -> Lens:
     """Return the lens of a train with these gaps, the last of them to the sensor, and the cover.
 
     The last gap is that without a cover; one takes as much of it as light needs.
@@ -110,30 +111,20 @@ def train_lens(train: tuple[Element, ...], gaps_mm: Array, goal: Goal, name: str
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """The best of some candidates: its score, gaps, and sensor relative to the paraxial image."""
+class _Found(NamedTuple):
+    """The best of some candidates."""
 
     score: float
-    gaps_mm: Array
-    aside_mm: float
+    gaps_mm: Floats
+    aside_mm: float  # of the sensor, from the paraxial image
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Trains:
-    """Candidates by the laws of paraxial optics.
+class _Trains(NamedTuple):
+    """Candidates by the laws of paraxial optics."""
 
-    Parameters
-    ----------
-    gaps_mm : [candidate element] the last one to the paraxial image
-    magnification : [candidate] size of the image over that of the object, or image height over
-        tangent of the angle in mm for an infinitely far object
-    gain : [candidate] image movement over element movement; 1 if none moves
-    """
-
-    gaps_mm: Array
-    magnification: Array
-    gain: Array
+    gaps_mm: Floats  # [candidate element] the last one to the paraxial image
+    magnification: Floats  # [candidate] as in `field_tan`
+    gain: Floats  # [candidate] image movement over element movement; 1 if none moves
 
 
 class _Search:
@@ -162,7 +153,7 @@ class _Search:
         f_number = goal.focal_length_mm / goal.stop.diameter_mm
         self.unit = max(goal.grid.pitch_mm) / _PITCH_MM * f_number / _F_NUMBER
 
-    def best(self, free_mm: Array, aside_mm: float, plane_mm: float) -> _Found:
+    def best(self, free_mm: Floats, aside_mm: float, plane_mm: float) -> _Found:
         """Return the best of candidates [candidate free gap], sensors in evenly spaced planes."""
         goal = self.goal
         trains = self._trains(free_mm)
@@ -170,7 +161,7 @@ class _Search:
             return _Found(_IMPOSSIBLE, np.empty(0), 0.0)
         image_mm, step_mm = trains.gaps_mm[:, -1], plane_mm * self.unit
         first_mm = np.maximum(aside_mm, goal.least_back_mm - image_mm)
-        positions = _STEPS if self.element is not None else _STEPS[:1]
+        positions = POSITIONS if self.element is not None else POSITIONS[:1]
         wanted_mm = goal.shift_px * np.asarray(goal.grid.pitch_mm) * positions
         moves = np.zeros((len(image_mm), len(positions), 1, len(self.base.elements), 2))
         if self.element is not None:
@@ -179,31 +170,31 @@ class _Search:
         gap_mm[:, : len(self.matrices)] = trains.gaps_mm - [*self.least_mm, goal.least_back_mm]
         fields = field_tan(goal, trains.magnification, self.effort.fields, self.pupil_mm)
         build = Build(decenter_mm=moves, gap_mm=gap_mm[:, None, None])
+        azimuths_rad = np.linspace(0.0, np.pi, self.effort.azimuths, endpoint=False)
         mtf, rays = np.zeros(1), None
-        for nm, share in goal.light:  # without what colours beside each other take from the sum
+        for nm, share in light_of(
+            goal.band, goal.wavelength_nm
+        ):  # without what colours beside each other take from the sum
             rays = trace(self.base, fields[:, None], self.points, build=build, wavelength_nm=nm)
             mtf = mtf + share * scan_focus(
-                rays, self.weight, self.effort.rings, goal.judged_lpmm, self._azimuths(),
+                rays, self.weight, self.effort.rings, goal.judged_lpmm, azimuths_rad,
                 nm, first_mm=first_mm[:, None, None], step_mm=step_mm, planes=_PLANES,
             )  # fmt: skip
         if goal.band is not None or rays is None:
             rays = trace(self.base, fields[:, None], self.points, build=build)
-        means = spot_means(rays, self.weight)
+        transmission, at_mm, slope = spot_means(rays, self.weight)
         score = mtf.min(axis=(1, 2, 3))
-        score[means.transmission.min(axis=(1, 2)) < goal.transmission] = _IMPOSSIBLE
+        score[transmission.min(axis=(1, 2)) < goal.transmission] = _IMPOSSIBLE
         plane = score.argmax(axis=-1)
         behind_mm = first_mm + step_mm * plane
-        centroid_mm = means.centroid_mm + behind_mm[:, None, None, None] * means.slope
+        centroid_mm = at_mm + behind_mm[:, None, None, None] * slope
         score = score.max(axis=-1) - self._penalty(centroid_mm, wanted_mm)
         one = int(np.nanargmax(np.where(np.isnan(score), _IMPOSSIBLE, score)))
         gaps_mm = trains.gaps_mm[one].copy()
         gaps_mm[-1] += behind_mm[one]
         return _Found(float(score[one]), gaps_mm, float(behind_mm[one]))
 
-    def _azimuths(self) -> Array:
-        return np.linspace(0.0, np.pi, self.effort.azimuths, endpoint=False)
-
-    def _penalty(self, centroid_mm: Array, wanted_mm: Array) -> Array:
+    def _penalty(self, centroid_mm: Floats, wanted_mm: Floats) -> Floats:
         """Return what the shift errors of [candidate position field] cost each candidate."""
         if self.element is None:
             return np.zeros(len(centroid_mm))
@@ -213,12 +204,12 @@ class _Search:
         largest = np.linalg.norm(error_px, axis=-1).max(axis=(1, 2))
         return np.asarray(_SHIFT_WEIGHT * np.maximum(largest - self.goal.shift_error_px, 0.0))
 
-    def _trains(self, free_mm: Array) -> _Trains:
+    def _trains(self, free_mm: Floats) -> _Trains:
         """Return the candidates that have the focal length and fit, by matrices [candidate 2 2]."""
         goal, last = self.goal, self.matrices[-1]
         front = np.broadcast_to(self.matrices[0], (len(free_mm), 2, 2))
         for number, gap_mm in enumerate(free_mm.T, start=1):
-            front = self.matrices[number] @ _gap(gap_mm) @ front
+            front = self.matrices[number] @ gap_matrix(gap_mm) @ front
         # The power of the train is linear in its last gap.
         per_mm = last[1, 0] * front[:, 1, 0]
         with np.errstate(divide="ignore"):
@@ -226,7 +217,7 @@ class _Search:
         longest_mm = _LONGEST_GAP * goal.focal_length_mm
         fits = (solved_mm >= self.least_mm[-1]) & (solved_mm <= longest_mm)
         free_mm, solved_mm, front = free_mm[fits], solved_mm[fits], front[fits]
-        whole = last @ _gap(solved_mm) @ front
+        whole = last @ gap_matrix(solved_mm) @ front
         if math.isinf(goal.object_mm):
             image_mm = -whole[:, 0, 0] / whole[:, 1, 0]
             magnification = np.full(len(image_mm), goal.focal_length_mm)
@@ -235,24 +226,17 @@ class _Search:
             image_mm = -whole[:, 0, 1] / whole[:, 1, 1]
             magnification = np.abs(whole[:, 0, 0] + image_mm * whole[:, 1, 0])
         gaps_mm = np.column_stack([free_mm, solved_mm, image_mm])
-        gain = self._gain(gaps_mm)
+        gain = np.ones(len(gaps_mm))
+        if self.element is not None:
+            gain = gains_of(self.matrices, gaps_mm)[:, self.element]
         reach_mm = goal.least_back_mm - self.unit * (_ASIDE_MM + _PLANE_MM * _PLANES)
         kept = (image_mm > max(reach_mm, 0.0)) & (np.abs(gain) > _LEAST_GAIN)
         return _Trains(gaps_mm[kept], magnification[kept], gain[kept])
 
-    def _gain(self, gaps_mm: Array) -> Array:
-        if self.element is None:
-            return np.ones(len(gaps_mm))
-        behind = _gap(gaps_mm[:, -1])
-        for number in range(len(self.matrices) - 1, self.element, -1):
-            behind = behind @ self.matrices[number] @ _gap(gaps_mm[:, number - 1])
-        added = (np.eye(2) - self.matrices[self.element]) @ np.array([1.0, 0.0])
-        return np.asarray(behind[:, 0] @ added)
-
 
 def field_tan(
-    goal: Goal, magnification: Array, shares: Sequence[tuple[float, float]], pupil_mm: float
-) -> Array:
+    goal: Goal, magnification: Floats, shares: Sequence[tuple[float, float]], pupil_mm: float
+) -> Floats:
     """Return the fields [train field 2] whose paraxial images lie at shares of the half sensor.
 
     Parameters
@@ -266,14 +250,6 @@ def field_tan(
     far = math.isinf(goal.object_mm)
     image_mm = magnification * (1.0 if far else goal.object_mm + pupil_mm)
     return np.asarray(np.asarray(shares) * half_mm / image_mm[:, None, None])
-
-
-def _gap(distance_mm: Array) -> Array:
-    """Return the matrices [candidate 2 2] of air."""
-    matrices = np.zeros((len(distance_mm), 2, 2))
-    matrices[:, 0, 0] = matrices[:, 1, 1] = 1.0
-    matrices[:, 0, 1] = distance_mm
-    return matrices
 
 
 def _least_gap_mm(front: Element, back: Element, clearance_mm: float) -> float:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 
 import numpy as np
 
-REFERENCE_TEMPERATURE_C = 20.0
+REFERENCE_TEMPERATURE_C = 20.0  # of most catalogues
 AIR = "air"
 
-_D_UM, _F_UM, _C_UM, _G_UM = 0.5875618, 0.4861327, 0.6562725, 0.4358343
-_SAME_INDEX = 5e-4
+D_UM, _F_UM, _C_UM, _G_UM = 0.5875618, 0.4861327, 0.6562725, 0.4358343
+_SAME_INDEX = 5e-4  # a usual tolerance of n_d from melt to melt
 _MODEL_RANGE_NM = (350.0, 2000.0)  # about the visible; beyond 1 um it is a guess
 BY_CODE = "index and Abbe number"  # all that is known of a glass
-_NO_CHANGE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_CHANGE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 # Exponents of the wavelength in the polynomials for n^2.
 _POWERS = {
@@ -24,6 +25,13 @@ _POWERS = {
     "extended": (0, 2, -2, -4, -6, -8, -10, -12),
     "extended 2": (0, 2, -2, -4, -6, -8, 4, 6),
     "extended 3": (0, 2, 4, -2, -4, -6, -8, -10, -12),
+}
+# n^2 of other formulas, of constants and squared wavelength.
+_SQUARES: dict[str, Callable[[tuple[float, ...], float], float]] = {
+    "sellmeier 2": lambda k, s: 1.0 + k[0] + k[1] * s / (s - k[2] ** 2) + k[3] / (s - k[4] ** 2),
+    "sellmeier 4": lambda k, s: k[0] + k[1] * s / (s - k[2]) + k[3] * s / (s - k[4]),
+    "handbook 1": lambda k, s: k[0] + k[1] / (s - k[2]) - k[3] * s,
+    "handbook 2": lambda k, s: k[0] + k[1] * s / (s - k[2]) - k[3] * s,
 }
 CONSTANT_COUNTS = {name: len(powers) for name, powers in _POWERS.items()} | {
     "sellmeier 1": 6, "sellmeier 2": 5, "sellmeier 3": 8, "sellmeier 4": 5, "sellmeier 5": 10,
@@ -53,7 +61,7 @@ class Glass:
 
     formula: str
     constants: tuple[float, ...]
-    thermal: tuple[float, ...] = _NO_CHANGE
+    thermal: tuple[float, ...] = NO_CHANGE
     reference_c: float = REFERENCE_TEMPERATURE_C
     range_nm: tuple[float, float] = _MODEL_RANGE_NM
     source: str = ""
@@ -178,7 +186,8 @@ def is_shipped(name: str) -> bool:
 def glass_called(name: str) -> str | None:
     """Return the glass that design programs call `name`, or None if it is not known."""
     upper = name.upper()
-    for known in (_OTHER_NAMES.get(upper), upper, _lower_case(upper)):
+    own = next((name for name in GLASSES if name.upper() == upper.replace("_", " ")), None)
+    for known in (_OTHER_NAMES.get(upper), upper, own):
         if known is not None and (is_shipped(known) or known in _added):
             return known
     code = re.fullmatch(r"(\d{3})[.\-]?(\d{3})", name)
@@ -206,9 +215,9 @@ def glass_in_light(name: str, wavelength_nm: float) -> str:
     low_nm, high_nm = glass_data(name).range_nm
     if low_nm <= wavelength_nm <= high_nm or not low_nm < 1e3 * _C_UM < high_nm:
         return name
-    at_d, at_f, at_c = (refractive_index(name, 1e3 * um) for um in (_D_UM, _F_UM, _C_UM))
+    at_d, at_f, at_c = (refractive_index(name, 1e3 * um) for um in (D_UM, _F_UM, _C_UM))
     newer = successor(name)
-    if newer is not None and abs(refractive_index(newer, 1e3 * _D_UM) - at_d) < _SAME_INDEX:
+    if newer is not None and abs(refractive_index(newer, 1e3 * D_UM) - at_d) < _SAME_INDEX:
         return newer
     return model_glass(at_d, (at_d - 1.0) / (at_f - at_c))
 
@@ -266,7 +275,7 @@ def _model(name: str) -> Glass:
     if not (1.0 < index_d < 5.0 and 0 < abbe < 1e6 and abs(partial) < 1.0):
         raise ValueError(f"expected an index above 1 and an Abbe number above 0, got {name!r}")
     width = (index_d - 1.0) / abbe
-    um = np.array([_D_UM, _F_UM, _C_UM, _G_UM])
+    um = np.array([D_UM, _F_UM, _C_UM, _G_UM])
     terms = np.stack([np.ones(4), 1.0 / um, um**-3.5], axis=-1)
     ratio = 0.6438 - 0.001682 * abbe + partial
     system = np.stack([terms[0], terms[1] - terms[2], terms[3] - terms[1]])
@@ -309,7 +318,7 @@ def refractive_index(
             f"{glass}, got {wavelength_nm} nm"
         )
     index = _index(data, wavelength_nm * 1e-3)
-    if data.thermal == _NO_CHANGE:
+    if data.thermal == NO_CHANGE:
         return index
     absolute = index * air_index(wavelength_nm, data.reference_c)
     absolute += _thermal_change(data, index, wavelength_nm, temperature_c)
@@ -348,24 +357,14 @@ def _index(data: Glass, um: float) -> float:
         value = sum(a * um**power for a, power in zip(k, powers, strict=True))
     elif data.formula in ("sellmeier 1", "sellmeier 3", "sellmeier 5"):
         value = 1.0 + sum(b * square / (square - c) for b, c in zip(k[::2], k[1::2], strict=True))
-    elif data.formula == "sellmeier 2":
-        value = 1.0 + k[0] + k[1] * square / (square - k[2] ** 2) + k[3] / (square - k[4] ** 2)
-    elif data.formula == "sellmeier 4":
-        value = k[0] + k[1] * square / (square - k[2]) + k[3] * square / (square - k[4])
-    elif data.formula == "handbook 1":
-        value = k[0] + k[1] / (square - k[2]) - k[3] * square
-    elif data.formula == "handbook 2":
-        value = k[0] + k[1] * square / (square - k[2]) - k[3] * square
+    elif data.formula in _SQUARES:
+        value = _SQUARES[data.formula](k, square)
     elif data.formula == "conrady":
         return float(k[0] + k[1] / um + k[2] / um**3.5)
     else:
         pole = 1.0 / (square - 0.028)
-        return float(
-            sum(
-                a * b
-                for a, b in zip(k, (1, pole, pole**2, square, square**2, square**3), strict=True)
-            )
-        )
+        terms = (1, pole, pole**2, square, square**2, square**3)
+        return float(sum(a * b for a, b in zip(k, terms, strict=True)))
     if not value > 0:
         raise ValueError(f"expected constants that give an index, got n^2 = {value:g} at {um} um")
     return float(np.sqrt(value))
@@ -377,8 +376,3 @@ def _thermal_change(data: Glass, index: float, wavelength_nm: float, temperature
     square = (wavelength_nm * 1e-3) ** 2
     bracket = d0 * t + d1 * t**2 + d2 * t**3 + (e0 * t + e1 * t**2) / (square - resonance_um**2)
     return (index**2 - 1.0) / (2.0 * index) * bracket
-
-
-def _lower_case(upper: str) -> str | None:
-    """Return the own name that differs in case or with an underscore for a blank."""
-    return next((name for name in GLASSES if name.upper() == upper.replace("_", " ")), None)

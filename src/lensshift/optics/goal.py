@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, refractive_index
-from lensshift.optics.lens import Element, Stop
-from lensshift.optics.mtf import Band
+from lensshift.optics.lens import WAVELENGTH_NM, Element, Stop
+from lensshift.optics.mtf import Band, light_of
+from lensshift.optics.which import judged_lpmm
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class Goal:
     shift_error_px: float = 0.01
     mtf: float = 0.9
     transmission: float = 0.9
-    wavelength_nm: float = 850.0
+    wavelength_nm: float = WAVELENGTH_NM
     band: Band | None = None
     temperature_c: float = REFERENCE_TEMPERATURE_C
     cover: Element | None = None
@@ -108,13 +109,9 @@ class Goal:
     @property
     def light(self) -> list[tuple[float, float]]:
         """Wavelengths in nm with their shares."""
-        if self.band is None:
-            return [(self.wavelength_nm, 1.0)]
-        return list(zip(map(float, self.band.wavelength_nm), self.band.weight, strict=True))
+        return light_of(self.band, self.wavelength_nm)
 
     @property
     def judged_lpmm(self) -> float:
         """The frequency of the MTF."""
-        if self.frequency_lpmm is None:
-            return 1.0 / max(self.grid.pitch_mm)
-        return self.frequency_lpmm
+        return judged_lpmm(self.grid, self.frequency_lpmm)

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
-from lensshift.optics.lens import Element, Lens
+from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import entrance_pupil
 from lensshift.optics.shift import moving
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build, RayBundle, trace
 
-Array = NDArray[np.float64]
-
 _AXES = {"row": 0, "col": 1}
-_SURFACE_POINTS = 33
+_SURFACE_POINTS = 33  # a curve that looks smooth
 _ROOM = 1.1  # of a surface without an edge, over the highest ray
-_EDGE_DEG = 6.5
+_EDGE_DEG = 6.5  # half the field of the paper's camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +33,8 @@ class Polyline:
     height_mm : [point] from the axis, along rows or columns
     """
 
-    z_mm: Array
-    height_mm: Array
+    z_mm: Floats
+    height_mm: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,17 +119,19 @@ def layout(
     bundle = trace(lens, fields, pupil, crossings=True)
     crossing_mm = np.empty(0) if bundle.crossing_mm is None else bundle.crossing_mm
     surfaces = _surfaces(lens, crossing_mm, along)
+    image_mm = bundle.position_mm[..., along][bundle.passed]
+    edge_mm = _ROOM * float(np.abs(image_mm).max(initial=1.0))
     return Layout(
         surfaces=surfaces,
         outlines=tuple(_outline(lines) for lines in surfaces),
         rays=tuple(_rays(lens, bundle, crossing_mm, fields, along, lead_mm)),
         stop=_stop(lens, along, surfaces),
-        sensor=_sensor(lens, bundle, along),
+        sensor=Polyline(np.full(2, lens.positions_mm()[-1]), np.array([-edge_mm, edge_mm])),
         names=tuple(one.name for one in lens.elements),
     )
 
 
-def _surfaces(lens: Lens, crossing_mm: Array, along: int) -> tuple[tuple[Polyline, ...], ...]:
+def _surfaces(lens: Lens, crossing_mm: Floats, along: int) -> tuple[tuple[Polyline, ...], ...]:
     drawn, number = [], 0
     for one, start_mm in zip(lens.elements, lens.positions_mm(), strict=False):
         depths_mm = np.cumsum([0.0, *one.thickness_mm])
@@ -144,21 +145,14 @@ def _surfaces(lens: Lens, crossing_mm: Array, along: int) -> tuple[tuple[Polylin
             sag_mm, height_mm = _turned(
                 surface.sag_mm(height_mm), height_mm, surface.tilt_rad[along]
             )
-            lines.append(_placed(one, along, start_mm, depth_mm + sag_mm, height_mm))
+            z_mm, height_mm = _turned(depth_mm + sag_mm, height_mm, one.tilt_rad[along])
+            lines.append(Polyline(start_mm + z_mm, one.decenter_mm[along] + height_mm))
             number += 1
         drawn.append(tuple(lines))
     return tuple(drawn)
 
 
-def _placed(
-    element: Element, along: int, start_mm: float, z_mm: Array, height_mm: Array
-) -> Polyline:
-    """Return a line in the axes of an element in those of the lens."""
-    z_mm, height_mm = _turned(z_mm, height_mm, element.tilt_rad[along])
-    return Polyline(z_mm=start_mm + z_mm, height_mm=element.decenter_mm[along] + height_mm)
-
-
-def _turned(z_mm: Array, height_mm: Array, lean_rad: float) -> tuple[Array, Array]:
+def _turned(z_mm: Floats, height_mm: Floats, lean_rad: float) -> tuple[Floats, Floats]:
     """Return the points of a line whose axis leans."""
     cos, sin = math.cos(lean_rad), math.sin(lean_rad)
     return cos * z_mm - sin * height_mm, cos * height_mm + sin * z_mm
@@ -167,19 +161,18 @@ def _turned(z_mm: Array, height_mm: Array, lean_rad: float) -> tuple[Array, Arra
 def _outline(lines: tuple[Polyline, ...]) -> Polyline:
     """Return front, edge, back and edge of an element as a closed line."""
     front, back = lines[0], lines[-1]
-    upper = [(line.z_mm[-1], line.height_mm[-1]) for line in lines[1:-1]]
-    lower = [(line.z_mm[0], line.height_mm[0]) for line in lines[-2:0:-1]]
-    z_mm = [front.z_mm, *([z] for z, _ in upper), back.z_mm[::-1], *([z] for z, _ in lower)]
-    height_mm = [front.height_mm, *([h] for _, h in upper)]
-    height_mm += [back.height_mm[::-1], *([h] for _, h in lower)]
-    return Polyline(
-        z_mm=np.concatenate([*z_mm, front.z_mm[:1]]),
-        height_mm=np.concatenate([*height_mm, front.height_mm[:1]]),
-    )
+    rim = lines[1:-1]
+
+    def around(along: Callable[[Polyline], Floats]) -> Floats:
+        upper, lower = [along(one)[-1] for one in rim], [along(one)[0] for one in rim[::-1]]
+        first = along(front)
+        return np.concatenate([first, upper, along(back)[::-1], lower, first[:1]])
+
+    return Polyline(around(lambda line: line.z_mm), around(lambda line: line.height_mm))
 
 
 def _rays(
-    lens: Lens, bundle: RayBundle, crossing_mm: Array, fields: Array, along: int, lead_mm: float
+    lens: Lens, bundle: RayBundle, crossing_mm: Floats, fields: Floats, along: int, lead_mm: float
 ) -> Iterator[DrawnRay]:
     start_mm = min(0.0, lens.stop.position_mm) - lead_mm
     sensor_mm = float(lens.positions_mm()[-1])
@@ -190,21 +183,16 @@ def _rays(
         if not len(met_mm):
             continue
         first_mm, first_z_mm = met_mm[0, along], met_mm[0, 2]
-        slope = _slope_before(lens, fields[number, along], first_mm, first_z_mm)
+        slope = fields[number, along]  # in front of the lens
+        if math.isfinite(lens.object_mm):
+            source_mm = -slope * (lens.object_mm + entrance_pupil(lens)[0])
+            slope = (first_mm - source_mm) / (first_z_mm + lens.object_mm)
         z_mm = [start_mm, *met_mm[:, 2]]
         height_mm = [first_mm + slope * (start_mm - first_z_mm), *met_mm[:, along]]
         if failed_at < 0:
             z_mm.append(sensor_mm)
             height_mm.append(bundle.position_mm[number, ray, along])
         yield DrawnRay(number, Polyline(np.array(z_mm), np.array(height_mm)), failed_at < 0)
-
-
-def _slope_before(lens: Lens, tangent: float, height_mm: float, z_mm: float) -> float:
-    """Return the slope of a ray of a field that first meets glass at a point."""
-    if math.isinf(lens.object_mm):
-        return tangent
-    source_mm = -tangent * (lens.object_mm + entrance_pupil(lens)[0])
-    return (height_mm - source_mm) / (z_mm + lens.object_mm)
 
 
 def _stop(
@@ -222,13 +210,6 @@ def _stop(
     )
 
 
-def _sensor(lens: Lens, bundle: RayBundle, along: int) -> Polyline:
-    image_mm = bundle.position_mm[..., along][bundle.passed]
-    edge_mm = _ROOM * float(np.abs(image_mm).max(initial=1.0))
-    z_mm = np.full(2, lens.positions_mm()[-1])
-    return Polyline(z_mm, np.array([-edge_mm, edge_mm]))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DistortionGrid:
     """Where a square grid of object points is imaged.
@@ -240,9 +221,9 @@ class DistortionGrid:
     error_px : [row col 2] (row, col) real minus paraxial, in pixels
     """
 
-    paraxial_mm: Array
-    real_mm: Array
-    error_px: Array
+    paraxial_mm: Floats
+    real_mm: Floats
+    error_px: Floats
 
 
 def distortion_grid(

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, glass_data, refractive_index
 
+WAVELENGTH_NM = 850.0  # near infrared of time-of-flight cameras: 9 of 11 in prescriptions
 _CHECKED_HEIGHTS = np.linspace(0.0, 1.0, 33)  # of the smaller semi-diameter
 
 
@@ -74,7 +75,7 @@ class Surface:
         """Second derivative of the sag on the axis, for paraxial rays."""
         return self.curvature_per_mm + (2.0 * self.radial[1] if len(self.radial) > 1 else 0.0)
 
-    def sag_mm(self, height_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sag_mm(self, height_mm: Floats) -> Floats:
         """Return z at distances from the axis; NaN where the surface has ended."""
         c, square = self.curvature_per_mm, np.asarray(height_mm, dtype=np.float64) ** 2
         with np.errstate(invalid="ignore"):
@@ -215,7 +216,7 @@ class Lens:
     gaps_mm: tuple[float, ...]
     stop: Stop
     object_mm: float = math.inf
-    wavelength_nm: float = 850.0
+    wavelength_nm: float = WAVELENGTH_NM
     temperature_c: float = REFERENCE_TEMPERATURE_C
     name: str = ""
 
@@ -261,7 +262,7 @@ class Lens:
         front = [one.surfaces[-1] for one in self.elements[:before][-1:]]
         return (*front, *(one.surfaces[0] for one in self.elements[before : before + 1]))
 
-    def positions_mm(self) -> NDArray[np.float64]:
+    def positions_mm(self) -> Floats:
         """Return where the first vertex of each element and the sensor lie, [element + 1]."""
         lengths = [e.length_mm + gap for e, gap in zip(self.elements, self.gaps_mm, strict=True)]
         return np.concatenate([[0.0], np.cumsum(lengths)])
@@ -302,14 +303,11 @@ class Lens:
 
     def with_decenter(self, element: int, decenter_mm: tuple[float, float]) -> Lens:
         """Return the lens with one element at another decentre (row, col)."""
-        self.check_element(element)
-        moved = replace(self.elements[element], decenter_mm=decenter_mm)
-        return self._with_element(element, moved)
+        return self._with(element, decenter_mm=decenter_mm)
 
     def with_tilt(self, element: int, tilt_rad: tuple[float, float]) -> Lens:
         """Return the lens with one element at another tilt (row, col)."""
-        self.check_element(element)
-        return self._with_element(element, replace(self.elements[element], tilt_rad=tilt_rad))
+        return self._with(element, tilt_rad=tilt_rad)
 
     def with_sensor(self, back_focal_mm: float) -> Lens:
         """Return the lens with the sensor at another distance behind the last vertex."""
@@ -322,9 +320,11 @@ class Lens:
                 f"expected an element from 0 to {len(self.elements) - 1}, got {element}"
             )
 
-    def _with_element(self, number: int, element: Element) -> Lens:
-        elements = (*self.elements[:number], element, *self.elements[number + 1 :])
-        return replace(self, elements=elements)
+    def _with(self, element: int, **changes: tuple[float, float]) -> Lens:
+        self.check_element(element)
+        elements = list(self.elements)
+        elements[element] = replace(elements[element], **changes)  # type: ignore[arg-type]
+        return replace(self, elements=tuple(elements))
 
 
 def cover_glass(glass: str, thickness_mm: float, semi_diameter_mm: float = math.inf) -> Element:

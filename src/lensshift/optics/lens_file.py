@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -10,13 +12,15 @@ from typing import Any
 from lensshift.core.errors import DataError
 from lensshift.core.settings import fit, parse_toml, read_text, settings_of
 from lensshift.optics.glass import (
+    NO_CHANGE,
     REFERENCE_TEMPERATURE_C,
     Glass,
     add_glasses,
     glass_data,
     is_shipped,
 )
-from lensshift.optics.lens import Element, Lens, Stop, Surface
+from lensshift.optics.lens import WAVELENGTH_NM, Element, Lens, Stop, Surface
+from lensshift.optics.sequential import about
 from lensshift.optics.zmx import load_zmx
 
 _LENS_KEYS = {"name", "wavelength_nm", "temperature_c", "object_mm", "stop", "element", "glass"}
@@ -89,81 +93,72 @@ def save_lens(lens: Lens, path: str | Path) -> None:
 
 def format_lens(lens: Lens) -> str:
     """Return the TOML text of a lens."""
+    stop = lens.stop
     lines = [
-        f"name = {_text(lens.name)}",
-        f"wavelength_nm = {_value(lens.wavelength_nm)}",
-        f"temperature_c = {_value(lens.temperature_c)}",
-        f"object_mm = {_value(lens.object_mm)}",
+        *_entries(name=lens.name, wavelength_nm=lens.wavelength_nm),
+        *_entries(temperature_c=lens.temperature_c, object_mm=lens.object_mm),
         "",
         "[stop]",
-        f"diameter_mm = {_value(lens.stop.diameter_mm)}",
-        f"position_mm = {_value(lens.stop.position_mm)}",
+        *_entries(diameter_mm=stop.diameter_mm, position_mm=stop.position_mm),
     ]
-    if lens.stop.rides_on is not None:
-        lines.append(f"rides_on = {lens.stop.rides_on + 1}")
+    if stop.rides_on is not None:
+        lines.append(f"rides_on = {stop.rides_on + 1}")
     for name in sorted({glass for element in lens.elements for glass in element.glass}):
         if not is_shipped(name):
-            lines += _glass_lines(name, glass_data(name))
+            lines += ["", "[[glass]]", *_entries(name=name, **asdict(glass_data(name)))]
     for element, gap_mm in zip(lens.elements, lens.gaps_mm, strict=True):
-        lines += [
-            "",
-            "[[element]]",
-            f"name = {_text(element.name)}",
-            f"glass = [{', '.join(_text(glass) for glass in element.glass)}]",
-            f"thickness_mm = {_values(element.thickness_mm)}",
-            f"gap_mm = {_value(gap_mm)}",
-        ]
-        if any(element.decenter_mm):
-            lines.append(f"decenter_mm = {_values(element.decenter_mm)}")
-        if any(element.tilt_rad):
-            lines.append(f"tilt_deg = {_values(tuple(map(math.degrees, element.tilt_rad)))}")
+        lines += ["", "[[element]]"]
+        lines += _entries(name=element.name, glass=element.glass)
+        lines += _entries(thickness_mm=element.thickness_mm, gap_mm=gap_mm)
+        moved = element.decenter_mm if any(element.decenter_mm) else None
+        lines += _entries(decenter_mm=moved, tilt_deg=_degrees(element.tilt_rad))
         for surface in element.surfaces:
-            lines += ["", "[[element.surface]]", f"radius_mm = {_value(surface.radius_mm)}"]
-            if surface.conic:
-                lines.append(f"conic = {_value(surface.conic)}")
-            if surface.asphere:
-                lines.append(f"asphere = {_values(surface.asphere)}")
-            if surface.radial:
-                lines.append(f"radial = {_values(surface.radial)}")
-            if surface.mirror:
-                lines.append("mirror = true")
-            if any(surface.tilt_rad):
-                lines.append(f"tilt_deg = {_values(tuple(map(math.degrees, surface.tilt_rad)))}")
-            lines.append(f"semi_diameter_mm = {_value(surface.semi_diameter_mm)}")
+            lines += ["", "[[element.surface]]"]
+            lines += _entries(
+                radius_mm=surface.radius_mm,
+                conic=surface.conic or None,
+                asphere=surface.asphere or None,
+                radial=surface.radial or None,
+                mirror=surface.mirror or None,
+                tilt_deg=_degrees(surface.tilt_rad),
+                semi_diameter_mm=surface.semi_diameter_mm,
+            )
     return "\n".join(lines) + "\n"
 
 
-def _glass_lines(name: str, glass: Glass) -> list[str]:
-    return [
-        "",
-        "[[glass]]",
-        f"name = {_text(name)}",
-        f"formula = {_text(glass.formula)}",
-        f"constants = {_values(glass.constants)}",
-        f"thermal = {_values(glass.thermal)}",
-        f"reference_c = {_value(glass.reference_c)}",
-        f"range_nm = {_values(glass.range_nm)}",
-        f"source = {_text(glass.source)}",
-    ]
+def _entries(**values: Any) -> list[str]:
+    """Return the lines of a table, without those that are None."""
+    return [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    # A JSON string is a TOML basic string, truths are written alike.
+    return (
+        json.dumps(value, ensure_ascii=False)
+        if isinstance(value, str | bool)
+        else repr(float(value))
+    )
+
+
+def _degrees(tilt_rad: tuple[float, float]) -> tuple[float, ...] | None:
+    return tuple(map(math.degrees, tilt_rad)) if any(tilt_rad) else None
 
 
 def _glass(table: dict[str, Any], where: str) -> dict[str, Glass]:
     """Return a glass that the file brings with it."""
     _check_keys(table, _GLASS_KEYS, where, {"name", "formula", "constants", "range_nm"})
     low_nm, high_nm = _numbers(table["range_nm"], "range_nm", where, 2)
-    try:
+    with about(where):
         glass = Glass(
             formula=fit(table["formula"], str, f"{where}, formula"),
             constants=_numbers(table["constants"], "constants", where),
-            thermal=_numbers(table.get("thermal", [0.0] * 6), "thermal", where, 6),
+            thermal=_numbers(table.get("thermal", list(NO_CHANGE)), "thermal", where, 6),
             reference_c=_number(table, "reference_c", where, REFERENCE_TEMPERATURE_C),
             range_nm=(low_nm, high_nm),
             source=fit(table.get("source", ""), str, f"{where}, source"),
         )
-    except DataError:
-        raise
-    except ValueError as error:
-        raise DataError(str(error), field=where) from error
     return {fit(table["name"], str, f"{where}, name").upper(): glass}
 
 
@@ -195,7 +190,7 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
             rides_on=None if rides_on is None else rides_on - 1,
         ),
         object_mm=_number(content, "object_mm", "lens", math.inf),
-        wavelength_nm=_number(content, "wavelength_nm", "lens", 850.0),
+        wavelength_nm=_number(content, "wavelength_nm", "lens", WAVELENGTH_NM),
         temperature_c=_number(content, "temperature_c", "lens", REFERENCE_TEMPERATURE_C),
         name=fit(content.get("name", ""), str, "name"),
     )
@@ -208,17 +203,13 @@ def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -
         at = f"{where.split(',')[0]} surface {number}, line {line}"
         surface = _table(content, at)
         _check_keys(surface, _SURFACE_KEYS, at, {"radius_mm"})
-        try:
+        with about(at):
             surfaces.append(_surface(surface, at))
-        except DataError:
-            raise
-        except ValueError as error:
-            raise DataError(str(error), field=at) from error
     row_mm, col_mm = _numbers(table.get("decenter_mm", [0.0, 0.0]), "decenter_mm", where, 2)
     glass = table["glass"] if isinstance(table["glass"], list) else [table["glass"]]
     if not all(isinstance(one, str) for one in glass):
         raise DataError(f"expected names of glasses, got {table['glass']!r}", field=where)
-    try:
+    with about(where):
         return Element(
             surfaces=tuple(surfaces),
             glass=tuple(glass),
@@ -227,10 +218,6 @@ def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -
             decenter_mm=(row_mm, col_mm),
             tilt_rad=_tilt_rad(table, where),
         )
-    except DataError:
-        raise
-    except ValueError as error:
-        raise DataError(str(error), field=where) from error
 
 
 def _surface(table: dict[str, Any], where: str) -> Surface:
@@ -288,17 +275,3 @@ def _line(text: str, heading: str, number: int) -> int:
     """Return the line of the n-th heading; 0 if the file writes its tables another way."""
     found = [i for i, line in enumerate(text.splitlines(), 1) if line.strip().startswith(heading)]
     return found[number - 1] if number <= len(found) else 0
-
-
-def _text(text: str) -> str:
-    import json
-
-    return json.dumps(text, ensure_ascii=False)  # a JSON string is a TOML basic string
-
-
-def _value(value: float) -> str:
-    return repr(float(value))
-
-
-def _values(values: tuple[float, ...]) -> str:
-    return "[" + ", ".join(map(_value, values)) + "]"

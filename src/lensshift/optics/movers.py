@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Surface, cover_glass
 from lensshift.optics.paraxial import paraxial
+from lensshift.optics.shift import central_slope, moving
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build
 from lensshift.optics.variables import is_plate
@@ -26,13 +28,11 @@ from lensshift.optics.which import (
     which_element,
 )
 
-Array = NDArray[np.float64]
-
 _RINGS = 4  # of the pupil: centroids
-_PROBE_RAD, _PROBE_TURN = 1e-3, 0.02
-_STEPS = 8
-_CLOSE_PX = 1e-6
-_MOST_TILT_RAD = math.radians(30.0)
+_PROBE_RAD, _PROBE_TURN = 1e-3, 0.02  # where shifts are linear
+_STEPS = 8  # of Newton, from the linear guess
+_CLOSE_PX = 1e-6  # far below any error of a shift
+_MOST_TILT_RAD = math.radians(30.0)  # no mount turns farther
 _PLATE_GLASS, _PLATE_MM = "N-BK7", 1.0
 _PLATE_ROOM_MM = 0.2  # on either side
 _WEDGE_MM, _WEDGE_ROOM_MM = 1.0, 1.0
@@ -140,31 +140,21 @@ def with_wedges(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Turning:
-    """Something whose state is a pair of angles or sines, about 0 at rest.
-
-    Parameters
-    ----------
-    look : the lens and its build in a state [2]
-    probe, most : a small state, and the largest
-    degrees : of a state along columns
-    """
+class _Turning(NamedTuple):
+    """Something whose state is a pair of angles or sines, about 0 at rest."""
 
     element: int
     name: str
     kind: str
-    look: Callable[[Array], tuple[Lens, Build]]
-    probe: float
-    most: float
-    degrees: Callable[[float], float]
+    look: Callable[[Floats], tuple[Lens, Build]]  # in a state [2]
+    probe: float  # a small state
+    most: float  # the largest
+    degrees: Callable[[float], float]  # of a state along columns
 
 
 def _tilted(lens: Lens, number: int, kind: str) -> _Turning:
-    def look(tilt_rad: Array) -> tuple[Lens, Build]:
-        tilts = np.zeros((len(lens.elements), 2))
-        tilts[number] = tilt_rad
-        return lens, Build(tilt_rad=tilts)
+    def look(tilt_rad: Floats) -> tuple[Lens, Build]:
+        return lens, moving(lens, number, tilt_rad, tilt=True)
 
     name = lens.elements[number].name
     return _Turning(number, name, kind, look, _PROBE_RAD, _MOST_TILT_RAD, math.degrees)
@@ -177,7 +167,7 @@ def _wedges(lens: Lens, grid: Grid, shift_px: float) -> _Turning:
     turned_rad = diagonal_mm / abs(image_per_field_mm(lens))
     wedge_rad = turned_rad / (2.0 * _WEDGE_USE * (index - 1.0))
 
-    def look(state: Array) -> tuple[Lens, Build]:
+    def look(state: Floats) -> tuple[Lens, Build]:
         middle_rad = math.atan2(state[0], state[1])
         aside_rad = math.acos(min(1.0, math.hypot(*state)))
         turn_rad = (middle_rad + aside_rad, middle_rad - aside_rad)
@@ -196,7 +186,7 @@ def _row(one: _Turning, grid: Grid, shift_px: float, frequency_lpmm: float) -> M
     fields = edge_fields(lens, grid)
     resting_mm = spots(lens, fields, build=still, rings=_RINGS).centroid_mm
 
-    def shifts(states: Array) -> Array:
+    def shifts(states: Floats) -> Floats:
         looks = [one.look(state) for state in states]
         moved_mm = [spots(a, fields, build=b, rings=_RINGS).centroid_mm for a, b in looks]
         return np.asarray((np.array(moved_mm) - resting_mm) / pitch_mm)
@@ -224,12 +214,10 @@ def _row(one: _Turning, grid: Grid, shift_px: float, frequency_lpmm: float) -> M
     )
 
 
-def _states(one: _Turning, shifts: Callable[[Array], Array], shift_px: float) -> Array | None:
+def _states(one: _Turning, shifts: Callable[[Floats], Floats], shift_px: float) -> Floats | None:
     """Return the states [6 2] of the four diagonal shifts, and along rows and columns alone."""
     wanted = shift_px * np.concatenate([DIAGONALS, np.eye(2)])
-    sides = one.probe * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    at = shifts(sides)[:, 0]
-    slope = np.stack([at[0] - at[1], at[2] - at[3]], axis=-1) / (2.0 * one.probe)
+    slope = central_slope(lambda states: shifts(states)[:, 0], one.probe)
     if abs(np.linalg.det(slope)) < (shift_px / one.most) ** 2:
         return None
     states = wanted @ np.linalg.inv(slope).T

@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.optical import MtfCurve
+from lensshift.optics.directions import places_mm
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_arms, ring_edges
 from lensshift.optics.spots import Spots, fields_for_image, spots
 from lensshift.optics.trace import Build
-
-Array = NDArray[np.float64]
 
 AZIMUTHS_RAD = (0.0, 0.5 * np.pi)  # across columns (a vertical edge), across rows
 _FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
@@ -45,8 +45,8 @@ class Band:
         If they differ in number, a weight is negative or all are 0.
     """
 
-    wavelength_nm: Array
-    weight: Array
+    wavelength_nm: Floats
+    weight: Floats
 
     def __post_init__(self) -> None:
         wavelength_nm = np.atleast_1d(np.asarray(self.wavelength_nm, dtype=np.float64))
@@ -60,6 +60,19 @@ class Band:
             raise ValueError(f"expected weights >= 0 that are not all 0, got {weight}")
         object.__setattr__(self, "wavelength_nm", wavelength_nm)
         object.__setattr__(self, "weight", weight / weight.sum())
+
+
+def light_of(band: Band | None, wavelength_nm: float) -> list[tuple[float, float]]:
+    """Return the wavelengths in nm of a band with their shares, or the one of the lens alone."""
+    if band is None:
+        return [(wavelength_nm, 1.0)]
+    return list(zip(band.wavelength_nm.tolist(), band.weight.tolist(), strict=True))
+
+
+def azimuth_axes(azimuth_rad: ArrayLike) -> Floats:
+    """Return the unit vectors [azimuth 2] (row, col) of azimuths, 0 along columns."""
+    azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
+    return np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
 
 
 def led_band(centre_nm: float, fwhm_nm: float, samples: int = 5) -> Band:
@@ -78,7 +91,7 @@ def led_band(centre_nm: float, fwhm_nm: float, samples: int = 5) -> Band:
     return Band(centre_nm + node * (fwhm_nm / _FWHM_PER_SIGMA), weight)
 
 
-def diffraction_mtf(frequency_lpmm: ArrayLike, cutoff_lpmm: ArrayLike) -> Array:
+def diffraction_mtf(frequency_lpmm: ArrayLike, cutoff_lpmm: ArrayLike) -> Floats:
     """Return the MTF of a perfect lens with a round pupil.
 
         MTF = 2/pi (arccos v - v sqrt(1 - v^2)),    v = frequency / cutoff, 0 for v > 1
@@ -107,7 +120,7 @@ def fast_mtf(
     band: Band | None = None,
     defocus_mm: ArrayLike = 0.0,
     rings: int | None = None,
-) -> Array:
+) -> Floats:
     """Return the MTF from the landing points of rays: the modulus of `fast_otf`."""
     return np.abs(
         fast_otf(
@@ -163,20 +176,18 @@ def fast_otf(
         If neighbouring rays land farther apart, so that rays that are not there may change it.
     """
     frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
-    azimuth = np.atleast_1d(np.asarray(azimuth_rad, dtype=np.float64))
-    axes = np.stack([np.sin(azimuth), np.cos(azimuth)])
-    light = band or Band(np.array([lens.wavelength_nm]), np.ones(1))
-
+    axes = azimuth_axes(azimuth_rad).T
+    light = light_of(band, lens.wavelength_nm)
     parts, count = _enough_spots(lens, field_tan, build, light, axes, frequency, defocus_mm, rings)
-    share = [w * part.transmission for w, part in zip(light.weight, parts, strict=True)]
+    share = [w * part.transmission for (_, w), part in zip(light, parts, strict=True)]
     total = sum(share)
     centre = sum(
         (s / total)[..., None] * part.centroid_mm for s, part in zip(share, parts, strict=True)
     )
     otf = sum(
         (s / total)[..., None, None]
-        * _spot_otf(part, part.centroid_mm - centre, axes, frequency, float(nm), defocus_mm, count)
-        for s, part, nm in zip(share, parts, light.wavelength_nm, strict=True)
+        * _spot_otf(part, part.centroid_mm - centre, axes, frequency, nm, defocus_mm, count)
+        for s, part, (nm, _) in zip(share, parts, light, strict=True)
     )
     return np.asarray(otf)
 
@@ -185,9 +196,9 @@ def _enough_spots(
     lens: Lens,
     field_tan: ArrayLike,
     build: Build | None,
-    light: Band,
-    axes: Array,
-    frequency_lpmm: Array,
+    light: list[tuple[float, float]],
+    axes: Floats,
+    frequency_lpmm: Floats,
     defocus_mm: ArrayLike,
     rings: int | None,
 ) -> tuple[list[Spots], int]:
@@ -196,8 +207,7 @@ def _enough_spots(
 
     def traced(count: int) -> tuple[list[Spots], float]:
         parts = [
-            spots(lens, field_tan, build=build, wavelength_nm=float(nm), rings=count)
-            for nm in light.wavelength_nm
+            spots(lens, field_tan, build=build, wavelength_nm=nm, rings=count) for nm, _ in light
         ]
         return parts, highest_lpmm * max(
             _farthest_mm(part, axes, defocus_mm, count) for part in parts
@@ -222,8 +232,8 @@ def _enough_spots(
 
 
 def _landing_mm(
-    spot: Spots, from_centre_mm: ArrayLike, axes: Array, defocus_mm: ArrayLike
-) -> Array:
+    spot: Spots, from_centre_mm: ArrayLike, axes: Floats, defocus_mm: ArrayLike
+) -> Floats:
     """Return where rays land along each azimuth from a point, [... azimuth ray]."""
     moved = spot.ray_mm + np.asarray(from_centre_mm)[..., None, :]
     away = np.asarray(defocus_mm, dtype=np.float64)
@@ -234,7 +244,7 @@ def _landing_mm(
     return np.ascontiguousarray(np.moveaxis(moved @ axes, -1, -2))
 
 
-def _farthest_mm(spot: Spots, axes: Array, defocus_mm: ArrayLike, rings: int) -> float:
+def _farthest_mm(spot: Spots, axes: Floats, defocus_mm: ArrayLike, rings: int) -> float:
     """Return how far apart rays land that are neighbours in the pupil, along any azimuth."""
     landing = _landing_mm(spot, np.zeros(2), axes, defocus_mm)
     by_ring = landing.reshape(*landing.shape[:-1], rings, -1)
@@ -246,9 +256,9 @@ def _farthest_mm(spot: Spots, axes: Array, defocus_mm: ArrayLike, rings: int) ->
 
 def _spot_otf(
     spot: Spots,
-    from_centre_mm: Array,
-    axes: Array,
-    frequency_lpmm: Array,
+    from_centre_mm: Floats,
+    axes: Floats,
+    frequency_lpmm: Floats,
     wavelength_nm: float,
     defocus_mm: ArrayLike,
     rings: int,
@@ -285,7 +295,7 @@ def sensor_mtf(
     build: Build | None = None,
     band: Band | None = None,
     rings: int | None = None,
-) -> Array:
+) -> Floats:
     """Return the fast MTF at every pixel of a sensor, [row col azimuth frequency].
 
     Parameters
@@ -306,7 +316,7 @@ def through_focus(
     azimuth_rad: ArrayLike = AZIMUTHS_RAD,
     *,
     band: Band | None = None,
-) -> Array:
+) -> Floats:
     """Return the fast MTF at several sensor positions, [focus ... azimuth].
 
     Parameters
@@ -320,10 +330,6 @@ def through_focus(
     return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, band=band, defocus_mm=away)[..., 0]
 
 
-def pixel_centres_mm(grid: Grid) -> Array:
+def pixel_centres_mm(grid: Grid) -> Floats:
     """Return the pixel centres [row col 2] (row, col) of a sensor that is centred on the axis."""
-    along = [
-        (np.arange(count) - 0.5 * (count - 1)) * pitch_mm
-        for count, pitch_mm in zip(grid.shape, grid.pitch_mm, strict=True)
-    ]
-    return np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
+    return places_mm(grid, *(np.arange(count, dtype=np.float64) for count in grid.shape))

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.optics.glass import GLASSES, glass_called, refractive_index
@@ -17,12 +16,9 @@ from lensshift.optics.lens import Lens, Surface
 from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 from lensshift.optics.trace import rotations_of
 
-Array = NDArray[np.float64]
-
 _APERTURES = {"EPD": "ENPD", "imageFNO": "FNUM", "float_by_stop_size": "FLOA"}
 _SHAPES = {"Plane": "STANDARD", "StandardGeometry": "STANDARD", "EvenAsphere": "EVENASPH"}
-_CLOSE = 1e-9  # mm and direction cosines
-_SAME_INDEX = 1e-6
+_SAME_INDEX = 1e-6  # catalogues have six digits
 
 
 def to_optiland(lens: Lens) -> Any:
@@ -70,7 +66,8 @@ def from_optiland(optic: Any) -> Lens:
     entries, frames = [], []
     for number, surface in enumerate(optic.surfaces):
         entries.append(_entry(number, surface, wavelength_um))
-        frames.append(_frame(surface))
+        origin, axes = surface.geometry.cs.get_effective_transform()
+        frames.append(Frame(np.asarray(origin, dtype=float).ravel(), np.asarray(axes, dtype=float)))
     kind = _APERTURES.get(getattr(optic.aperture, "ap_type", ""))
     if kind is None:
         raise DataError(f"expected an aperture of {', '.join(_APERTURES)}, got {optic.aperture!r}")
@@ -195,11 +192,6 @@ def _glass(material: Any, wavelength_um: float, entry: Entry) -> str:
         f"expected a glass of {', '.join(GLASSES)}, got {name or 'one'} of index {index:.6f}",
         field=entry.where(),
     )
-
-
-def _frame(surface: Any) -> Frame:
-    origin, axes = surface.geometry.cs.get_effective_transform()
-    return Frame(np.asarray(origin, dtype=float).ravel(), np.asarray(axes, dtype=float))
 
 
 def _from_object(entries: list[Entry], frames: list[Frame]) -> list[Frame]:

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.optics.lens import Element, Lens
-
-Matrix = NDArray[np.floating]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,7 @@ def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
     system = system_matrix(lens, wavelength_nm)
     power = _power(system)
     front, behind = matrices_around_stop(lens, wavelength_nm)
-    entrance_mm, entrance_scale = _pupil(np.linalg.inv(front))
+    entrance_mm, entrance_scale = _pupil(np.asarray(np.linalg.inv(front)))
     exit_mm, exit_scale = _pupil(behind)
     image_mm, magnification = _image(system, lens.object_mm)
     pupil_diameter_mm = lens.stop.diameter_mm * abs(entrance_scale)
@@ -103,7 +102,7 @@ def object_for_magnification_mm(
     return float((system[1, 1] - 1.0 / magnification) / power)
 
 
-def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> NDArray[np.float64]:
+def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> Floats:
     """Return by how much the image moves per decentre of each element, [element].
 
         gain_j = [ M_j (1 - E_j) (1, 0) ]_height
@@ -111,30 +110,34 @@ def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> NDArray[np
     with E_j the matrix of element j and M_j that of everything from there to the sensor: an
     element that moves by s adds (1 - E_j) (s, 0) to the ray behind it.
     """
-    chain = _elements(lens, wavelength_nm)
-    gains = np.zeros(len(chain))
-    behind: Matrix = np.eye(2)
+    return gains_of(_elements(lens, wavelength_nm), np.asarray(lens.gaps_mm))
+
+
+def gains_of(chain: list[Floats], gaps_mm: Floats) -> Floats:
+    """Return the gains [... element] of elements with these matrices and gaps [... element]."""
+    gains = np.zeros(gaps_mm.shape)
+    behind: Floats = np.eye(2)
     for number in range(len(chain) - 1, -1, -1):
-        behind = behind @ _gap(lens.gaps_mm[number])
+        behind = behind @ gap_matrix(gaps_mm[..., number])
         added = (np.eye(2) - chain[number]) @ np.array([1.0, 0.0])
-        gains[number] = (behind @ added)[0]
+        gains[..., number] = behind[..., 0, :] @ added
         behind = behind @ chain[number]
     return gains
 
 
-def system_matrix(lens: Lens, wavelength_nm: float | None = None) -> Matrix:
+def system_matrix(lens: Lens, wavelength_nm: float | None = None) -> Floats:
     """Return the [2 2] matrix from the first to the last vertex, acting on (height, slope)."""
-    matrix: Matrix = np.eye(2)
+    matrix: Floats = np.eye(2)
     for number, element in enumerate(_elements(lens, wavelength_nm)):
         matrix = element @ matrix
         if number + 1 < len(lens.elements):
-            matrix = _gap(lens.gaps_mm[number]) @ matrix
+            matrix = gap_matrix(lens.gaps_mm[number]) @ matrix
     return matrix
 
 
-def element_matrix(element: Element, indices: tuple[float, ...]) -> Matrix:
+def element_matrix(element: Element, indices: tuple[float, ...]) -> Floats:
     """Return the [2 2] matrix of one element in air, from its first to its last vertex."""
-    matrix: Matrix = np.eye(2)
+    matrix: Floats = np.eye(2)
     before = 1.0
     for number, surface in enumerate(element.surfaces):
         after = indices[number] if number < len(indices) else 1.0
@@ -143,7 +146,7 @@ def element_matrix(element: Element, indices: tuple[float, ...]) -> Matrix:
             bend = -2.0 * surface.vertex_curvature_per_mm
         matrix = np.array([[1.0, 0.0], [-bend, before / after]]) @ matrix
         if number < len(indices):
-            matrix = _gap(element.thickness_mm[number]) @ matrix
+            matrix = gap_matrix(element.thickness_mm[number]) @ matrix
         before = after
     return matrix
 
@@ -151,41 +154,41 @@ def element_matrix(element: Element, indices: tuple[float, ...]) -> Matrix:
 def entrance_pupil(lens: Lens) -> tuple[float, float]:
     """Return position from the first vertex in mm, and size over that of the stop."""
     front, _ = matrices_around_stop(lens)
-    return _pupil(np.linalg.inv(front))
+    return _pupil(np.asarray(np.linalg.inv(front)))
 
 
-def matrices_around_stop(lens: Lens, wavelength_nm: float | None = None) -> tuple[Matrix, Matrix]:
+def matrices_around_stop(lens: Lens, wavelength_nm: float | None = None) -> tuple[Floats, Floats]:
     """Return the matrices from the first vertex to the stop and from there to the last vertex."""
     before = lens.elements_before_stop()
-    starts_mm = lens.positions_mm()
+    starts_mm, stop_mm = lens.positions_mm(), lens.stop.position_mm
+    ends_mm = [float(s) + e.length_mm for s, e in zip(starts_mm, lens.elements, strict=False)]
     chain = _elements(lens, wavelength_nm)
-    front: Matrix = np.eye(2)
-    at_mm = 0.0
-    for number in range(before):
-        front = chain[number] @ _gap(starts_mm[number] - at_mm) @ front
-        at_mm = starts_mm[number] + lens.elements[number].length_mm
-    front = _gap(lens.stop.position_mm - at_mm) @ front
-    behind: Matrix = np.eye(2)
-    at_mm = lens.stop.position_mm
-    for number in range(before, len(chain)):
-        behind = chain[number] @ _gap(starts_mm[number] - at_mm) @ behind
-        at_mm = starts_mm[number] + lens.elements[number].length_mm
-    if before == len(chain):
-        last_mm = starts_mm[-2] + lens.elements[-1].length_mm
-        behind = _gap(last_mm - lens.stop.position_mm)
-    return front, behind
+
+    def through(first: int, last: int, from_mm: float, to_mm: float) -> Floats:
+        matrix: Floats = np.eye(2)
+        for number in range(first, last):
+            matrix = chain[number] @ gap_matrix(starts_mm[number] - from_mm) @ matrix
+            from_mm = ends_mm[number]
+        return np.asarray(gap_matrix(to_mm - from_mm) @ matrix)
+
+    front = through(0, before, 0.0, stop_mm)
+    return front, through(before, len(chain), stop_mm, ends_mm[-1])
 
 
-def _elements(lens: Lens, wavelength_nm: float | None) -> list[Matrix]:
+def _elements(lens: Lens, wavelength_nm: float | None) -> list[Floats]:
     indices = lens.indices(wavelength_nm)
     return [element_matrix(e, n) for e, n in zip(lens.elements, indices, strict=True)]
 
 
-def _gap(distance_mm: float) -> Matrix:
-    return np.array([[1.0, distance_mm], [0.0, 1.0]])
+def gap_matrix(distance_mm: ArrayLike) -> Floats:
+    """Return the matrices [... 2 2] of air."""
+    matrices = np.zeros((*np.shape(distance_mm), 2, 2))
+    matrices[..., 0, 0] = matrices[..., 1, 1] = 1.0
+    matrices[..., 0, 1] = distance_mm
+    return matrices
 
 
-def _pupil(matrix: Matrix) -> tuple[float, float]:
+def _pupil(matrix: Floats) -> tuple[float, float]:
     """Return where the plane in front of `matrix` is imaged behind it, and the magnification."""
     if abs(matrix[1, 1]) < 1e-12:
         raise ValueError("expected a pupil at a finite distance, but the stop is in a focal plane")
@@ -193,15 +196,15 @@ def _pupil(matrix: Matrix) -> tuple[float, float]:
     return float(position_mm), float(matrix[0, 0] + position_mm * matrix[1, 0])
 
 
-def _image(system: Matrix, object_mm: float) -> tuple[float, float]:
+def _image(system: Floats, object_mm: float) -> tuple[float, float]:
     if math.isinf(object_mm):
         return float(-system[0, 0] / system[1, 0]), 0.0
-    matrix = system @ _gap(object_mm)
+    matrix = system @ gap_matrix(object_mm)
     image_mm = -matrix[0, 1] / matrix[1, 1]
     return float(image_mm), float(matrix[0, 0] + image_mm * matrix[1, 0])
 
 
-def _power(system: Matrix) -> float:
+def _power(system: Floats) -> float:
     power = float(-system[1, 0])
     if abs(power) < 1e-12:
         raise ValueError("expected a lens with power, got one without a focal length")

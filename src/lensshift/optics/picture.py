@@ -5,23 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.pattern import named_pattern_px
+from lensshift.optics.actuator import PIXEL_NOISE
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import diffraction_limit
 from lensshift.optics.shift import decenter_for_shift, moving, px_per_um
 from lensshift.optics.spots import spots
 from lensshift.optics.which import edge_fields
 
-Array = NDArray[np.float64]
-
 _ALIASES = np.arange(-2, 2)  # scenes up to two cycles per pixel, twice what half pixels carry
 _WAVES = 8  # frequencies of the baseband along each axis
-_RINGS = 8
+_RINGS = 8  # of the pupil, for the OTF up to two cycles per pixel
 _SCENE = 0.2  # standard deviation of a scene as a share of full scale
 PLACE_PX = 0.25  # of the pixels of a picture of twice as many, from the middle of a pixel
 # What a search tries: patterns, and where the picture has its pixels.
@@ -66,7 +67,7 @@ def picture_score(
     pattern: str = "square",
     place_px: float = PLACE_PX,
     actuator_um: float = 1.0,
-    noise: float = 0.005,
+    noise: float = PIXEL_NOISE,
 ) -> PictureScore:
     """Return the error of the best linear reconstruction with a lens, a mover and a pattern.
 
@@ -120,14 +121,14 @@ class TracedFrames:
     lens, pitch_mm : what made them
     """
 
-    offset_px: Array
-    ray_px: Array
-    weight: Array
+    offset_px: Floats
+    ray_px: Floats
+    weight: Floats
     px_per_um: float
     lens: Lens
-    pitch_mm: Array
+    pitch_mm: Floats
 
-    def otf(self, field: int) -> Callable[[Array], NDArray[np.complex128]]:
+    def otf(self, field: int) -> Callable[[Floats], NDArray[np.complex128]]:
         """Return the OTF [frame ...] of a field at frequencies [... 2] in cycles per pixel."""
         return _SpotOtf(self.lens, self.ray_px[:, field], self.weight[:, field], self.pitch_mm)
 
@@ -158,12 +159,12 @@ def traced_frames(lens: Lens, element: int, grid: Grid, pattern_px: ArrayLike) -
 class _SpotOtf:
     """OTF of spots [frame ray 2] in pixels times the diffraction limit, made once."""
 
-    def __init__(self, lens: Lens, ray_px: Array, weight: Array, pitch_mm: Array) -> None:
+    def __init__(self, lens: Lens, ray_px: Floats, weight: Floats, pitch_mm: Floats) -> None:
         self.lens, self.ray_px, self.weight, self.pitch_mm = lens, ray_px, weight, pitch_mm
-        self.at: Array = np.empty(0)
+        self.at: Floats = np.empty(0)
         self.found: NDArray[np.complex128] = np.empty(0, dtype=np.complex128)
 
-    def __call__(self, frequency: Array) -> NDArray[np.complex128]:
+    def __call__(self, frequency: Floats) -> NDArray[np.complex128]:
         if not np.array_equal(self.at, frequency):
             spot = [
                 np.exp(-2j * np.pi * (frequency @ ray_px.T)) @ weight
@@ -178,7 +179,7 @@ class _SpotOtf:
 
 def linear_rmse(
     offset_px: ArrayLike,
-    otf: Callable[[Array], NDArray[np.complex128]],
+    otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
     shift_error_px: float = 0.0,
     *,
@@ -219,7 +220,7 @@ def linear_rmse(
 
 def linear_mtf(
     offset_px: ArrayLike,
-    otf: Callable[[Array], NDArray[np.complex128]],
+    otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
     shift_error_px: float = 0.0,
     *,
@@ -243,29 +244,19 @@ def linear_mtf(
     return float(passed[(high > 0.5) & (high < 1.0) & (low < 1.0 / _WAVES)].mean())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Estimate:
-    """What frames tell of each frequency and its aliases.
+class _Estimate(NamedTuple):
+    """What frames tell of each frequency and its aliases."""
 
-    Parameters
-    ----------
-    frequency : [f m 2] cycles per pixel
-    alias : [m 2] whole cycles per pixel
-    power : [f m] of the scene
-    aperture : [f m] of pixels half the size
-    known : [f m m'] covariance of the estimate
-    """
-
-    frequency: Array
-    alias: NDArray[np.signedinteger]
-    power: Array
-    aperture: Array
-    known: NDArray[np.complex128]
+    frequency: Floats  # [f m 2] cycles per pixel
+    alias: NDArray[np.signedinteger]  # [m 2] whole cycles per pixel
+    power: Floats  # [f m] of the scene
+    aperture: Floats  # [f m] of pixels half the size
+    known: NDArray[np.complex128]  # [f m m'] covariance of the estimate
 
 
 def _estimate(
     offset_px: ArrayLike,
-    otf: Callable[[Array], NDArray[np.complex128]],
+    otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
     shift_error_px: float,
     scene: float,

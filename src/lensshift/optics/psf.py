@@ -6,18 +6,17 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band
 from lensshift.optics.otf import PupilFit, pupils
 from lensshift.optics.trace import Build
 
-Array = NDArray[np.float64]
-
 _LEAST_SAMPLES, _MOST_SAMPLES = 256, 2048  # across the pupil
-_MARGIN = 1.2
+_MARGIN = 1.2  # copies of the image lie so much farther apart than they are wide
 _PER_WAVE = 4.0  # samples of the image per wavelength / (2 sine): twice what intensity needs
 _PER_SIDE = 16.0  # and of the smallest square
 
@@ -32,16 +31,16 @@ class PointImage:
     step_mm : from sample to sample; the middle one is the centroid
     """
 
-    per_mm2: Array
+    per_mm2: Floats
     step_mm: float
 
     @property
-    def at_mm(self) -> Array:
+    def at_mm(self) -> Floats:
         """[sample] places along rows and along columns, from the centroid."""
         count = len(self.per_mm2)
         return np.asarray((np.arange(count) - count // 2) * self.step_mm)
 
-    def ensquared(self, side_mm: ArrayLike) -> Array:
+    def ensquared(self, side_mm: ArrayLike) -> Floats:
         """Return the share of the light in squares about the centroid, [side]."""
         sides = np.atleast_1d(np.asarray(side_mm, dtype=np.float64))
         away = np.abs(self.at_mm)
@@ -105,7 +104,7 @@ def ensquared_energy(
     *,
     build: Build | None = None,
     band: Band | None = None,
-) -> Array:
+) -> Floats:
     """Return the share of the light of a point that falls into squares about its centroid, [side].
 
     Parameters
@@ -127,7 +126,7 @@ def ensquared_energy(
     return found.ensquared(sides)
 
 
-def _intensity(pupil: PupilFit, wave_mm: float, at_mm: Array) -> Array:
+def _intensity(pupil: PupilFit, wave_mm: float, at_mm: Floats) -> Floats:
     """Return the share of the light per square millimetre [row col] of one wavelength."""
     apart_mm = at_mm[-1] - at_mm[0] + 2.0 * pupil.reach_mm  # nearer copies would overlap
     wanted = int(np.ceil(_MARGIN * 2.0 * pupil.span * apart_mm / wave_mm))

@@ -5,12 +5,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Floats
 
 
-def pupil_quadrature(
-    rings: int = 6, arms: int | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def pupil_quadrature(rings: int = 6, arms: int | None = None) -> tuple[Floats, Floats]:
     """Return points [ray 2] (row, col) on the unit disc and weights [ray] that sum to 1.
 
         mean of f over the disc = sum w f,    exact for polynomials of degree up to 4 rings - 2
@@ -36,24 +35,24 @@ def pupil_quadrature(
     return points.reshape(-1, 2), weights
 
 
-def pupil_arms(rings: int) -> NDArray[np.float64]:
+def pupil_arms(rings: int) -> Floats:
     """Return the directions [arm 2] (row, col) along which `pupil_quadrature` puts its rays."""
     first = pupil_quadrature(rings)[0][: 4 * rings]
     return np.asarray(first / np.linalg.norm(first, axis=-1, keepdims=True))
 
 
-def ring_edges(rings: int) -> NDArray[np.float64]:
+def ring_edges(rings: int) -> Floats:
     """Return the squared radii [ring + 1] of annuli as large as the weights of the rings."""
     return np.concatenate([[0.0], np.cumsum(0.5 * _gauss_legendre(rings)[1])])
 
 
 @lru_cache(maxsize=32)
-def _gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _gauss_legendre(count: int) -> tuple[Floats, Floats]:
     node, weight = np.polynomial.legendre.leggauss(count)
     return np.asarray(node), np.asarray(weight)
 
 
-def pupil_grid(count: int) -> NDArray[np.float64]:
+def pupil_grid(count: int) -> Floats:
     """Return the points [ray 2] (row, col) of a square grid that lie on the unit disc.
 
     Raises
@@ -63,7 +62,12 @@ def pupil_grid(count: int) -> NDArray[np.float64]:
     """
     if count < 2:
         raise ValueError(f"expected at least 2 points across the pupil, got {count}")
-    along = (np.arange(count) + 0.5) * (2.0 / count) - 1.0
+    along = midpoints(count)
     row, col = np.meshgrid(along, along, indexing="ij")
     inside = row**2 + col**2 <= 1.0
     return np.stack([row[inside], col[inside]], axis=-1)
+
+
+def midpoints(count: int) -> Floats:
+    """Return the middles of as many equal parts of -1 .. 1."""
+    return np.asarray((np.arange(count) + 0.5) * (2.0 / count) - 1.0)

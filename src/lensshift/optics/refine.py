@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.optics.lens import Element, Lens, Surface
+from lensshift.optics.mtf import light_of
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.sequential import trimmed
@@ -19,14 +20,12 @@ from lensshift.optics.task import Task
 from lensshift.optics.trace import RayBundle, trace
 from lensshift.optics.variables import Freedom, Variables
 
-Array = NDArray[np.float64]
-
-_RINGS, _ARMS = 4, 12
+_RINGS, _ARMS = 4, 12  # of rays; the half of them that is traced
 _RIM = np.array([[0.0, 1.0], [0.0, -1.0], [1.0, 0.0]])  # rays that tell how wide surfaces are
 _SHARE_OF_PITCH = 0.1  # a ray error that counts as 1
 _PER_MM, _PER_SHARE = 300.0, 1000.0  # what a limit costs that is missed by so much
 _LOST_PITCHES = 30.0  # what a ray counts that does not arrive
-_STEP = 1e-6
+_STEP = 1e-6  # of a variable, whose unit is a large step; far above rounding
 _ROOM = 1.03  # of a surface over its highest ray
 _AIM_STEPS, _MOST_AIM = 4, 1.1  # of fields, and by how much each at most
 _STEEPEST = 0.85  # sine of the largest slope of a surface
@@ -72,7 +71,8 @@ def refine(
     """
     from scipy.optimize import least_squares
 
-    plain = replace(lens, elements=tuple(_straight(one) for one in lens.elements))
+    straight = (replace(one, decenter_mm=(0.0, 0.0), tilt_rad=(0.0, 0.0)) for one in lens.elements)
+    plain = replace(lens, elements=tuple(straight))
     for done, share in enumerate(grow, start=1):
         bench = _Bench(plain, task, freedom, share)
         start = bench.variables.start()
@@ -87,7 +87,7 @@ def refine(
     return plain
 
 
-def ray_error_um(lens: Lens, task: Task) -> Array:
+def ray_error_um(lens: Lens, task: Task) -> Floats:
     """Return the rms distance of rays from the centroid of each field, all wavelengths, [field].
 
     At the worst temperature of the task.
@@ -111,10 +111,6 @@ def merit(lens: Lens, task: Task, freedom: Freedom, share: float = 1.0) -> float
     return float(np.sum(bench.errors(bench.variables.start()) ** 2))
 
 
-def _straight(element: Element) -> Element:
-    return replace(element, decenter_mm=(0.0, 0.0), tilt_rad=(0.0, 0.0))
-
-
 class _Bench:
     """Ray errors and missed limits of lenses by their vectors."""
 
@@ -124,10 +120,7 @@ class _Bench:
         half = points[:, 0] > 0  # the other half is its mirror image
         self.points = np.concatenate([points[half], _RIM])
         self.weight = np.concatenate([2.0 * weight[half], np.zeros(len(_RIM))])
-        self.light = [(lens.wavelength_nm, 1.0)]
-        if task.band is not None:
-            shares = task.band.weight
-            self.light = list(zip(map(float, task.band.wavelength_nm), shares, strict=True))
+        self.light = light_of(task.band, lens.wavelength_nm)
         self.half_mm = 0.5 * float(np.hypot(*np.multiply(task.grid.shape, task.grid.pitch_mm)))
         self.unit_mm = _SHARE_OF_PITCH * min(task.grid.pitch_mm)
         self.lost = _LOST_PITCHES / _SHARE_OF_PITCH * float(np.sqrt(self.weight.max()))
@@ -168,7 +161,7 @@ class _Bench:
         free = replace(lens, elements=tuple(_edgeless(one) for one in lens.elements))
         return replace(free, stop=replace(lens.stop, diameter_mm=wide_mm))
 
-    def aimed(self, lens: Lens) -> Array:
+    def aimed(self, lens: Lens) -> Floats:
         """Return the fields that are imaged at the shares of the sensor, distortion included."""
         fields = self.fields.copy()
         wanted_mm = self.share * np.asarray(self.task.shares) * self.half_mm
@@ -184,7 +177,7 @@ class _Bench:
         chosen = self.task.temperatures_c or (lens.temperature_c,)
         return [replace(lens, temperature_c=one) for one in chosen]
 
-    def traced(self, lens: Lens, fields: Array | None = None) -> tuple[Array, Array, Array]:
+    def traced(self, lens: Lens, fields: Floats | None = None) -> tuple[Floats, Floats, Floats]:
         """Return weighted errors in mm [light field ray 2], heights [surface], centroids [field].
 
         NaN for rays that are lost. The fields are those of the task if none are given.
@@ -207,7 +200,7 @@ class _Bench:
         heights_mm = np.nan_to_num(np.stack(met), nan=1e-3).max(axis=(0, 1, 2))
         return error_mm * np.sqrt(weight)[..., None], heights_mm, mean_mm
 
-    def errors(self, vector: Array) -> Array:
+    def errors(self, vector: Floats) -> Floats:
         """Return what is minimised the squares of."""
         drawn = self.variables.lens(vector)
         try:
@@ -239,7 +232,7 @@ class _Bench:
         limits = spaces + surfaces + len(lens.elements) + len(self.variables.start())
         return temperatures * rays + limits + 2
 
-    def _missed(self, lens: Lens, heights_mm: Array, mean_mm: Array) -> list[float]:
+    def _missed(self, lens: Lens, heights_mm: Floats, mean_mm: Floats) -> list[float]:
         """Return by how much each limit is missed, always as many of them."""
         limits, found, first = self.task.limits, [], 0
         high_mm = _ROOM * heights_mm
@@ -267,7 +260,7 @@ class _Bench:
         missed = [_PER_MM * one for one in found]
         return [*missed, _PER_SHARE * max(0.0, off - limits.distortion)]
 
-    def slopes(self, vector: Array) -> Array:
+    def slopes(self, vector: Floats) -> Floats:
         """Return the Jacobian by forward differences."""
         here = self.errors(vector)
         found = np.empty((here.size, vector.size))
@@ -277,7 +270,7 @@ class _Bench:
             found[:, number] = (self.errors(moved) - here) / _STEP
         return found
 
-    def open(self, vector: Array) -> Lens:
+    def open(self, vector: Floats) -> Lens:
         """Return the lens of a vector with its stop, stock lenses with their edges."""
         drawn = self.variables.lens(vector)
         elements = tuple(
@@ -288,7 +281,7 @@ class _Bench:
         )
         return replace(drawn, elements=elements, stop=self.stopped(drawn).stop)
 
-    def finished(self, vector: Array) -> Lens:
+    def finished(self, vector: Floats) -> Lens:
         """Return the lens of a vector, its made surfaces as wide as the rays to the corner need."""
         drawn = self.variables.lens(vector)
         lens = self.stopped(drawn)
@@ -322,7 +315,7 @@ def _within_mm(curvature_per_mm: float, conic: float, high_mm: float) -> float:
     return min(high_mm, 0.999 / math.sqrt(bend)) if bend > 0 else high_mm
 
 
-def _room_mm(front: Surface, back: Surface, apart_mm: float, high_mm: Array) -> float:
+def _room_mm(front: Surface, back: Surface, apart_mm: float, high_mm: Floats) -> float:
     """Return the room between two surfaces, each at its edge and both at the lower of these."""
     edges_mm = [
         _within_mm(one.curvature_per_mm, one.conic, float(high))

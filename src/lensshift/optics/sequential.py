@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Stop, Surface
@@ -16,9 +17,9 @@ from lensshift.optics.paraxial import entrance_pupil, paraxial
 from lensshift.optics.trace import rotations_of
 
 _CLOSE = 1e-9  # of an image plane to the axis, in mm and in direction cosines
-_UNSET_STOP_MM = 1e-6
-_ROUNDING = 1e-9
-_HEIGHTS = 257
+_UNSET_STOP_MM = 1e-6  # smaller than any surface
+_ROUNDING = 1e-9  # of numbers in files
+_HEIGHTS = 257  # where edges cross is found to 1/256 of them
 _LEAST_SHARE = 0.5  # of the semi-diameter that must be left where edges cross
 
 
@@ -53,8 +54,19 @@ class Entry:
 class Frame:
     """Where a surface is: origin and axes in (x, y, z) of the object."""
 
-    origin: NDArray[np.float64]
-    axes: NDArray[np.float64]
+    origin: Floats
+    axes: Floats
+
+
+@contextmanager
+def about(field: str) -> Iterator[None]:
+    """Make the ValueError of a block a DataError about a field."""
+    try:
+        yield
+    except DataError:
+        raise
+    except ValueError as error:
+        raise DataError(str(error), field=field) from error
 
 
 def lens_of_entries(
@@ -130,7 +142,7 @@ def _check_image(image: Frame, entry: Entry) -> None:
 
 
 def _clear_edges(
-    elements: list[Element], gaps_mm: NDArray[np.float64], last: list[Entry], notes: list[str]
+    elements: list[Element], gaps_mm: Floats, last: list[Entry], notes: list[str]
 ) -> None:
     """Clip neighbours whose edges cross; refuse those that cross on the axis."""
     for number, gap_mm in enumerate(gaps_mm[:-1]):
@@ -165,7 +177,7 @@ def _stop_place(
     number: int,
     groups: list[list[int]],
     elements: list[Element],
-    starts_mm: NDArray[np.float64],
+    starts_mm: Floats,
     notes: list[str],
 ) -> tuple[float, int | None]:
     """Return where the stop is from the first vertex, and which decentred element carries it."""
@@ -216,10 +228,8 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
                 f"stop of {diameter_mm:.4g} mm clipped to the surface beside it, {widest_mm:.4g} mm"
             )
         diameter_mm = min(diameter_mm, widest_mm)
-    try:
+    with about(stop.where()):
         return replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
-    except ValueError as error:
-        raise DataError(str(error), field=stop.where()) from error
 
 
 def _groups(entries: list[Entry]) -> Iterable[list[int]]:
@@ -264,29 +274,20 @@ def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Ele
         surfaces[number : number + 2] = trimmed(
             surfaces[number], surfaces[number + 1], length_mm, entries[number].number, notes
         )
-    try:
+    first, last = entries[0].number, entries[-1].number
+    name = f"surface {first}" if first == last else f"surfaces {first}-{last}"
+    with about(entries[0].where()):
         return Element(
             surfaces=tuple(surfaces),
             glass=tuple(entry.glass for entry in entries[:-1]),
             thickness_mm=tuple(thickness_mm),
-            name=entries[0].comment or _numbers(entries),
+            name=entries[0].comment or name,
             decenter_mm=(float(frames[0].origin[1]), float(frames[0].origin[0])),
             tilt_rad=tilt_rad,
         )
-    except DataError:
-        raise
-    except ValueError as error:
-        raise DataError(str(error), field=entries[0].where()) from error
 
 
-def _numbers(entries: list[Entry]) -> str:
-    first, last = entries[0].number, entries[-1].number
-    return f"surface {first}" if first == last else f"surfaces {first}-{last}"
-
-
-def _axis(
-    entries: list[Entry], frames: list[Frame]
-) -> tuple[NDArray[np.float64], list[float], list[float]]:
+def _axis(entries: list[Entry], frames: list[Frame]) -> tuple[Floats, list[float], list[float]]:
     """Return the axis (x, y, z) of an element, the senses of its surfaces, and their distances.
 
     The axis of its surfaces if they share one, else the line through their vertices. Those that
@@ -313,7 +314,7 @@ def _axis(
 
 
 def _lean_rad(
-    frame: Frame, ahead: float, axis: NDArray[np.float64], tilt_rad: tuple[float, float]
+    frame: Frame, ahead: float, axis: Floats, tilt_rad: tuple[float, float]
 ) -> tuple[float, float]:
     """Return by how much a surface leans in its element."""
     of_surface = ahead * frame.axes[:, 2]
@@ -330,7 +331,7 @@ def _surface(entry: Entry, notes: list[str]) -> Surface:
         if bend * semi_mm > 1.0 + _ROUNDING:
             notes.append(f"surface {entry.number}: clipped to {1.0 / bend:.4g} mm, where it ends")
         semi_mm = (1.0 - _ROUNDING) / bend
-    try:
+    with about(entry.where()):
         return Surface(
             radius_mm=1.0 / entry.curvature_per_mm if entry.curvature_per_mm else math.inf,
             conic=entry.conic,
@@ -339,8 +340,6 @@ def _surface(entry: Entry, notes: list[str]) -> Surface:
             radial=entry.radial,
             mirror=entry.mirror,
         )
-    except ValueError as error:
-        raise DataError(str(error), field=entry.where()) from error
 
 
 def trimmed(

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import pixel_centres_mm
 from lensshift.optics.paraxial import decenter_gains
-from lensshift.optics.spots import fields_for_image, spots
+from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
 from lensshift.optics.trace import Build
 
-Array = NDArray[np.float64]
-
+SIDES = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # for differences
 ENOUGH_PIXELS = 17  # rows and columns that tell how even a shift is
-_RINGS = 2  # of the pupil: the centroid is smooth
-_NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
-_INVERSE_STEPS = 12
-_INVERSE_PX = 1e-9
-_PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
+NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
+_INVERSE_STEPS = 12  # each divides the error by what is not linear in a shift, 100 and more
+_INVERSE_PX = 1e-9  # far below any error of a shift
+PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
 
 
 def shift_map(
@@ -61,18 +61,15 @@ def shift_map(
             centres_mm = centres_mm.take(kept, axis=axis)
     pixels_mm = centres_mm.reshape(-1, 2)
     moved = moving(lens, element, moves[:, None, :])
-    fields = fields_for_image(
-        lens, pixels_mm, build=moved, rings=_RINGS, tolerance_mm=_NEAR * min(grid.pitch_mm)
-    )
-    moved_mm = spots(lens, fields, build=moved, rings=_RINGS).centroid_mm
-    resting_mm = spots(lens, fields, rings=_RINGS).centroid_mm
+    near_mm = NEAR * min(grid.pitch_mm)
+    fields = fields_for_image(lens, pixels_mm, build=moved, tolerance_mm=near_mm)
+    moved_mm = spots(lens, fields, build=moved, rings=CENTROID_RINGS).centroid_mm
+    resting_mm = spots(lens, fields, rings=CENTROID_RINGS).centroid_mm
     offset_px = (moved_mm - resting_mm) / np.asarray(grid.pitch_mm)
     return ShiftField(offset_px.reshape(len(moves), *centres_mm.shape), grid.pitch_mm)
 
 
-def decenter_for_shift(
-    lens: Lens, element: int, offset_px: ArrayLike, grid: Grid
-) -> NDArray[np.float64]:
+def decenter_for_shift(lens: Lens, element: int, offset_px: ArrayLike, grid: Grid) -> Floats:
     """Return the decentre of an element that moves the centre of the image as wanted.
 
     Parameters
@@ -159,12 +156,26 @@ def shift_uniformity(field: ShiftField, wanted_px: ArrayLike) -> tuple[ShiftUnif
     )
 
 
-def moving(lens: Lens, element: int, decenter_mm: Array) -> Build:
-    """Return builds [...] in which one element is moved by decenter_mm [... 2]."""
+def largest_error_px(
+    lens: Lens, element: int, moves_mm: Floats, grid: Grid, wanted_px: ArrayLike
+) -> float:
+    """Return the largest error of the shifts over the sensor, at enough pixels to tell."""
+    over = shift_map(lens, element, moves_mm, grid, most=ENOUGH_PIXELS)
+    return max(one.max_error_px for one in shift_uniformity(over, wanted_px))
+
+
+def moving(lens: Lens, element: int, by: Floats, *, tilt: bool = False) -> Build:
+    """Return builds [...] in which one element is moved by [... 2] (mm), or tilted (rad)."""
     lens.check_element(element)
-    moves = np.zeros((*decenter_mm.shape[:-1], len(lens.elements), 2))
-    moves[..., element, :] = decenter_mm
-    return Build(decenter_mm=moves)
+    moves = np.zeros((*by.shape[:-1], len(lens.elements), 2))
+    moves[..., element, :] = by
+    return Build(tilt_rad=moves) if tilt else Build(decenter_mm=moves)
+
+
+def central_slope(of: Callable[[Floats], Floats], step: float) -> Floats:
+    """Return the derivative [... 2 2] at 0 of a function of [4 2] with values [4 ... 2]."""
+    row_up, row_down, col_up, col_down = of(step * SIDES)
+    return np.stack([row_up - row_down, col_up - col_down], axis=-1) / (2.0 * step)
 
 
 def px_per_um(lens: Lens, element: int, grid: Grid) -> float:
@@ -185,7 +196,7 @@ def px_per_um(lens: Lens, element: int, grid: Grid) -> float:
     return 1e-3 * float(np.linalg.norm(slope, axis=-2).max())
 
 
-def px_per_mm_over(lens: Lens, element: int, grid: Grid) -> Array:
+def px_per_mm_over(lens: Lens, element: int, grid: Grid) -> Floats:
     """Return [row col 2 2] image over stage at every pixel, by central differences over 0.05 mm.
 
     Raises
@@ -193,7 +204,4 @@ def px_per_mm_over(lens: Lens, element: int, grid: Grid) -> Array:
     ValueError
         As in `shift_map`.
     """
-    probes = _PROBE_MM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    offset_px = shift_map(lens, element, probes, grid).offset_px
-    row, col = offset_px[0] - offset_px[1], offset_px[2] - offset_px[3]
-    return np.stack([row, col], axis=-1) / (2.0 * _PROBE_MM)
+    return central_slope(lambda mm: shift_map(lens, element, mm, grid).offset_px, PROBE_MM)

@@ -6,16 +6,16 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import matrices_around_stop
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.trace import Build, RayBundle, trace
 
-Array = NDArray[np.float64]
-
+CENTROID_RINGS = 2  # of the pupil: the centroid is smooth
 _FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
 
 
@@ -33,12 +33,12 @@ class Spots:
     weight : [... ray] sums to 1 over the rays, 0 for those that are lost
     """
 
-    centroid_mm: Array
-    rms_radius_mm: Array
-    transmission: Array
-    ray_mm: Array
-    direction: Array
-    weight: Array
+    centroid_mm: Floats
+    rms_radius_mm: Floats
+    transmission: Floats
+    ray_mm: Floats
+    direction: Floats
+    weight: Floats
 
 
 def spots(
@@ -66,7 +66,7 @@ def spots(
     return spots_of_rays(lens, rays, weight)
 
 
-def spots_of_rays(lens: Lens, rays: RayBundle, weight: Array) -> Spots:
+def spots_of_rays(lens: Lens, rays: RayBundle, weight: Floats) -> Spots:
     """Return the spots of rays [... ray] that carry weights [ray]; see `spots`."""
     passed = rays.passed
     alive = np.where(passed, weight, 0.0)
@@ -99,9 +99,9 @@ def fields_for_image(
     image_mm: ArrayLike,
     *,
     build: Build | None = None,
-    rings: int = 2,
+    rings: int = CENTROID_RINGS,
     tolerance_mm: float = 1e-7,
-) -> Array:
+) -> Floats:
     """Return the fields [... 2] whose spots have their centroids at points of the sensor.
 
     Newton's method with the derivative of the paraxial lens: the error falls by the relative
@@ -144,7 +144,7 @@ def image_per_field_mm(lens: Lens) -> float:
     return float((behind[0, 1] + lens.gaps_mm[-1] * behind[1, 1]) / front[0, 0])
 
 
-def distortion(lens: Lens, field_tan: ArrayLike, *, rings: int = 4) -> Array:
+def distortion(lens: Lens, field_tan: ArrayLike, *, rings: int = 4) -> Floats:
     """Return the relative distortion of each field, [...].
 
         distortion = |centroid| / |paraxial image on the sensor| - 1
@@ -178,10 +178,10 @@ class Wavefront:
     centroid_mm : (row, col), the centre of the ideal wave
     """
 
-    pupil: Array
-    error_waves: Array
+    pupil: Floats
+    error_waves: Floats
     rms_waves: float
-    centroid_mm: Array
+    centroid_mm: Floats
 
 
 def wavefront(

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.optics.focus import scan_focus, spot_means
@@ -17,11 +17,7 @@ from lensshift.optics.lens import Lens
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.shift import decenter_for_shift
 from lensshift.optics.trace import Build, RayBundle, trace
-from lensshift.optics.which import AZIMUTHS_RAD, DIAGONALS, edge_fields, judged_lpmm
-
-Array = NDArray[np.float64]
-
-POSITIONS = np.concatenate([np.zeros((1, 2)), DIAGONALS])
+from lensshift.optics.which import AZIMUTHS_RAD, POSITIONS, edge_fields, judged_lpmm
 
 _RINGS = 3  # MTF within 0.002
 _CHUNK = 100  # builds traced at once
@@ -88,19 +84,19 @@ class ToleranceResult:
     """
 
     frequency_lpmm: float
-    mtf: Array
-    shift_px: Array
-    refocus_mm: Array
-    nominal_mtf: Array
-    nominal_shift_px: Array
+    mtf: Floats
+    shift_px: Floats
+    refocus_mm: Floats
+    nominal_mtf: Floats
+    nominal_shift_px: Floats
 
     @property
-    def worst_mtf(self) -> Array:
+    def worst_mtf(self) -> Floats:
         """[build] least MTF over positions, fields and azimuths."""
         return np.asarray(self.mtf.min(axis=(1, 2, 3)))
 
     @property
-    def shift_error_px(self) -> Array:
+    def shift_error_px(self) -> Floats:
         """[build] largest distance from the shifts of the lens as drawn."""
         error = np.linalg.norm(self.shift_px - self.nominal_shift_px, axis=-1)
         return np.asarray(error.max(axis=(1, 2)))
@@ -168,7 +164,13 @@ def tolerance_analysis(
         if on_progress is not None:
             on_progress(start + len(chunk), builds)
     mtf, moved_px, away_mm = (np.concatenate(values) for values in zip(*parts, strict=True))
-    bench.warn_of_range(away_mm)
+    beyond = int(np.sum(np.abs(away_mm) > refocus_mm - _COARSE_MM))
+    if beyond:
+        warnings.warn(
+            f"{beyond} of {builds} builds would need a refocus of more than {refocus_mm} mm",
+            QualityWarning,
+            stacklevel=2,
+        )
     return ToleranceResult(bench.frequency_lpmm, mtf, moved_px, away_mm, drawn[0][0], drawn[1][0])
 
 
@@ -255,7 +257,7 @@ def format_sensitivity(table: tuple[Sensitivity, ...]) -> str:
     return "\n".join(lines)
 
 
-def _deviations(lens: Lens, tolerances: Tolerances, draws: Array) -> Build:
+def _deviations(lens: Lens, tolerances: Tolerances, draws: Floats) -> Build:
     """Return builds [build 1 1] from numbers [build row element] in -1 .. 1."""
     draws = np.broadcast_to(draws, (*draws.shape[:2], len(lens.elements)))
     gap_mm = tolerances.gap_mm * draws[:, 4]
@@ -298,7 +300,7 @@ class _Bench:
         self.moves[1:, 0, element] = moves_mm
         self.points, self.weight = pupil_quadrature(_RINGS)
 
-    def measure(self, build: Build) -> tuple[Array, Array, Array]:
+    def measure(self, build: Build) -> tuple[Floats, Floats, Floats]:
         """Return MTF [build position field azimuth], shifts [build move field 2], refocus."""
         decenter_mm = self.moves if build.decenter_mm is None else build.decenter_mm + self.moves
         build = Build(decenter_mm, build.tilt_rad, build.gap_mm, build.index_factor)
@@ -306,15 +308,12 @@ class _Bench:
         away_mm = self._refocus(rays)
         behind_mm = away_mm[:, None, None]
         mtf = self._scan(rays, behind_mm, 0.0, 1)[..., 0]
-        means = spot_means(rays, self.weight)
-        at_mm = means.centroid_mm + behind_mm[..., None] * means.slope
+        _, centroid_mm, slope = spot_means(rays, self.weight)
+        at_mm = centroid_mm + behind_mm[..., None] * slope
         return mtf, (at_mm[:, 1:] - at_mm[:, :1]) / self.pitch_mm, away_mm
 
-    def _refocus(self, rays: RayBundle) -> Array:
-        """Return for [build position field ray] where the least MTF is largest, [build].
-
-        Over all positions: one plane serves the element at rest and moved.
-        """
+    def _refocus(self, rays: RayBundle) -> Floats:
+        """Return where the least MTF over positions and fields [build ...] is largest, [build]."""
         planes = 1 + 2 * math.ceil(self.refocus_mm / _COARSE_MM)
         start_mm = np.full(rays.status.shape[:1], -_COARSE_MM * (planes // 2))
         least = self._scan(rays, start_mm[:, None, None], _COARSE_MM, planes).min(axis=(1, 2, 3))
@@ -323,19 +322,8 @@ class _Bench:
         least = self._scan(rays, start_mm[:, None, None], _FINE_MM, planes).min(axis=(1, 2, 3))
         return np.asarray(start_mm + _FINE_MM * least.argmax(axis=-1))
 
-    def _scan(self, rays: RayBundle, first_mm: Array, step_mm: float, planes: int) -> Array:
+    def _scan(self, rays: RayBundle, first_mm: Floats, step_mm: float, planes: int) -> Floats:
         return scan_focus(
             rays, self.weight, _RINGS, self.frequency_lpmm, AZIMUTHS_RAD, self.lens.wavelength_nm,
             first_mm=first_mm, step_mm=step_mm, planes=planes,
         )  # fmt: skip
-
-    def warn_of_range(self, away_mm: Array) -> None:
-        """Warn of builds that ended at the end of the refocus."""
-        beyond = int(np.sum(np.abs(away_mm) > self.refocus_mm - _COARSE_MM))
-        if beyond:
-            warnings.warn(
-                f"{beyond} of {len(away_mm)} builds would need a refocus of more than "
-                f"{self.refocus_mm} mm",
-                QualityWarning,
-                stacklevel=3,
-            )

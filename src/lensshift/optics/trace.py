@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import entrance_pupil
 
-Array = NDArray[np.float64]
-
-_AIM_STEPS = 50
-_AIM_MM = 1e-10
+_AIM_STEPS = 50  # each leaves the share by which the pupil is aberrated
+_AIM_MM = 1e-10  # a tenth of what positions are compared to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,10 +31,10 @@ class Build:
     index_factor : [... element], factor on n - 1 of its glasses
     """
 
-    decenter_mm: Array | None = None
-    tilt_rad: Array | None = None
-    gap_mm: Array | None = None
-    index_factor: Array | None = None
+    decenter_mm: Floats | None = None
+    tilt_rad: Floats | None = None
+    gap_mm: Floats | None = None
+    index_factor: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,16 +55,16 @@ class RayBundle:
         each surface is met, NaN behind the one where the ray ends, or None
     """
 
-    position_mm: Array
-    direction: Array
-    path_mm: Array
+    position_mm: Floats
+    direction: Floats
+    path_mm: Floats
     status: NDArray[np.uint8]
     failed_at: NDArray[np.int16]
-    heights: Array | None = None
-    crossing_mm: Array | None = None
+    heights: Floats | None = None
+    crossing_mm: Floats | None = None
 
     @property
-    def passed(self) -> NDArray[np.bool_]:
+    def passed(self) -> Mask:
         """[... ray] which rays reach the sensor within all semi-diameters."""
         return np.asarray(self.status == 0)
 
@@ -133,9 +132,9 @@ def trace(
 class _Rays:
     """Rays on their way, changed in place by the kernel: [batch ray ...]."""
 
-    origin: Array
-    direction: Array
-    path: Array
+    origin: Floats
+    direction: Floats
+    path: Floats
     status: NDArray[np.uint8]
     failed_at: NDArray[np.int16]
 
@@ -147,7 +146,7 @@ class _System:
     """
 
     def __init__(
-        self, lens: Lens, build: Build, fields: Array, wavelength_nm: float | None
+        self, lens: Lens, build: Build, fields: Floats, wavelength_nm: float | None
     ) -> None:
         count = len(lens.elements)
         decenter = np.array([e.decenter_mm for e in lens.elements])
@@ -176,11 +175,11 @@ class _System:
         self._tables(lens)
         self._lean(lens)
 
-    def _flat(self, values: Array, trailing: int) -> Array:
+    def _flat(self, values: Floats, trailing: int) -> Floats:
         tail = values.shape[values.ndim - trailing :]
         return np.broadcast_to(values, (*self.shape, *tail)).reshape(-1, *tail)
 
-    def _indices(self, lens: Lens, factor: Array | None, wavelength_nm: float | None) -> Array:
+    def _indices(self, lens: Lens, factor: Floats | None, wavelength_nm: float | None) -> Floats:
         """Return the index behind each surface, [... surface]."""
         count = len(lens.elements)
         scale = np.ones(count) if factor is None else _checked(factor, (count,), "index_factor")
@@ -201,14 +200,8 @@ class _System:
         self.curvature = np.array([surface.curvature_per_mm for surface in surfaces])
         self.conic = np.array([surface.conic for surface in surfaces])
         self.semi_diameter = np.array([surface.semi_diameter_mm for surface in surfaces])
-        self.terms = np.array([len(surface.asphere) for surface in surfaces])
-        self.asphere = np.zeros((len(surfaces), max(1, self.terms.max())))
-        for row, surface in zip(self.asphere, surfaces, strict=True):
-            row[: len(surface.asphere)] = surface.asphere
-        self.radial_terms = np.array([len(surface.radial) for surface in surfaces])
-        self.radial = np.zeros((len(surfaces), max(1, self.radial_terms.max())))
-        for row, surface in zip(self.radial, surfaces, strict=True):
-            row[: len(surface.radial)] = surface.radial
+        self.terms, self.asphere = _table([surface.asphere for surface in surfaces])
+        self.radial_terms, self.radial = _table([surface.radial for surface in surfaces])
         self.mirror = np.array([surface.mirror for surface in surfaces])
 
     def _lean(self, lens: Lens) -> None:
@@ -229,9 +222,9 @@ class _System:
         self,
         rays: _Rays,
         surfaces: int,
-        plane_mm: Array,
-        heights: Array | None = None,
-        crossings: Array | None = None,
+        plane_mm: Floats,
+        heights: Floats | None = None,
+        crossings: Floats | None = None,
     ) -> None:
         """Trace rays in place through the first surfaces to a plane."""
         from lensshift.optics.trace_kernel import trace_kernel
@@ -263,11 +256,20 @@ class _System:
         )
 
 
+def _table(rows: list[tuple[float, ...]]) -> tuple[Array, Floats]:
+    """Return the lengths of rows, and the rows filled up with zeros."""
+    terms = np.array([len(row) for row in rows])
+    table = np.zeros((len(rows), max(1, terms.max())))
+    for into, row in zip(table, rows, strict=True):
+        into[: len(row)] = row
+    return terms, table
+
+
 _NO_HEIGHTS = np.zeros((1, 1, 0))
 _NO_CROSSINGS = np.zeros((1, 1, 0, 3))
 
 
-def _launch(lens: Lens, system: _System, pupil: Array) -> _Rays:
+def _launch(lens: Lens, system: _System, pupil: Floats) -> _Rays:
     """Return rays in front of the lens that pass the stop at the points of the pupil."""
     stop = lens.stop
     target = np.broadcast_to(
@@ -294,7 +296,9 @@ def _launch(lens: Lens, system: _System, pupil: Array) -> _Rays:
     return _towards(lens, system.fields, entering, pupil_mm, position_mm)
 
 
-def _towards(lens: Lens, fields: Array, target: Array, plane_mm: Array, pupil_mm: float) -> _Rays:
+def _towards(
+    lens: Lens, fields: Floats, target: Floats, plane_mm: Floats, pupil_mm: float
+) -> _Rays:
     """Return rays from the object points through the points [batch ray 2] of a plane."""
     origin = np.empty((*target.shape[:-1], 3))
     origin[..., :2] = target
@@ -316,7 +320,7 @@ def _towards(lens: Lens, fields: Array, target: Array, plane_mm: Array, pupil_mm
     )
 
 
-def rotations_of(tilt_rad: Array) -> Array:
+def rotations_of(tilt_rad: Floats) -> Floats:
     """Return the matrices [... 3 3] from element to lens in (row, col, axial) for tilts [... 2]."""
     sin_row, sin_col = np.sin(tilt_rad[..., 0]), np.sin(tilt_rad[..., 1])
     cos_row, cos_col = np.cos(tilt_rad[..., 0]), np.cos(tilt_rad[..., 1])
@@ -329,14 +333,14 @@ def rotations_of(tilt_rad: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _pairs(values: ArrayLike, name: str) -> Array:
+def _pairs(values: ArrayLike, name: str) -> Floats:
     pairs = np.asarray(values, dtype=np.float64)
     if pairs.ndim < 1 or pairs.shape[-1] != 2 or not np.all(np.isfinite(pairs)):
         raise ValueError(f"expected finite {name} [... 2] (row, col), got shape {pairs.shape}")
     return pairs
 
 
-def _checked(values: ArrayLike, tail: tuple[int, ...], name: str) -> Array:
+def _checked(values: ArrayLike, tail: tuple[int, ...], name: str) -> Floats:
     array = np.asarray(values, dtype=np.float64)
     if array.shape[array.ndim - len(tail) :] != tail or not np.all(np.isfinite(array)):
         raise ValueError(

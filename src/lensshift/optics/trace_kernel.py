@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
 
 # What can happen to a ray.
 PASSED, MISSED, REFLECTED, VIGNETTED = 0, 1, 2, 3
 
-_NEWTON_STEPS = 20
+_NEWTON_STEPS = 20  # it squares its error, or is lost
 _CLOSE_MM = 1e-10  # the last step squares it
 _Vector = tuple[float, float, float]
 

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.optics.lens import Element, Lens, Surface
-
-Array = NDArray[np.float64]
 
 _LEAST_MM = 1e-3  # of a thickness, and of the room behind the stop
 
@@ -77,7 +75,7 @@ class Variables:
         If there is no such element, or nothing may change.
     """
 
-    def __init__(self, lens: Lens, freedom: Freedom, semi_mm: Array) -> None:
+    def __init__(self, lens: Lens, freedom: Freedom, semi_mm: Floats) -> None:
         self._lens = lens
         self._before = lens.elements_before_stop()
         made = freedom.elements
@@ -86,12 +84,16 @@ class Variables:
         for number in made:
             lens.check_element(number)
         self.made = made
-        self._stop_mm = lens.stop.position_mm - self._end_mm(lens)
+        before_mm = 0.0  # where the last vertex in front of the stop is
+        if self._before:
+            front = self._before - 1
+            before_mm = float(lens.positions_mm()[front] + lens.elements[front].length_mm)
+        self._stop_mm = lens.stop.position_mm - before_mm
         self._slots = self._found(freedom, semi_mm)
         if not self._slots:
             raise ValueError("expected something that may change, got a lens that stays as it is")
 
-    def _found(self, freedom: Freedom, semi_mm: Array) -> list[_Slot]:
+    def _found(self, freedom: Freedom, semi_mm: Floats) -> list[_Slot]:
         lens, slots, first = self._lens, [], 0
         long_mm = float(lens.positions_mm()[-1])
         for number, element in enumerate(lens.elements):
@@ -123,14 +125,7 @@ class Variables:
             slots.append(_Slot("stop", 0, 0, 0.2 * long_mm))
         return slots
 
-    def _end_mm(self, lens: Lens) -> float:
-        """Return where the last vertex in front of the stop is, 0 if there is none."""
-        if not self._before:
-            return 0.0
-        number = self._before - 1
-        return float(lens.positions_mm()[number] + lens.elements[number].length_mm)
-
-    def start(self) -> Array:
+    def start(self) -> Floats:
         """Return the vector of the lens that this started from."""
         lens = self._lens
         values = []
@@ -150,7 +145,7 @@ class Variables:
             values.append(value / slot.unit)
         return np.array(values)
 
-    def missing_mm(self, vector: Array, glass_mm: Array, air_mm: float, back_mm: float) -> Array:
+    def missing_mm(self, vector: Floats, glass_mm: Floats, air_mm: float, back_mm: float) -> Floats:
         """Return how far each thickness and gap is from its limits, [variable].
 
         Parameters
@@ -170,7 +165,7 @@ class Variables:
         value = vector * np.array([slot.unit for slot in self._slots])
         return np.asarray(np.maximum(low - value, 0.0) + np.maximum(value - high, 0.0))
 
-    def lens(self, vector: Array) -> Lens:
+    def lens(self, vector: Floats) -> Lens:
         """Return the lens of a vector, without edges."""
         lens = self._lens
         surfaces = [

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band
@@ -15,17 +15,16 @@ from lensshift.optics.paraxial import focal_length_mm
 from lensshift.optics.shift import (
     ENOUGH_PIXELS,
     decenter_for_shift,
+    largest_error_px,
     moving,
     px_per_um,
     shift_map,
-    shift_uniformity,
 )
 from lensshift.optics.spots import fields_for_image
 from lensshift.optics.trace import Build
 
-Array = NDArray[np.float64]
-
 DIAGONALS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+POSITIONS = np.concatenate([np.zeros((1, 2)), DIAGONALS])  # at rest, and moved
 # Directions in which a pattern may repeat, where the least MTF is looked for.
 AZIMUTHS_RAD = np.linspace(0.0, np.pi, 4, endpoint=False)
 
@@ -98,8 +97,7 @@ def which_element(
         if np.isinf(focal_length_mm(element, indices)):
             continue
         moves_mm = decenter_for_shift(lens, number, shift_px * DIAGONALS, grid)
-        over = shift_map(lens, number, moves_mm, grid, most=ENOUGH_PIXELS)
-        even = shift_uniformity(over, shift_px * DIAGONALS)
+        error_px = largest_error_px(lens, number, moves_mm, grid, shift_px * DIAGONALS)
         stroke_mm = float(decenter_for_shift(lens, number, [0.0, shift_px], grid)[1])
         along = shift_map(lens, number, stroke_mm * np.eye(2), grid, most=ENOUGH_PIXELS).offset_px
         moved = moved_mtf(lens, fields, frequency, number, moves_mm)
@@ -110,7 +108,7 @@ def which_element(
                 stroke_mm=stroke_mm,
                 gain=shift_px * grid.pitch_mm[1] / stroke_mm,
                 sensitivity_px_per_um=px_per_um(lens, number, grid),
-                max_shift_error_px=max(one.max_error_px for one in even),
+                max_shift_error_px=error_px,
                 mtf_centred=float(centred.min()),
                 mtf_moved=float(moved.min()),
                 mtf_loss=float((centred - moved).max()),
@@ -131,7 +129,7 @@ def judged_lpmm(grid: Grid, frequency_lpmm: float | None = None) -> float:
     return 1.0 / max(grid.pitch_mm) if frequency_lpmm is None else frequency_lpmm
 
 
-def edge_fields(lens: Lens, grid: Grid) -> Array:
+def edge_fields(lens: Lens, grid: Grid) -> Floats:
     """Return the fields [9 2] at the centre, the ends of the axes and the corners of a sensor."""
     half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
     signs = np.stack(np.meshgrid([0.0, 1.0, -1.0], [0.0, 1.0, -1.0], indexing="ij"), axis=-1)
@@ -140,11 +138,11 @@ def edge_fields(lens: Lens, grid: Grid) -> Array:
 
 def edge_mtf(
     lens: Lens,
-    fields_tan: Array,
+    fields_tan: Floats,
     frequency_lpmm: float,
     build: Build | None = None,
     band: Band | None = None,
-) -> Array:
+) -> Floats:
     """Return the exact MTF [field azimuth] at one frequency and 0, 45, 90, 135 degrees.
 
     Parameters
@@ -162,12 +160,12 @@ def edge_mtf(
 
 def moved_mtf(
     lens: Lens,
-    fields_tan: Array,
+    fields_tan: Floats,
     frequency_lpmm: float,
     element: int,
-    moves_mm: Array,
+    moves_mm: Floats,
     band: Band | None = None,
-) -> Array:
+) -> Floats:
     """Return `edge_mtf` [move field azimuth] with one element at each of the diagonal moves.
 
     One of them stands for all where the lens at rest is symmetric, because the fields are, too.
@@ -225,7 +223,7 @@ def least_mtf(
     return rest, float(moved_mtf(lens, fields, frequency, element, moves_mm, band).min())
 
 
-def cross_talk_px(along_px: Array) -> float:
+def cross_talk_px(along_px: Floats) -> float:
     """Return the largest shift across of moves [axis point 2] along rows and along columns."""
     return float(max(np.abs(along_px[0, :, 1]).max(), np.abs(along_px[1, :, 0]).max()))
 

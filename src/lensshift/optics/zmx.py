@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
     BY_CODE,
+    D_UM,
     REFERENCE_TEMPERATURE_C,
     glass_called,
     glass_data,
@@ -23,7 +24,7 @@ from lensshift.optics.glass import (
     successor,
 )
 from lensshift.optics.lens import Lens
-from lensshift.optics.sequential import Entry, Frame, lens_of_entries
+from lensshift.optics.sequential import Entry, Frame, about, lens_of_entries
 
 _LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 _FAR_MM = 1e9  # programs write such a distance for infinity
@@ -43,7 +44,6 @@ _LIKE_ASPHERE = ("BINARY_1", "BINARY_2")  # even aspheres, where their phase is 
 _TERMS_PER_POWER = {"XASPHERE": 2, "XODDASPH": 1}  # steps of the powers of r / unit
 _MOST_PARAMETERS = 8  # an even asphere ends with r^16, an odd one with r^8
 _DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
-_D_LINE_UM = 0.5875618
 
 
 @dataclass(slots=True)
@@ -93,12 +93,8 @@ def load_zmx(path: str | Path) -> Lens:
 def parse_zmx(text: str) -> Lens:
     """Return the lens that the text of a .zmx file describes; see `load_zmx`."""
     content = _read(text)
-    try:
+    with about(""):
         lens = _lens(content)
-    except DataError:
-        raise
-    except ValueError as error:
-        raise DataError(str(error)) from error
     if content.notes:
         warnings.warn("; ".join(dict.fromkeys(content.notes)), QualityWarning, stacklevel=3)
     return lens
@@ -256,7 +252,7 @@ def _lens(content: _File) -> Lens:
     if not content.entries:
         raise DataError("expected surfaces (SURF), got none")
     if not content.wavelengths_um:
-        content.wavelengths_um, content.primary = {1: _D_LINE_UM}, 1
+        content.wavelengths_um, content.primary = {1: D_UM}, 1
         content.notes.append("no wavelength is given: taken as 587.6 nm")
     if content.primary not in content.wavelengths_um:
         raise DataError(f"expected a wavelength number {content.primary}", field="PWAV")
@@ -354,9 +350,7 @@ def _frames(entries: list[Entry]) -> list[Frame]:
     return frames
 
 
-def _break(
-    entry: Entry, origin: NDArray[np.float64], axes: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _break(entry: Entry, origin: Floats, axes: Floats) -> tuple[Floats, Floats]:
     """Apply decentre and then tilts about x, y, z, or all in the opposite order."""
     value = [entry.parameters.get(i, 0.0) for i in range(1, 7)]
     shift = np.array([value[0], value[1], 0.0])
@@ -369,7 +363,7 @@ def _break(
     return origin + turned @ shift, turned
 
 
-def _rotation(axis: int, angle_rad: float) -> NDArray[np.float64]:
+def _rotation(axis: int, angle_rad: float) -> Floats:
     """Return the right-handed rotation about the x, y or z axis."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.eye(3)

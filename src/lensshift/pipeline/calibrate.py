@@ -14,6 +14,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.optical import gaussian_width
 from lensshift.core.types import Burst
+from lensshift.optics.actuator import PIXEL_NOISE, reconstruction_loss
 from lensshift.registration.calibrate import ScanFit, fit_scan
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def calibrate_rig(
     over_sensor: bool = True,
     lens_field: LensField | None = None,
     psf: bool = True,
-    noise: float = 0.005,
+    noise: float = PIXEL_NOISE,
     report: str | Path | None = None,
 ) -> RigCalibration:
     """Calibrate a rig from a scan, and write the page if asked for.
@@ -84,8 +85,6 @@ def calibrate_rig(
     QualityWarning
         As in `fit_scan`.
     """
-    from lensshift.optics.actuator import reconstruction_loss
-
     fit = fit_scan(burst, photometric=photometric, over_sensor=over_sensor, lens_field=lens_field)
     if psf:
         width = psf_width_px(fit.burst)

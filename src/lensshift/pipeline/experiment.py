@@ -8,13 +8,14 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth
 from lensshift.camera import simulate_tof as take
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
 from lensshift.forward.model import MAX_SCALE
+from lensshift.optics.lens import Lens
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -47,7 +48,7 @@ class Experiment:
 
     scene: Scene
     camera: TofCamera
-    pattern_px: NDArray[np.float64]
+    pattern_px: Floats
     shift_error_px: float = 0.02
     seed: int = 0
     scale: int = 2
@@ -65,9 +66,8 @@ class Experiment:
             raise ValueError(f"expected a channel of {expected}, got {self.channel!r}")
         if self.shifts not in SHIFTS:
             raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
-        if self.shifts == "traced" and not self._moves_a_lens:
-            raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
-
+        if self.shifts == "traced":
+            _moving_lens(self.camera)
         width_px, scale = self.psf_sigma_px, self.scale
         known = isinstance(width_px, (int, float))
         if width_px is not None and not (known and 0.0 <= width_px < np.inf):
@@ -75,10 +75,12 @@ class Experiment:
         if scale not in range(1, MAX_SCALE + 1):
             raise ValueError(f"expected an integer scale from 1 to {MAX_SCALE}, got {scale!r}")
 
-    @property
-    def _moves_a_lens(self) -> bool:
-        optics = self.camera.optics
-        return isinstance(optics, LensOptics) and optics.element is not None
+
+def _moving_lens(camera: TofCamera) -> tuple[Lens, int]:
+    optics = camera.optics
+    if not isinstance(optics, LensOptics) or optics.element is None:
+        raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
+    return optics.lens, optics.element
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,7 @@ class Outcome:
 
     capture: TofCapture
     reconstruction: Reconstruction
-    images: dict[str, dict[str, NDArray[Any]]]
+    images: dict[str, dict[str, Array]]
     fidelity: dict[str, dict[str, float]]
     depth: dict[str, dict[str, float]]
     seconds: float
@@ -190,19 +192,17 @@ def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
     """
     from lensshift.optics.shift import decenter_for_shift, shift_map
 
-    optics = camera.optics
-    if not isinstance(optics, LensOptics) or optics.element is None:
-        raise ValueError("expected a camera whose lens is traced and moves for traced shifts")
-    decenter_mm = decenter_for_shift(optics.lens, optics.element, burst.offset_px, burst.grid)
-    return shift_map(optics.lens, optics.element, decenter_mm, burst.grid)
+    lens, element = _moving_lens(camera)
+    decenter_mm = decenter_for_shift(lens, element, burst.offset_px, burst.grid)
+    return shift_map(lens, element, decenter_mm, burst.grid)
 
 
-def images_of(result: Reconstruction) -> dict[str, NDArray[Any]]:
+def images_of(result: Reconstruction) -> dict[str, Array]:
     """Return the images of a reconstruction by channel."""
     return {name: estimate.image for name, estimate in result.channels.items()}
 
 
-def depth_numbers(distance_m: NDArray[Any], truth: TofTruth, scale: int) -> dict[str, float]:
+def depth_numbers(distance_m: Array, truth: TofTruth, scale: int) -> dict[str, float]:
     """Return the errors of a distance image against the truth."""
     found = asdict(depth_error(distance_m, truth.distance_m, truth_valid=truth.valid, scale=scale))
     return {name: float(value) for name, value in found.items()}

@@ -130,11 +130,23 @@ def reconstruct_recording(
     with ExitStack() as stack:
         source = stack.enter_context(open_recording(recording))
         step = window if every is None else every
-        job = _plan(source, recording, window, step, scale, method, pace, dict(settings))
+        if window < 1 or step < 1:
+            raise ValueError(f"expected window and every from 1, got {window} and {step}")
+        if source.frame_count < window:
+            raise ValueError(f"expected at least {window} frames, got {source.frame_count}")
+        count = (source.frame_count - window) // step + 1
+        whole = source.offset_px[: source.frame_count // window * window].reshape(-1, window, 2)
+        periodic = bool(np.ptp(whole, axis=0).max() <= SAME_PLACE_PX)
+        several = source.burst(0, 1).phasors is not None  # a stream has one frequency
+        place = str(Path(recording).resolve())
+        served = periodic and not several
+        job = Windows(place, window, step, count, served, scale, method, pace, dict(settings))
         file, tasks = _begun(stack, source, job, out)
         resumed = done = int(file.written.sum())
-        solved = _solved_here if workers is None and scheduler is None else _solved_by_dask
-        for one in solved(job, tasks, workers, scheduler):
+        solved: Iterator[Solved] = (solve_windows(job, first, count) for first, count in tasks)
+        if workers is not None or scheduler is not None:
+            solved = _solved_by_dask(job, tasks, workers, scheduler)
+        for one in solved:
             file.write(one.first, one.fields)
             said.extend(one.said)
             bad += int(one.fields["contradicted"].sum())
@@ -196,30 +208,6 @@ def _frame(burst: Burst, k: int) -> Frame:
     return Frame(burst.amplitude[k], distance_m, valid, time_s)
 
 
-def _plan(
-    source: Recording,
-    recording: str | Path,
-    window: int,
-    every: int,
-    scale: int,
-    method: str,
-    pace: Pace,
-    settings: dict[str, Any],
-) -> Windows:
-    if window < 1 or every < 1:
-        raise ValueError(f"expected window and every from 1, got {window} and {every}")
-    if source.frame_count < window:
-        raise ValueError(f"expected at least {window} frames, got {source.frame_count}")
-    count = (source.frame_count - window) // every + 1
-    whole = source.offset_px[: source.frame_count // window * window].reshape(-1, window, 2)
-    periodic = bool(np.ptp(whole, axis=0).max() <= SAME_PLACE_PX)
-    several = source.burst(0, 1).phasors is not None  # a stream has one frequency
-    return Windows(
-        str(Path(recording).resolve()), window, every, count, periodic and not several, scale,
-        method, pace, settings,
-    )  # fmt: skip
-
-
 def _begun(
     stack: ExitStack, source: Recording, job: Windows, out: str | Path
 ) -> tuple[PiecewiseFile, list[tuple[int, int]]]:
@@ -241,13 +229,6 @@ def _begun(
     size = int(np.clip(TASK_BYTES // each, 1, MOST_WINDOWS))
     tasks = [(first, min(size, job.count - first)) for first in range(0, job.count, size)]
     return file, [(f, n) for f, n in tasks if not file.written[f : f + n].all()]
-
-
-def _solved_here(
-    job: Windows, tasks: list[tuple[int, int]], workers: int | None, scheduler: str | None
-) -> Iterator[Solved]:
-    for first, count in tasks:
-        yield solve_windows(job, first, count)
 
 
 def _solved_by_dask(

@@ -172,8 +172,7 @@ def run_bench(
     burst_file, result_file, preview = files = tuple(folder / name for name in names)
     refuse_taken(burst_file)
     with open_rig(rig_file, on_homing=on_homing) as rig:
-        told = None if on_step is None else partial(on_step, "burst")
-        burst = rig.capture(plan, burst_file, on_step=told)
+        burst = rig.capture(plan, burst_file, on_step=on_step and partial(on_step, "burst"))
         burst, field = rig.calibration.applied_to(burst)
     width_px = _blur_px(rig.calibration)
     result = reconstruct(burst, scale, method, psf_sigma_px=width_px, shift_field=field)
@@ -193,10 +192,6 @@ def _take(
     """Scan and calibrate with the nominal map, then take the burst with the measured one."""
     true: list[Array] = []
 
-    def scanned(progress: Progress) -> None:
-        if on_step is not None:
-            on_step("scan", progress)
-
     def taken(progress: Progress) -> None:
         true.append(emulated.true_offset_px(emulated.stages.lens_mm(time.monotonic())))
         if on_step is not None:
@@ -210,7 +205,7 @@ def _take(
     with open_rig(told) as rig:
         rig.acquisition = Acquisition(_SCAN_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
         places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=USUAL_STEPS)
-        scan = rig.scan(places, files["scan"], on_step=scanned)
+        scan = rig.scan(places, files["scan"], on_step=on_step and partial(on_step, "scan"))
         found = calibrate_rig(scan, report=folder / "calibration.html")
         rig.calibration = found.calibration
         rig.acquisition = Acquisition(_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)

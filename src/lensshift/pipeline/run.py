@@ -116,18 +116,12 @@ def save_truth(truth: TofTruth, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    arrays = {
-        "amplitude": truth.amplitude,
-        "distance_m": truth.distance_m,
-        "valid": truth.valid,
-        "flying": truth.flying,
-        "flying_in_frames": truth.flying_in_frames,
-        "offset_px": truth.offset_px,
-    }
+    names = ("amplitude", "distance_m", "valid", "flying", "flying_in_frames", "offset_px")
+    arrays = {name: getattr(truth, name) for name in names}
     if truth.offset_field is not None:
         arrays["offset_field_px"] = truth.offset_field.offset_px
     with written_whole(path) as part:
-        np.savez_compressed(part, **arrays)  # type: ignore[arg-type]  # names are ours
+        np.savez_compressed(part, **arrays)
 
 
 def _write(folder: Path, experiment: Experiment, outcome: Outcome) -> tuple[Path, ...]:

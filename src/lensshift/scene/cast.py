@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.scene.shapes import Rays, Scene, Shape
 
 _RAYS_AT_ONCE = 16_384  # some 5 MB of work besides the result
@@ -29,12 +29,12 @@ class Hits:
     normal : [... 3] of length 1, on the side that the ray comes from, NaN where nothing is met
     """
 
-    distance_m: NDArray[np.float64]
-    reflectance: NDArray[np.float64]
-    cos_incidence: NDArray[np.float64]
-    hit: NDArray[np.bool_]
-    point_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    distance_m: Floats
+    reflectance: Floats
+    cos_incidence: Floats
+    hit: Mask
+    point_m: Floats
+    normal: Floats
 
 
 def cast(scene: Scene, direction: ArrayLike, *, origin_m: ArrayLike = (0.0, 0.0, 0.0)) -> Hits:
@@ -57,21 +57,26 @@ def cast(scene: Scene, direction: ArrayLike, *, origin_m: ArrayLike = (0.0, 0.0,
     vectors, origins, axes = _broadcast(direction, origin_m, "direction", "origin_m")
     if not np.all(np.isfinite(vectors)) or not np.all(np.isfinite(origins)):
         raise ValueError("expected finite direction and origin_m, got infinity or NaN")
-    hits = _nothing(len(vectors))
-    for first in range(0, len(vectors), _RAYS_AT_ONCE):
-        some = slice(first, first + _RAYS_AT_ONCE)
-        _cast_some(scene, origins[some], _unit(vectors[some]), hits, first)
-    return Hits(
-        distance_m=hits.distance_m.reshape(axes),
-        reflectance=hits.reflectance.reshape(axes),
-        cos_incidence=hits.cos_incidence.reshape(axes),
-        hit=hits.hit.reshape(axes),
-        point_m=hits.point_m.reshape(*axes, 3),
-        normal=hits.normal.reshape(*axes, 3),
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    if not np.all(length > 0):
+        raise ValueError("expected directions with a length, got one of zeros")
+    count = len(vectors)
+    hits = Hits(
+        distance_m=np.full(count, np.inf),
+        reflectance=np.zeros(count),
+        cos_incidence=np.zeros(count),
+        hit=np.zeros(count, dtype=np.bool_),
+        point_m=np.full((count, 3), np.nan),
+        normal=np.full((count, 3), np.nan),
     )
+    for first in range(0, count, _RAYS_AT_ONCE):
+        some = slice(first, first + _RAYS_AT_ONCE)
+        _cast_some(scene, origins[some], vectors[some] / length[some], hits, first)
+    found = {one.name: getattr(hits, one.name) for one in fields(hits)}
+    return Hits(**{name: each.reshape((*axes, *each.shape[1:])) for name, each in found.items()})
 
 
-def visible(scene: Scene, from_m: ArrayLike, to_m: ArrayLike) -> NDArray[np.bool_]:
+def visible(scene: Scene, from_m: ArrayLike, to_m: ArrayLike) -> Mask:
     """Tell which points see each other: nothing stands between the ends of a segment.
 
     For shadows of a light beside the camera and for light that bounces twice. Surfaces within
@@ -143,17 +148,6 @@ def _reflectance(shape: Shape, x_m: Array, y_m: Array) -> Array:
     return share
 
 
-def _nothing(count: int) -> Hits:
-    return Hits(
-        distance_m=np.full(count, np.inf),
-        reflectance=np.zeros(count),
-        cos_incidence=np.zeros(count),
-        hit=np.zeros(count, dtype=np.bool_),
-        point_m=np.full((count, 3), np.nan),
-        normal=np.full((count, 3), np.nan),
-    )
-
-
 def _broadcast(
     first: ArrayLike, second: ArrayLike, first_name: str, second_name: str
 ) -> tuple[Array, Array, tuple[int, ...]]:
@@ -170,10 +164,3 @@ def _broadcast(
             f"{vectors[0].shape} and {vectors[1].shape}"
         ) from error
     return one.reshape(-1, 3), other.reshape(-1, 3), one.shape[:-1]
-
-
-def _unit(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    if not np.all(length > 0):
-        raise ValueError("expected directions with a length, got one of zeros")
-    return np.asarray(vectors / length)

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from numbers import Real
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Floats
 
 
 def number(name: str, value: object) -> float:
@@ -48,7 +49,7 @@ def positives(name: str, value: object, count: int | None = None) -> tuple[float
     return tuple(positive(f"each of {name}", one) for one in numbers(name, value, count))
 
 
-def table(name: str, value: object) -> NDArray[np.float64]:
+def table(name: str, value: object) -> Floats:
     """Return [row col] of finite numbers, read-only; at least one."""
     try:
         rows = np.array(value, dtype=np.float64)

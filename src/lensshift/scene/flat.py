@@ -11,10 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Place = NDArray[np.float64]
-Target = Callable[[Place, Place], NDArray[np.float64]]
+from lensshift.core.arrays import Floats
+
+Place = Floats
+Target = Callable[[Place, Place], Floats]
 
 BACKGROUND = 0.15  # radiance beside the targets
 
@@ -39,7 +40,7 @@ class Box:
 def slanted_edge(slant_rad: float, dark: float = 0.2, bright: float = 0.8) -> Target:
     """Return an edge through the middle, dark on the left, `slant_rad` away from the vertical."""
 
-    def radiance(row_mm: Place, col_mm: Place) -> NDArray[np.float64]:
+    def radiance(row_mm: Place, col_mm: Place) -> Floats:
         right_of_edge = col_mm * np.cos(slant_rad) - row_mm * np.sin(slant_rad) > 0
         return np.where(right_of_edge, bright, dark)
 
@@ -51,7 +52,7 @@ def siemens_star(
 ) -> Target:
     """Return a star of `cycles` bright and dark sectors; a cycle at radius r is 2 pi r / cycles."""
 
-    def radiance(row_mm: Place, col_mm: Place) -> NDArray[np.float64]:
+    def radiance(row_mm: Place, col_mm: Place) -> Floats:
         bright_sector = np.sin(cycles * np.arctan2(row_mm, col_mm)) > 0
         star = np.where(bright_sector, bright, dark)
         return np.where(np.hypot(row_mm, col_mm) <= radius_mm, star, BACKGROUND)
@@ -64,7 +65,7 @@ def line_pairs(
 ) -> Target:
     """Return bands of vertical lines below each other, one period each, in a square."""
 
-    def radiance(row_mm: Place, col_mm: Place) -> NDArray[np.float64]:
+    def radiance(row_mm: Place, col_mm: Place) -> Floats:
         height_mm = size_mm / len(period_mm)
         band = np.floor((row_mm + size_mm / 2) / height_mm).astype(np.intp)
         period_there_mm = np.asarray(period_mm)[np.clip(band, 0, len(period_mm) - 1)]
@@ -79,7 +80,7 @@ def line_pairs(
 def boxes(parts: Sequence[Box]) -> Target:
     """Return rectangles before the background; a later one hides an earlier one."""
 
-    def radiance(row_mm: Place, col_mm: Place) -> NDArray[np.float64]:
+    def radiance(row_mm: Place, col_mm: Place) -> Floats:
         seen = np.full(np.broadcast(row_mm, col_mm).shape, BACKGROUND)
         for box in parts:
             down, right = row_mm - box.centre_mm[0], col_mm - box.centre_mm[1]
@@ -97,7 +98,7 @@ def boxes(parts: Sequence[Box]) -> Target:
 def in_a_row(targets: Sequence[Target], cell_mm: float, *, downwards: bool = False) -> Target:
     """Return square cells side by side (or below each other), one target in the middle of each."""
 
-    def radiance(row_mm: Place, col_mm: Place) -> NDArray[np.float64]:
+    def radiance(row_mm: Place, col_mm: Place) -> Floats:
         row_mm, col_mm = np.broadcast_arrays(row_mm, col_mm)
         along, across = (row_mm, col_mm) if downwards else (col_mm, row_mm)
         cell = np.floor(along / cell_mm + len(targets) / 2)

@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
 from lensshift.core.settings import fit, parse_toml, read_text
 from lensshift.scene.checks import number, numbers
@@ -207,7 +207,7 @@ def _path(file: Any, where: str, folder: Path) -> Path:
     return folder / file
 
 
-def _grey_image(path: Path) -> NDArray[np.float64]:
+def _grey_image(path: Path) -> Floats:
     """Read a grey picture, 0 to 1 in proportion to its numbers."""
     from PIL import Image
 
@@ -224,10 +224,14 @@ def _grey_image(path: Path) -> NDArray[np.float64]:
 
 
 def _shape_lines(shape: Shape) -> list[str]:
-    kind = next((kind for kind, known in _SHAPES.items() if type(shape) is known), None)
-    if kind is None:
-        raise TypeError(f"expected a shape of {', '.join(_SHAPES)}, got {type(shape).__name__}")
-    return [f'shape = "{kind}"', *_lines(shape)]
+    return [f'shape = "{_kind_of(shape, _SHAPES, "shape")}"', *_lines(shape)]
+
+
+def _kind_of(value: Any, kinds: Mapping[str, Any], word: str) -> str:
+    for kind, known in kinds.items():
+        if type(value) is known:
+            return kind
+    raise TypeError(f"expected a {word} of {', '.join(kinds)}, got {type(value).__name__}")
 
 
 def _lines(value: Any) -> Iterator[str]:
@@ -240,17 +244,9 @@ def _lines(value: Any) -> Iterator[str]:
 
 def _toml(name: str, value: Any) -> str:
     if name == "reflectance" and callable(value):
-        return _inline_texture(value)
+        kind = _kind_of(value, _TEXTURES, "texture")
+        return "{ " + ", ".join([f'texture = "{kind}"', *_lines(value)]) + " }"
     if name.endswith("_rad"):
         value = np.degrees(value)
     # Texts, numbers, truths and lists are written in JSON as in TOML.
     return json.dumps(value.tolist() if hasattr(value, "tolist") else value, ensure_ascii=False)
-
-
-def _inline_texture(texture: Texture) -> str:
-    kind = next((kind for kind, known in _TEXTURES.items() if type(texture) is known), None)
-    if kind is None:
-        raise TypeError(
-            f"expected a texture of {', '.join(_TEXTURES)}, got {type(texture).__name__}"
-        )
-    return "{ " + ", ".join([f'texture = "{kind}"', *_lines(texture)]) + " }"

@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats
 from lensshift.scene.checks import number, positive, positives, share, table
 
-Texture = Callable[[Floats, Floats], NDArray[Any]]
+Texture = Callable[[Floats, Floats], Array]
 
 DARK, BRIGHT = 0.05, 0.85  # black and white card
 
@@ -225,22 +224,14 @@ class ImageTexture:
 
     def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
         """Return the reflectance at (x, y)."""
+        from scipy.ndimage import map_coordinates
+
         image = np.asarray(self.image)
-        rows, cols = image.shape
-        row, down = _neighbours(y_m / self.size_m[1], rows)
-        col, right = _neighbours(x_m / self.size_m[0], cols)
-        below, beside = np.minimum(row + 1, rows - 1), np.minimum(col + 1, cols - 1)
-        above = (1 - right) * image[row, col] + right * image[row, beside]
-        under = (1 - right) * image[below, col] + right * image[below, beside]
-        seen: Floats = (1 - down) * above + down * under
+        (width_m, height_m), (rows, cols) = self.size_m, image.shape
+        row, col = (y_m / height_m + 0.5) * rows - 0.5, (x_m / width_m + 0.5) * cols - 0.5
+        places = np.stack(np.broadcast_arrays(row, col))
+        seen: Floats = map_coordinates(image, places, order=1, mode="nearest")
         return np.clip(seen, 0.0, 1.0)  # rounding
-
-
-def _neighbours(share: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
-    """Return the pixel at or before a place, -1/2 to 1/2 of an axis, and how far beyond it."""
-    place = np.clip((share + 0.5) * count - 0.5, 0.0, count - 1.0)
-    before = np.floor(place).astype(np.intp)
-    return before, place - before
 
 
 def _between(dark: float, bright: float, wave: Floats) -> Floats:

@@ -13,12 +13,13 @@ from dataclasses import asdict
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.capture.drivers.apt_axis import AptAxis
 from lensshift.capture.drivers.apt_link import find_port
 from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.capture.rig import OnHoming
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DeviceError
 
 __all__ = ["AptAxis", "AptSettings", "AptStage", "open_apt_stage"]
@@ -77,12 +78,12 @@ class AptStage:
         self.name = f"{row.name}, {col.name}"
 
     @property
-    def travel_mm(self) -> NDArray[np.float64]:
+    def travel_mm(self) -> Floats:
         """[2 2] (axis; lowest, highest) position that leaves room for the approach."""
         return np.array([self.settings.reachable_mm(axis) for axis in (0, 1)])
 
     @property
-    def approach_mm(self) -> NDArray[np.float64]:
+    def approach_mm(self) -> Floats:
         """[2] length of the run-up, negative where every move ends backward."""
         return np.array([self.settings.run_up_mm(axis) for axis in (0, 1)])
 
@@ -104,7 +105,7 @@ class AptStage:
             )
         self.home()
 
-    def home(self) -> NDArray[np.float64]:
+    def home(self) -> Floats:
         """Let both axes look for their zero at once, return the position [2].
 
         Raises
@@ -114,23 +115,12 @@ class AptStage:
         """
         return self._together([axis.homing() for axis in self.axes])
 
-    def position_mm(self) -> NDArray[np.float64]:
+    def position_mm(self) -> Floats:
         """Return the position [2] read back, also while it moves and from another thread."""
         return np.array([axis.position_mm() for axis in self.axes])
 
-    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
-        """Move both axes at once, wait until settled, return the position [2] read back.
-
-        With `direct` straight there, without the run-up that keeps play on one side.
-
-        Raises
-        ------
-        ValueError
-            If the position is not two numbers within `travel_mm`.
-        DeviceError
-            If an axis fails or does not arrive; both have been stopped. `DeviceTimeout` if it
-            takes longer than its speed and acceleration allow.
-        """
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
+        """Move both axes at once; see `Stage.move_to`."""
         goal_mm = np.asarray(position_mm, dtype=np.float64)
         low_mm, high_mm = self.travel_mm.T
         if goal_mm.shape != (2,) or not np.all((goal_mm >= low_mm) & (goal_mm <= high_mm)):
@@ -165,7 +155,7 @@ class AptStage:
         row, col = (axis.describe() for axis in self.axes)
         return {"name": self.name, "row": row, "col": col, "settings": asdict(self.settings)}
 
-    def _together(self, moves: list[Generator[float, None, float]]) -> NDArray[np.float64]:
+    def _together(self, moves: list[Generator[float, None, float]]) -> Floats:
         """Step all moves until each has its result; stop both axes if that is cut short."""
         reached_mm = np.full(len(moves), np.nan)
         under_way = dict(enumerate(moves))

@@ -147,8 +147,8 @@ class AptAxis:
         """Enable the motor unless it is; that also clears an old motion error."""
         request = Message(Id.REQUEST_ENABLED, (CHANNEL, 0))
         for _ in range(self.settings.max_retries):
-            enabled = self._cube.link.ask(request, answer=Id.ENABLED, read=_is_enabled)
-            if enabled and not self._cube.status().bits & apt.FAULTS:
+            kept = self._cube.link.ask(request, answer=Id.ENABLED, read=lambda it: it.parameters)
+            if kept == (CHANNEL, 1) and not self._cube.status().bits & apt.FAULTS:
                 return
             self._cube.link.send(Message(Id.SET_ENABLED, (CHANNEL, 1)))
             time.sleep(self.settings.enable_wait_s)
@@ -335,10 +335,6 @@ class AptAxis:
             command=self._command,
             position_mm=None if last is None else (last / self._counts_per_mm,),
         )
-
-
-def _is_enabled(reply: Message) -> bool:
-    return reply.parameters == (CHANNEL, 1)
 
 
 def _why(bits: int) -> str:

@@ -17,7 +17,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 HOST, CONTROLLER = 0x01, 0x50  # a cube on its own USB port
 CHANNEL = 1  # the only one of a cube
@@ -134,34 +134,30 @@ class Bits(IntFlag):
 
 
 LIMITS = Bits.FORWARD_LIMIT | Bits.BACKWARD_LIMIT
-MOVING = (
-    Bits.MOVING_FORWARD
-    | Bits.MOVING_BACKWARD
-    | Bits.JOGGING_FORWARD
-    | Bits.JOGGING_BACKWARD
-    | Bits.HOMING
-)
+_SOFT_LIMITS = Bits.FORWARD_SOFT_LIMIT | Bits.BACKWARD_SOFT_LIMIT
+_MOVES = Bits.MOVING_FORWARD | Bits.MOVING_BACKWARD
+_JOGS = Bits.JOGGING_FORWARD | Bits.JOGGING_BACKWARD
+MOVING = _MOVES | _JOGS | Bits.HOMING
 # What may differ between two replies of a motor that is well.
-CHANGING = (
-    MOVING
-    | LIMITS
-    | Bits.FORWARD_SOFT_LIMIT
-    | Bits.BACKWARD_SOFT_LIMIT
-    | Bits.TRACKING
-    | Bits.SETTLED
-)
+CHANGING = MOVING | LIMITS | _SOFT_LIMITS | Bits.TRACKING | Bits.SETTLED
 FAULTS = Bits.MOTION_ERROR | Bits.CURRENT_LIMIT | Bits.ENCODER_FAULT
-_BOTH_WAYS = (
-    LIMITS,
-    Bits.MOVING_FORWARD | Bits.MOVING_BACKWARD,
-    Bits.JOGGING_FORWARD | Bits.JOGGING_BACKWARD,
-)
+_BOTH_WAYS = (LIMITS, _MOVES, _JOGS)
+
+
+def _unpacked(layout: str, data: bytes) -> tuple[Any, ...]:
+    if len(data) != struct.calcsize(layout):
+        raise DamagedMessage(f"expected {struct.calcsize(layout)} bytes, got {len(data)}")
+    return struct.unpack(layout, data)
 
 
 class Record:
     """Fields that follow the channel number in the data of a message."""
 
     FORMAT: ClassVar[str]
+
+    def __init_subclass__(cls, layout: str = "") -> None:
+        if layout:  # not when `slots` makes the class anew
+            cls.FORMAT = layout
 
     def pack(self) -> bytes:
         """Return the data of the message."""
@@ -176,36 +172,30 @@ class Record:
         DamagedMessage
             If the length or the channel is wrong.
         """
-        if len(data) != struct.calcsize(cls.FORMAT):
-            raise DamagedMessage(f"expected {struct.calcsize(cls.FORMAT)} bytes, got {len(data)}")
-        channel, *fields = struct.unpack(cls.FORMAT, data)
+        channel, *fields = _unpacked(cls.FORMAT, data)
         if channel != CHANNEL:
             raise DamagedMessage(f"expected channel {CHANNEL}, got {channel}")
         return cls(*fields)
 
 
 @dataclass(frozen=True, slots=True)
-class Target(Record):
+class Target(Record, layout="<Hl"):
     """Where an absolute move goes, in counts of the encoder."""
 
     counts: int
 
-    FORMAT: ClassVar[str] = "<Hl"
-
 
 @dataclass(frozen=True, slots=True)
-class Velocity(Record):
+class Velocity(Record, layout="<Hlll"):
     """Speed and acceleration in units of the servo, see `servo_velocity`."""
 
     lowest: int
     acceleration: int
     highest: int
 
-    FORMAT: ClassVar[str] = "<Hlll"
-
 
 @dataclass(frozen=True, slots=True)
-class Home(Record):
+class Home(Record, layout="<HHHll"):
     """How to find the zero: direction (2: backward), switch (1: backward), speed, way back."""
 
     direction: int
@@ -213,20 +203,16 @@ class Home(Record):
     velocity: int
     offset: int
 
-    FORMAT: ClassVar[str] = "<HHHll"
-
 
 @dataclass(frozen=True, slots=True)
-class Backlash(Record):
+class Backlash(Record, layout="<Hl"):
     """How far the firmware overruns after a backward move, in counts."""
 
     counts: int
 
-    FORMAT: ClassVar[str] = "<Hl"
-
 
 @dataclass(frozen=True, slots=True)
-class Limits(Record):
+class Limits(Record, layout="<HHHllH"):
     """Sense of the two switches, soft limits in counts, what happens at these (1: nothing)."""
 
     forward_switch: int
@@ -235,19 +221,15 @@ class Limits(Record):
     backward: int
     mode: int
 
-    FORMAT: ClassVar[str] = "<HHHllH"
-
 
 @dataclass(frozen=True, slots=True)
-class Status(Record):
+class Status(Record, layout="<HlhhL"):
     """Where the motor is: counts, speed, current (or nothing), `Bits`."""
 
     counts: int
     velocity: int
     current: int
     bits: int
-
-    FORMAT: ClassVar[str] = "<HlhhL"
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
@@ -270,12 +252,10 @@ class Status(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class StatusBits(Record):
+class StatusBits(Record, layout="<HL"):
     """`Bits` alone."""
 
     bits: int
-
-    FORMAT: ClassVar[str] = "<HL"
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,9 +288,7 @@ class Info:
         DamagedMessage
             If the length is wrong or the model is no text.
         """
-        if len(data) != struct.calcsize(cls.FORMAT):
-            raise DamagedMessage(f"expected {struct.calcsize(cls.FORMAT)} bytes, got {len(data)}")
-        fields = struct.unpack(cls.FORMAT, data)
+        fields = _unpacked(cls.FORMAT, data)
         serial_number, model, _, minor, interim, major, _, notes = fields[:8]
         text = model.split(b"\0")[0].decode("ascii", "replace").strip()
         if not text.isalnum():

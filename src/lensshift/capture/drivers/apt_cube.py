@@ -82,7 +82,9 @@ class AptCube:
                 resyncs = self.link.resyncs
                 replies.clear()
             replies.append(last)
-            if _agree(replies[-2:], 2) and self._at_rest(replies[-2:]):
+            counts = [one.counts for one in replies[-2:] if not one.moving]
+            rests = len(counts) == 2 and abs(counts[0] - counts[1]) <= self._tolerance
+            if rests and _agree(replies[-2:], 2):
                 return last
             if _agree(replies[-3:], 3) and last.moving:
                 return sorted(replies[-3:], key=lambda one: one.counts)[1]
@@ -134,11 +136,6 @@ class AptCube:
             with suppress(DeviceTimeout):
                 still = 0 if self.poll(stop, attempts=1).moving else still + 1
             time.sleep(_POLL_S)
-
-    def _at_rest(self, replies: list[Status]) -> bool:
-        counts = [one.counts for one in replies]
-        moving = any(one.moving for one in replies)
-        return not moving and max(counts) - min(counts) <= self._tolerance
 
     def _contradiction(self) -> DeviceError:
         return DeviceError(

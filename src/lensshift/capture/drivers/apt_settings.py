@@ -57,14 +57,9 @@ class AptSettings:
     def __post_init__(self) -> None:
         if not isinstance(self.counts_per_mm, int | float) and len(self.counts_per_mm) != 2:
             raise ValueError(f"expected counts_per_mm or two of them, got {self.counts_per_mm}")
-        positive = {
-            "velocity_mmps": self.velocity_mmps,
-            "acceleration_mmps2": self.acceleration_mmps2,
-            "home_velocity_mmps": self.home_velocity_mmps,
-            "tolerance_mm": self.tolerance_mm,
-            "reply_timeout_s": self.reply_timeout_s,
-            **{f"counts_per_mm[{axis}]": self.scale(axis) for axis in (0, 1)},
-        }
+        names = ("velocity_mmps", "acceleration_mmps2", "home_velocity_mmps", "tolerance_mm")
+        positive = {name: getattr(self, name) for name in (*names, "reply_timeout_s")}
+        positive |= {f"counts_per_mm[{axis}]": self.scale(axis) for axis in (0, 1)}
         for name, value in positive.items():
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"expected a positive {name}, got {value}")

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.drivers.receiver import ReceivingCamera
 from lensshift.capture.rig import CameraFrame
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
@@ -19,7 +19,7 @@ from lensshift.core.types import Frame
 _OWN_KEYS = ("amplitude", "distance_m", "valid", "time_s")
 
 
-def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, NDArray[Any]]]:
+def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, Array]]:
     """Turn what a function returned into a frame and the arrays to keep beside it.
 
     Parameters
@@ -62,7 +62,7 @@ def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, NDArray[Any]]]:
     return Frame(amplitude, distance_m, valid, time_s), raw
 
 
-def _check_shape(values: NDArray[Any], amplitude: NDArray[Any], name: str) -> None:
+def _check_shape(values: Array, amplitude: Array, name: str) -> None:
     if values.shape != amplitude.shape:
         raise ValueError(f"expected {name} of shape {amplitude.shape}, got {values.shape}")
 

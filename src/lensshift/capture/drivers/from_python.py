@@ -10,13 +10,15 @@ import importlib
 import inspect
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.settings import built
@@ -123,34 +125,57 @@ class _Named:
             raise DeviceError(problem, device=self._name) from error
 
 
-class CheckedStage:
+class _Checked:
+    """A device of somebody else's; what it does not do is an error that names it."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+        self.name = str(device.name)
+
+    def _ask(self, what: str, kind: Callable[[Any], T], *args: Any, **options: Any) -> T:
+        """Return a property, or what a method returns, as a kind of value."""
+        with _Named(self.name, DeviceError):
+            found = getattr(self._device, what)
+            return kind(found(*args, **options) if callable(found) else found)
+
+    def _error(self, problem: str, what: str = "") -> DeviceError:
+        return DeviceError(problem, device=self.name, command=what)
+
+    def close(self) -> None:
+        """Stop and let go of the device."""
+        self._ask("close", type)  # whatever it returns
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return what to keep beside the frames."""
+        return self._ask("describe", dict)
+
+
+class CheckedStage(_Checked):
     """A stage of somebody else's; what it returns is what `Stage` promises, or an error."""
 
     def __init__(self, stage: Any) -> None:
-        self._stage = stage
-        self.name = str(stage.name)
+        super().__init__(stage)
         low, high = self.travel_mm.T
         if not np.all(low < high):
-            raise DeviceError("its travel_mm is empty", device=self.name)
+            raise self._error("its travel_mm is empty")
 
-    def _asked(self, what: str, of: Callable[[], Any], shape: tuple[int, ...]) -> NDArray[Any]:
-        with _Named(self.name, DeviceError):
-            values = np.asarray(of(), dtype=np.float64)
+    def _numbers(self, what: str, shape: tuple[int, ...], *args: Any, **options: Any) -> Floats:
+        values: Floats = self._ask(what, partial(np.asarray, dtype=np.float64), *args, **options)
         if values.shape != shape or not np.all(np.isfinite(values)):
-            problem = f"expected {list(shape)} finite numbers (mm), got {values.tolist()!s:.60}"
-            raise DeviceError(problem, device=self.name, command=what)
+            told = f"{values.tolist()!s:.60}"
+            raise self._error(f"expected {list(shape)} finite numbers (mm), got {told}", what)
         return values
 
     @property
-    def travel_mm(self) -> NDArray[np.float64]:
+    def travel_mm(self) -> Floats:
         """[2 2] (axis; lowest, highest) position that it goes to."""
-        return self._asked("travel_mm", lambda: self._stage.travel_mm, (2, 2))
+        return self._numbers("travel_mm", (2, 2))
 
-    def position_mm(self) -> NDArray[np.float64]:
+    def position_mm(self) -> Floats:
         """Return the position [2] read back."""
-        return self._asked("position_mm", self._stage.position_mm, (2,))
+        return self._numbers("position_mm", (2,))
 
-    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> NDArray[np.float64]:
+    def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         """Move within the travel, wait, return the position read back."""
         goal_mm = np.asarray(position_mm, dtype=np.float64)
         low, high = self.travel_mm.T
@@ -159,90 +184,61 @@ class CheckedStage:
                 f"expected a position [2] within {self.travel_mm.tolist()} mm, got "
                 f"{goal_mm.tolist()}"
             )
-        return self._asked("move_to", lambda: self._stage.move_to(goal_mm, direct=direct), (2,))
+        return self._numbers("move_to", (2,), goal_mm, direct=direct)
 
     def stop(self) -> None:
         """Stand still at once."""
-        with _Named(self.name, DeviceError):
-            self._stage.stop()
-
-    def close(self) -> None:
-        """Stop and let go of the device."""
-        with _Named(self.name, DeviceError):
-            self._stage.close()
-
-    def describe(self) -> Mapping[str, Any]:
-        """Return what to keep beside the frames."""
-        with _Named(self.name, DeviceError):
-            return dict(self._stage.describe())
+        self._ask("stop", type)
 
 
-class CheckedCamera:
+class CheckedCamera(_Checked):
     """A camera of somebody else's; what it returns is what `Camera` promises, or an error."""
 
-    def __init__(self, camera: Any) -> None:
-        self._camera = camera
-        self._cycle = -1
-        self.name = str(camera.name)
+    _cycle = -1
 
     @property
     def grid(self) -> Grid:
         """Shape and pitch of the frames."""
-        return self._checked("grid", self._camera.grid, Grid)
+        return self._checked("grid", self._device.grid, Grid)
 
     @property
     def modulation_hz(self) -> float | None:
         """Modulation frequency of the distance, if it is known."""
-        known = self._camera.modulation_hz
+        known = self._device.modulation_hz
         return None if known is None else float(known)
 
     @property
     def intrinsics(self) -> Any:
         """Where the pixels look, if the camera tells."""
-        return getattr(self._camera, "intrinsics", None)
+        return getattr(self._device, "intrinsics", None)
 
     def open(self) -> None:
         """Begin to receive."""
-        with _Named(self.name, DeviceError):
-            self._camera.open()
+        self._ask("open", type)
         self._cycle = -1
 
     def newest_cycle(self) -> int:
         """Return the counter of the newest frame that has begun, -1 before the first."""
-        with _Named(self.name, DeviceError):
-            return int(self._camera.newest_cycle())
+        return self._ask("newest_cycle", int)
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
         """Return the oldest frame not yet fetched, of the shape of the grid and a later cycle."""
         with _Named(self.name, DeviceError):
-            shot = self._checked("next_frame", self._camera.next_frame(timeout_s), CameraFrame)
+            shot = self._checked("next_frame", self._device.next_frame(timeout_s), CameraFrame)
             shape = np.shape(shot.frame.amplitude)
         if shape != self.grid.shape:
-            problem = f"expected a frame of {self.grid.shape}, got {shape}"
-            raise DeviceError(problem, device=self.name, command="next_frame")
+            raise self._error(f"expected a frame of {self.grid.shape}, got {shape}", "next_frame")
         if shot.cycle <= self._cycle:
             problem = f"expected a cycle after {self._cycle}, got {shot.cycle}"
-            raise DeviceError(problem, device=self.name, command="next_frame")
+            raise self._error(problem, "next_frame")
         self._cycle = shot.cycle
         return shot
 
     def _checked(self, what: str, value: Any, kind: type[T]) -> T:
         if isinstance(value, kind):
             return value
-        problem = f"expected a {kind.__name__}, got {type(value).__name__}"
-        raise DeviceError(problem, device=self.name, command=what)
+        raise self._error(f"expected a {kind.__name__}, got {type(value).__name__}", what)
 
     def counts(self) -> Mapping[str, int]:
         """Return what came and what was lost since `open`."""
-        with _Named(self.name, DeviceError):
-            return dict(self._camera.counts())
-
-    def close(self) -> None:
-        """Stop receiving and let go of the device."""
-        with _Named(self.name, DeviceError):
-            self._camera.close()
-
-    def describe(self) -> Mapping[str, Any]:
-        """Return what to keep beside the frames."""
-        with _Named(self.name, DeviceError):
-            return dict(self._camera.describe())
+        return self._ask("counts", dict)

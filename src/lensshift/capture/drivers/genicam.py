@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.drivers.from_callable import CallableCamera
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.units import MILLIMETRE_M
 
@@ -140,7 +140,7 @@ def read_components(components: Any, step_m: float = MILLIMETRE_M) -> dict[str, 
     return {**found, "valid": valid}
 
 
-def _pixels(component: Any, depth: int = 1) -> NDArray[Any]:
+def _pixels(component: Any, depth: int = 1) -> Array:
     rows, cols = int(component.height), int(component.width)
     values = np.asarray(component.data).ravel()
     if values.size != rows * cols * depth:

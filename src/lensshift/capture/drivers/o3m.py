@@ -11,7 +11,7 @@ from typing import Any
 from lensshift.capture.drivers.o3m_layout import SHAPE
 from lensshift.capture.drivers.o3m_packets import MAX_PACKET_BYTES
 from lensshift.capture.drivers.o3m_stream import O3MStream
-from lensshift.capture.drivers.receiver import ReceivingCamera
+from lensshift.capture.drivers.receiver import LOOK_S, ReceivingCamera
 from lensshift.core.errors import DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import PixelDirections
@@ -19,7 +19,6 @@ from lensshift.core.intrinsics import PixelDirections
 DATA_PORT = 42000  # where a camera sends unless set otherwise
 PITCH_MM = 0.155  # of the sensor, from the paper
 _SOCKET_BYTES = 4 << 20  # about four seconds at 50 Hz, if the system grants it
-_LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
 
 
 class O3MCamera(ReceivingCamera):
@@ -76,14 +75,13 @@ class O3MCamera(ReceivingCamera):
             udp.bind((self._host, self.port))
         except OSError as error:
             udp.close()
-            raise DeviceError(
+            raise self._error(
                 f"cannot listen at {self._host}: {error.strerror}; close other programs that "
-                "receive from the camera",
-                device=self.name,
+                "receive from the camera"
             ) from error
         # The system may have granted less; Linux tells twice what it holds.
         self._held_bytes = udp.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        udp.settimeout(_LOOK_S)
+        udp.settimeout(LOOK_S)
         self.port = udp.getsockname()[1]
         self.name = f"O3M on UDP port {self.port}"
         self._socket = udp

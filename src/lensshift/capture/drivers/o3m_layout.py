@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import DataError
 
 # As ifm documents them; channel 20 has objects without pixels.
@@ -74,15 +75,15 @@ class O3MImage:
     """
 
     layout: str
-    amplitude: NDArray[np.float64]
-    distance_m: NDArray[np.float64]
-    valid: NDArray[np.bool_]
+    amplitude: Floats
+    distance_m: Floats
+    valid: Mask
     timestamp_us: int
     coarse_pixels: int
     raw: Mapping[str, NDArray[np.generic]]
 
     @property
-    def direction(self) -> NDArray[np.float64] | None:
+    def direction(self) -> Floats | None:
         """[16 64 3] where the pixels look (x right, y down, z forward, along the vehicle's axes).
 
             direction = (x, y, z) - (x, y, z) of the camera,    sent for invalid pixels as well
@@ -183,7 +184,7 @@ def read_image(message: bytes) -> O3MImage:
     )
 
 
-def _distance_m(pixels: np.void) -> tuple[NDArray[np.float64], int]:
+def _distance_m(pixels: np.void) -> tuple[Floats, int]:
     """Return radial distances and how many of them are in whole centimetres."""
     coarse_m = pixels["distance_cm"] * _COARSE_M
     camera_m = pixels["calibration"].astype(np.float64)

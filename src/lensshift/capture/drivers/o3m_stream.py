@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -25,39 +25,13 @@ from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.types import Frame
 
 Address = tuple[str, int]
+_OF_PORT = ("packets", "foreign_packets", "other_cameras_packets", "other_cameras_images")
 _MAX_SENDERS = 64  # the one that has been silent for longest makes room for another
 _MAX_NOTED = 16  # channels named in a message
 
 
-@dataclass(slots=True)
-class StreamCounts:
-    """What came to the port.
-
-    Parameters
-    ----------
-    datagrams : all of them
-    foreign : no O3M packets
-    packets : O3M packets of the camera, of whoever sends while it is not known yet
-    other : O3M packets of a sender that was not asked for, or is not the camera
-    other_images : whole images of other cameras
-    wrong : whole messages of an unknown layout, version or size
-    """
-
-    datagrams: int = 0
-    foreign: int = 0
-    packets: int = 0
-    other: int = 0
-    other_images: int = 0
-    wrong: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Counts at one moment: datagrams, everything else, and the packets of each channel."""
-
-    datagrams: int
-    totals: dict[str, int]
-    channels: dict[int, int]
+# At one moment: datagrams, everything else, and the packets of each channel.
+Snapshot = tuple[int, dict[str, int], dict[int, int]]
 
 
 class O3MStream:
@@ -74,7 +48,8 @@ class O3MStream:
 
     def __init__(self, source: str | None = None) -> None:
         self.source = source
-        self.counts = StreamCounts()
+        self._datagrams = 0
+        self._counts: Counter[str] = Counter()  # by the names of `totals`
         self.diagnosis: O3MDiagnosis | None = None
         self.parameters = b""
         self.image: O3MImage | None = None
@@ -110,23 +85,19 @@ class O3MStream:
             If the camera has started anew, or another one has taken its place after a silence.
             Later datagrams may be pushed all the same.
         """
-        self.counts.datagrams += 1
+        self._datagrams += 1
         header = read_header(datagram)
-        if header is None:
-            self.counts.foreign += 1
-            self._stranger = _named(address)
-            return None
-        if not self._is_wanted(address):
-            self.counts.other += 1
-            self._stranger = _named(address)
-            return None
-        if self._is_camera(address, header.channel):
-            self.counts.packets += 1
+        wanted = self.source is None or self.source in (address[0], _named(address))
+        if header is not None and wanted and self._is_camera(address, header.channel):
+            self._counts["packets"] += 1
             if header.channel in self._channels or len(self._channels) < _MAX_NOTED:
                 self._channels[header.channel] = self._channels.get(header.channel, 0) + 1
         else:
-            self.counts.other += 1
             self._stranger = _named(address)
+            self._counts["foreign_packets"] += header is None
+            self._counts["other_cameras_packets"] += header is not None
+        if header is None or not wanted:
+            return None
         sender = self._sender(address, arrived_s)
         restarts = sender.restarts(PIXEL_CHANNEL)
         message = sender.push(header, datagram, arrived_s)
@@ -136,9 +107,6 @@ class O3MStream:
                 f"{header.cycle_counter}"
             )
         return None if message is None else self._take(message, address, arrived_s)
-
-    def _is_wanted(self, address: Address) -> bool:
-        return self.source is None or self.source in (address[0], _named(address))
 
     def _is_camera(self, address: Address, channel: int) -> bool:
         """Tell whether a packet is the camera's; anybody's may be while it is not known yet."""
@@ -175,7 +143,7 @@ class O3MStream:
                 self._informant = address[0]
         except DataError as error:
             if self._is_camera(address, message.channel):
-                self.counts.wrong += 1
+                self._counts["wrong_size_or_version"] += 1
                 self._wrong = str(error)
         return None
 
@@ -183,7 +151,7 @@ class O3MStream:
         """Let the sender of an image be the camera, unless there is one; tell whether it is."""
         before = self._chosen
         if address != before and before is not None and arrived_s - self._seen_s <= QUIET_S:
-            self.counts.other_images += 1
+            self._counts["other_cameras_images"] += 1
             self.other = _named(address)
             return False
         self._seen_s = arrived_s
@@ -214,28 +182,27 @@ class O3MStream:
         camera = senders.get(self._chosen) if self._chosen is not None else None
         each = [one.counts for one in (senders.values() if camera is None else [camera])]
         return {
-            "packets": self.counts.packets,
-            "foreign_packets": self.counts.foreign,
-            "other_cameras_packets": self.counts.other,
-            "other_cameras_images": self.counts.other_images,
+            **{name: self._counts[name] for name in _OF_PORT},
             "lost_packets": sum(one.lost for one in each),
             "duplicate_packets": sum(one.duplicate for one in each),
             "reordered_packets": sum(one.reordered for one in each),
             "partial_cycles": sum(one.partial for one in each),
-            "wrong_size_or_version": self.counts.wrong + sum(one.oversize for one in each),
+            "wrong_size_or_version": self._counts["wrong_size_or_version"]
+            + sum(one.oversize for one in each),
             "restarts": sum(one.restarts for one in each),
         }
 
     def snapshot(self) -> Snapshot:
         """Return all counts as they are now, for `explain`."""
-        return Snapshot(self.counts.datagrams, self.totals(), dict(self._channels))
+        return self._datagrams, self.totals(), dict(self._channels)
 
     def explain(self, before: Snapshot) -> str:
         """Tell in words for the bench why no image came since a snapshot."""
-        came = {name: count - before.totals[name] for name, count in self.totals().items()}
-        if self.counts.datagrams == before.datagrams:
+        datagrams, totals, channels = before
+        came = {name: count - totals[name] for name, count in self.totals().items()}
+        if self._datagrams == datagrams:
             return (
-                f"nothing arrives{' any more' if before.datagrams else ''}; check power and cable, "
+                f"nothing arrives{' any more' if datagrams else ''}; check power and cable, "
                 "that the camera sends to this computer and this port, and the firewall"
             )
         if not came["packets"]:
@@ -247,7 +214,7 @@ class O3MStream:
             return f"{came['wrong_size_or_version']} messages of an unknown version or size" + (
                 f" ({self._wrong})" if self._wrong else ""
             )
-        seen = [one for one, n in dict(self._channels).items() if n > before.channels.get(one, 0)]
+        seen = [one for one, n in dict(self._channels).items() if n > channels.get(one, 0)]
         if PIXEL_CHANNEL not in seen:
             return (
                 f"channel {', '.join(map(str, sorted(seen)))} arrives, but not channel "
@@ -276,8 +243,8 @@ class O3MStream:
         image, diagnosis = self.image, self.diagnosis
         if image is not None:
             known["layout"] = image.layout
-            known["normalization"] = [float(one) for one in _numbers(image, "normalization")]
-            known["calibration"] = [float(one) for one in _numbers(image, "calibration")]
+            for name in ("normalization", "calibration"):
+                known[name] = image.raw[name].astype(np.float64).tolist()
             known["coarse_pixels"] = image.coarse_pixels
         if diagnosis is not None:
             known["main_celsius"] = diagnosis.main_celsius
@@ -286,10 +253,6 @@ class O3MStream:
         if self.parameters:
             known["parameters_hex"] = self.parameters.hex()
         return known
-
-
-def _numbers(image: O3MImage, name: str) -> np.ndarray[Any, Any]:
-    return image.raw[name].astype(np.float64)
 
 
 def _named(address: Address) -> str:

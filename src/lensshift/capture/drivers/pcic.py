@@ -18,15 +18,14 @@ from lensshift.capture.drivers.pcic_protocol import (
     read_result,
     write_message,
 )
-from lensshift.capture.drivers.receiver import ReceivingCamera, counter_steps
+from lensshift.capture.drivers.receiver import LOOK_S, ReceivingCamera, counter_steps
 from lensshift.capture.rig import CameraFrame
-from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
+from lensshift.core.errors import DataError, DeviceTimeout
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import PixelDirections
 from lensshift.core.types import Frame
 
 RESULT_PORT = 50010  # of an O3D and O3R unless set otherwise
-_LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
 _RECEIVE_BYTES = 1 << 16  # at once
 _FRAME_COUNT_AT = 4 + 32  # in a result: after `star`, in the first chunk
 
@@ -95,9 +94,9 @@ class PcicCamera(ReceivingCamera):
         try:
             self._socket = socket.create_connection(self._address, self._timeout_s)
         except OSError as error:
-            raise DeviceError(f"cannot connect: {error}", device=self.name) from error
+            raise self._error(f"cannot connect: {error}") from error
         self._reset()
-        self._socket.settimeout(_LOOK_S)
+        self._socket.settimeout(LOOK_S)
         self._start()
         opened = False
         try:
@@ -105,19 +104,14 @@ class PcicCamera(ReceivingCamera):
                 text = self._schema.encode()
                 self._command(b"c%09d%s" % (len(text), text))
             self._command(b"p1")
-            self._await_shape()
-            opened = True
+            with self._changed:
+                opened = self._changed.wait_for(lambda: self._grid is not None, self._timeout_s)
+            if not opened:
+                problem = f"no result in {self._timeout_s:g} s: {self._explain(0, 0)}"
+                raise self._error(problem, kind=DeviceTimeout)
         finally:
             if not opened:
                 self.close()
-
-    def _await_shape(self) -> None:
-        with self._changed:
-            known = self._changed.wait_for(lambda: self._grid is not None, self._timeout_s)
-        if not known:
-            raise DeviceTimeout(
-                f"no result in {self._timeout_s:g} s: {self._explain(0, 0)}", device=self.name
-            )
 
     def _command(self, command: bytes) -> bytes:
         """Send a command and return its answer; raise if the camera refuses it."""
@@ -128,23 +122,19 @@ class PcicCamera(ReceivingCamera):
         self._send(write_message(ticket, command), what)
         with self._changed:
             if not self._changed.wait_for(lambda: ticket in self._answers, self._timeout_s):
-                raise DeviceTimeout(
-                    f"no answer in {self._timeout_s:g} s", device=self.name, command=what
-                )
+                raise self._error(f"no answer in {self._timeout_s:g} s", what, DeviceTimeout)
             answer = self._answers.pop(ticket)
         if answer[:1] in (b"!", b"?"):
-            raise DeviceError(f"refused with {answer!r}", device=self.name, command=what)
+            raise self._error(f"refused with {answer!r}", what)
         return answer
 
     def _send(self, data: bytes, what: str) -> None:
         if self._socket is None:
-            raise DeviceError("not open: call open() first", device=self.name)
+            raise self._error("not open: call open() first")
         try:
             self._socket.sendall(data)
         except OSError as error:
-            raise DeviceError(
-                f"the connection is lost: {error}", device=self.name, command=what
-            ) from error
+            raise self._error(f"the connection is lost: {error}", what) from error
 
     def _receive(self, stop: threading.Event) -> None:
         connection, parser = self._socket, self._parser

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Array, Floats
 
 _STEEPEST = 1e3  # tangent of 89.94 degrees: no pixel of a lens looks farther aside
 BOUGUET = 0  # number of the model of `bouguet_directions` in an O3R's information
 
 
-def sent_directions(
-    vectors: NDArray[Any] | None, shape: tuple[int, ...]
-) -> NDArray[np.float64] | None:
+def sent_directions(vectors: Array | None, shape: tuple[int, ...]) -> Floats | None:
     """Return unit vectors [row col 3] as an O3D sends them if asked; None if they are not whole."""
     if vectors is None or vectors.shape != (*shape, 3):
         return None
@@ -22,9 +20,7 @@ def sent_directions(
     return vectors.astype(np.float64) if whole else None
 
 
-def bouguet_directions(
-    numbers: Sequence[float], shape: tuple[int, ...]
-) -> NDArray[np.float64] | None:
+def bouguet_directions(numbers: Sequence[float], shape: tuple[int, ...]) -> Floats | None:
     """Return the directions [row col 3] that an O3R's intrinsic numbers lead to.
 
         x = (col + 1/2 - mx) / fx - alpha y,  y = (row + 1/2 - my) / fy,  r^2 = x^2 + y^2

@@ -11,9 +11,9 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.drivers.pcic_directions import BOUGUET, bouguet_directions, sent_directions
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
 from lensshift.core.units import MILLIMETRE_M
 
@@ -27,25 +27,8 @@ _CHUNK = struct.Struct("<9I")
 _CHUNK_TIME = struct.Struct("<3I")  # from header version 2 on
 _METADATA_AT = 48  # from header version 3 on
 _INFO = struct.Struct("<I2f3f6fI32fI32f")
-_FORMATS: Mapping[int, tuple[str, tuple[int, ...]]] = {
-    0: ("<u1", ()),
-    1: ("<i1", ()),
-    2: ("<u2", ()),
-    3: ("<i2", ()),
-    4: ("<u4", ()),
-    5: ("<i4", ()),
-    6: ("<f4", ()),
-    7: ("<u8", ()),
-    8: ("<f8", ()),
-    10: ("<f4", (3,)),
-}
-_IMAGES = {
-    100: "distance",
-    101: "normalised_amplitude",
-    103: "amplitude",
-    105: "distance_noise",
-    300: "confidence",
-}
+_SCALARS = ("<u1", "<i1", "<u2", "<i2", "<u4", "<i4", "<f4", "<u8", "<f8")
+_FORMATS = dict(enumerate(map(np.dtype, _SCALARS))) | {10: np.dtype(("<f4", (3,)))}
 _INVALID = 1  # bit of the confidence
 
 
@@ -71,6 +54,15 @@ class ChunkKind(IntEnum):
     INVERSE_INTRINSIC = 402
     TOF_INFO = 420
     RGB_INFO = 421
+
+
+_IMAGES: Mapping[int, str] = {
+    kind: kind.name.lower()
+    for kind in (
+        ChunkKind.DISTANCE, ChunkKind.NORMALISED_AMPLITUDE, ChunkKind.AMPLITUDE,
+        ChunkKind.DISTANCE_NOISE, ChunkKind.CONFIDENCE,
+    )
+}  # fmt: skip
 
 
 class Message(NamedTuple):
@@ -107,9 +99,9 @@ class PcicParser:
         buffer += data
         messages = []
         at = 0
-        while (start := self._next_head(at)) is not None:
-            self.skipped_bytes += start - at
-            at = start
+        while (head := _HEAD.search(buffer, at)) is not None:
+            self.skipped_bytes += head.start() - at
+            at = head.start()
             end = self._end(at)
             if end is None:
                 at += 1
@@ -135,10 +127,6 @@ class PcicParser:
             return b""
         at = _HEAD_BYTES + _TICKET_BYTES
         return bytes(buffer[at : at + 4 + _CHUNK.size])
-
-    def _next_head(self, at: int) -> int | None:
-        found = _HEAD.search(self._buffer, at)
-        return None if found is None else found.start()
 
     def _end(self, at: int) -> int | None:
         """Return where the message ends that may begin here, None if it is none."""
@@ -184,7 +172,7 @@ class Chunk:
     metadata: Mapping[str, Any]
     data: bytes
 
-    def image(self) -> NDArray[Any]:
+    def image(self) -> Array:
         """Return the pixels [row col] or [row col 3].
 
         Raises
@@ -197,15 +185,14 @@ class Chunk:
                 f"expected a known pixel format, got {self.pixel_format}",
                 field=f"chunk {self.kind}",
             )
-        name, tail = _FORMATS[self.pixel_format]
-        pixel = np.dtype((name, tail))
+        pixel = _FORMATS[self.pixel_format]
         count = self.shape[0] * self.shape[1]
         if not 0 < count * pixel.itemsize <= len(self.data):
             raise DataError(
                 f"{len(self.data)} bytes do not hold {self.shape[1]} x {self.shape[0]} pixels",
                 field=f"chunk {self.kind}",
             )
-        return np.frombuffer(self.data, pixel, count).reshape(self.shape + tail)
+        return np.frombuffer(self.data, pixel, count).reshape(self.shape + pixel.shape)
 
 
 def read_chunks(content: bytes) -> list[Chunk]:
@@ -311,15 +298,15 @@ class PcicImage:
     raw : the pixels as they came, by the name of their chunk
     """
 
-    amplitude: NDArray[np.float64]
-    distance_m: NDArray[np.float64] | None
-    valid: NDArray[np.bool_]
+    amplitude: Floats
+    distance_m: Floats | None
+    valid: Mask
     frame_count: int
     time_us: int
     time_s: float | None
     info: TofInfo | None
-    direction: NDArray[np.float64] | None = None
-    raw: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    direction: Floats | None = None
+    raw: Mapping[str, Array] = field(default_factory=dict)
 
 
 def read_result(content: bytes) -> PcicImage:
@@ -366,13 +353,13 @@ def read_result(content: bytes) -> PcicImage:
     )  # fmt: skip
 
 
-def _is_valid(confidence: NDArray[Any]) -> NDArray[np.bool_]:
+def _is_valid(confidence: Array) -> Mask:
     if confidence.dtype.kind not in "ui":
         raise DataError(f"expected whole numbers, got {confidence.dtype}", field="confidence")
     return np.asarray((confidence & _INVALID) == 0)
 
 
-def _distance_m(chunk: Chunk, counts: NDArray[Any], info: TofInfo | None) -> NDArray[np.float64]:
+def _distance_m(chunk: Chunk, counts: Array, info: TofInfo | None) -> Floats:
     """Return metres: floats are metres, counts have the resolution told, else millimetres."""
     if counts.dtype.kind == "f":
         return counts.astype(np.float64)

@@ -16,6 +16,7 @@ from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
 
 QUEUE_FRAMES = 64  # more than a second at 50 Hz
+LOOK_S = 0.2  # how often a silent loop looks whether it shall stop
 _JOIN_S = 10.0  # loops look at their stop event several times a second
 
 
@@ -171,19 +172,11 @@ class ReceivingCamera(ABC):
     def grid(self) -> Grid:
         """Shape and pitch of the frames; known once it is open."""
         if self._grid is None:
-            raise DeviceError("the shape is not known before open()", device=self.name)
+            raise self._error("the shape is not known before open()")
         return self._grid
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest whole frame not yet fetched; wait for one if there is none.
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time; the message says why.
-        DeviceError
-            If the camera has gone, has started anew, or is not open.
-        """
+        """Return the oldest whole frame not yet fetched; see `Camera.next_frame`."""
         return self._receiver.take(timeout_s, self._explaining())
 
     def counts(self) -> Mapping[str, int]:
@@ -195,9 +188,14 @@ class ReceivingCamera(ABC):
         """Stop receiving; a second call does nothing."""
         self._receiver.close()
 
+    def _error(
+        self, problem: str, command: str = "", kind: type[DeviceError] = DeviceError
+    ) -> DeviceError:
+        return kind(problem, device=self.name, command=command)
+
     def _refuse_open(self) -> None:
         if self._receiver.running:
-            raise DeviceError("is open already", device=self.name)
+            raise self._error("is open already")
 
     def _start(self) -> None:
         self._receiver = Receiver(self.name)

@@ -61,7 +61,6 @@ class ReplayCamera(ReceivingCamera):
         if not (self._is_o3m or amplitude_topic):
             raise ValueError(f"expected the topic of the amplitude for the bag {path}, got none")
         self._speed = speed
-        self._source = source
         self._port = port
         self._amplitude_topic = amplitude_topic
         self._distance_topic = distance_topic
@@ -100,8 +99,8 @@ class ReplayCamera(ReceivingCamera):
         try:
             self.grid  # noqa: B018 - reads the shape out of the recording
         except DataError as error:
-            raise DeviceError(str(error), device=self.name) from error
-        self._stream = O3MStream(self._source)
+            raise self._error(str(error)) from error
+        self._stream = O3MStream(self._stream.source)
         self._cycle, self._fetched, self._unpaired = -1, -1, 0
         self._start()
 
@@ -170,15 +169,7 @@ class ReplayCamera(ReceivingCamera):
         return self._stream.newest_cycle() if self._is_o3m else self._cycle
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest frame not yet fetched; wait for one if there is none.
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time.
-        DeviceError
-            If the recording has ended, is damaged, or the camera started anew in it.
-        """
+        """Return the oldest frame not yet fetched; see `Camera.next_frame`."""
         frame = super().next_frame(timeout_s)
         self._fetched = frame.cycle
         return frame

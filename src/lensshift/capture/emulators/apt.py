@@ -7,13 +7,13 @@ import select
 import socket
 import threading
 from contextlib import ExitStack, suppress
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.emulators.apt_controller import AptController
 from lensshift.capture.emulators.listener import listen
+from lensshift.core.arrays import Floats
 
 __all__ = ["AptController", "EmulatedStagePair", "Served", "serve_pty", "serve_tcp"]
 
@@ -131,45 +131,24 @@ class EmulatedStagePair:
 
     Parameters
     ----------
-    play_mm, encoder_noise_mm, loss, speed : see `AptController`
     seed : of noise and losses
     link : "tcp" or "pty"
+    settings : play_mm, encoder_noise_mm, loss, loss_in, speed; see `AptController`
     """
 
     def __init__(
-        self,
-        *,
-        play_mm: float = 0.0,
-        encoder_noise_mm: float = 0.0,
-        loss: float = 0.0,
-        loss_in: float = 0.0,
-        speed: float = 1.0,
-        seed: int = 0,
-        link: Literal["tcp", "pty"] = "tcp",
+        self, *, seed: int = 0, link: Literal["tcp", "pty"] = "tcp", **settings: Any
     ) -> None:
         if link not in ("tcp", "pty"):
             raise ValueError(f"expected link 'tcp' or 'pty', got {link!r}")
-        row, col = (
-            AptController(
-                model=model,
-                serial_number=serial_number,
-                play_mm=play_mm,
-                encoder_noise_mm=encoder_noise_mm,
-                loss=loss,
-                loss_in=loss_in,
-                speed=speed,
-                seed=2 * seed + axis,
-            )
-            for axis, (model, serial_number) in enumerate(
-                [("KDC101", 27000001), ("TDC001", 83000001)]
-            )
-        )
+        row = AptController(model="KDC101", serial_number=27000001, seed=2 * seed, **settings)
+        col = AptController(model="TDC001", serial_number=83000001, seed=2 * seed + 1, **settings)
         self.controllers = row, col
         self.urls = "", ""
         self._link = link
         self._served = ExitStack()
 
-    def lens_mm(self, now_s: float | None = None) -> NDArray[np.float64]:
+    def lens_mm(self, now_s: float | None = None) -> Floats:
         """Return the true position [2] of the lens at `time.monotonic()`, also seconds ago."""
         return np.array([one.lens_mm(now_s) for one in self.controllers])
 

@@ -81,7 +81,7 @@ class AptController:
         self._motion = Motion(self._counts(start_mm), self._counts(play_mm))
         self._flags: int = Bits.CONNECTED
         self._arrival: Id | None = None  # what to say when the motor stands
-        self._answers: dict[int, Callable[[Message], bytes]] = {
+        self._answers: dict[int, Callable[[Message], bytes | None]] = {
             Id.REQUEST_INFO: lambda _: self._say(Id.INFO, self.info.pack()),
             Id.SET_ENABLED: self._set_enabled,
             Id.REQUEST_ENABLED: lambda _: self._say(
@@ -196,7 +196,7 @@ class AptController:
 
     def _handle(self, message: Message) -> bytes:
         if message.id in self._answers:
-            return self._answers[message.id](message)
+            return self._answers[message.id](message) or b""
         kept = message.id + 2  # SET, REQUEST and the answer follow each other
         if kept in self._records:
             with suppress(apt.DamagedMessage):
@@ -205,46 +205,42 @@ class AptController:
             return self._say(kept - 1, self._records[kept - 1].pack())
         return b""
 
-    def _set_enabled(self, message: Message) -> bytes:
+    def _set_enabled(self, message: Message) -> None:
         if message.parameters == (apt.CHANNEL, 1):
             self._flags = self._flags & ~Bits.MOTION_ERROR | Bits.ENABLED
             self._enabled_s = self._time()
         elif message.parameters == (apt.CHANNEL, 2):
             self._motion.halt(self._time())
             self._flags &= ~Bits.ENABLED
-        return b""
 
-    def _update(self, *, every_s: float) -> bytes:
+    def _update(self, *, every_s: float) -> None:
         self._update_every_s, self._update_due_s = every_s, time.monotonic() + every_s
-        return b""
 
     def _place(self) -> bytes:
         return apt.Target(self._status().counts).pack()
 
-    def _call_it(self, message: Message) -> bytes:
+    def _call_it(self, message: Message) -> None:
         """Let the place where the motor stands bear another number."""
         with suppress(apt.DamagedMessage):
             counts = apt.Target.unpack(message.data).counts
             self._zero = self._motion.motor(self._time()) - counts
-        return b""
 
-    def _move(self, message: Message) -> bytes:
+    def _move(self, message: Message) -> None:
         """Go to a place, or by a length; without one in the message by that set before."""
         relative = message.id == More.MOVE_RELATIVE
-        kept = self._record(apt.Target, More.RELATIVE if relative else More.ABSOLUTE)
-        try:
-            way = apt.Target.unpack(message.data) if message.data else kept
-        except apt.DamagedMessage:
-            return b""
-        base = self._motion.motor(self._time()) if relative else self._zero
-        velocity = self._record(apt.Velocity, Id.VELOCITY)
-        return self._go(base + way.counts, velocity.highest, velocity.acceleration)
+        way = self._record(apt.Target, More.RELATIVE if relative else More.ABSOLUTE)
+        with suppress(apt.DamagedMessage):
+            if message.data:
+                way = apt.Target.unpack(message.data)
+            base = self._motion.motor(self._time()) if relative else self._zero
+            velocity = self._record(apt.Velocity, Id.VELOCITY)
+            self._go(base + way.counts, velocity.highest, velocity.acceleration)
 
-    def _jog(self, message: Message) -> bytes:
+    def _jog(self, message: Message) -> None:
         """Go a step, or until stopped, to lower (1, "forward") or higher counts (2)."""
         channel, way = message.parameters
         if channel != apt.CHANNEL or way not in (1, 2):
-            return b""
+            return
         jog, low_high = self._record(Jog, More.JOG), self._switches
         here = self._motion.motor(self._time())
         endless = message.id == More.MOVE_VELOCITY or jog.mode == 1
@@ -253,15 +249,14 @@ class AptController:
         if message.id == More.MOVE_VELOCITY:
             velocity = self._record(apt.Velocity, Id.VELOCITY)
         end = low_high[way == 2] if endless else here + step
-        said = self._go(end, velocity.highest, velocity.acceleration)
+        self._go(end, velocity.highest, velocity.acceleration)
         self._jogs = message.id == More.MOVE_JOG
-        return said
 
-    def _go(self, goal: float, highest: int, rising: int) -> bytes:
+    def _go(self, goal: float, highest: int, rising: int) -> None:
         """Set out for a place, by speed and acceleration in units of the servo."""
         ready = self._flags & Bits.ENABLED and not self._flags & (Bits.MOTION_ERROR | Bits.HOMING)
         if not ready:
-            return b""
+            return
         acceleration = max(rising / (apt.SAMPLE_S**2 * 65536), 1.0)
         speed = max(highest / (apt.SAMPLE_S * 65536), 1.0)
         overrun = self._record(apt.Backlash, Id.BACKLASH).counts
@@ -276,17 +271,16 @@ class AptController:
                 break
         self._jogs = False
         self._sets_out(Id.COMPLETED, now_s)
-        return b""
 
-    def _home(self, message: Message) -> bytes:
+    def _home(self, message: Message) -> None:
         ready = self._flags & Bits.ENABLED and not self._flags & Bits.MOTION_ERROR
         if not ready or message.parameters[0] != apt.CHANNEL or self._hung:
-            return b""
+            return
         now_s = self._time()
         self._flags = self._flags & ~Bits.HOMED | Bits.HOMING
         if now_s - self._enabled_s < _LOCKS_UP_S:
             self._hung = True
-            return b""
+            return
         home = self._record(apt.Home, Id.HOME)
         speed = max(home.velocity / (apt.SAMPLE_S * 65536), 1.0)
         servo = self._record(apt.Velocity, Id.VELOCITY).acceleration
@@ -295,7 +289,6 @@ class AptController:
         for end in (self._switches[0], self._switches[0] + home.offset):
             self._motion.go(max(now_s, self._motion.end_s), end, speed, acceleration)
         self._sets_out(Id.HOMED, now_s)
-        return b""
 
     def _sets_out(self, arrival: Id, now_s: float) -> None:
         self._arrival = arrival

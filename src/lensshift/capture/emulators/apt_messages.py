@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from lensshift.capture.drivers import apt_codec as apt
 
@@ -19,7 +18,6 @@ ADDRESSES = (apt.CONTROLLER, 0x11, 0x21)
 class More(IntEnum):
     """Ids; SET, REQUEST and the answer follow each other."""
 
-    DISCONNECT = 0x0002
     START_UPDATES = 0x0011
     IDENTIFY = 0x0223
     SET_ENCODER = 0x0409
@@ -40,7 +38,7 @@ class More(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Jog(apt.Record):
+class Jog(apt.Record, layout="<HHllllH"):
     """How to jog: mode (1 until stopped, 2 one step), step in counts, speeds, how to stop."""
 
     mode: int
@@ -50,11 +48,9 @@ class Jog(apt.Record):
     highest: int
     stop: int
 
-    FORMAT: ClassVar[str] = "<HHllllH"
-
 
 @dataclass(frozen=True, slots=True)
-class Gains(apt.Record):
+class Gains(apt.Record, layout="<HllllH"):
     """Of the servo: proportional, integral, differential, limit of the integral, which count."""
 
     proportional: int
@@ -63,16 +59,12 @@ class Gains(apt.Record):
     limit: int
     which: int
 
-    FORMAT: ClassVar[str] = "<HllllH"
-
 
 @dataclass(frozen=True, slots=True)
-class Lamps(apt.Record):
+class Lamps(apt.Record, layout="<HH"):
     """When the lamp of the controller shines."""
 
     mode: int
-
-    FORMAT: ClassVar[str] = "<HH"
 
 
 def records(counts_per_mm: float) -> dict[int, apt.Record]:
@@ -93,7 +85,7 @@ SIZES: Mapping[int, tuple[int, ...]] = {
     **apt.TO_CONTROLLER,
     **{number: (size,) for number, size in _SET.items()},
     **{number + 1: (0,) for number in _SET},
-    **dict.fromkeys((More.DISCONNECT, More.START_UPDATES, More.IDENTIFY, More.ACKNOWLEDGE), (0,)),
+    **dict.fromkeys((apt.Id.DISCONNECT, More.START_UPDATES, More.IDENTIFY, More.ACKNOWLEDGE), (0,)),
     **dict.fromkeys((More.REQUEST_ENCODER, More.REQUEST_POSITION), (0,)),
     **dict.fromkeys((More.MOVE_VELOCITY, More.MOVE_JOG), (0,)),
     **dict.fromkeys((More.SET_ENCODER, More.SET_POSITION), (6,)),

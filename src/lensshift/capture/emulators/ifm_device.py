@@ -81,12 +81,13 @@ class IfmDevice:
         }
         if method == "getParameter" and arguments:
             return parameters[str(arguments[0])]
-        if method == "getAllParameters":
-            return parameters
-        if method == "getSWVersion":
-            return {"IFM_Software": _FIRMWARE[self._model]}
-        if method == "getHWInfo":
-            return {"MACAddress": "00:00:00:00:00:00"}
+        answers = {
+            "getAllParameters": parameters,
+            "getSWVersion": {"IFM_Software": _FIRMWARE[self._model]},
+            "getHWInfo": {"MACAddress": "00:00:00:00:00:00"},
+        }
+        if method in answers:
+            return answers[method]
         if self._model == "O3R" and method == "get":
             return json.dumps(_parts(self._about, arguments[0] if arguments else []))
         if self._model == "O3R" and method == "getSchema":

@@ -11,21 +11,15 @@ from collections.abc import Callable, Mapping
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.emulators.listener import check_own
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
 
 ROWS, COLS = 16, 64  # of the only sensor there is
-LAYOUTS: Mapping[str, int] = {
-    "1.0": 18900,
-    "1.1": 19036,
-    "1.2": 19044,
-    "1.3": 19224,
-    "1.4": 19224,
-}
+LAYOUTS = {"1.0": 18900, "1.1": 19036, "1.2": 19044, "1.3": 19224, "1.4": 19224}  # bytes
 MODES = {"run": 0x22, "init": 0x12, "boot": 0x15, "limited": 0x21, "emergency": 0x31}
 
 PACKET_BYTES = 1460  # header and payload
@@ -112,7 +106,9 @@ def pixel_message(
         setting[amplitude <= _FULL_COUNT * factors[choice]] = choice
     counts = np.clip(np.rint(amplitude / factors[setting]), 0, 65535)
     confidence = (setting << 1) | ~frame.valid
-    distance_m, coarse_cm = _distances(frame)
+    seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
+    distance_m = np.where(frame.valid & np.isfinite(seen_m), seen_m, 0.01)  # invalid: 1 cm
+    coarse_cm = np.clip(np.rint(distance_m * 100.0), 0, 15000)
     place_m = np.asarray(_CAMERA_M)[:, None, None] + _directions() * distance_m
     body = b"".join(
         [
@@ -132,15 +128,8 @@ def pixel_message(
     return (magic + body).ljust(LAYOUTS[layout], b"\0")
 
 
-def _distances(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return distances in metres and in whole centimetres; an invalid pixel reads 1 cm."""
-    seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
-    distance_m = np.where(frame.valid & np.isfinite(seen_m), seen_m, 0.01)
-    return distance_m, np.clip(np.rint(distance_m * 100.0), 0, 15000)
-
-
 @cache
-def _directions() -> NDArray[np.float64]:
+def _directions() -> Floats:
     """Return unit vectors [3 row col]: x forward, y left, z up; row 0 is the top."""
     up = np.tan(_HALF_FIELD_RAD[0]) * np.linspace(1, -1, ROWS)[:, None]
     left = np.tan(_HALF_FIELD_RAD[1]) * np.linspace(1, -1, COLS)[None, :]
@@ -278,9 +267,8 @@ class O3MSender:
             end_s = begin_s + self._exposure_s
             channels = {}
             if self._mode == MODES["run"]:
-                frame = self._look(begin_s, end_s)
                 channels[8] = pixel_message(
-                    frame,
+                    self._look(begin_s, end_s),
                     layout=self._layout,
                     full_scale=self._full_scale,
                     timestamp_us=int(begin_s * 1e6),

@@ -6,105 +6,73 @@ import json
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from typing import Any, NamedTuple
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.types import Frame
 
 MODELS = ("O3D", "O3R")
 _DISTANCE_STEP_M = {"O3D": 1e-3, "O3R": 1.5259e-4}
 _AMPLITUDE_STEP = {"O3D": 1e-3, "O3R": 1e-4}  # an O3D does not tell it: clients see counts
 _HALF_FIELD_RAD = math.radians(6.5)  # sideways
-_U1, _U2, _I2, _F4, _F4_3 = 0, 2, 3, 6, 10  # pixel formats
+_PIXELS = {"u1": 0, "u2": 2, "i2": 3, "u4": 4, "f4": 6}  # formats; 10 are three f4 for each
 _LONGEST_SCHEMA = 256  # elements
 
 
-class _Blob(NamedTuple):
-    """One part of a result: number of its chunk, pixel format, what is in it."""
-
-    kind: int
-    pixel: int
-    data: NDArray[Any]
+def _counts(frame: Frame, values: Array | None, step: float) -> Array:
+    known = np.zeros(frame.amplitude.shape) if values is None else values
+    return np.clip(np.rint(np.where(frame.valid, known, 0.0) / step), 0, 65535).astype("<u2")
 
 
-class Seen(NamedTuple):
-    """A frame, and the camera that sees it."""
-
-    frame: Frame
-    model: str
+def _distance(frame: Frame, model: str) -> Array:
+    return _counts(frame, frame.distance_m, _DISTANCE_STEP_M[model])
 
 
-def _counts(seen: Seen, values: NDArray[Any] | None, step: float) -> NDArray[Any]:
-    known = np.zeros(seen.frame.amplitude.shape) if values is None else values
-    return np.clip(np.rint(np.where(seen.frame.valid, known, 0.0) / step), 0, 65535).astype("<u2")
+def _amplitude(frame: Frame, model: str) -> Array:
+    return _counts(frame, frame.amplitude, _AMPLITUDE_STEP[model])
 
 
-def _distance(seen: Seen) -> _Blob:
-    return _Blob(100, _U2, _counts(seen, seen.frame.distance_m, _DISTANCE_STEP_M[seen.model]))
+def _confidence(frame: Frame, model: str) -> Array:
+    return (~frame.valid).astype("<u1")
 
 
-def _amplitude(kind: int) -> Callable[[Seen], _Blob]:
-    def blob(seen: Seen) -> _Blob:
-        counts = _counts(seen, seen.frame.amplitude, _AMPLITUDE_STEP[seen.model])
-        return _Blob(kind, _U2, counts)
-
-    return blob
-
-
-def _confidence(seen: Seen) -> _Blob:
-    return _Blob(300, _U1, (~seen.frame.valid).astype("<u1"))
-
-
-def _coordinate(axis: int) -> Callable[[Seen], _Blob]:
+def _coordinate(frame: Frame, model: str, *, axis: int) -> Array:
     """Return x right, y down or z forward, in mm."""
-
-    def blob(seen: Seen) -> _Blob:
-        frame = seen.frame
-        distance_m = (
-            np.zeros(frame.amplitude.shape) if frame.distance_m is None else frame.distance_m
-        )
-        along = directions(frame.amplitude.shape)[..., axis] * np.where(frame.valid, distance_m, 0)
-        return _Blob(200 + axis, _I2, np.rint(1e3 * along).astype("<i2"))
-
-    return blob
+    shape = frame.amplitude.shape
+    seen_m = np.zeros(shape) if frame.distance_m is None else frame.distance_m
+    along = directions(shape)[..., axis] * np.where(frame.valid, seen_m, 0)
+    return np.rint(1e3 * along).astype("<i2")
 
 
-def _vectors(seen: Seen) -> _Blob:
-    return _Blob(223, _F4_3, directions(seen.frame.amplitude.shape).astype("<f4"))
+def _calibration(frame: Frame, model: str) -> Array:
+    return np.array([_intrinsic(frame.amplitude.shape)], dtype="<f4")
 
 
-def _numbers(kind: int, numbers: Callable[[tuple[int, ...]], Sequence[float]]) -> Any:
-    def blob(seen: Seen) -> _Blob:
-        return _Blob(kind, _F4, np.asarray([numbers(seen.frame.amplitude.shape)], dtype="<f4"))
-
-    return blob
-
-
-def _diagnostic(seen: Seen) -> _Blob:
+def _diagnostic(frame: Frame, model: str) -> Array:
     """Temperatures in 0.1 degrees (illumination, two of the front end, evaluation), frame time."""
-    return _Blob(302, 4, np.array([[450, 420, 420, 400, 100]], dtype="<u4"))
+    return np.array([[450, 420, 420, 400, 100]], dtype="<u4")
 
 
-def _json_diagnostic(seen: Seen) -> _Blob:
+def _json_diagnostic(frame: Frame, model: str) -> Array:
     text = json.dumps({"AcquisitionDuration": 5.0, "EvaluationDuration": 2.0, "FrameRate": 10.0})
-    return _Blob(305, _U1, np.frombuffer(text.encode(), dtype="<u1")[None])
+    return np.frombuffer(text.encode(), dtype="<u1")[None]
 
 
-def _tof_info(seen: Seen) -> _Blob:
-    lens = _intrinsic(seen.frame.amplitude.shape)
+def _tof_info(frame: Frame, model: str) -> Array:
+    lens = _intrinsic(frame.amplitude.shape)
     info = struct.pack(
         "<I2f3f6fI32fI32f",
-        1, _DISTANCE_STEP_M[seen.model], _AMPLITUDE_STEP[seen.model], *[0.0] * 9,
+        1, _DISTANCE_STEP_M[model], _AMPLITUDE_STEP[model], *[0.0] * 9,
         0, *lens, *[0.0] * (32 - len(lens)), 0, *[0.0] * 32,
     )  # fmt: skip
-    return _Blob(420, _U1, np.frombuffer(info, dtype="<u1")[None])
+    return np.frombuffer(info, dtype="<u1")[None]
 
 
 @cache
-def directions(shape: tuple[int, ...]) -> NDArray[np.float64]:
+def directions(shape: tuple[int, ...]) -> Floats:
     """Return unit vectors [row col 3] of a pinhole: x right, y down, z forward."""
     fx, fy, mx, my = _intrinsic(shape)[:4]
     row, col = np.indices(shape)
@@ -113,34 +81,34 @@ def directions(shape: tuple[int, ...]) -> NDArray[np.float64]:
 
 
 def _intrinsic(shape: tuple[int, ...]) -> list[float]:
-    """Return fx, fy, mx, my of a pinhole with square pixels."""
+    """Return fx, fy, mx, my of a pinhole with square pixels, and 12 numbers that bend nothing."""
     focal_px = 0.5 * shape[1] / math.tan(_HALF_FIELD_RAD)
-    return [focal_px, focal_px, 0.5 * shape[1], 0.5 * shape[0]]
+    return [focal_px, focal_px, 0.5 * shape[1], 0.5 * shape[0], *[0.0] * 12]
 
 
-def _lens(shape: tuple[int, ...]) -> list[float]:
-    return [*_intrinsic(shape), *[0.0] * 12]
-
-
-BLOBS: Mapping[str, Callable[[Seen], _Blob]] = {
-    "distance_image": _distance,
-    "normalized_amplitude_image": _amplitude(101),
-    "amplitude_image": _amplitude(103),
-    "x_image": _coordinate(0),
-    "y_image": _coordinate(1),
-    "z_image": _coordinate(2),
-    "confidence_image": _confidence,
-    "all_unit_vector_matrices": _vectors,
-    "extrinsic_calibration": _numbers(400, lambda _: [0.0] * 6),
-    "intrinsic_calibration": _numbers(401, _lens),
-    "inverse_intrinsic_calibration": _numbers(402, _lens),
-    "diagnostic_data": _diagnostic,
-    "diagnostic": _diagnostic,
-    "json_diagnostic": _json_diagnostic,
-    "RADIAL_DISTANCE_COMPRESSED": _distance,
-    "AMPLITUDE_COMPRESSED": _amplitude(101),
-    "CONFIDENCE": _confidence,
-    "TOF_INFO": _tof_info,
+# Part of a schema -> number of its chunk, and what is in it.
+BLOBS: Mapping[str, tuple[int, Callable[[Frame, str], Array]]] = {
+    "distance_image": (100, _distance),
+    "normalized_amplitude_image": (101, _amplitude),
+    "amplitude_image": (103, _amplitude),
+    "x_image": (200, partial(_coordinate, axis=0)),
+    "y_image": (201, partial(_coordinate, axis=1)),
+    "z_image": (202, partial(_coordinate, axis=2)),
+    "confidence_image": (300, _confidence),
+    "all_unit_vector_matrices": (
+        223,
+        lambda frame, _: directions(frame.amplitude.shape).astype("<f4"),
+    ),
+    "extrinsic_calibration": (400, lambda *_: np.zeros((1, 6), dtype="<f4")),
+    "intrinsic_calibration": (401, _calibration),
+    "inverse_intrinsic_calibration": (402, _calibration),
+    "diagnostic_data": (302, _diagnostic),
+    "diagnostic": (302, _diagnostic),
+    "json_diagnostic": (305, _json_diagnostic),
+    "RADIAL_DISTANCE_COMPRESSED": (100, _distance),
+    "AMPLITUDE_COMPRESSED": (101, _amplitude),
+    "CONFIDENCE": (300, _confidence),
+    "TOF_INFO": (420, _tof_info),
 }
 DEFAULT: Mapping[str, tuple[str, ...]] = {
     "O3D": ("distance_image", "normalized_amplitude_image", "confidence_image"),
@@ -210,23 +178,24 @@ def result_content(
     time_s : the camera's clock
     wanted : see `wanted_by`; what the camera sends unasked if None
     """
-    seen = Seen(frame, model)
     out: list[bytes] = []
     unasked: tuple[str | bytes, ...] = (b"star", *DEFAULT[model], b"stop")
     for part in unasked if wanted is None else wanted:
         if isinstance(part, bytes):
             out.append(part)
-        else:
-            out.append(_chunk(BLOBS[part](seen), count, time_s, 1 if model == "O3D" else 2))
+            continue
+        kind, look = BLOBS[part]
+        out.append(_chunk(kind, look(frame, model), count, time_s, 1 if model == "O3D" else 2))
     return b"".join(out)
 
 
-def _chunk(blob: _Blob, count: int, time_s: float, version: int) -> bytes:
-    size, whole_s, data = 36 if version == 1 else 48, int(time_s), blob.data.tobytes()
-    rows, cols = blob.data.shape[:2]
+def _chunk(kind: int, pixels: Array, count: int, time_s: float, version: int) -> bytes:
+    size, whole_s, data = 36 if version == 1 else 48, int(time_s), pixels.tobytes()
+    rows, cols = pixels.shape[:2]
+    pixel = 10 if pixels.ndim == 3 else _PIXELS[pixels.dtype.str[1:]]
     header = struct.pack(
         "<9I",
-        blob.kind, size + len(data), size, version, cols, rows, blob.pixel,
+        kind, size + len(data), size, version, cols, rows, pixel,
         int(time_s * 1e6) % 2**32, count % 2**32,
     )  # fmt: skip
     if version > 1:

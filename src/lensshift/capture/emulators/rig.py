@@ -14,6 +14,7 @@ from lensshift.camera.moving import REACH_PX
 from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.o3m import O3MSender
+from lensshift.capture.opening import QUARTER_PIXEL_MM
 from lensshift.core.arrays import Array
 from lensshift.core.types import Frame
 from lensshift.scene import Scene, four_boxes
@@ -26,10 +27,9 @@ _HOMING_S = 12.0  # the longest move of a real stage: 7.3 mm at 1 mm/s, and its 
 def _turned() -> Array:
     """Return image shift over lens travel of a rig that nobody built perfectly.
 
-    A quarter of a pixel of 0.155 mm takes 44.4 um of the first lens; the stages stand turned by
-    half a degree, and one of them is 2 % off.
+    The stages stand turned by half a degree, and one of them is 2 % off.
     """
-    per_mm = 0.25 / 0.0444
+    per_mm = 0.25 / QUARTER_PIXEL_MM
     turn = np.deg2rad(0.5)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     return np.asarray(rotation @ np.diag([per_mm, 1.02 * per_mm]))

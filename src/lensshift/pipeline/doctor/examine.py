@@ -17,7 +17,6 @@ import numpy as np
 from lensshift.capture.acquire import Progress, acquire_at, check_travel
 from lensshift.capture.opening import RigFile, read_rig
 from lensshift.capture.rig import Camera, OnHoming, Stage
-from lensshift.core.arrays import Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError, QualityWarning
 from lensshift.core.motion import StageMap
@@ -203,11 +202,9 @@ def _stage(
         stage = told.open_stage(home, on_homing)
     except DeviceError as error:
         fault = stage_fault(error)
-        holder = ""
-        if fault.name == "second process":
-            holder = holder_of_file(error.device)
-        said = f"{fault.said} ({holder})" if holder else fault.said
-        done.findings.append(replace(fault, said=said))
+        if fault.name == "second process" and (holder := holder_of_file(error.device)):
+            fault = replace(fault, said=f"{fault.said} ({holder})")
+        done.findings.append(fault)
         return None
     opened.callback(stage.close)
     done.devices["stage"] = stage.describe()
@@ -239,8 +236,10 @@ def _calibrated(
         return
     scan_file, calibration_file = files
     reading_mm = reading_noise_mm(stage)
-    averages = _averages(done.view, reading_mm, told.calibration)
-    done.averages = averages
+    per_mm = told.calibration.stage_map.px_per_mm
+    encoder_px = float(np.sqrt(np.max((per_mm**2) @ reading_mm**2)))
+    needed = max(done.view.averages_needed, (encoder_px / WANTED_PX) ** 2)
+    done.averages = averages = int(np.clip(np.ceil(needed), LEAST_AVERAGES, MOST_AVERAGES))
     _room_for(scan_file, averages, camera)
     settings = replace(told.acquisition, frames=averages, average=True)
     say("nudging each axis by 50 um", None)
@@ -269,14 +268,6 @@ def _calibrated(
     done.findings += map_findings(done.axes, told.calibration)
     done.budget = error_budget(done.calibration, reading_mm / np.sqrt(averages))
     done.findings += _budget_findings(done.calibration, done.budget)
-
-
-def _averages(view: View, reading_mm: Floats, calibration: Calibration) -> int:
-    """Return the frames at a position that camera and encoder need."""
-    per_mm = calibration.stage_map.px_per_mm
-    encoder_px = float(np.sqrt(np.max((per_mm**2) @ reading_mm**2)))
-    needed = max(view.averages_needed, (encoder_px / WANTED_PX) ** 2)
-    return int(np.clip(np.ceil(needed), LEAST_AVERAGES, MOST_AVERAGES))
 
 
 def _room_for(path: Path, averages: int, camera: Camera) -> None:

@@ -59,14 +59,11 @@ def _silent(said: str, port: int) -> Finding:
     """Tell a camera that sends to another port from one that is not heard at all."""
     unheard = datagrams_unheard(_COUNT_S)
     if unheard != 0:  # or nobody counts them
-        for other in sending_ports(chain(_USUAL, _near(port), range(1024, 65536)), port):
+        near = range(max(port - 200, 1), min(port + 201, 65536))
+        for other in sending_ports(chain(_USUAL, near, range(1024, 65536)), port):
             found = f"data come to UDP port {other}, the rig file says {port}"
             return Finding(Level.FAULT, "wrong port", found, f"write port = {other} in [camera]")
     return Finding(Level.FAULT, "camera silent", said, f"links: {links() or 'no cable is live'}")
-
-
-def _near(port: int) -> Iterator[int]:
-    return (port + step for step in range(-200, 201) if 0 < port + step < 65536)
 
 
 def datagrams_unheard(seconds: float) -> int | None:

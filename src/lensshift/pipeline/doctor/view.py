@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.capture.rig import Camera, CameraFrame
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.optics.actuator import PIXEL_NOISE
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.gradient import texture_covariance
 
@@ -22,8 +22,6 @@ WANTED_PX = 0.004
 LEAST_AVERAGES, MOST_AVERAGES = 2, 64  # one may be a frame that is out of the ordinary
 # What a scene with texture gives: with this much light its shifts are known.
 _FAIR_SNR = 50.0
-# Brightness may change by the noise that `calibrate_rig` assumes of a pixel.
-_JUMP = 0.005
 _MOST_LOST = 1 / 3  # then everything takes half as long again
 _MOST_INVALID = 0.5  # half of the pixels see nothing
 
@@ -44,7 +42,7 @@ class View:
     """
 
     amplitude: Floats
-    valid: NDArray[np.bool_]
+    valid: Mask
     rate_hz: float
     lost_share: float
     snr: float
@@ -60,7 +58,7 @@ class View:
     @property
     def jumps(self) -> bool:
         """Whether frames differ in brightness more than a calibration may overlook."""
-        return self.brightness_jump > _JUMP
+        return self.brightness_jump > PIXEL_NOISE  # which `calibrate_rig` assumes
 
     @property
     def numbers(self) -> dict[str, Any]:
@@ -126,9 +124,7 @@ def _view(frames: list[CameraFrame]) -> View:
     return replace(dark, snr=snr, sigma_px=sigma_px, brightness_jump=jump)
 
 
-def _settings_share(
-    raw: list[Mapping[str, NDArray[Any]]], amplitude: Floats, always: NDArray[np.bool_]
-) -> float:
+def _settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Mask) -> float:
     """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
     if not all({"confidence", "normalization"} <= set(one) for one in raw):
         return 0.0
@@ -141,7 +137,7 @@ def _settings_share(
         if len(told) == 2:
             error = np.hypot(*(one.std(ddof=1) / len(one) ** 0.5 for one in told))
             differing[pixel] = abs(told[0].mean() - told[1].mean()) > max(
-                4.0 * error, _JUMP * values.mean()
+                4.0 * error, PIXEL_NOISE * values.mean()
             )
     return float(differing.mean())
 

@@ -13,8 +13,10 @@ from lensshift.core.grid import Grid
 from lensshift.optics.lens_file import load_lens
 from lensshift.scene.targets import CARD_DISTANCE_M
 
-GRID = camera_preset("o3m151").grid
+_PRESET = camera_preset("o3m151")
+GRID = _PRESET.grid
 PITCH_MM = GRID.pitch_mm[0]
+_FOCAL_MM = 42.7  # of the preset
 SHIFT_ERROR_PX = 0.02  # rms, assumed of the stages
 # Reflectance / distance^2: the bright side of the edge card, the fabric behind the boxes.
 CARD_LIGHT = 0.8 / CARD_DISTANCE_M**2
@@ -51,13 +53,12 @@ def paper_camera(
     grid : of the sensor
     output : "float" leaves the rounding out
     """
-    preset = camera_preset("o3m151")
-    lens = preset.optics  # whose spot is about that of the traced one
+    lens = _PRESET.optics  # whose spot is about that of the traced one
     if optics != "plain":
         lens = LensOptics(load_lens(optics), element=element)
-    pixels = replace(preset.pixels, fill_factor=1.0)
+    pixels = replace(_PRESET.pixels, fill_factor=1.0)
     camera = replace(
-        preset, grid=grid, optics=lens, pixels=pixels, illumination=Illumination((15e6,)),
+        _PRESET, grid=grid, optics=lens, pixels=pixels, illumination=Illumination((15e6,)),
         scatter=None, validity=Validity(), output=output, name="paper",
     )  # fmt: skip
     contrast = pixels.contrast
@@ -76,4 +77,4 @@ def paper_camera(
 
 def px_to_m(count_px: float, distance_m: float) -> float:
     """Return how wide so many pixels are in the scene, seen from the plain lens."""
-    return count_px * PITCH_MM / 42.7 * distance_m
+    return count_px * PITCH_MM / _FOCAL_MM * distance_m

@@ -154,8 +154,11 @@ def zone_psnr_db(element: int, snr: float, shift_error_px: float, seed: int) -> 
     """Return the PSNR with one shift per frame, and with the map, of the same frames."""
     light = 0.9 / CARD_DISTANCE_M**2
     camera = paper_camera(snr, light, light, optics="petzval_b", element=element)
+    rings = Plane(
+        centre_m=(0.0, 0.0, CARD_DISTANCE_M), reflectance=ZonePlate(_RADIUS_M, _FINEST_M, 0.1, 0.9)
+    )
     experiment = Experiment(
-        _zone_plate(), camera, named_pattern_px("square"), shift_error_px=shift_error_px,
+        Scene((rings,)), camera, named_pattern_px("square"), shift_error_px=shift_error_px,
         seed=seed,
     )  # fmt: skip
     capture = simulate_tof(
@@ -170,11 +173,6 @@ def zone_psnr_db(element: int, snr: float, shift_error_px: float, seed: int) -> 
         )["amplitude"]  # fmt: skip
         psnr_db.append(fidelity(image, capture.truth.amplitude).psnr_db)
     return psnr_db[0], psnr_db[1]
-
-
-def _zone_plate() -> Scene:
-    rings = ZonePlate(_RADIUS_M, _FINEST_M, 0.1, 0.9)
-    return Scene((Plane(centre_m=(0.0, 0.0, CARD_DISTANCE_M), reflectance=rings),))
 
 
 def _numbers(

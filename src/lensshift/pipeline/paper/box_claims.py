@@ -14,7 +14,7 @@ from lensshift.evaluation import fidelity
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.pipeline.experiment import depth_numbers, traced_field
 from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, WALL_LIGHT, paper_camera
-from lensshift.pipeline.paper.claims import Claim, Number, mean_interval
+from lensshift.pipeline.paper.claims import Claim, mean_interval
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, reconstructed, solved
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 from lensshift.scene import four_boxes
@@ -148,7 +148,7 @@ def steepness(image: Floats, rows: list[int], cols: slice, step_mm: float, share
 def box_claims(runs: list[BoxRun]) -> list[Claim]:
     """Return the claims of the paper's third experiment, and of its choice of solver."""
     amplitude, distance, phasor, traced = (
-        _mean_gain(runs, name) for name in (*BRANCHES, "distance, traced")
+        mean_interval(_all(runs, name).tolist()) for name in (*BRANCHES, "distance, traced")
     )
     ratio = mean_interval(list(_all(runs, "distance, traced") / _all(runs, "distance")))
     return [
@@ -236,10 +236,6 @@ def _gains(fine: dict[str, Any], frame: dict[str, Any], name: str, phase_px: Flo
 
 def _all(runs: list[BoxRun], name: str) -> Floats:
     return np.array([np.nanmean(run.gains[name]) for run in runs])
-
-
-def _mean_gain(runs: list[BoxRun], name: str) -> Number:
-    return mean_interval(_all(runs, name).tolist())
 
 
 def _extremes(runs: list[BoxRun], name: str) -> str:

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.camera import TofCamera, named_pattern_px, simulate_tof
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult
@@ -24,6 +23,7 @@ from lensshift.pipeline.paper.gratings import (
 )
 from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, measured_edge
 from lensshift.scene import slanted_edge_card
+from lensshift.scene.targets import SLANT_RAD
 
 FREQUENCY_LPMM = np.linspace(0.0, 8.0, 81)
 KINDS = ("one frame", "bicubic", *SOLVERS)
@@ -68,21 +68,16 @@ def take_edge(seed: int, response: Response = PUBLISHED) -> EdgeRun:
         kind: measured_edge(image, 1 if kind == "one frame" else 2, FREQUENCY_LPMM)
         for kind, image in images.items()
     }
-    return EdgeRun(edges, images, _departures(np.asarray(unrounded.amplitude[0])))
+    frame, departures = np.asarray(unrounded.amplitude[0]), {}
+    for bits in (0, *BITS):
+        step = np.max(frame) / 2**bits
+        rounded = np.round(frame / step) * step if bits else frame
+        departures[bits] = _departure(measured_edge(rounded, 1, FREQUENCY_LPMM))
+    return EdgeRun(edges, images, departures)
 
 
 def _camera(element: int | None) -> TofCamera:
     return paper_camera(SNR, CARD_LIGHT, CARD_LIGHT, optics="petzval_a", element=element)
-
-
-def _departures(frame: Floats) -> dict[int, float]:
-    """Return how far from its limit a frame is when it is rounded to so many bits."""
-    found = {}
-    for bits in (0, *BITS):
-        step = np.max(frame) / 2**bits
-        rounded = np.round(frame / step) * step if bits else frame
-        found[bits] = _departure(measured_edge(rounded, 1, FREQUENCY_LPMM))
-    return found
 
 
 def _departure(edge: EdgeResult) -> float:
@@ -108,12 +103,12 @@ def mean_curve(runs: list[EdgeRun], kind: str) -> Floats:
     return np.asarray(np.mean([run.edges[kind].mtf.modulation for run in runs], axis=0))
 
 
-def limit(share: float, angle_rad: float = np.deg2rad(10.0)) -> Floats:
+def limit(share: float, angle_rad: float = SLANT_RAD) -> Floats:
     """Return what a pixel of a share of the pitch lets through along the normal of the edge."""
     return pixel_aperture_mtf(FREQUENCY_LPMM, share * PITCH_MM, angle_rad=angle_rad)
 
 
-def upto(frequency_lpmm: Floats, good: NDArray[np.bool_]) -> float:
+def upto(frequency_lpmm: Floats, good: Mask) -> float:
     """Return the highest frequency up to which all is good, 0 if the first is not."""
     count = int(np.argmin(good)) if not np.all(good) else good.size
     return float(frequency_lpmm[count - 1]) if count else 0.0

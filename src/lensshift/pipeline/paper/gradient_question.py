@@ -6,12 +6,11 @@ within a pixel. What the paper reads off one line is read off all of them.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from lensshift.camera import TofCamera, named_pattern_px, simulate_tof
+from lensshift.camera import named_pattern_px, simulate_tof
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, paper_camera, px_to_m
@@ -70,8 +69,11 @@ class Gain:
 
 def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> dict[str, Gain]:
     """Return the gains of all branches for one strip."""
+    near, far = _reflectances(strip)
+    light = max(near / NEAR_M**2, far / FAR_M**2)
+    camera = paper_camera(strip.snr, light, light, grid=_GRID, output="float")
     capture = simulate_tof(
-        _scene(strip), _camera(strip), named_pattern_px("square"),
+        _scene(strip), camera, named_pattern_px("square"),
         shift_error_px=SHIFT_ERROR_PX, seed=seed,
     )  # fmt: skip
     burst, truth = capture.burst, capture.truth
@@ -89,11 +91,6 @@ def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> 
         channel = "amplitude" if branch == "amplitude" else "distance"
         gains[branch] = _gain(fine[branch], frame[channel], true[channel], strip, channel)
     return gains
-
-
-def as_row(strip: Strip, gains: dict[str, Gain]) -> dict[str, Any]:
-    """Return everything about one strip as plain numbers."""
-    return asdict(strip) | {branch: asdict(gain) for branch, gain in gains.items()}
 
 
 def _scene(strip: Strip) -> Scene:
@@ -114,12 +111,6 @@ def _reflectances(strip: Strip) -> Pair:
     """Return those of strip and wall, so that their amplitudes have the contrast."""
     ratio = strip.contrast * (NEAR_M / FAR_M) ** 2
     return (_BRIGHT, _BRIGHT / ratio) if ratio > 1 else (_BRIGHT * ratio, _BRIGHT)
-
-
-def _camera(strip: Strip) -> TofCamera:
-    near, far = _reflectances(strip)
-    light = max(near / NEAR_M**2, far / FAR_M**2)
-    return paper_camera(strip.snr, light, light, grid=_GRID, output="float")
 
 
 def _gain(fine: Floats, frame: Floats, true: Floats, strip: Strip, channel: str) -> Gain:

@@ -5,28 +5,10 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
 from typing import Any
 
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One call.
-
-    Parameters
-    ----------
-    kind : what its result is filed under
-    function : of a module, so that another process finds it
-    arguments : of the call
-    """
-
-    kind: str
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-
-    def __call__(self) -> Any:
-        """Do it."""
-        return self.function(*self.arguments)
+# What its result is filed under, and a call of a function of a module: another process finds it.
+Job = tuple[str, Callable[[], Any]]
 
 
 def carry_out_jobs(
@@ -48,15 +30,15 @@ def carry_out_jobs(
         raise ValueError(f"expected at least one process, got {processes}")
     if processes == 1:
         results = []
-        for number, job in enumerate(jobs):
+        for number, (_, job) in enumerate(jobs):
             results.append(job())
             if on_step is not None:
                 on_step(number + 1, len(jobs))
-        return [(job.kind, result) for job, result in zip(jobs, results, strict=True)]
+        return [(kind, result) for (kind, _), result in zip(jobs, results, strict=True)]
     # Fresh processes: a forked one may inherit locks of numerical libraries.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        futures = [pool.submit(job) for job in jobs]
+        futures = [pool.submit(job) for _, job in jobs]
         try:
             for number, future in enumerate(as_completed(futures)):
                 future.result()
@@ -64,4 +46,4 @@ def carry_out_jobs(
                     on_step(number + 1, len(jobs))
         finally:
             pool.shutdown(cancel_futures=True)  # after a failure the rest is not wanted
-        return [(job.kind, future.result()) for job, future in zip(jobs, futures, strict=True)]
+        return [(kind, one.result()) for (kind, _), one in zip(jobs, futures, strict=True)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from lensshift.pipeline.paper.beyond import (
 from lensshift.pipeline.paper.box_claims import BoxRun, box_claims, response_rows, take_boxes
 from lensshift.pipeline.paper.claims import CRITERIA, Claim
 from lensshift.pipeline.paper.edge_claims import EdgeRun, edge_claims, take_edge
-from lensshift.pipeline.paper.gradient_question import Strip, as_row, study_strip
+from lensshift.pipeline.paper.gradient_question import Strip, study_strip
 from lensshift.pipeline.paper.gratings import GRATINGS_LPMM, GratingRun, take_grating
 from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
 from lensshift.pipeline.paper.measure import SNR, Response, calibrated_response
@@ -153,30 +154,31 @@ def _jobs(quick: bool, response: Response) -> list[Job]:
     lenses = ("petzval_a",) if quick else ("petzval_a", "petzval_b")
     strips = _QUICK_STRIPS if quick else _STRIPS
     errors_px = (0.05, 0.1) if quick else ERRORS_PX
-    jobs = [Job("lens", study_lens, (name, 9 if quick else 27)) for name in lenses]
-    jobs += [Job("boxes", take_boxes, (n, SNR, response)) for n in range(draws["boxes"])]
-    jobs += [Job("edge", take_edge, (seed, response)) for seed in range(draws["edge"])]
-    jobs += [Job("strip", study_row, (*strip, response)) for strip in strips]
+    jobs: list[Job] = [("lens", partial(study_lens, name, 9 if quick else 27)) for name in lenses]
+    jobs += [("boxes", partial(take_boxes, n, SNR, response)) for n in range(draws["boxes"])]
+    jobs += [("edge", partial(take_edge, seed, response)) for seed in range(draws["edge"])]
+    jobs += [("strip", partial(study_row, *strip, response)) for strip in strips]
     jobs += [
-        Job("grating", take_grating, (frequency_lpmm, seed, response))
+        ("grating", partial(take_grating, frequency_lpmm, seed, response))
         for frequency_lpmm in GRATINGS_LPMM
         for seed in range(draws["grating"])
     ]
     jobs += [
-        Job("errors", error_row, (error_px, seed, response))
+        ("errors", partial(error_row, error_px, seed, response))
         for error_px in errors_px
         for seed in range(draws["errors"])
     ]
     if not quick:
-        jobs += [Job("patterns", pattern_row, (*arguments, response)) for arguments in PATTERNS]
-        jobs += [Job("shift_map", shift_map_row, arguments) for arguments in MAPS]
+        jobs += [("patterns", partial(pattern_row, *arguments, response)) for arguments in PATTERNS]
+        jobs += [("shift_map", partial(shift_map_row, *arguments)) for arguments in MAPS]
     return jobs
 
 
 def study_row(contrast: float, width_px: float, snr: float, response: Response) -> dict[str, Any]:
     """Return the gains over one strip as plain numbers."""
     strip = Strip(contrast, width_px, snr)
-    return as_row(strip, study_strip(strip, 0, response))
+    gains = study_strip(strip, 0, response)
+    return asdict(strip) | {branch: asdict(gain) for branch, gain in gains.items()}
 
 
 def _of_kind(done: list[tuple[str, Any]], kind: str) -> list[Any]:
