@@ -272,7 +272,7 @@ class SplineBasis:
 
     def _knots(self, normal_px: Vector) -> Vector:
         """Return distances [n] from the first narrow spline, in steps."""
-        return (normal_px - self.narrow_px[0]) / self.step_px
+        return np.asarray((normal_px - self.narrow_px[0]) / self.step_px)
 
 
 @lru_cache(maxsize=64)

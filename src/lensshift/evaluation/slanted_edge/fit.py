@@ -145,17 +145,18 @@ def _placed(
     slope = _gaussian(nodes, max(edge.line.sigma_px, 0.3 * aperture_px))
     found: tuple[float, EdgeLikelihood, Vector]
     least, step, step_px = np.inf, np.zeros_like(geometry), np.zeros_like(geometry)
-    in_px = np.ones_like(geometry)
+    in_px, directions = np.ones_like(geometry), np.diag(TYPICAL_STEPS)
     in_px[:2] = samples.half_length_px, 0.0  # the base moves to any order
     for k in range(_MOST_PLACES):
         likelihood = EdgeLikelihood(
             gather(samples, nodes, geometry, slope), basis, aperture_px, unit_px
         )
-        best, value = descended(likelihood, parameters, np.diag(TYPICAL_STEPS))
+        best, value, rounder = descended(likelihood, parameters, directions)
         if value < least + _WORSE:
             known = _known(likelihood, best)
             wanted = _moved(likelihood, best[:, None], known.levels[:, None])[:, 0]
             found, least, parameters = (value, likelihood, best), value, best
+            directions = rounder
             slope = _slope(likelihood, best, known)
             if k == 0:  # the splines follow it once; an uneven shape would draw them on and on
                 parameters = best.copy()
@@ -276,4 +277,4 @@ class _Curves:
         rise = (response[2::2] - response[:-2:2]) / steps_px[:, None]
         esf = (factor * response[1::2] + self._integrals @ coefficients) / contrast
         lsf = (factor * rise + self._values @ coefficients) / contrast
-        return np.abs(transform / contrast), esf, lsf
+        return np.abs(transform) / np.abs(contrast), esf, lsf

@@ -31,6 +31,7 @@ from lensshift.evaluation.slanted_edge.matrix_kernels import (
     inverted,
     within,
 )
+from lensshift.evaluation.slanted_edge.node_kernels import across_nodes
 
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.
@@ -68,14 +69,14 @@ class Conditional:
         """
         noise = rng.standard_normal((self.levels.size, count))
         levels = self.levels[:, None] + _solve(self.levels_factor, noise, transposed=True)
-        size = len(self.explained.covariance)
+        size = len(self.pixels.factor)
         heights = self.prior.drawn(self.shape, count, rng)
         grain = np.sqrt(self.explained.variance) * rng.standard_normal((size, count))
         shown = self.explained.shown
         missing = (
             shown[-1][:, None] - shown[:-1].T @ levels - self.pixels.factor.T @ heights - grain
         )
-        heights += self.explained.heights(self.pixels, self.explained.over(missing))
+        heights += self.explained.heights(self.pixels, missing, self.explained.over(missing))
         return levels, self.prior.coefficients(heights)
 
 
@@ -102,36 +103,37 @@ class _Explained:
     Parameters
     ----------
     variance : s^2
-    covariance : [j j] K
     factor : [j + p + 1, j] L with L L^T = S, and below it (L^-1 W)^T
     shown : [p + 1, j] W^T
     """
 
     variance: float
-    covariance: Matrix
     factor: Matrix
     shown: Matrix
 
     def over(self, right: NDArray[np.float64]) -> Matrix:
         """Return S^-1 times [j ...]."""
-        lower = self.factor[: len(self.covariance)]
+        lower = self.factor[: self.factor.shape[1]]
         return _solve(lower, _solve(lower, right), transposed=True)
 
-    def heights(self, told: _Told, weights: NDArray[np.float64]) -> Matrix:
-        """Return K R^T times [j ...]."""
-        return np.asarray(self.covariance @ (told.factor @ weights))
+    def heights(self, told: _Told, right: NDArray[np.float64], over: NDArray[np.float64]) -> Matrix:
+        """Return K R^T S^-1 times `right` [j ...], the heights that explain it.
+
+        That is R^-1 (1 - s^2 S^-1) times it; `over` is S^-1 times `right`.
+        """
+        return _solve(told.factor, right - self.variance * over, transposed=True)
 
 
 @dataclass(frozen=True, slots=True)
 class _Moments:
     """The design and its cross products: X are the levels, H the heights, y the pixels.
 
-    `seen` are the columns that follow the response, at the nodes, `across[k][m]` what the pixels
-    of column k see of column m, `gram` is [X y]^T [X y], `heights` H^T [X y], transposed.
+    `seen` [s g] are the columns that follow the response, at the nodes, `across` [k s g] what the
+    pixels times their factor k see of them, `gram` is [X y]^T [X y], `heights` [X y]^T H.
     """
 
-    seen: list[Vector]
-    across: list[list[Vector]]
+    seen: Matrix
+    across: NDArray[np.float64]
     gram: Matrix
     heights: Matrix
 
@@ -147,6 +149,12 @@ class Solution:
     apart: Matrix
     levels: Vector
     levels_factor: Matrix
+
+    @property
+    def left(self) -> Vector:
+        """What the levels leave of the pixels in the coordinates of `_Explained` [j]."""
+        shown = self.explained.shown
+        return np.asarray(shown[-1] - self.levels @ shown[:-1])
 
 
 class EdgeLikelihood:
@@ -184,6 +192,8 @@ class EdgeLikelihood:
         self._levels_precision, self._levels_centre = np.zeros(size), np.zeros(size)
         self._levels_precision[:fixed] = gathered.precision
         self._levels_centre[:fixed] = gathered.centre
+        self._factors = np.stack([one.factor for one in gathered.seen])
+        self._powers = np.array([one.power for one in gathered.seen])
         by_heights = self._prior.by_heights
         self._node_sums = [
             np.vstack([by_heights(sums[:knots]), sums[knots:]]) for sums in gathered.node_sums
@@ -213,7 +223,7 @@ class EdgeLikelihood:
 
     def conditional(self, found: Solution) -> Conditional:
         """Return the distribution of levels and coefficients at a point."""
-        heights = found.explained.heights(self._pixels, self._misfit(found))
+        heights = found.explained.heights(self._pixels, found.left, self._misfit(found))
         return Conditional(
             levels=found.levels,
             coefficients=self._prior.coefficients(heights),
@@ -248,22 +258,16 @@ class EdgeLikelihood:
     def _moments(self, parameters: Vector) -> _Moments:
         g, knots, fixed = self.gathered, self.basis.size, self.gathered.response
         response = self.base.response(g.nodes.place_px, parameters)
-        seen = [one.factor * response for one in g.seen]
-        across = [
-            [
-                g.node_node[one.power][other.power] @ own
-                for other, own in zip(g.seen, seen, strict=True)
-            ]
-            for one in g.seen
-        ]
+        seen = self._factors * response
+        across = np.empty((len(g.node_node), *seen.shape))
+        across_nodes(g.node_node, g.reach, self._powers, seen, across)
         gram, heights = self._gram.copy(), self._heights.copy()
         for k, one in enumerate(g.seen):
             own, sums = fixed + k, self._node_sums[one.power] @ seen[k]
             heights[own] = sums[:knots]
             gram[own, :fixed] = gram[:fixed, own] = sums[knots:-1]
             gram[own, -1] = gram[-1, own] = sums[-1]
-            for m, other in enumerate(across[k]):
-                gram[own, fixed + m] = seen[k] @ other
+            gram[own, fixed:-1] = across[one.power] @ seen[k]
         return _Moments(seen, across, gram, heights)
 
     def solved(self, parameters: Vector) -> Solution | None:
@@ -296,7 +300,7 @@ class EdgeLikelihood:
         value += 0.5 * (self.gathered.count - knots) * np.log(variance)
         z, beyond = allowed - self._mean, parameters - allowed
         value += 0.5 * float(z @ (self._precision * z) + beyond @ beyond / _WALL**2)
-        explained = _Explained(variance, covariance, factor, m.heights)
+        explained = _Explained(variance, factor, m.heights)
         return Solution(value, allowed, m, explained, apart, levels, levels_factor)
 
     def _misfit(self, found: Solution) -> Vector:
@@ -347,7 +351,8 @@ class EdgeLikelihood:
         g, m, one = self.gathered, found.moments, found.explained
         fixed = g.response
         # Of the levels' covariance, and of the misfit, what the splines take up.
-        shared = one.heights(self._pixels, np.column_stack([levels.T @ covariance, left]))
+        mixed = np.column_stack([one.shown[:-1].T @ covariance, found.left])
+        shared = one.heights(self._pixels, mixed, np.column_stack([levels.T @ covariance, left]))
         to_response = np.zeros(g.nodes.place_px.size)
         for k, column in enumerate(g.seen):
             own = fixed + k
@@ -355,8 +360,7 @@ class EdgeLikelihood:
             splines = found.levels[own] * shared[:, -1] - shared[:, own]
             factors = np.concatenate([splines, both[:fixed], [-found.levels[own]]])
             to_node = factors @ self._node_sums[column.power]
-            for level, across in zip(both[fixed:], m.across[k], strict=True):
-                to_node += level * across
+            to_node += both[fixed:] @ m.across[column.power]
             to_response += column.factor * to_node
         slopes = self.base.slopes(g.nodes.place_px, found.allowed)
         return np.asarray(slopes @ to_response / one.variance)

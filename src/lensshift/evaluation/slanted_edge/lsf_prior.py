@@ -45,7 +45,7 @@ HYPER_BOUNDS = np.array(
 START = np.array([*HYPER_PRIOR[:1, 0], 0.2, 0.2, *HYPER_PRIOR[3:, 0]])
 # Typical sizes of a step.
 STEPS = np.array([0.1, 0.1, 0.1, 0.3, 0.2, 0.005, 0.5, 0.2, 0.3, 1.0])
-_ROOT_HALF = np.sqrt(0.5)
+_ROOT_HALF, _ROOT_2 = np.sqrt(0.5), np.sqrt(2.0)
 PLACE = 5  # which of the parameters is the place of the base, in units of the width
 
 
@@ -103,7 +103,7 @@ class SplinePrior:
             *(self._number, weight, parts.near, parts.longer, parts.wider, parts.symmetry),
         )
         m = parts.symmetry
-        return np.array(slopes) * np.array([1.0, 1.0, 1.0, m * (1.0 - m)])
+        return np.asarray(np.array(slopes) * np.array([1.0, 1.0, 1.0, m * (1.0 - m)]))
 
     def drawn(self, shape: Vector, count: int, rng: np.random.Generator) -> Matrix:
         """Return heights [j count] of the prior.
@@ -116,7 +116,9 @@ class SplinePrior:
         parts = self._parts(shape)
         ring = np.concatenate([parts.near, parts.near[-2:0:-1]])
         root = np.sqrt(np.maximum(np.fft.rfft(ring).real, 0.0))
-        white = np.fft.rfft(rng.standard_normal((ring.size, count)), axis=0)
+        white = rng.standard_normal((root.size, count, 2)).view(complex)[..., 0]
+        white[[0, -1]] *= _ROOT_2  # they have no imaginary part
+        root *= np.sqrt(0.5 * ring.size)
         process = np.fft.irfft(root[:, None] * white, ring.size, axis=0)
         both, apart = np.sqrt(1.0 + parts.symmetry), np.sqrt(1.0 - parts.symmetry)
         own = (both + apart) * process[self._number] + (both - apart) * process[-self._number]

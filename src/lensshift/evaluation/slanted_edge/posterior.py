@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import minimize
@@ -70,7 +71,7 @@ def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Poster
         directions = _curvature_directions(likelihood, best, gradient, directions)
         if 0.5 * np.sum((gradient @ directions) ** 2) < _SETTLED:
             break
-        best, value = descended(likelihood, best, directions)
+        best, value, _ = descended(likelihood, best, directions)
     proposals = [_Student(best, _SPREAD * directions, likelihood.twin)]
     parameters, log_weights = np.empty((0, best.size)), np.empty(0)
     found: list[Solution | None] = []
@@ -117,11 +118,7 @@ class _Student:
 
     def draws(self, count: int, seed: int) -> Matrix:
         """Return quasi-random draws [k p]."""
-        size = self.centre.size
-        uniform = np.clip(qmc.Sobol(size + 1, seed=seed).random(count), 1e-9, 1.0 - 1e-9)
-        chi_square = 2.0 * gammaincinv(0.5 * _FREEDOM, uniform[:, -1])
-        samples = ndtri(uniform[:, :-1]) / np.sqrt(chi_square / _FREEDOM)[:, None]
-        drawn = self.centre + samples @ self.directions.T
+        drawn = self.centre + _student(self.centre.size, count, seed) @ self.directions.T
         return np.asarray(np.where(self.twin < 0, np.abs(drawn), drawn))
 
     def log_density(self, parameters: Matrix) -> Vector:
@@ -153,10 +150,24 @@ class _Student:
         return _Student(centre, triangle.T, self.twin)
 
 
+@lru_cache(maxsize=4 * _MOST_GENERATIONS)
+def _student(size: int, count: int, seed: int) -> Matrix:
+    """Return quasi-random draws [count size] of the standard t distribution."""
+    uniform = np.clip(qmc.Sobol(size + 1, seed=seed).random(count), 1e-9, 1.0 - 1e-9)
+    chi_square = 2.0 * gammaincinv(0.5 * _FREEDOM, uniform[:, -1])
+    return np.asarray(ndtri(uniform[:, :-1]) / np.sqrt(chi_square / _FREEDOM)[:, None])
+
+
 def descended(
     likelihood: EdgeLikelihood, start: Vector, directions: Matrix
-) -> tuple[Vector, float]:
-    """Return the optimum and its value, in coordinates along the columns of `directions`."""
+) -> tuple[Vector, float, Matrix]:
+    """Return the optimum, its value, and directions along which the posterior is about round.
+
+    Parameters
+    ----------
+    likelihood, start : the model, and where to begin
+    directions : [p p] columns of steps of like worth
+    """
 
     def along(z: Vector) -> tuple[float, Vector]:
         value, gradient = likelihood.with_gradient(start + directions @ z)
@@ -167,9 +178,11 @@ def descended(
         np.zeros(start.size),
         jac=True,
         method="L-BFGS-B",
-        options={"maxiter": _MOST_STEPS, "ftol": 1e-7},
+        options={"maxiter": _MOST_STEPS, "ftol": 1e-7, "maxcor": 30},
     )
-    return start + directions @ found.x, float(found.fun)
+    inverse: Matrix = found.hess_inv @ np.eye(start.size)
+    rounder = directions @ np.linalg.cholesky(0.5 * (inverse + inverse.T))
+    return start + directions @ found.x, float(found.fun), rounder
 
 
 def _curvature_directions(
