@@ -42,7 +42,7 @@ _LOG_NOISE_BOUNDS = (np.log(0.3 * MODEL_ERROR), 1.0)
 # before its foot and leave no curvature to draw from.
 _WALL = 0.05
 IMPOSSIBLE = 1e10
-_ROUNDING = 1e-13  # of sums over pixels
+_ROUNDING = 1e-14  # of sums over pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,13 +368,14 @@ class EdgeLikelihood:
 
 def _told(squares: Matrix) -> _Told:
     """Return the factor of H^T H, in which what is but rounding counts as nothing."""
-    scale = np.sqrt(squares.diagonal().max())
-    lower = np.where(np.abs(squares) < _ROUNDING * scale**2, 0.0, squares)
-    lower.flat[:: len(lower) + 1] = np.maximum(squares.diagonal(), 0.0) + _ROUNDING * scale**2
-    if not factored(lower):
-        raise ValueError("expected pixels that tell the response of an edge, got none")
-    lower = np.tril(lower)
-    return _Told(lower, band_of(lower))
+    # All heights together raise a pixel by 1: the sum counts pixels, and differences are left.
+    for ridge in _ROUNDING * float(squares.sum()) * 10.0 ** np.arange(6):
+        lower = np.where(np.abs(squares) < ridge, 0.0, squares)
+        lower.flat[:: len(lower) + 1] = np.maximum(squares.diagonal(), 0.0) + ridge
+        if factored(lower):
+            lower = np.tril(lower)
+            return _Told(lower, band_of(lower))
+    raise ValueError("expected pixels that tell the response of an edge, got none")
 
 
 def _factor(matrix: Matrix) -> Matrix | None:
