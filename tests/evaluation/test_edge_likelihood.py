@@ -11,6 +11,7 @@ from lensshift.evaluation.slanted_edge import measure_edge
 from lensshift.evaluation.slanted_edge.gathering import gather
 from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
 from lensshift.evaluation.slanted_edge.nodes import nodes_for
+from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
     TYPICAL_STEPS,
     drawn_around,
@@ -168,3 +169,49 @@ def test_a_sharp_edge_along_few_pixels_has_no_bends(seed: int) -> None:
     truth = frequency[np.argmax(mtf * np.exp(-2 * (np.pi * sigma_px * frequency) ** 2) < 0.5)]
     assert found.mtf50_lpmm.value == pytest.approx(truth, rel=2e-3)
     assert found.bend_px < 0.01
+
+
+def learned(image: Image) -> NoiseModel:
+    row, col = (index.ravel() for index in np.indices(image.shape))
+    middle = [(n - 1) / 2 for n in image.shape]
+    pixels = Pixels(
+        places=np.column_stack([np.zeros_like(row), row, col]),
+        row_px=row - middle[0],
+        col_px=col - middle[1],
+        values=image.ravel(),
+    )
+    return learn_noise(turn_upright(pixels, 1.0, 0), None)[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_near_the_edge_is_read_there(seed: int) -> None:
+    """As compression leaves it: more in blocks with an edge, and along other lines."""
+    rng = np.random.default_rng(seed)
+    row, col = (np.arange(n) - (n - 1) / 2 for n in (91, 63))
+    normal = col * np.cos(ANGLE) + row[:, None] * np.sin(ANGLE)
+    step = ndtr(normal / 0.6)
+    quiet, loud = 0.003 * rng.standard_normal((2, 91, 63))
+    loud[1:] -= 0.5 * loud[:-1]  # neighbours along the edge differ
+    near = learned(step + np.where(np.abs(normal) < 6.0, 3.0 * loud, quiet)).near
+    assert near is not None
+    # 9 (1 + 0.5^2) times the variance; 250 pixels in each step of 2 px tell it to within 9 %.
+    np.testing.assert_allclose(near.variance[:2], 11.25, rtol=0.35)
+    assert near.variance[-1] == 1.0
+    assert near.order > 0
+    assert learned(step + quiet).near is None
+    # Light that grows along the edge, and a first guess that is turned, are no noise.
+    assert learned(step * (1.0 + 0.1 * row[:, None] / 45.0) + quiet).near is None
+
+
+def test_intervals_hold_where_noise_is_larger_at_the_edge() -> None:
+    frequency = np.linspace(0.0, 1.5, 30_001)
+    pixel = np.sinc(frequency * np.cos(ANGLE)) * np.sinc(frequency * np.sin(ANGLE))
+    truth = frequency[np.argmax(pixel * np.exp(-2 * (np.pi * 0.5 * frequency) ** 2) < 0.5)]
+    row, col = (np.arange(n) - (n - 1) / 2 for n in (17, 63))
+    away = np.abs(col * np.cos(ANGLE) + row[:, None] * np.sin(ANGLE))
+    deviations = []
+    for seed in range(8):
+        noise = 0.005 * np.random.default_rng(seed).standard_normal((17, 63))
+        half = measure_edge(edge(1.0, 0.5) + np.where(away < 5.0, 4.0, 1.0) * noise).mtf50_lpmm
+        deviations.append((half.value - truth) / (half.high - half.low) * 3.92)
+    assert np.sqrt(np.mean(np.square(deviations))) < 1.6  # 2.5 where plateaus speak for the edge

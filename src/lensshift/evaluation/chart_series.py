@@ -19,6 +19,7 @@ from lensshift.evaluation.chart import ChartEdge, FocusFit, best_focus, chart_ed
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, find_regions, measure_edge
 
 Pitch = float | tuple[float, float]
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _WORTH_WORKERS = 8  # edges: below, starting processes takes longer than it saves
 
 
@@ -155,9 +156,29 @@ def _measured(
         return
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin, (given, pitch_mm, options))
     try:
-        yield pool.map(_task, tasks)
+        with _one_thread_each():
+            results = pool.map(_task, tasks)  # starts the processes
+        yield results
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Tell processes that start meanwhile that every core has one already.
+
+    The threads of their linear algebra would wait for one another: ten times as long on two cores.
+    """
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 _given: Any = ()

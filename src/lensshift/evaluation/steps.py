@@ -11,7 +11,7 @@ _STEEP_SHARE = 0.2  # of the steepest place of the line
 _APART_PX = 3  # places nearer than this belong to one edge, so does the spike of a flying pixel
 _LEAST_SHARE = 0.25  # of the largest step: more than the overshoot of a restoration
 _LEAST_SIGMAS = 6.0
-_SIGMA_BY_MEDIAN = 1.4826 / np.sqrt(2.0)  # of a normal distribution, from |differences|
+OF_NORMAL = 1.4826  # deviation of a normal distribution over its median absolute one
 
 
 def steps_of(line: Floats) -> list[int]:
@@ -25,7 +25,7 @@ def steps_of(line: Floats) -> list[int]:
     steep = np.flatnonzero(np.abs(jump) > _STEEP_SHARE * np.abs(jump).max())
     groups = np.split(steep, np.flatnonzero(np.diff(steep) > _APART_PX) + 1)
     heights = [abs(line[group[-1] + 1] - line[group[0]]) for group in groups if group.size]
-    noise = _SIGMA_BY_MEDIAN * float(np.median(np.abs(jump)))
+    noise = OF_NORMAL / np.sqrt(2.0) * float(np.median(np.abs(jump)))  # of a difference
     least = max(_LEAST_SHARE * max(heights, default=0.0), _LEAST_SIGMAS * noise)
     return [
         int(np.median(group))

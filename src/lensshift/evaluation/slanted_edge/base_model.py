@@ -12,12 +12,11 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     Tail,
     Vector,
-    edge_core,
+    core_slopes,
+    edge_response,
     edge_response_transform,
-    edge_tail,
+    far_slopes,
 )
-
-_DIFFERENCE = 1e-6
 
 
 class _Parts(NamedTuple):
@@ -50,33 +49,25 @@ class BaseModel(NamedTuple):
     def response(self, normal_px: Vector, parameters: Vector) -> Vector:
         """Return the ESF at distances [n]."""
         parts = self._parts(parameters)
-        core, far = self._both(normal_px - parts.place_px, parts)
-        return core + parts.tail.share * (far - core)
+        return edge_response(
+            normal_px - parts.place_px, self.angle_rad, parts.sigma_px, parts.side_px, parts.tail
+        )
 
     def slopes(self, normal_px: Vector, parameters: Vector) -> Matrix:
         """Return [6 n]: how the ESF changes with the parameters."""
-        parts = self._parts(parameters)
-        sigma_px, side_px, tail, place_px = parts
+        sigma_px, side_px, tail, place_px = self._parts(parameters)
         there = normal_px - place_px
-        core, far = self._both(there, parts)
-        share, apart = tail.share, far - core
-        h = _DIFFERENCE
+        core = core_slopes(there, self.angle_rad, sigma_px, side_px)
+        slow, fast = far_slopes(there, self.angle_rad, side_px, float(tail.width_px))
+        far, share = fast + tail.slow * (slow - fast), tail.share
+        both = (1.0 - share) * core[2:] + share * far[2:]
         slopes = np.empty((6, normal_px.size))
-        wider = edge_core(there, self.angle_rad, sigma_px * (1.0 + h), side_px)
-        slopes[0] = (1.0 - share) / h * (wider - core)
-        root = float(parameters[1])
-        smaller = parts._replace(side_px=math.exp(-((root + h) ** 2)) * self.aperture_px)
-        farther = there - h * self.unit_px
-        for k, changed in ((1, self._both(there, smaller)), (5, self._both(farther, parts))):
-            slopes[k] = (1.0 - share) / h * (changed[0] - core) + share / h * (changed[1] - far)
-        slopes[2] = 2.0 * abs(float(parameters[2])) * apart
-        stretched = self._far(there, side_px, tail._replace(width_px=tail.width_px * (1.0 + h)))
-        slopes[3] = share / h * (stretched - far)
-        # The tail is linear in its speed: any difference will do.
-        other = 0.0 if tail.slow > 0.5 else 1.0
-        other_far = self._far(there, side_px, tail._replace(slow=other))
-        by_slow = (other_far - far) / (other - tail.slow)
-        slopes[4] = share * by_slow
+        slopes[0] = (1.0 - share) * core[1]
+        slopes[1] = -2.0 * parameters[1] * both[0]
+        slopes[2] = 2.0 * abs(float(parameters[2])) * (far[0] - core[0])
+        slopes[3] = share * far[1]
+        slopes[4] = share * (slow[0] - fast[0])
+        slopes[5] = -self.unit_px * both[1]
         return slopes
 
     def transforms(self, frequency_cpp: Vector, parameters: Matrix) -> NDArray[np.complex128]:
@@ -96,10 +87,3 @@ class BaseModel(NamedTuple):
             Tail(root_share * abs(root_share), math.exp(log_tail) * self.unit_px, slow),
             place * self.unit_px,
         )
-
-    def _both(self, normal_px: Vector, parts: _Parts) -> tuple[Vector, Vector]:
-        core = edge_core(normal_px, self.angle_rad, parts.sigma_px, parts.side_px)
-        return core, self._far(normal_px, parts.side_px, parts.tail)
-
-    def _far(self, normal_px: Vector, side_px: float, tail: Tail) -> Vector:
-        return edge_tail(normal_px, self.angle_rad, side_px, float(tail.width_px), float(tail.slow))

@@ -125,21 +125,22 @@ def free_response(
     basis: SplineBasis,
     nodes: Nodes,
     used: NDArray[np.bool_] | None = None,
-) -> Vector:
-    """Return the ESF at every pixel when nothing but the pixels says what it is.
+) -> tuple[Vector, Vector]:
+    """Return ESF and LSF at every pixel when nothing but the pixels says what they are.
 
     Parameters
     ----------
     normal_px, values : [n] distances from the edge and pixels
     basis, nodes : splines of the LSF, and nodes that reach as far as the pixels
-    used : [n] the pixels that say what it is, None for all
+    used : [n] the pixels that say so, None for all
     """
     there, known = (normal_px, values) if used is None else (normal_px[used], values[used])
     ones = np.ones((known.size, 1))
     sums = basis.products(there, ones, known)
     products = np.block([[sums.zz, sums.zx], [sums.zx.T, np.array([[float(known.size)]])]])
     factors = _ridge_solved(products, np.append(sums.zy, known.sum()), _SLIGHT_RIDGE)
-    return nodes.between(normal_px).of(nodes.integrals @ factors[:-1] + factors[-1])
+    pixels, splines = nodes.between(normal_px), factors[:-1]
+    return pixels.of(nodes.integrals @ splines + factors[-1]), pixels.of(nodes.values @ splines)
 
 
 def _ridge_fit(columns: Matrix, values: Vector) -> tuple[Vector, float]:

@@ -13,7 +13,11 @@ from scipy import sparse
 from scipy.special import ndtr
 
 from lensshift.evaluation.slanted_edge.kernels import (
+    edge_slopes,
+    spline_integrals,
     spline_products,
+    spline_values,
+    tail_slopes,
     trapezium_edge,
     trapezium_tail,
 )
@@ -23,7 +27,6 @@ _SQRT2 = math.sqrt(2.0)
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_TABLE_STEPS = 2000  # per knot; linear interpolation in it errs by less than 1e-7
 _SMALLEST_SIDE = 0.01  # of the aperture: below it, a trapezium counts as a box
 _SMALLEST_HALF_PX = 0.02  # of a side, to a tail: below it, differences lose their digits
 _POINT_PX = 1e-3  # an aperture below counts as a point
@@ -88,10 +91,9 @@ def edge_core(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px:
     """Return the response of an edge without a tail; see `edge_response`."""
     if aperture_px <= _POINT_PX:
         return np.asarray(ndtr(normal_px / sigma_px))
-    p = 0.5 * aperture_px * abs(math.cos(angle_rad))
-    q = max(0.5 * aperture_px * abs(math.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
     core = np.empty(normal_px.shape)
-    trapezium_edge(np.ascontiguousarray(normal_px), p, q, sigma_px, core)
+    sides = _half_sides(angle_rad, aperture_px)
+    trapezium_edge(np.ascontiguousarray(normal_px), *sides, sigma_px, core)
     return core
 
 
@@ -104,6 +106,41 @@ def edge_tail(
     far = np.empty(normal_px.shape)
     trapezium_tail(np.ascontiguousarray(normal_px), p, q, width_px, slow, far)
     return far
+
+
+def core_slopes(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float) -> Matrix:
+    """Return [4 n]: `edge_core`; its slopes by log sigma, log aperture and the distance."""
+    out = np.zeros((4, normal_px.size))
+    if aperture_px <= _POINT_PX:
+        place = normal_px / sigma_px
+        out[0], out[3] = (
+            ndtr(place),
+            np.exp(-0.5 * place**2) / (math.sqrt(2.0 * math.pi) * sigma_px),
+        )
+        out[1] = -normal_px * out[3]
+        return out
+    edge_slopes(normal_px, *_half_sides(angle_rad, aperture_px), sigma_px, out)
+    return out
+
+
+def far_slopes(
+    normal_px: Vector, angle_rad: float, aperture_px: float, width_px: float
+) -> NDArray[np.float64]:
+    """Return [2 4 n]: the response of `edge_tail` of either law alone, and its slopes.
+
+    The slopes are by log width, log aperture and the distance.
+    """
+    sides = 0.5 * aperture_px * np.abs([math.cos(angle_rad), math.sin(angle_rad)])
+    p, q = np.maximum(sides, _SMALLEST_HALF_PX).tolist()
+    grows = tuple((sides > _SMALLEST_HALF_PX).astype(float).tolist())
+    out = np.empty((2, 4, normal_px.size))
+    tail_slopes(normal_px, p, q, grows, width_px, out)
+    return out
+
+
+def _half_sides(angle_rad: float, aperture_px: float) -> tuple[float, float]:
+    p = 0.5 * aperture_px * abs(math.cos(angle_rad))
+    return p, max(0.5 * aperture_px * abs(math.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
 
 
 def edge_response_transform(
@@ -201,21 +238,15 @@ class SplineBasis:
 
     def integrals(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the integral of spline j from minus infinity to each distance."""
-        place = (normal_px[:, None] - self.narrow_px) * (_TABLE_STEPS / self.step_px)
-        place += 2.0 * _TABLE_STEPS
-        np.clip(place, 0.0, 4.0 * _TABLE_STEPS - 1e-9, out=place)
-        low = place.astype(np.intp)
-        place -= low
-        place *= _TABLE_RISE[low]
-        place += _TABLE[low]
-        return np.asarray((place @ self.parts) * self.step_px)
+        narrow = np.empty((normal_px.size, self.narrow_px.size))
+        spline_integrals(self._knots(normal_px), narrow)
+        return np.asarray((narrow @ self.parts) * self.step_px)
 
     def products(self, normal_px: Vector, columns: Matrix, values: Vector) -> SplineProducts:
         """Return the cross products of `integrals` with themselves, with columns and values."""
         knots, levels = self.narrow_px.size, columns.shape[1]
         zz, zx, zy = np.zeros((knots, knots)), np.zeros((knots, levels)), np.zeros(knots)
-        place = (normal_px - self.narrow_px[0]) / self.step_px
-        spline_products(place, columns, values, zz, zx, zy)
+        spline_products(self._knots(normal_px), columns, values, zz, zx, zy)
         over = self.parts.T.tocsr()
         zz = np.ascontiguousarray((over @ (over @ zz).T).T)
         return SplineProducts(
@@ -224,16 +255,24 @@ class SplineBasis:
 
     def values(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the splines themselves."""
-        v = np.abs(normal_px[:, None] - self.narrow_px) / self.step_px
-        inner = 2.0 / 3.0 - v**2 + 0.5 * v**3
-        outer = np.clip(2.0 - v, 0.0, None) ** 3 / 6.0
-        return np.asarray(np.where(v < 1.0, inner, outer) @ self.parts)
+        narrow = np.zeros((normal_px.size, self.narrow_px.size))
+        spline_values(self._knots(normal_px), narrow)
+        return np.asarray(narrow @ self.parts)
 
-    def transforms(self, frequency_cpp: Vector) -> NDArray[np.complex128]:
-        """Return [f j]: the Fourier transforms of the splines."""
-        shape = self.step_px * np.sinc(frequency_cpp * self.step_px) ** 4
-        wave = np.exp(-2j * np.pi * np.outer(frequency_cpp, self.narrow_px))
-        return np.asarray((shape[:, None] * wave) @ self.parts)
+    def transforms(self, frequency_cpp: Vector) -> tuple[Matrix, Matrix]:
+        """Return the Fourier transforms of even functions [f h+1], and of odd ones over i [f h]."""
+        middle = self.narrow_px.size // 2
+        right = 2.0 * self.parts[middle:]
+        turn = 2.0 * np.pi * np.outer(frequency_cpp, self.narrow_px[middle:])
+        shape = self.step_px * np.sinc(frequency_cpp * self.step_px)[:, None] ** 4
+        even, odd = shape * np.cos(turn), -shape * np.sin(turn)
+        even[:, 0] *= 0.5  # the middle has no mirror image
+        evens = self.number.size
+        return np.asarray(even @ right[:, :evens]), np.asarray(odd @ right[:, evens:])
+
+    def _knots(self, normal_px: Vector) -> Vector:
+        """Return distances [n] from the first narrow spline, in steps."""
+        return np.asarray((normal_px - self.narrow_px[0]) / self.step_px)
 
 
 @lru_cache(maxsize=64)
@@ -272,16 +311,3 @@ def _spread(
     right, left = rows[:, middle + 1 :], rows[:, :middle][:, ::-1]
     folded = np.hstack([rows[:, [middle]], (right + left) / _SQRT2, (right - left) / _SQRT2])
     return narrow[kept][middle:], narrow, sparse.csr_array(folded)
-
-
-def _integrated_spline(u: Vector) -> Vector:
-    """Return the integral of the centred cubic B-spline (support -2 to 2) up to u."""
-    v = np.clip(np.abs(u), 0.0, 2.0)
-    inner = (2.0 / 3.0) * v - v**3 / 3.0 + v**4 / 8.0
-    outer = 0.5 - (2.0 - v) ** 4 / 24.0
-    integral: Vector = 0.5 + np.sign(u) * np.where(v < 1.0, inner, outer)
-    return integral
-
-
-_TABLE = _integrated_spline(np.arange(-2 * _TABLE_STEPS, 2 * _TABLE_STEPS + 2) / _TABLE_STEPS)
-_TABLE_RISE = np.diff(_TABLE)

@@ -145,17 +145,18 @@ def _placed(
     slope = _gaussian(nodes, max(edge.line.sigma_px, 0.3 * aperture_px))
     found: tuple[float, EdgeLikelihood, Vector]
     least, step, step_px = np.inf, np.zeros_like(geometry), np.zeros_like(geometry)
-    in_px = np.ones_like(geometry)
+    in_px, directions = np.ones_like(geometry), np.diag(TYPICAL_STEPS)
     in_px[:2] = samples.half_length_px, 0.0  # the base moves to any order
     for k in range(_MOST_PLACES):
         likelihood = EdgeLikelihood(
             gather(samples, nodes, geometry, slope), basis, aperture_px, unit_px
         )
-        best, value = descended(likelihood, parameters, np.diag(TYPICAL_STEPS))
+        best, value, rounder = descended(likelihood, parameters, directions)
         if value < least + _WORSE:
             known = _known(likelihood, best)
             wanted = _moved(likelihood, best[:, None], known.levels[:, None])[:, 0]
             found, least, parameters = (value, likelihood, best), value, best
+            directions = rounder
             slope = _slope(likelihood, best, known)
             if k == 0:  # the splines follow it once; an uneven shape would draw them on and on
                 parameters = best.copy()
@@ -183,10 +184,10 @@ def _moved(likelihood: EdgeLikelihood, parameters: Matrix, levels: Matrix) -> Ma
 
 
 def _known(likelihood: EdgeLikelihood, parameters: Vector) -> Conditional:
-    _, found = likelihood.conditional(parameters)
+    found = likelihood.solved(parameters)
     if found is None:
         raise ValueError("expected an edge that a Gaussian or a spline describes; the fit failed")
-    return found
+    return likelihood.conditional(found)
 
 
 def _gaussian(nodes: Nodes, sigma_px: float) -> Vector:
@@ -219,9 +220,9 @@ def _whole_draws(
     best = _known(likelihood, posterior.best)
     parts = [(posterior.best[:, None], best.levels[:, None], best.coefficients[:, None])]
     for index, count in zip(kept, counts, strict=True):
-        parameters, conditional = posterior.draws[index], posterior.conditionals[index]
-        if conditional is not None:
-            drawn = conditional.draw(int(count), rng)
+        parameters, found = posterior.draws[index], posterior.found[index]
+        if found is not None:
+            drawn = likelihood.conditional(found).draw(int(count), rng)
             parts.append((np.tile(parameters[:, None], count), *drawn))
     whole = [np.hstack(columns) for columns in zip(*parts, strict=True)]
     return whole[0], whole[1], whole[2]
@@ -248,7 +249,7 @@ class _Curves:
         half = np.arange(-2 * reach - 1, 2 * reach + 2) * 0.5 * _ESF_STEP * likelihood.unit_px
         self._half_steps_px: Vector = np.asarray(half, dtype=np.float64)
         self.normal_px: Vector = self._half_steps_px[1::2]
-        self._transforms = basis.transforms(frequency_cpp)
+        self._even, self._odd = basis.transforms(frequency_cpp)
         self._integrals = basis.integrals(self.normal_px)
         self._values = basis.values(self.normal_px)
 
@@ -268,10 +269,12 @@ class _Curves:
         base = self._base.transforms(self._frequency_cpp, unlike)[:, number]
         far = missing * np.stack([ends[0], 1.0 - ends[1]])
         base = base - self._beyond.T @ far
-        transform = factor * base + self._transforms @ coefficients
+        evens = self._even.shape[1]
+        transform = factor * base + self._even @ coefficients[:evens]
+        transform += 1j * (self._odd @ coefficients[evens:])
         contrast = transform[0].real
         steps_px = self._half_steps_px[2::2] - self._half_steps_px[:-2:2]
         rise = (response[2::2] - response[:-2:2]) / steps_px[:, None]
         esf = (factor * response[1::2] + self._integrals @ coefficients) / contrast
         lsf = (factor * rise + self._values @ coefficients) / contrast
-        return np.abs(transform / contrast), esf, lsf
+        return np.abs(transform) / np.abs(contrast), esf, lsf

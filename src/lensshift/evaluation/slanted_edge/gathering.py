@@ -10,10 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.node_kernels import node_products
+from lensshift.evaluation.slanted_edge.node_kernels import (
+    node_products,
+    node_reach,
+    times_nodes,
+)
 from lensshift.evaluation.slanted_edge.nodes import Between, Nodes
 from lensshift.evaluation.slanted_edge.samples import EdgeSamples
 
@@ -48,7 +53,7 @@ class Gathered:
     squares, fixed_values, fixed_fixed : y^T y, F^T y [f], F^T F [f f]
     splines : [j+f+1 j] and
     node_sums : of each power [j+f+1 g]: sums of splines, fixed columns and values with both
-    node_node : of each pair of powers [g g]
+    node_node, reach : of each pair of powers [k k g g]; between which nodes [g 2] they are not 0
     precision, centre : [f] prior of the factors of F: those of bends are normal about `centre`
     """
 
@@ -64,7 +69,8 @@ class Gathered:
     fixed_fixed: Matrix
     splines: Matrix
     node_sums: list[Matrix]
-    node_node: list[list[sparse.csr_array]]
+    node_node: NDArray[np.float64]
+    reach: NDArray[np.intp]
     precision: Vector
     centre: Vector
 
@@ -106,11 +112,12 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     with_right = np.zeros((kinds, size, right.shape[1]))
     rows = (whitener.indptr, whitener.indices, whitener.data)
     node_products(*rows, pixels.first, pixels.shares, powers, right, products, with_right)
-    node_node = [[sparse.csr_array(one) for one in row] for row in products]
-    node_sums = [
-        np.vstack([(row[0] @ nodes.integrals).T, own.T])
-        for row, own in zip(node_node, with_right, strict=True)
-    ]
+    reach = np.empty((size, 2), dtype=np.intp)
+    node_reach(products, reach)
+    node_sums, splines = [], np.empty_like(nodes.integrals)
+    for row, own in zip(products, with_right, strict=True):
+        times_nodes(row[0], reach, nodes.integrals, splines)
+        node_sums.append(np.vstack([splines.T, own.T]))
     sums = right.T @ right
     precision, centre = np.zeros(fixed.shape[1]), np.zeros(fixed.shape[1])
     bends = slice(2, geometry.size)
@@ -128,7 +135,8 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
         fixed_fixed=sums[:-1, :-1],
         splines=node_sums[0] @ nodes.integrals,
         node_sums=node_sums,
-        node_node=node_node,
+        node_node=products,
+        reach=reach,
         precision=precision,
         centre=centre,
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector, edge_response
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector, core_slopes
 
 _ANGLE_STEP_RAD = np.deg2rad(1.0)
 _COARSE = 4  # so many steps at a time first
@@ -143,18 +143,29 @@ def _refined(
 ) -> EdgeLine:
     """Fit angle, position and log width, the levels eliminated."""
 
-    def levels(parameters: Vector) -> tuple[Matrix, Vector]:
+    ones = np.ones_like(values)
+
+    def seen(parameters: Vector) -> tuple[Matrix, Matrix, Vector]:
+        """Return 1 and response [2 n], this with its slopes [4 n], and the levels that fit best."""
         angle, position, log_sigma = parameters
         normal_px = x_px * np.cos(angle) + y_px * np.sin(angle) - position
-        response = edge_response(normal_px, angle, float(np.exp(log_sigma)), aperture_px)
-        columns = np.column_stack([np.ones_like(response), response])
+        slopes = core_slopes(normal_px, angle, float(np.exp(log_sigma)), aperture_px)
+        columns = np.stack([ones, slopes[0]])
         ridge = 1e-9 * np.eye(2)  # an edge that left the region has no contrast to find
-        factors = np.linalg.solve(columns.T @ columns + ridge, columns.T @ values)
-        return columns, np.asarray(factors, dtype=np.float64)
+        return columns, slopes, np.linalg.solve(columns @ columns.T + ridge, columns @ values)
 
     def residual(parameters: Vector) -> Vector:
-        columns, factors = levels(parameters)
-        return np.asarray((columns @ factors - values) / scale)
+        columns, _, factors = seen(parameters)
+        return np.asarray((factors @ columns - values) / scale)
+
+    def jacobian(parameters: Vector) -> Matrix:
+        """Return [n 3], the levels followed to first order (Kaufman, BIT 15 (1975) 49)."""
+        columns, slopes, factors = seen(parameters)
+        angle = parameters[0]
+        turned = slopes[3] * (y_px * np.cos(angle) - x_px * np.sin(angle))
+        moves = factors[1] / scale * np.stack([turned, -slopes[3], slopes[1]])
+        shares = np.linalg.solve(columns @ columns.T + 1e-9 * np.eye(2), columns @ moves.T)
+        return np.asarray((moves - shares.T @ columns).T)
 
     scale = max(float(np.std(values)), np.finfo(float).tiny)
     narrow, wide = np.log(_SIGMA_BOUNDS_PX)
@@ -162,6 +173,7 @@ def _refined(
     fit = least_squares(
         residual,
         [angle_rad, position_px, np.log(0.6)],
+        jac=jacobian,
         x_scale=[0.01, 0.05, 0.2],
         bounds=(
             [angle_rad - 0.3, position_px - reach_px, narrow],
@@ -171,7 +183,7 @@ def _refined(
         xtol=_SETTLED,
         max_nfev=40,
     )
-    dark, contrast = levels(fit.x)[1]
+    dark, contrast = seen(fit.x)[2].tolist()
     return EdgeLine(
         float(fit.x[0]), float(fit.x[1]), float(np.exp(fit.x[2])), dark, dark + contrast
     )

@@ -101,6 +101,102 @@ def _second_of_tail(x: float, w: float, slow: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def edge_slopes(normal_px: Array, p: float, q: float, sigma_px: float, out: Array) -> None:
+    """Fill `out` with the response of `trapezium_edge` and its slopes.
+
+    Parameters
+    ----------
+    normal_px : [n]
+    p, q, sigma_px : as in `trapezium_edge`
+    out : [4 n] response; slopes by log sigma, by the log of the pixel's side, by the distance
+    """
+    reach_px, area = p + q + _FAR * sigma_px, 4.0 * p * q
+    for i in range(normal_px.size):
+        d = normal_px[i]
+        out[1:, i] = 0.0
+        if abs(d) > reach_px:
+            out[0, i] = 1.0 if d > 0.0 else 0.0
+            continue
+        value = by_sigma = by_side = by_place = 0.0
+        for shift, sign in ((p + q, 1.0), (p - q, -1.0), (q - p, -1.0), (-p - q, 1.0)):
+            t = d + shift
+            u = t / sigma_px
+            cumulative = 0.5 * math.erfc(-u * _ROOT_HALF)
+            thin = sigma_px * math.exp(-0.5 * u * u) * _INVERSE_ROOT_2PI
+            first = t * cumulative + thin
+            value += sign * 0.5 * (t * first + sigma_px * sigma_px * cumulative)
+            by_sigma += sign * sigma_px * sigma_px * cumulative
+            by_side += sign * shift * first
+            by_place += sign * first
+        out[0, i], out[1, i] = value / area, by_sigma / area
+        out[2, i], out[3, i] = (by_side - 2.0 * value) / area, by_place / area
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def tail_slopes(
+    normal_px: Array, p: float, q: float, grows: tuple[float, float], w: float, out: Array
+) -> None:
+    """Fill `out` with the two responses of which `trapezium_tail` is a mixture, and their slopes.
+
+    Parameters
+    ----------
+    normal_px : [n]
+    p, q, w : as in `trapezium_tail`
+    grows : whether p and q follow the side of the pixel (1) or are at a limit (0)
+    out : [2 4 n] of Lorentzian and Laplacian: response; slopes by the log of the width, by the log
+        of the pixel's side, by the distance
+    """
+    far_px, half_variance = _FAR_SIDES * max(p, q), (p * p + q * q) / 6.0
+    wider = (grows[0] * p * p + grows[1] * q * q) / 3.0
+    for i in range(normal_px.size):
+        d = normal_px[i]
+        if abs(d) > far_px:
+            _far_slopes(d, w, half_variance, wider, out[:, :, i])
+            continue
+        sums = np.zeros((2, 4))
+        for one, other, sign in ((1, 1, 1.0), (1, -1, -1.0), (-1, 1, -1.0), (-1, -1, 1.0)):
+            x = d + one * p + other * q
+            shift = one * grows[0] * p + other * grows[1] * q
+            square, angle, far = x * x + w * w, math.atan(x / w), abs(x)
+            log, fall = math.log(square), math.expm1(-far / w)
+            first = (x * angle - 0.5 * w * log) / math.pi
+            fast = 0.5 * (far + w * fall)
+            side = 0.5 if x > 0.0 else -0.5
+            values = ((x * x - w * w) * angle - w * x * log) / (2.0 * math.pi)
+            sums[0, 0] += sign * values
+            sums[0, 1] -= sign * w * (w * angle + 0.5 * x * log) / math.pi
+            sums[0, 2] += sign * shift * first
+            sums[0, 3] += sign * first
+            sums[1, 0] += sign * side * (0.5 * x * x - w * w * fall - w * far)
+            sums[1, 1] -= sign * side * w * (2.0 * w * fall + far * (2.0 + fall))
+            sums[1, 2] += sign * shift * fast
+            sums[1, 3] += sign * fast
+        for k in range(2):
+            sums[k, 2] -= (grows[0] + grows[1]) * sums[k, 0]
+            for m in range(4):
+                out[k, m, i] = sums[k, m] / (4.0 * p * q)
+            out[k, 0, i] += 0.5
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _far_slopes(d: float, w: float, half_variance: float, wider: float, out: Array) -> None:
+    """Fill in [2 4] where the pixel is small against the distance; see `tail_slopes`."""
+    square, fast = d * d + w * w, 0.5 * math.exp(-abs(d) / w)
+    bend = w / (square * square)
+    side, more = math.copysign(1.0, d), half_variance / (w * w)
+    out[0, 0] = 0.5 + (math.atan(d / w) - 2.0 * half_variance * d * bend) / math.pi
+    out[0, 1] = (
+        d * (-w / square - 2.0 * half_variance * bend * (1.0 - 4.0 * w * w / square)) / math.pi
+    )
+    out[0, 2] = -2.0 * d * bend * wider / math.pi
+    out[0, 3] = (w / square - 2.0 * half_variance * bend * (1.0 - 4.0 * d * d / square)) / math.pi
+    out[1, 0] = 0.5 + side * (0.5 - fast * (1.0 + more))
+    out[1, 1] = side * fast * (2.0 * more - abs(d) / w * (1.0 + more))
+    out[1, 2] = -side * fast * wider / (w * w)
+    out[1, 3] = fast / w * (1.0 + more)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _integral(u: float) -> float:
     """Return the integral of the centred cubic B-spline (support -2 to 2) up to u."""
     if u <= -2.0:
@@ -112,6 +208,33 @@ def _integral(u: float) -> float:
     if v < 1.0:
         half = (2.0 / 3.0) * v - v**3 / 3.0 + v**4 / 8.0
     return 0.5 + half if u > 0 else 0.5 - half
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spline_integrals(place: Array, out: Array) -> None:
+    """Fill `out` [n j] with integrals of cubic B-splines, 1 apart, up to each place [n]."""
+    knots = out.shape[1]
+    for i in range(place.size):
+        first = min(max(int(np.floor(place[i])) - 1, 0), knots)
+        last = min(first + 4, knots)
+        out[i, :first] = 1.0
+        for k in range(first, last):
+            out[i, k] = _integral(place[i] - k)
+        out[i, last:] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spline_values(place: Array, out: Array) -> None:
+    """Fill in what is not 0 of the same splines themselves."""
+    knots = out.shape[1]
+    for i in range(place.size):
+        first = min(max(int(np.floor(place[i])) - 1, 0), knots)
+        for k in range(first, min(first + 4, knots)):
+            v = abs(place[i] - k)
+            if v < 1.0:
+                out[i, k] = 2.0 / 3.0 - v * v + 0.5 * v * v * v
+            elif v < 2.0:
+                out[i, k] = (2.0 - v) ** 3 / 6.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -20,9 +20,18 @@ from lensshift.evaluation.slanted_edge.lsf_prior import (
     HYPER_BOUNDS,
     HYPER_PRIOR,
     HYPERS,
-    Factor,
     SplinePrior,
 )
+from lensshift.evaluation.slanted_edge.matrix_kernels import (
+    around,
+    band_of,
+    band_solved,
+    downdated,
+    factored,
+    inverted,
+    within,
+)
+from lensshift.evaluation.slanted_edge.node_kernels import across_nodes
 
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.
@@ -33,8 +42,7 @@ _LOG_NOISE_BOUNDS = (np.log(0.3 * MODEL_ERROR), 1.0)
 # before its foot and leave no curvature to draw from.
 _WALL = 0.05
 IMPOSSIBLE = 1e10
-# Of the log posterior: what the directions of the splines that are left out may change.
-_LEFT_OUT = 1e-3
+_ROUNDING = 1e-14  # of sums over pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,46 +55,106 @@ class Conditional:
     levels: Vector
     coefficients: Vector
     levels_factor: Matrix
-    weights: Vector
-    prior_factor: Factor
-    factor: Matrix
-    coupling: Matrix
+    explained: _Explained
+    pixels: _Told
+    prior: SplinePrior
+    shape: Vector
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[Matrix, Matrix]:
-        """Draw levels [p count] and coefficients [j count]."""
+        """Draw levels [p count] and coefficients [j count].
+
+        A draw of the prior, and of pixels, is corrected as the true pixels say (Matheron's rule).
+
+        Source: Hoffman and Ribak, Astrophys. J. 380 (1991) L5.
+        """
         noise = rng.standard_normal((self.levels.size, count))
-        deviation = _solve(self.levels_factor, noise, transposed=True)
-        pull = rng.standard_normal((self.weights.size, count)) - self.coupling @ deviation
-        weights = self.weights[:, None] + _solve(self.factor, pull, transposed=True)
-        return self.levels[:, None] + deviation, self.prior_factor.times(weights)
+        levels = self.levels[:, None] + _solve(self.levels_factor, noise, transposed=True)
+        size = len(self.pixels.factor)
+        heights = self.prior.drawn(self.shape, count, rng)
+        grain = np.sqrt(self.explained.variance) * rng.standard_normal((size, count))
+        shown = self.explained.shown
+        missing = (
+            shown[-1][:, None] - shown[:-1].T @ levels - self.pixels.factor.T @ heights - grain
+        )
+        heights += self.explained.heights(self.pixels, missing, self.explained.over(missing))
+        return levels, self.prior.coefficients(heights)
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What the pixels tell of the heights H of the splines: H^T H = R^T R, both with a band.
+
+    Parameters
+    ----------
+    factor : [j j] R^T
+    band : of its rows
+    """
+
+    factor: Matrix
+    band: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class _Explained:
+    """The splines in coordinates R h, in which the noise of the pixels is white and even.
+
+        S = R K R^T + s^2,   W = R^-T H^T [X y]
+
+    Parameters
+    ----------
+    variance : s^2
+    factor : [j + p + 1, j] L with L L^T = S, and below it (L^-1 W)^T
+    shown : [p + 1, j] W^T
+    """
+
+    variance: float
+    factor: Matrix
+    shown: Matrix
+
+    def over(self, right: NDArray[np.float64]) -> Matrix:
+        """Return S^-1 times [j ...]."""
+        lower = self.factor[: self.factor.shape[1]]
+        return _solve(lower, _solve(lower, right), transposed=True)
+
+    def heights(self, told: _Told, right: NDArray[np.float64], over: NDArray[np.float64]) -> Matrix:
+        """Return K R^T S^-1 times `right` [j ...], the heights that explain it.
+
+        That is R^-1 (1 - s^2 S^-1) times it; `over` is S^-1 times `right`.
+        """
+        return _solve(told.factor, right - self.variance * over, transposed=True)
 
 
 @dataclass(frozen=True, slots=True)
 class _Moments:
-    """The design and its cross products: X are the levels, Z the splines, y the pixels.
+    """The design and its cross products: X are the levels, H the heights, y the pixels.
 
-    `z` is Z^T [Z X y], `seen` are the columns that follow the response, at the nodes, and
-    `across[k][m]` what the pixels of column k see of column m.
+    `seen` [s g] are the columns that follow the response, at the nodes, `across` [k s g] what the
+    pixels times their factor k see of them, `gram` is [X y]^T [X y], `heights` [X y]^T H.
     """
 
-    seen: list[Vector]
-    across: list[list[Vector]]
-    xx: Matrix
-    xy: Vector
-    z: Matrix
+    seen: Matrix
+    across: NDArray[np.float64]
+    gram: Matrix
+    heights: Matrix
 
 
 @dataclass(frozen=True, slots=True)
-class _Solution:
-    """Everything about one point; `residual_square` is the misfit in units of the variance."""
+class Solution:
+    """Everything about one point; `apart` is what of [X y]^T [X y] no spline follows."""
 
     value: float
     allowed: Vector
-    variance: float
-    residual_square: float
     moments: _Moments
-    over_splines: Matrix
-    conditional: Conditional
+    explained: _Explained
+    apart: Matrix
+    levels: Vector
+    levels_factor: Matrix
+
+    @property
+    def left(self) -> Vector:
+        """What the levels leave of the pixels in the coordinates of `_Explained` [j]."""
+        shown = self.explained.shown
+        return np.asarray(shown[-1] - self.levels @ shown[:-1])
 
 
 class EdgeLikelihood:
@@ -119,18 +187,26 @@ class EdgeLikelihood:
         )
         self._mean = np.append(HYPER_PRIOR[:, 0], np.log(0.01))
         self._precision = np.append(HYPER_PRIOR[:, 1], _NOISE_SPREAD) ** -2.0
-        self._information = self._told()
         knots, fixed = basis.size, gathered.response
         size = fixed + len(gathered.seen)
         self._levels_precision, self._levels_centre = np.zeros(size), np.zeros(size)
         self._levels_precision[:fixed] = gathered.precision
         self._levels_centre[:fixed] = gathered.centre
-        # What no parameter changes of the cross products: Z^T [Z X y], X^T X, X^T y.
-        self._z = np.zeros((knots, knots + size + 1), order="F")
-        self._z[:, : knots + fixed] = gathered.splines[:-1].T
-        self._z[:, -1] = gathered.splines[-1]
-        self._xx, self._xy = np.zeros((size, size)), np.zeros(size)
-        self._xx[:fixed, :fixed], self._xy[:fixed] = gathered.fixed_fixed, gathered.fixed_values
+        self._factors = np.stack([one.factor for one in gathered.seen])
+        self._powers = np.array([one.power for one in gathered.seen])
+        by_heights = self._prior.by_heights
+        self._node_sums = [
+            np.vstack([by_heights(sums[:knots]), sums[knots:]]) for sums in gathered.node_sums
+        ]
+        self._pixels = _told(by_heights(by_heights(gathered.splines[:knots]).T))
+        # What no parameter changes of the cross products.
+        fixed_heights = by_heights(gathered.splines[knots:].T).T
+        self._heights = np.zeros((size + 1, knots))
+        self._heights[:fixed], self._heights[-1] = fixed_heights[:-1], fixed_heights[-1]
+        self._gram = np.zeros((size + 1, size + 1))
+        self._gram[:fixed, :fixed] = gathered.fixed_fixed
+        self._gram[:fixed, -1] = self._gram[-1, :fixed] = gathered.fixed_values
+        self._gram[-1, -1] = gathered.squares
         # The shrinkage is a square: the sign of its root says nothing.
         self.twin = np.ones(self.size)
         self.twin[1] = -1.0
@@ -142,17 +218,25 @@ class EdgeLikelihood:
 
     def negative_log(self, parameters: Vector) -> float:
         """Return minus the log posterior of the parameters, up to a constant."""
-        found = self._solved(parameters)
+        found = self.solved(parameters)
         return IMPOSSIBLE if found is None else found.value
 
-    def conditional(self, parameters: Vector) -> tuple[float, Conditional | None]:
-        """Return the same, and the distribution of levels and coefficients."""
-        found = self._solved(parameters)
-        return (IMPOSSIBLE, None) if found is None else (found.value, found.conditional)
+    def conditional(self, found: Solution) -> Conditional:
+        """Return the distribution of levels and coefficients at a point."""
+        heights = found.explained.heights(self._pixels, found.left, self._misfit(found))
+        return Conditional(
+            levels=found.levels,
+            coefficients=self._prior.coefficients(heights),
+            levels_factor=found.levels_factor,
+            explained=found.explained,
+            pixels=self._pixels,
+            prior=self._prior,
+            shape=found.allowed[BASE_HYPERS:HYPERS],
+        )
 
     def with_gradient(self, parameters: Vector) -> tuple[float, Vector]:
         """Return `negative_log` and its gradient [p]."""
-        found = self._solved(parameters)
+        found = self.solved(parameters)
         if found is None:
             return IMPOSSIBLE, np.zeros(self.size)
         return found.value, self._gradient(parameters, found)
@@ -171,137 +255,127 @@ class EdgeLikelihood:
             model += g.powers[:, one.power] * g.pixels.of(level * one.factor * response)
         return np.asarray(model)
 
-    def _told(self) -> Vector:
-        """Return [j] what the pixels tell of each coefficient, in units of the inverse variance."""
-        g = self.gathered
-        knots, fixed = self.basis.size, g.fixed.shape[1]
-        shared = g.splines[knots : knots + fixed]
-        known = np.linalg.lstsq(g.fixed_fixed, shared)[0]
-        told = g.splines[:knots].diagonal() - np.sum(shared * known, axis=0)
-        return np.asarray(np.maximum(told, 0.0))
-
     def _moments(self, parameters: Vector) -> _Moments:
         g, knots, fixed = self.gathered, self.basis.size, self.gathered.response
         response = self.base.response(g.nodes.place_px, parameters)
-        seen = [one.factor * response for one in g.seen]
-        across = [
-            [
-                g.node_node[one.power][other.power] @ own
-                for other, own in zip(g.seen, seen, strict=True)
-            ]
-            for one in g.seen
-        ]
-        xx, xy = self._xx.copy(), self._xy.copy()
-        z = self._z.copy(order="F")
+        seen = self._factors * response
+        across = np.empty((len(g.node_node), *seen.shape))
+        across_nodes(g.node_node, g.reach, self._powers, seen, across)
+        gram, heights = self._gram.copy(), self._heights.copy()
         for k, one in enumerate(g.seen):
-            sums = g.node_sums[one.power] @ seen[k]
-            z[:, knots + fixed + k], xy[fixed + k] = sums[:knots], sums[-1]
-            xx[fixed + k, :fixed] = xx[:fixed, fixed + k] = sums[knots:-1]
-            for m, other in enumerate(across[k]):
-                xx[fixed + k, fixed + m] = seen[k] @ other
-        return _Moments(seen, across, xx, xy, z)
+            own, sums = fixed + k, self._node_sums[one.power] @ seen[k]
+            heights[own] = sums[:knots]
+            gram[own, :fixed] = gram[:fixed, own] = sums[knots:-1]
+            gram[own, -1] = gram[-1, own] = sums[-1]
+            gram[own, fixed:-1] = across[one.power] @ seen[k]
+        return _Moments(seen, across, gram, heights)
 
-    def _solved(self, parameters: Vector) -> _Solution | None:
-        g, knots = self.gathered, self.basis.size
+    def solved(self, parameters: Vector) -> Solution | None:
+        """Return what the pixels say at a point, None where nothing can."""
+        knots, told = self.basis.size, self._pixels
         allowed = self.bounded(parameters)
         variance = float(np.exp(2.0 * allowed[-1])) + MODEL_ERROR**2
         m = self._moments(allowed)
-        prior = self._prior.factor(
-            allowed[BASE_HYPERS:HYPERS], self._information, _LEFT_OUT * variance
-        )
-        over = prior.over(m.z)
-        inner = prior.over(over[:, :knots].T) / variance
-        inner.flat[:: len(inner) + 1] += 1.0
-        factor = _factor(inner)
-        if factor is None:
+        covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
+        factor = np.empty((knots + len(m.heights), knots))
+        within(told.factor, told.band, covariance, factor)
+        factor[:knots].flat[:: knots + 1] += variance
+        band_solved(told.factor, told.band, m.heights)
+        factor[knots:] = m.heights
+        if not factored(factor):
             return None
-        projected = _solve(factor, over[:, knots:] / variance)
-        coupling, along = projected[:, :-1], projected[:, -1]
+        apart = m.gram - m.heights @ m.heights.T
+        gram = apart / variance + factor[knots:] @ factor[knots:].T
         precision, centre = self._levels_precision, self._levels_centre
-        inverse = m.xx / variance - coupling.T @ coupling
+        inverse = gram[:-1, :-1]
         inverse.flat[:: len(inverse) + 1] += precision
         levels_factor = _factor(inverse)
         if levels_factor is None:
             return None
-        pull = m.xy / variance + precision * centre - coupling.T @ along
-        v = _solve(levels_factor, pull)
+        v = _solve(levels_factor, gram[:-1, -1] + precision * centre)
         levels = _solve(levels_factor, v, transposed=True)
-        weights = _solve(factor, along - coupling @ levels, transposed=True)
-        misfit = g.squares / variance + float(precision @ centre**2 - along @ along - v @ v)
+        misfit = gram[-1, -1] + float(precision @ centre**2 - v @ v)
         determinant = np.sum(np.log(factor.diagonal())) + np.sum(np.log(levels_factor.diagonal()))
-        value = 0.5 * misfit + 0.5 * g.count * np.log(variance) + float(determinant)
+        value = 0.5 * misfit + float(determinant)
+        value += 0.5 * (self.gathered.count - knots) * np.log(variance)
         z, beyond = allowed - self._mean, parameters - allowed
         value += 0.5 * float(z @ (self._precision * z) + beyond @ beyond / _WALL**2)
-        strain = float(weights @ weights + precision @ (levels - centre) ** 2)
-        return _Solution(
-            value=value,
-            allowed=allowed,
-            variance=variance,
-            residual_square=misfit - strain,
-            moments=m,
-            over_splines=over[:, :knots],
-            conditional=Conditional(
-                *(levels, prior.times(weights), levels_factor, weights, prior, factor, coupling)
-            ),
-        )
+        explained = _Explained(variance, factor, m.heights)
+        return Solution(value, allowed, m, explained, apart, levels, levels_factor)
 
-    def _gradient(self, parameters: Vector, found: _Solution) -> Vector:
+    def _misfit(self, found: Solution) -> Vector:
+        """Return S^-1 times what the levels leave of the pixels."""
+        knots = self.basis.size
+        below = found.explained.factor[knots:]
+        left = below[-1] - found.levels @ below[:-1]
+        return _solve(found.explained.factor[:knots], left, transposed=True)
+
+    def _gradient(self, parameters: Vector, found: Solution) -> Vector:
         """Return the gradient.
 
-        With g the most likely (c, b), C their covariance and r the residual, the value changes by
+        With P the precision of the pixels after the levels, and r = y - X b, the value changes by
 
-            sum over pixels (D C - r g^T) dD / s^2,   D = [Z X]
+            tr((P - P y y^T P) dC) / 2,   C = H K H^T + s^2
 
-        with the design, and with the prior by tr(dK (Z^T P Z - q q^T)) / 2, q = Z^T P y.
+        with the prior and the noise, and by sum over pixels (C^-1 X D - C^-1 r b^T) dX with the
+        design, D the covariance of the levels.
         """
-        g, knots, variance = self.gathered, self.basis.size, found.variance
-        one, m = found.conditional, found.moments
-        tops = _solve(one.levels_factor, np.eye(one.levels.size))
+        g, knots, told, one = self.gathered, self.basis.size, self._pixels, found.explained
+        variance, lower = one.variance, one.factor[:knots]
+        tops = _solve(found.levels_factor, np.eye(found.levels.size))
         covariance = tops.T @ tops
         gradient = (found.allowed - self._mean) * self._precision
-        gradient[:BASE_HYPERS] += self._by_base(found, covariance) / variance
-        through = _solve(one.factor, found.over_splines) / variance
-        zx = m.z[:, knots:-1]
-        levels = zx / variance - through.T @ one.coupling
-        known = through.T @ through + levels @ covariance @ levels.T
-        zz = g.splines[:knots]
-        left = (g.splines[-1] - zz @ one.coefficients - zx @ one.levels) / variance
-        evens = len(one.prior_factor.even)
-        halves = [
-            0.5 * (zz[own, own] / variance - known[own, own] - np.outer(left[own], left[own]))
-            for own in (slice(evens), slice(evens, knots))
-        ]
-        gradient[BASE_HYPERS:HYPERS] += self._prior.gradient(
-            found.allowed[BASE_HYPERS:HYPERS], *halves
+        inverse = np.empty((knots, knots))
+        inverted(lower, inverse)
+        unseen = float(np.trace(inverse))
+        levels = _solve(lower, one.factor[knots:-1].T, transposed=True).T
+        left = self._misfit(found)
+        gradient[:BASE_HYPERS] += self._by_base(found, covariance, levels, left)
+        downdated(inverse, np.vstack([tops @ levels, left]))
+        by_covariance = np.empty((knots, knots))
+        around(told.factor, told.band, inverse, by_covariance)
+        gradient[BASE_HYPERS:HYPERS] += 0.5 * self._prior.gradient(
+            found.allowed[BASE_HYPERS:HYPERS], by_covariance
         )
-        # Of as many numbers as are explained, the variance is not seen.
-        spread = _solve(one.factor, np.eye(one.weights.size))
-        mixed = _solve(one.factor, one.coupling @ tops.T, transposed=True)
-        told = one.weights.size + one.levels.size - float(np.sum(spread**2) + np.sum(mixed**2))
-        told -= float(g.precision @ covariance.diagonal()[: g.precision.size])
-        excess = g.count - told - found.residual_square
-        gradient[-1] += excess * (1.0 - MODEL_ERROR**2 / variance)
+        rest = np.append(-found.levels, 1.0)
+        trace = (g.count - knots) / variance + unseen
+        squares = found.apart[:-1, :-1] / variance**2 + levels @ levels.T
+        trace -= float(np.sum(covariance * squares))
+        misfit = float(rest @ found.apart @ rest) / variance**2 + float(left @ left)
+        gradient[-1] += (variance - MODEL_ERROR**2) * (trace - misfit)
         gradient[parameters != found.allowed] = 0.0
         return np.asarray(gradient + (parameters - found.allowed) / _WALL**2)
 
-    def _by_base(self, found: _Solution, covariance: Matrix) -> Vector:
-        """Return the slopes by the parameters of the base model, times the variance."""
-        g, one, m = self.gathered, found.conditional, found.moments
+    def _by_base(self, found: Solution, covariance: Matrix, levels: Matrix, left: Vector) -> Vector:
+        """Return the slopes by the parameters of the base model."""
+        g, m, one = self.gathered, found.moments, found.explained
         fixed = g.response
-        shared = -one.prior_factor.times(
-            _solve(one.factor, one.coupling @ covariance, transposed=True)
-        )
+        # Of the levels' covariance, and of the misfit, what the splines take up.
+        mixed = np.column_stack([one.shown[:-1].T @ covariance, found.left])
+        shared = one.heights(self._pixels, mixed, np.column_stack([levels.T @ covariance, left]))
         to_response = np.zeros(g.nodes.place_px.size)
         for k, column in enumerate(g.seen):
             own = fixed + k
-            splines = shared[:, own] + one.coefficients * one.levels[own]
-            levels = covariance[:, own] + one.levels * one.levels[own]
-            factors = np.concatenate([splines, levels[:fixed], [-one.levels[own]]])
-            to_node = factors @ g.node_sums[column.power]
-            for level, across in zip(levels[fixed:], m.across[k], strict=True):
-                to_node += level * across
+            both = covariance[:, own] + found.levels * found.levels[own]
+            splines = found.levels[own] * shared[:, -1] - shared[:, own]
+            factors = np.concatenate([splines, both[:fixed], [-found.levels[own]]])
+            to_node = factors @ self._node_sums[column.power]
+            to_node += both[fixed:] @ m.across[column.power]
             to_response += column.factor * to_node
-        return np.asarray(self.base.slopes(g.nodes.place_px, found.allowed) @ to_response)
+        slopes = self.base.slopes(g.nodes.place_px, found.allowed)
+        return np.asarray(slopes @ to_response / one.variance)
+
+
+def _told(squares: Matrix) -> _Told:
+    """Return the factor of H^T H, in which what is but rounding counts as nothing."""
+    # All heights together raise a pixel by 1: the sum counts pixels, and differences are left.
+    for ridge in _ROUNDING * float(squares.sum()) * 10.0 ** np.arange(6):
+        lower = np.where(np.abs(squares) < ridge, 0.0, squares)
+        lower.flat[:: len(lower) + 1] = np.maximum(squares.diagonal(), 0.0) + ridge
+        if factored(lower):
+            lower = np.tril(lower)
+            return _Told(lower, band_of(lower))
+    raise ValueError("expected pixels that tell the response of an edge, got none")
 
 
 def _factor(matrix: Matrix) -> Matrix | None:
@@ -314,5 +388,9 @@ def _solve(factor: Matrix, right: NDArray[np.float64], transposed: bool = False)
     """Solve L u = right, or L^T u = right."""
     if not len(factor):
         return right
-    solution, _ = lapack.dtrtrs(factor, right, lower=1, trans=int(transposed))
+    # LAPACK counts along columns: it sees the transposed matrix, and needs no copy of it.
+    if factor.flags.c_contiguous:
+        solution, _ = lapack.dtrtrs(factor.T, right, lower=0, trans=int(not transposed))
+    else:
+        solution, _ = lapack.dtrtrs(factor, right, lower=1, trans=int(transposed))
     return np.asarray(solution if right.ndim > 1 else solution.reshape(-1))

@@ -209,15 +209,13 @@ def _aliasing_px(fit: EdgeFit, scale: int) -> float:
 
 def _asymmetry(fit: EdgeFit) -> Interval:
     """Return the largest departure of the ESF from symmetry about its point of half height."""
-    values = np.column_stack([fit.esf, fit.esf_draws])
-    odd = np.array([_even_part(fit.normal_px, one) for one in values.T])
+    values, place = np.vstack([fit.esf, fit.esf_draws.T]), fit.normal_px
+    middle = place[np.argmin(np.abs(values - 0.5), axis=1)]
+    step_px = place[1] - place[0]  # mirrored places lie half-way between at most
+    at = np.clip((2.0 * middle[:, None] - place - place[0]) / step_px, 0.0, place.size - 1.0)
+    mirrored = np.take_along_axis(values, np.rint(at).astype(np.intp), axis=1)
+    odd = 0.5 * np.max(np.abs(values + mirrored - 1.0), axis=1)
     return interval_of(float(odd[0]), odd[1:])
-
-
-def _even_part(normal_px: Vector, esf: Vector) -> float:
-    middle = normal_px[int(np.argmin(np.abs(esf - 0.5)))]
-    mirrored = np.interp(2.0 * middle - normal_px, normal_px, esf)
-    return float(0.5 * np.max(np.abs(esf + mirrored - 1.0)))
 
 
 def _lines(edge: UprightEdge) -> Vector:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.prior_kernels import process_factor, process_slopes
+from lensshift.evaluation.slanted_edge.prior_kernels import heights_covariance, heights_slopes
 
 # Mean and standard deviation; lengths in units of `unit_px`. The Gaussian of the optics may be
 # anything from far below a pixel to well above it. The pixel may be smaller than its pitch (its
@@ -47,29 +45,8 @@ HYPER_BOUNDS = np.array(
 START = np.array([*HYPER_PRIOR[:1, 0], 0.2, 0.2, *HYPER_PRIOR[3:, 0]])
 # Typical sizes of a step.
 STEPS = np.array([0.1, 0.1, 0.1, 0.3, 0.2, 0.005, 0.5, 0.2, 0.3, 1.0])
+_ROOT_HALF, _ROOT_2 = np.sqrt(0.5), np.sqrt(2.0)
 PLACE = 5  # which of the parameters is the place of the base, in units of the width
-
-
-class Factor(NamedTuple):
-    """A factor L of the covariance of the spline coefficients, even and odd ones apart.
-
-    Parameters
-    ----------
-    even, odd : [j r], [i q]
-    """
-
-    even: Matrix
-    odd: Matrix
-
-    def over(self, right: NDArray[np.float64]) -> Matrix:
-        """Return L^T times [j+i ...]."""
-        evens = len(self.even)
-        return np.concatenate([self.even.T @ right[:evens], self.odd.T @ right[evens:]])
-
-    def times(self, weights: NDArray[np.float64]) -> Matrix:
-        """Return L times [r+q ...]."""
-        rank = self.even.shape[1]
-        return np.concatenate([self.even @ weights[:rank], self.odd @ weights[rank:]])
 
 
 class SplinePrior:
@@ -78,8 +55,13 @@ class SplinePrior:
         K(x, x') = a^2 e(x) e(x') [k(x - x') + m k(x + x')]
         k(d) = exp(-d^2 / 2 l^2),  e(x) = 1 / (1 + (x / t)^2)
 
-    with amplitude a, length l, tail t and symmetry m, given as log a, log l, log t, logit m. Of
-    the even functions, it is (1 + m) [k(x - x') + k(x + x')], of the odd ones (1 - m) [k - k].
+    with amplitude a, length l, tail t and symmetry m, given as log a, log l, log t, logit m.
+
+    The fit knows it by heights: by how much the splines up to a knot raise the response,
+
+        h_i = sum of (area times coefficient) of the splines j <= i
+
+    for the pixels near a knot see neighbouring heights alone.
 
     Parameters
     ----------
@@ -88,60 +70,86 @@ class SplinePrior:
     """
 
     def __init__(self, basis: SplineBasis, unit_px: float) -> None:
-        self._place = basis.number * basis.step_px / unit_px
+        self._number = np.concatenate([-basis.number[:0:-1], basis.number])
+        self._place = self._number * basis.step_px / unit_px
         self._unit_px = unit_px
-        self._number = basis.number
+        self._middle = basis.number.size - 1
+        # Functions that are even hold two splines over the root of 2.
+        half = basis.area_px[: basis.number.size] * np.append(
+            1.0, np.full(self._middle, _ROOT_HALF)
+        )
+        self._area_px = np.concatenate([half[:0:-1], half])
         self._lags = basis.step_px / unit_px * np.arange(2 * basis.number[-1] + 1)
 
-    def factor(self, shape: Vector, information: Vector, tolerance: float) -> Factor:
-        """Return L with L L^T = K but for directions of which neither prior nor pixels tell.
+    def covariance(self, shape: Vector) -> Matrix:
+        """Return the covariance of the heights [j j].
 
         Parameters
         ----------
         shape : [4] log amplitude, log length, log tail, logit symmetry
-        information : [j] what the pixels tell of each coefficient, an inverse variance
-        tolerance : what the prior variances left out times this add up to at most
         """
         parts = self._parts(shape)
-        found, start = [], 0
-        for numbers, envelope, sign, _ in self._halves(parts):
-            own = information[start : start + numbers.size]
-            rows = np.empty((numbers.size,) * 2)
-            rank = process_factor(numbers, envelope, parts.near, sign, own, 0.5 * tolerance, rows)
-            found.append(rows[:rank].T)
-            start += numbers.size
-        return Factor(*found)
+        heights = np.empty((self._number.size,) * 2)
+        weight = parts.envelope * self._area_px
+        heights_covariance(self._number, weight, parts.near, parts.symmetry, heights)
+        return heights
 
-    def gradient(self, shape: Vector, even: Matrix, odd: Matrix) -> Vector:
-        """Return the gradient [4] of a value whose derivatives by even and odd K are given."""
+    def gradient(self, shape: Vector, by_covariance: Matrix) -> Vector:
+        """Return the gradient [4] of a value whose derivative by the covariance is given."""
         parts = self._parts(shape)
-        m, slopes = parts.symmetry, np.zeros(shape.size)
-        for given, (numbers, envelope, sign, wider) in zip(
-            (even, odd), self._halves(parts), strict=True
-        ):
-            by_factor, by_length, by_tail = process_slopes(
-                given, numbers, envelope, parts.near, parts.longer, wider, sign
-            )
-            slopes[:3] += 2.0 * by_factor, by_length, by_tail
-            slopes[3] += by_factor * (m * (1.0 - m) / (1.0 + m) if sign > 0 else -m)
-        return slopes
+        weight = parts.envelope * self._area_px
+        slopes = heights_slopes(
+            by_covariance,
+            *(self._number, weight, parts.near, parts.longer, parts.wider, parts.symmetry),
+        )
+        m = parts.symmetry
+        return np.asarray(np.array(slopes) * np.array([1.0, 1.0, 1.0, m * (1.0 - m)]))
+
+    def drawn(self, shape: Vector, count: int, rng: np.random.Generator) -> Matrix:
+        """Return heights [j count] of the prior.
+
+        A process of covariance k on an even grid, drawn in Fourier space, and its mirror image:
+        p g(x) + q g(-x) has the covariance k(x - x') + m k(x + x') where p^2 + q^2 = 1, 2 p q = m.
+
+        Source: circulant embedding, Dietrich and Newsam, SIAM J. Sci. Comput. 18 (1997) 1088.
+        """
+        parts = self._parts(shape)
+        ring = np.concatenate([parts.near, parts.near[-2:0:-1]])
+        root = np.sqrt(np.maximum(np.fft.rfft(ring).real, 0.0))
+        white = rng.standard_normal((root.size, count, 2)).view(complex)[..., 0]
+        white[[0, -1]] *= _ROOT_2  # they have no imaginary part
+        root *= np.sqrt(0.5 * ring.size)
+        process = np.fft.irfft(root[:, None] * white, ring.size, axis=0)
+        both, apart = np.sqrt(1.0 + parts.symmetry), np.sqrt(1.0 - parts.symmetry)
+        own = (both + apart) * process[self._number] + (both - apart) * process[-self._number]
+        weight = 0.5 * parts.envelope * self._area_px
+        return np.asarray(np.cumsum(weight[:, None] * own, axis=0))
+
+    def coefficients(self, heights: Matrix) -> Matrix:
+        """Return the coefficients of the even and odd functions [j ...] that make heights."""
+        own = np.diff(heights, axis=0, prepend=0.0)
+        own /= self._area_px.reshape(-1, *[1] * (heights.ndim - 1))
+        right, left = own[self._middle + 1 :], own[: self._middle][::-1]
+        middle = own[self._middle : self._middle + 1]
+        return np.concatenate([middle, (right + left) * _ROOT_HALF, (right - left) * _ROOT_HALF])
+
+    def by_heights(self, sums: Matrix) -> Matrix:
+        """Return sums over splines [j ...] as those over what each height adds to the response."""
+        even, odd = sums[: self._middle + 1], sums[self._middle + 1 :]
+        right, left = (even[1:] + odd) * _ROOT_HALF, (even[1:] - odd) * _ROOT_HALF
+        own = np.concatenate([left[::-1], even[:1], right])
+        own /= self._area_px.reshape(-1, *[1] * (sums.ndim - 1))
+        own[:-1] -= own[1:]
+        return own
 
     def _parts(self, shape: Vector) -> _Parts:
         amplitude, length, tail = np.exp(shape[:3])
-        symmetry = float(1.0 / (1.0 + np.exp(-shape[3])))
         lags = (self._lags / length) ** 2
         near = np.exp(-0.5 * lags)
         shares = (self._place / tail) ** 2
         envelope = amplitude / self._unit_px / (1.0 + shares)
+        symmetry = float(1.0 / (1.0 + np.exp(-shape[3])))
         return _Parts(near, lags * near, envelope, 2.0 * shares / (1.0 + shares), symmetry)
-
-    def _halves(self, parts: _Parts) -> Iterator[tuple[NDArray[np.intp], Vector, float, Vector]]:
-        """Yield knots, envelope, sign and slope of the log envelope, even ones first."""
-        even = np.sqrt(1.0 + parts.symmetry) * parts.envelope
-        even[0] *= np.sqrt(0.5)  # the middle is its own mirror
-        yield self._number, even, 1.0, parts.wider
-        odd = np.sqrt(1.0 - parts.symmetry) * parts.envelope[1:]
-        yield self._number[1:], odd, -1.0, parts.wider[1:]
 
 
 class _Parts(NamedTuple):

@@ -105,3 +105,53 @@ def node_products(
                 products[k, k, b, a] = products[k, k, a, b]
         for other in range(k):
             products[other, k] = products[k, other].T
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def node_reach(products: Array, reach: Array) -> None:
+    """Fill in [g 2]: the first node and the last but one that share pixels with each.
+
+    Parameters
+    ----------
+    products : [k k g g] of `node_products`
+    """
+    nodes = products.shape[2]
+    for a in range(nodes):
+        reach[a] = a, a + 1
+        for b in range(nodes):
+            if products[0, 0, a, b] != 0.0:
+                reach[a, 0], reach[a, 1] = min(reach[a, 0], b), max(reach[a, 1], b + 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def times_nodes(products: Array, reach: Array, right: Array, out: Array) -> None:
+    """Fill `out` [g q] with products [g g] times `right` [g q]; see `node_reach`."""
+    for a in range(products.shape[0]):
+        own = out[a]
+        own[:] = 0.0
+        for b in range(reach[a, 0], reach[a, 1]):
+            share, other = products[a, b], right[b]
+            for q in range(own.size):
+                own[q] += share * other[q]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def across_nodes(products: Array, reach: Array, power: Array, seen: Array, out: Array) -> None:
+    """Fill in what pixels see of columns, times each of their factors.
+
+        out[k, m] = products[k, power_m] seen[m]
+
+    Parameters
+    ----------
+    products, reach : [k k g g], [g 2]
+    power : [s]
+    seen : [s g]
+    out : [k s g]
+    """
+    for k in range(products.shape[0]):
+        for a in range(seen.shape[1]):
+            for m in range(seen.shape[0]):
+                other, total = power[m], 0.0
+                for b in range(reach[a, 0], reach[a, 1]):
+                    total += products[k, other, a, b] * seen[m, b]
+                out[k, m, a] = total

@@ -12,16 +12,35 @@ from scipy.stats import f as f_distribution
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 
 _LARGEST_ORDER = 3
-_SIGNIFICANT = 1e-3
-_NOISELESS = 1e-4  # of the contrast
+SIGNIFICANT = 1e-3
+NOISELESS = 1e-4  # of the contrast
 _WHOLE = 1e-3  # of a step: nearer to a whole number of steps is rounded
 _LARGEST_SUM = 0.8  # of a prediction: a smoother noise is not told from uneven light
 _BLOCK = 4
 _FEWEST_BLOCKS = 8
 _MOST_SITES = 10_000
-_FEWEST_SITES = 40  # plateau pixels below which noise counts as white and even
+NEAR_STEP_PX = 2.0  # of the distance from the edge, in which noise near it is told
+NEAR_PX = 8.0  # how far its own correlation reaches: a block of a JPEG
+FEWEST_SITES = 40  # plateau pixels below which noise counts as white and even
 
 Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class NearNoise:
+    """Noise near an edge that is not that of the plateaus.
+
+    Parameters
+    ----------
+    variance : over that of the plateaus, in steps of the distance from the edge
+    order, prediction : as those of `NoiseModel`
+    innovation : variance that this prediction leaves, over that of the plateaus' own
+    """
+
+    variance: Vector
+    order: int
+    prediction: Vector
+    innovation: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,50 +51,71 @@ class NoiseModel:
     ----------
     dark_sigma, bright_sigma : standard deviation on the plateaus
     order : reach in pixels of the prediction from earlier neighbours; 0 for white noise
-    neighbours : [k 2] row and column steps to those neighbours
-    prediction : [k] their factors
+    prediction : [k] factors of those neighbours, in the order of `_half_plane`
+    near : noise near the edge, None where it is that of the plateaus
     """
 
     dark_sigma: float
     bright_sigma: float
     order: int
-    neighbours: NDArray[np.intp]
     prediction: Vector
+    near: NearNoise | None = None
 
     @property
     def is_plain(self) -> bool:
         """Whether there is nothing to whiten."""
-        return self.order == 0 and self.dark_sigma == self.bright_sigma
+        return self.order == 0 and self.dark_sigma == self.bright_sigma and self.near is None
 
-    def relative_sigma(self, response: Vector) -> Vector:
+    def relative_sigma(self, response: Vector, normal_px: Vector) -> Vector:
         """Return the deviation of pixels over that of the dark plateau; shot noise is linear."""
         ratio = (self.bright_sigma / self.dark_sigma) ** 2
         share = np.clip(response, 0.0, 1.0)
-        return np.asarray(np.sqrt(1.0 - share + ratio * share))
+        variance = 1.0 - share + ratio * share
+        if self.near is not None:
+            steps = self.near.variance
+            middles = NEAR_STEP_PX * (np.arange(steps.size) + 0.5)
+            variance *= np.interp(np.abs(normal_px), middles, steps)
+        return np.asarray(np.sqrt(variance))
 
-    def whitener(self, places: NDArray[np.intp], relative_sigma: Vector) -> sparse.csr_array:
+    def whitener(
+        self, places: NDArray[np.intp], relative_sigma: Vector, normal_px: Vector
+    ) -> sparse.csr_array:
         """Return [m n]: pixels minus what their neighbours foretell, over their deviation.
 
         Parameters
         ----------
         places : [n 3] frame, row and column of each pixel
         relative_sigma : [n] see `relative_sigma`
+        normal_px : [n] distances from the edge
         """
         scaled = sparse.diags_array(1.0 / relative_sigma)
-        if self.order == 0:
+        order = max(self.order, 0 if self.near is None else self.near.order)
+        if order == 0:
             return scaled.tocsr()
         index = _index_of(places)
         sites = np.arange(len(places))
-        found = np.stack([_look_up(index, places, step) for step in self.neighbours], axis=1)
+        steps = _half_plane(order)
+        found = np.stack([_look_up(index, places, step) for step in steps], axis=1)
         whole = np.all(found >= 0, axis=1)
-        rows = np.arange(int(whole.sum()))
         taps = np.hstack([sites[whole, None], found[whole]])
-        factors = np.concatenate([[1.0], -self.prediction])
-        matrix = sparse.csr_array(
-            (np.tile(factors, len(rows)), (np.repeat(rows, taps.shape[1]), taps.ravel())),
-            shape=(len(rows), len(places)),
-        )
-        return (matrix @ scaled).tocsr()
+        factors = np.tile(_widened(self.order, self.prediction, order), (len(taps), 1))
+        if self.near is not None:
+            close = np.abs(normal_px[whole]) < NEAR_PX
+            own = _widened(self.near.order, self.near.prediction, order)
+            factors[close] = own / np.sqrt(self.near.innovation)
+        rows = np.repeat(np.arange(len(taps)), taps.shape[1])
+        shape = (len(taps), len(places))
+        return (
+            sparse.csr_array((factors.ravel(), (rows, taps.ravel())), shape=shape) @ scaled
+        ).tocsr()
+
+
+def _widened(order: int, prediction: Vector, wanted: int) -> Vector:
+    """Return 1 and minus the factors of a prediction of a larger order, those beyond being 0."""
+    steps = _half_plane(wanted)
+    factors = np.zeros(len(steps))
+    factors[np.max(np.abs(steps), axis=1, initial=0) <= order] = -prediction
+    return np.append(1.0, factors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +180,7 @@ def plateau_tilt_matters(
     columns : [n k] the slopes
     least : deviation of what is not worth a plane, as that of rounding
     """
-    least = max(least, _NOISELESS)
+    least = max(least, NOISELESS)
     plain = tilted = 0.0
     blocks = 0
     for side in sides:
@@ -158,7 +198,7 @@ def plateau_tilt_matters(
     if tilted <= least**2 * blocks:
         return bool(plain > least**2 * blocks)
     ratio = (plain - tilted) / terms / (tilted / freedom)
-    return bool(f_distribution.sf(ratio, terms, freedom) < _SIGNIFICANT)
+    return bool(f_distribution.sf(ratio, terms, freedom) < SIGNIFICANT)
 
 
 def few_factors(columns: Matrix, values: Vector) -> Vector:
@@ -192,24 +232,26 @@ def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]
     sides : masks of the dark and the bright plateau
     """
     counts = [int(side.sum()) for side in sides]
-    none = np.zeros((0, 2), dtype=np.intp)
-    if min(counts) < _FEWEST_SITES:
+    if min(counts) < FEWEST_SITES:
         both = residual[sides[0] | sides[1]] if sum(counts) > 1 else residual
         sigma = float(np.std(both))
-        return NoiseModel(sigma, sigma, 0, none, np.zeros(0))
+        return NoiseModel(sigma, sigma, 0, np.zeros(0))
     dark, bright = (float(np.std(residual[side])) for side in sides)
     together = float(np.sqrt(np.mean(residual[sides[0] | sides[1]] ** 2)))
-    if min(dark, bright) < _NOISELESS:  # rounding alone; it is neither white nor of one size
-        return NoiseModel(together, together, 0, none, np.zeros(0))
-    order, neighbours, prediction = _best_prediction(residual, places, sides, (dark, bright))
+    if min(dark, bright) < NOISELESS:  # rounding alone; it is neither white nor of one size
+        return NoiseModel(together, together, 0, np.zeros(0))
+    scaled = np.full(residual.size, np.nan)
+    for side, sigma in zip(sides, (dark, bright), strict=True):
+        scaled[side] = (residual[side] - residual[side].mean()) / max(sigma, 1e-300)
+    order, prediction, _ = best_prediction(scaled, places, np.flatnonzero(np.isfinite(scaled)))
     # Correlated residuals count for less than their number.
     freedom = [count / (1 + 2 * order) ** 2 for count in counts]
     if dark > 0.0 and bright > 0.0:
         upper = f_distribution.sf((bright / dark) ** 2, freedom[1], freedom[0])
         lower = f_distribution.cdf((bright / dark) ** 2, freedom[1], freedom[0])
-        if min(upper, lower) < 0.5 * _SIGNIFICANT:
-            return NoiseModel(dark, bright, order, neighbours, prediction)
-    return NoiseModel(together, together, order, neighbours, prediction)
+        if min(upper, lower) < 0.5 * SIGNIFICANT:
+            return NoiseModel(dark, bright, order, prediction)
+    return NoiseModel(together, together, order, prediction)
 
 
 def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
@@ -243,7 +285,7 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
     order = min(_LARGEST_ORDER, max(rows, cols))
     steps = _half_plane(order)
     if order == 0:
-        return NoiseModel(sigma, sigma, 0, steps[:0], np.zeros(0))
+        return NoiseModel(sigma, sigma, 0, np.zeros(0))
 
     def at(lags: NDArray[np.intp]) -> NDArray[np.float64]:
         inside = np.all(np.abs(lags) <= (rows, cols), axis=-1)
@@ -251,39 +293,42 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
         return np.where(inside, values[rows + row, cols + col], 0.0)
 
     between = at(steps[:, None, :] - steps[None, :, :])
-    between.flat[:: len(steps) + 1] += _NOISELESS * variance  # smooth noise has nearly equal rows
+    between.flat[:: len(steps) + 1] += NOISELESS * variance  # smooth noise has nearly equal rows
     prediction = np.asarray(np.linalg.solve(between, at(steps)), dtype=np.float64)
-    return NoiseModel(sigma, sigma, order, steps, _limited(prediction))
+    return NoiseModel(sigma, sigma, order, _limited(prediction))
 
 
-def _best_prediction(
-    residual: Vector, places: NDArray[np.intp], sides: list[Mask], sigmas: tuple[float, float]
-) -> tuple[int, NDArray[np.intp], Vector]:
-    scaled = np.full(residual.size, np.nan)
-    for side, sigma in zip(sides, sigmas, strict=True):
-        scaled[side] = (residual[side] - residual[side].mean()) / max(sigma, 1e-300)
-    index = _index_of(places)
-    widest = _half_plane(_LARGEST_ORDER)
-    sites = np.flatnonzero(np.isfinite(scaled))
+def best_prediction(
+    scaled: Vector, places: NDArray[np.intp], sites: NDArray[np.intp]
+) -> tuple[int, Vector, float]:
+    """Return order and factors of the prediction at some pixels, and the variance it leaves.
+
+    Parameters
+    ----------
+    scaled : [n] noise of even variance, NaN where it is not known
+    places : [n 3] frame, row, column
+    sites : the pixels to foretell
+    """
+    index, widest = _index_of(places), _half_plane(_LARGEST_ORDER)
     sites = sites[:: max(1, sites.size // _MOST_SITES)]
     found = np.stack([_look_up(index, places[sites], step) for step in widest], axis=1)
     around = np.where(found >= 0, scaled[found], np.nan)
     whole = np.all(np.isfinite(around), axis=1)
     around, foretold = around[whole], scaled[sites[whole]]
-    best = (np.inf, 0, widest[:0], np.zeros(0))
+    best, lowest = (0, np.zeros(0), 1.0), np.inf
     count = int(whole.sum())
     for order in range(_LARGEST_ORDER + 1):
         used = np.max(np.abs(widest), axis=1) <= order
         terms = int(used.sum())
-        if count < 4 * terms + _FEWEST_SITES // 2:
+        if count < 4 * terms + FEWEST_SITES // 2:
             break
         inputs = around[:, used]
         factors = _limited(few_factors(inputs, foretold)) if terms else np.zeros(0)
         rest = float(np.mean((foretold - inputs @ factors) ** 2))
         criterion = count * np.log(max(rest, 1e-300)) + terms * np.log(count)
-        if criterion < best[0]:
-            best = (criterion, order, widest[used], factors)
-    return best[1:]
+        if criterion < lowest:
+            best, lowest = (order, factors, rest), criterion
+    return best
 
 
 def _limited(prediction: Vector) -> Vector:

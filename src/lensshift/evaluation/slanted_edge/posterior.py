@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import minimize
@@ -11,9 +12,10 @@ from scipy.stats import qmc
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.likelihood import (
+    IMPOSSIBLE,
     MODEL_ERROR,
-    Conditional,
     EdgeLikelihood,
+    Solution,
 )
 from lensshift.evaluation.slanted_edge.lsf_prior import START, STEPS
 
@@ -40,13 +42,13 @@ class Posterior:
     best : [p] the optimum
     draws : [k p]
     weights : [k], sum 1
-    conditionals : distributions of levels and coefficients at the draws, None where impossible
+    found : [k] what the pixels say there
     """
 
     best: Vector
     draws: Matrix
     weights: Vector
-    conditionals: list[Conditional | None]
+    found: list[Solution | None]
 
     @property
     def effective_size(self) -> float:
@@ -65,14 +67,14 @@ def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Poster
     """
     best, directions = start, np.diag(TYPICAL_STEPS)
     for _ in range(_ROUNDS):
-        directions = _curvature_directions(likelihood, best, directions)
         value, gradient = likelihood.with_gradient(best)
+        directions = _curvature_directions(likelihood, best, gradient, directions)
         if 0.5 * np.sum((gradient @ directions) ** 2) < _SETTLED:
             break
-        best, value = descended(likelihood, best, directions)
+        best, value, _ = descended(likelihood, best, directions)
     proposals = [_Student(best, _SPREAD * directions, likelihood.twin)]
     parameters, log_weights = np.empty((0, best.size)), np.empty(0)
-    found: list[tuple[float, Conditional | None]] = []
+    found: list[Solution | None] = []
     weights = np.empty(0)
     for k in range(_MOST_GENERATIONS):
         if k >= _GENERATIONS and np.sum(weights**2) * _ENOUGH < 1.0:
@@ -80,16 +82,14 @@ def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Poster
         if k:
             proposals.append(proposals[0].adapted(parameters, log_weights))
         more = proposals[-1].draws(_DRAWS_EACH, seed + k)
-        found += [likelihood.conditional(p) for p in more]
+        found += [likelihood.solved(p) for p in more]
         parameters = np.concatenate([parameters, more])
-        logs = value - np.array([one[0] for one in found])
         # Every draw counts as one of the mixture of all proposals so far.
         densities = [proposal.log_density(parameters) for proposal in proposals]
-        log_weights = logs - np.logaddexp.reduce(densities, axis=0)
+        values = np.array([IMPOSSIBLE if one is None else one.value for one in found])
+        log_weights = value - values - np.logaddexp.reduce(densities, axis=0)
         weights = _cut(log_weights)
-    conditionals = [one[1] for one in found]
-    inside = likelihood.bounded(parameters)
-    return Posterior(likelihood.bounded(best), inside, weights, conditionals)
+    return Posterior(likelihood.bounded(best), likelihood.bounded(parameters), weights, found)
 
 
 def _cut(log_weights: Vector) -> Vector:
@@ -118,11 +118,7 @@ class _Student:
 
     def draws(self, count: int, seed: int) -> Matrix:
         """Return quasi-random draws [k p]."""
-        size = self.centre.size
-        uniform = np.clip(qmc.Sobol(size + 1, seed=seed).random(count), 1e-9, 1.0 - 1e-9)
-        chi_square = 2.0 * gammaincinv(0.5 * _FREEDOM, uniform[:, -1])
-        samples = ndtri(uniform[:, :-1]) / np.sqrt(chi_square / _FREEDOM)[:, None]
-        drawn = self.centre + samples @ self.directions.T
+        drawn = self.centre + _student(self.centre.size, count, seed) @ self.directions.T
         return np.asarray(np.where(self.twin < 0, np.abs(drawn), drawn))
 
     def log_density(self, parameters: Matrix) -> Vector:
@@ -154,10 +150,24 @@ class _Student:
         return _Student(centre, triangle.T, self.twin)
 
 
+@lru_cache(maxsize=4 * _MOST_GENERATIONS)
+def _student(size: int, count: int, seed: int) -> Matrix:
+    """Return quasi-random draws [count size] of the standard t distribution."""
+    uniform = np.clip(qmc.Sobol(size + 1, seed=seed).random(count), 1e-9, 1.0 - 1e-9)
+    chi_square = 2.0 * gammaincinv(0.5 * _FREEDOM, uniform[:, -1])
+    return np.asarray(ndtri(uniform[:, :-1]) / np.sqrt(chi_square / _FREEDOM)[:, None])
+
+
 def descended(
     likelihood: EdgeLikelihood, start: Vector, directions: Matrix
-) -> tuple[Vector, float]:
-    """Return the optimum and its value, in coordinates along the columns of `directions`."""
+) -> tuple[Vector, float, Matrix]:
+    """Return the optimum, its value, and directions along which the posterior is about round.
+
+    Parameters
+    ----------
+    likelihood, start : the model, and where to begin
+    directions : [p p] columns of steps of like worth
+    """
 
     def along(z: Vector) -> tuple[float, Vector]:
         value, gradient = likelihood.with_gradient(start + directions @ z)
@@ -168,19 +178,20 @@ def descended(
         np.zeros(start.size),
         jac=True,
         method="L-BFGS-B",
-        options={"maxiter": _MOST_STEPS, "ftol": 1e-7},
+        options={"maxiter": _MOST_STEPS, "ftol": 1e-7, "maxcor": 30},
     )
-    return start + directions @ found.x, float(found.fun)
+    inverse: Matrix = found.hess_inv @ np.eye(start.size)
+    rounder = directions @ np.linalg.cholesky(0.5 * (inverse + inverse.T))
+    return start + directions @ found.x, float(found.fun), rounder
 
 
-def _curvature_directions(likelihood: EdgeLikelihood, best: Vector, directions: Matrix) -> Matrix:
+def _curvature_directions(
+    likelihood: EdgeLikelihood, best: Vector, gradient: Vector, directions: Matrix
+) -> Matrix:
     """Return [p p]: columns that are one posterior standard deviation long, uncorrelated."""
     moves = _CURVATURE_STEP * directions.T
-    rows = [
-        likelihood.with_gradient(best + move)[1] - likelihood.with_gradient(best - move)[1]
-        for move in moves
-    ]
-    hessian = np.array(rows) @ directions / (2.0 * _CURVATURE_STEP)
+    rows = [likelihood.with_gradient(best + move)[1] - gradient for move in moves]
+    hessian = np.array(rows) @ directions / _CURVATURE_STEP
     curvature, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
     deviation = 1.0 / np.sqrt(np.maximum(curvature, _LARGEST_SD**-2))
     return np.asarray(directions @ vectors * deviation)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     edge_response,
 )
 from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
+from lensshift.evaluation.slanted_edge.near_noise import with_edge
 from lensshift.evaluation.slanted_edge.nodes import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.noise_model import (
     Mask,
@@ -104,12 +105,12 @@ class UprightEdge:
         units = np.clip(reach_px / self.unit_px, _HALF_WIDTH, _LARGEST_REACH)
         return splines_for(float(units), self.unit_px)
 
-    def free_response(self, used: Mask | None = None) -> Vector:
-        """Return the ESF at every pixel when nothing but the pixels says what it is.
+    def free_response(self, used: Mask | None = None) -> tuple[Vector, Vector]:
+        """Return ESF and LSF at every pixel when nothing but the pixels says what they are.
 
         Parameters
         ----------
-        used : [n] the pixels that say what it is, None for all
+        used : [n] the pixels that say so, None for all
         """
         normal_px = self.normal_px
         nodes = nodes_for(self.basis, self.unit_px, 1.0, float(np.max(np.abs(normal_px))))
@@ -185,10 +186,12 @@ def learn_noise(
     step_sigma = edge.rounding.sigma
     # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
     # what changes across the edge; what changes along it tells uneven light.
-    rest = edge.scaled - edge.free_response()
+    free, slope = edge.free_response()
+    rest = edge.scaled - free
     place = edge.along_px / edge.half_length_px
     along = np.column_stack([place, place**2 - 1.0 / 3.0])
-    both = np.hstack([along, along * (edge.normal_px > 0.0)[:, None]])
+    moves = along * slope[:, None]  # the first guess of the edge is turned a little, and bent
+    both = np.hstack([along, along * free[:, None], moves])
     factors = few_factors(both, rest)
     even = rest - both @ factors
     bowl = even + both[:, 1::2] @ factors[1::2]
@@ -200,7 +203,12 @@ def learn_noise(
         order = int(plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
     if covariance is not None:
         return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
-    return estimate_noise(even if order else rest, places, sides), order
+    noise = estimate_noise(even if order else rest, places, sides)
+    terms = both if order else moves
+    taken = terms @ few_factors(terms, rest)
+    if order:  # the free ESF took some of the light, which shows where it is steep
+        free = replace(edge, scaled=edge.scaled - taken).free_response()[0]
+    return with_edge(noise, edge.scaled - taken - free, free, edge.normal_px, places), order
 
 
 def take_samples(
@@ -215,11 +223,12 @@ def take_samples(
     light : order of the uneven illumination
     """
     relative = np.ones(edge.scaled.size)
-    if noise.dark_sigma != noise.bright_sigma:
+    normal_px = edge.normal_px
+    if noise.dark_sigma != noise.bright_sigma or noise.near is not None:
         response = edge_response(
-            edge.normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
+            normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
         )
-        relative = noise.relative_sigma(response)
+        relative = noise.relative_sigma(response, normal_px)
     rounding = edge.rounding
     # By themselves, and with what they share with pixels of the same value.
     own = np.maximum((noise.dark_sigma * relative) ** 2, rounding.sigma**2)
@@ -234,6 +243,6 @@ def take_samples(
         half_length_px=edge.half_length_px,
         light=light,
         values=edge.scaled,
-        whitener=None if plain else noise.whitener(edge.pixels.places, relative),
+        whitener=None if plain else noise.whitener(edge.pixels.places, relative, normal_px),
         unlike=float(np.mean(1.0 / (1.0 + share))) if rounded else 1.0,
     )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_upright
+from lensshift.evaluation.steps import OF_NORMAL
 
 _STANDS_OUT = 6.0  # deviations; of 1e6 pixels of normal noise, none does
 _MOST_OUT = 0.05  # of the pixels; what is more frequent is no exception
@@ -14,7 +17,6 @@ _LEAST_OUT = 0.01  # of the contrast, as a deviation: the blocks of a JPEG are n
 _OF_GREY_LEVEL = 0.3  # as a deviation, that of rounding
 _BIN_UNITS = 2.0
 _FEWEST_IN_BIN = 16
-_OF_NORMAL = 1.4826  # deviation of a normal distribution over its median absolute one
 _WRONG_SIDE = 0.6  # of the contrast
 _LEAST_EVIDENCE = 8.0  # deviations of the contrast; the best split of mere noise reaches 5
 
@@ -52,47 +54,67 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
 
 
 def _standing_out(edge: UprightEdge, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    normal_px = edge.normal_px
-    rest = edge.scaled - edge.free_response(used)
-    out = np.zeros(rest.size, dtype=bool)
+    rest = edge.scaled - edge.free_response(used)[0]
     levels = np.unique(edge.scaled)  # neighbouring grey levels are no exception
     least = max(_LEAST_OUT, _OF_GREY_LEVEL * float(np.min(np.diff(levels), initial=1.0)))
-    for members in _bins(edge, normal_px):
-        near = rest[members]
-        middle = np.median(near)
-        deviation = _OF_NORMAL * np.median(np.abs(near - middle))
-        out[members] = np.abs(near - middle) > _STANDS_OUT * max(deviation, least)
-    return out
+    bins = _bins(edge)
+    middle, deviation = _levels(rest, bins)
+    limit = np.where(bins.large, _STANDS_OUT * np.maximum(deviation, least), np.inf)
+    return np.asarray(np.abs(rest - middle[bins.number]) > limit[bins.number])
 
 
-def _bins(edge: UprightEdge, normal_px: Vector) -> list[NDArray[np.intp]]:
-    """Return the pixels by their distance from the edge, groups that tell a median."""
-    number = np.floor(normal_px / (_BIN_UNITS * edge.unit_px)).astype(np.intp)
-    order = np.argsort(number, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
-    return [group for group in groups if group.size >= _FEWEST_IN_BIN]
+class _Bins(NamedTuple):
+    """The pixels by their distance from the edge.
+
+    Parameters
+    ----------
+    number : [n] of the bin
+    size : [b] of the bins
+    large : [b] whether they tell a median
+    """
+
+    number: NDArray[np.intp]
+    size: NDArray[np.intp]
+    large: NDArray[np.bool_]
+
+
+def _bins(edge: UprightEdge) -> _Bins:
+    number = np.floor(edge.normal_px / (_BIN_UNITS * edge.unit_px)).astype(np.intp)
+    number -= number.min()
+    size = np.bincount(number)
+    return _Bins(number, size, size >= _FEWEST_IN_BIN)
+
+
+def _levels(values: Vector, bins: _Bins) -> tuple[Vector, Vector]:
+    """Return median and deviation of values [n] in every bin [b]."""
+    middle = _medians(values, bins)
+    return middle, OF_NORMAL * _medians(np.abs(values - middle[bins.number]), bins)
+
+
+def _medians(values: Vector, bins: _Bins) -> Vector:
+    ordered = values[np.lexsort((values, bins.number))]
+    start = np.cumsum(bins.size) - bins.size
+    low, high = start + np.maximum(bins.size - 1, 0) // 2, start + bins.size // 2
+    last = ordered.size - 1  # empty bins have no median
+    return np.asarray(0.5 * (ordered[np.minimum(low, last)] + ordered[np.minimum(high, last)]))
 
 
 def _refuse_others(edge: UprightEdge) -> None:
     """Refuse a region with a second edge, or none."""
-    normal_px, deviations = edge.normal_px, []
-    for members in _bins(edge, normal_px):
-        values = edge.scaled[members]
-        middle = float(np.median(values))
-        deviation = _OF_NORMAL * float(np.median(np.abs(values - middle)))
-        deviations.append(deviation)
-        place_px = float(np.median(normal_px[members]))
-        slack = _WRONG_SIDE + 4.0 * deviation / np.sqrt(members.size)
-        side = float(place_px > 0.0)
-        far = abs(place_px) > 3.0 * edge.unit_px
-        if abs(middle - side) > (slack if far else 1.0 + slack):
-            raise ValueError(
-                f"expected one edge between two even areas, got a second one about "
-                f"{abs(place_px):.0f} px from the first (a bar, or two edges); "
-                "choose a region around one of them"
-            )
+    normal_px, bins = edge.normal_px, _bins(edge)
+    middle, deviation = _levels(edge.scaled, bins)
+    place_px = _medians(normal_px, bins)
+    slack = _WRONG_SIDE + 4.0 * deviation / np.sqrt(np.maximum(bins.size, 1))
+    slack[np.abs(place_px) <= 3.0 * edge.unit_px] += 1.0
+    wrong = bins.large & (np.abs(middle - (place_px > 0.0)) > slack)
+    if wrong.any():
+        raise ValueError(
+            f"expected one edge between two even areas, got a second one about "
+            f"{abs(place_px[np.argmax(wrong)]):.0f} px from the first (a bar, or two edges); "
+            "choose a region around one of them"
+        )
     counts = [int(np.sum(normal_px > 0)), int(np.sum(normal_px < 0))]
-    noise = float(np.median(deviations)) if deviations else 0.0
+    noise = float(np.median(deviation[bins.large])) if bins.large.any() else 0.0
     if noise * np.sqrt(sum(1.0 / max(count, 1) for count in counts)) * _LEAST_EVIDENCE > 1.0:
         raise ValueError(
             f"expected an edge, got noise: the best step is {1.0 / noise:.2g} of a pixel's noise; "
