@@ -92,9 +92,9 @@ def told(moments: Mapping[int, Array], frames: Sequence[int]) -> str:
     said = []
     for k, (rows, _, cols) in moments.items():
         if max(abs(rows), abs(cols)) > LEAST_PX2:
-            kind = "less sharp" if rows + cols > 0 else "sharper"
+            kind = "is less sharp" if rows + cols > 0 else "is sharper"
             width = ", ".join(f"{np.sign(m) * np.sqrt(abs(m)):+.1f}" for m in (rows, cols))
-            said.append(f"frame {frames[k]} is {kind} than the others, by ({width}) px")
+            said.append(f"frame {frames[k]} {kind} than the others, by ({width}) px")
     return (
         f"{', '.join(said)}, as if the camera shook: the picture allows for it "
         "(hold it still, or leave frames out by frames=)"
