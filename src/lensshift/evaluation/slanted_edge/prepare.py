@@ -36,6 +36,7 @@ _SHARED = 0.1  # of the variance: less is not worth a weight
 # In units of the edge's own width:
 _HALF_WIDTH = 6.0  # where plateaus begin, to a first look
 _LARGEST_REACH = 32.0  # of the splines: a ghost farther away is taken for part of the plateau
+_MOST_TAKEN = 0.5  # of the noise, by a free ESF: where it takes more, pixels are too few to say
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,12 +204,23 @@ def learn_noise(
         order = int(plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
     if covariance is not None:
         return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
-    noise = estimate_noise(even if order else rest, places, sides)
+    left = (even if order else rest) / np.sqrt(1.0 - _share_taken(edge, sides))
+    noise = estimate_noise(left, places, sides)
     terms = both if order else moves
     taken = terms @ few_factors(terms, rest)
     if order:  # the free ESF took some of the light, which shows where it is steep
         free = replace(edge, scaled=edge.scaled - taken).free_response()[0]
     return with_edge(noise, edge.scaled - taken - free, free, edge.normal_px, places), order
+
+
+def _share_taken(edge: UprightEdge, sides: list[Mask]) -> float:
+    """Return the share of the noise of the plateaus that a free ESF follows, by a random probe."""
+    plateaus = sides[0] | sides[1]
+    if not plateaus.any():
+        return 0.0
+    probe = np.random.default_rng(0).choice([-1.0, 1.0], edge.scaled.size)
+    followed = probe * replace(edge, scaled=probe).free_response()[0]
+    return float(np.clip(np.mean(followed[plateaus]), 0.0, _MOST_TAKEN))
 
 
 def take_samples(
