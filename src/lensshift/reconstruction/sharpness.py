@@ -40,7 +40,7 @@ def moments_px2(
 ) -> dict[int, NDArray[np.float64]]:
     """Return C_k = (row row, row col, col col) of the frames that are surely sharper or less sharp.
 
-    Of none, unless one is by as much as counts.
+    Of none, unless one is less sharp by as much as counts.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def moments_px2(
     own = (found - np.median(found, axis=0))[:, :3]
     error = np.sqrt(np.einsum("kii->ki", covariance))[:, :3]
     sure = np.abs(own) > SURE * error
-    if not np.any(sure & (np.abs(own) > LEAST_PX2)):
+    if not np.any((sure & (own > LEAST_PX2))[:, [0, 2]]):  # nothing makes a frame sharper
         return {}
     return {int(k): own[k] for k in np.flatnonzero(sure.any(axis=1))}
 
@@ -91,10 +91,9 @@ def told(moments: Mapping[int, Array], frames: Sequence[int]) -> str:
     """
     said = []
     for k, (rows, _, cols) in moments.items():
-        if max(abs(rows), abs(cols)) > LEAST_PX2:
-            kind = "is less sharp" if rows + cols > 0 else "is sharper"
+        if max(rows, cols) > LEAST_PX2:
             width = ", ".join(f"{np.sign(m) * np.sqrt(abs(m)):+.1f}" for m in (rows, cols))
-            said.append(f"frame {frames[k]} {kind} than the others, by ({width}) px")
+            said.append(f"frame {frames[k]} is less sharp than the others, by ({width}) px")
     return (
         f"{', '.join(said)}, as if the camera shook: the picture allows for it "
         "(hold it still, or leave frames out by frames=)"

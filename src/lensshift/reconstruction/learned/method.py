@@ -244,9 +244,8 @@ def _as_they_fit(
     A, y, scale = asked.model.operator, asked.y, asked.model.scale
     shaken: dict[int, Array] = {}
     contradicted = misfit.lit or misfit.doubt.max(initial=0.0) > 1.0
-    for _ in range(SHARPENINGS if contradicted else 0):
+    for _ in range(SHARPENINGS if contradicted and not misfit.off_px else 0):
         moments = moments_px2(A, found.image, y, asked.sigma, scale)
-        moments = {k: own for k, own in moments.items() if k not in misfit.off_px}
         if not moments:
             break
         shaken = moments
