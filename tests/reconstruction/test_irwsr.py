@@ -14,9 +14,9 @@ from scipy.ndimage import median_filter
 from lensshift.core.types import Estimate, Status
 from lensshift.evaluation import psnr_db
 from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.differences import differences
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.reconstruction.classical import Irwsr
-from lensshift.reconstruction.differences import differences
 from lensshift.reconstruction.losses import Confidences
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.priors import BilateralTotalVariation

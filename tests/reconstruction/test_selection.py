@@ -7,9 +7,9 @@ import pytest
 from pixel_camera import SQUARE_PX, edge_scene, interior_psnr, photograph, truth
 
 from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.least_squares import NEIGHBOURS, solve_penalised
 from lensshift.forward.model import forward_model
 from lensshift.forward.operator import LinearOperator
-from lensshift.reconstruction.least_squares import NEIGHBOURS, solve_penalised
 from lensshift.reconstruction.priors import BilateralTotalVariation, SparseDifferences
 from lensshift.reconstruction.selection import cross_validate, prior_share
 from lensshift.reconstruction.solver import MaximumAPosteriori

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate
-from lensshift.reconstruction.least_squares import smooth_fit
+from lensshift.forward.least_squares import smooth_fit
 from lensshift.reconstruction.losses import (
     LEAST_SIGMA,
     LOSSES,

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.gaussian import MAD_TO_SIGMA, UPPER_QUARTILE_SIZE
+from lensshift.forward.differences import differences
+from lensshift.forward.least_squares import NEIGHBOURS, smooth_fit
 from lensshift.forward.operator import LinearOperator, single
-from lensshift.reconstruction.differences import differences
-from lensshift.reconstruction.least_squares import NEIGHBOURS, smooth_fit
 
 Array = NDArray[Any]
 

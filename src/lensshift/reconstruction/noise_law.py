@@ -369,8 +369,6 @@ def _slope(values: Array, light: Array, spread: float) -> tuple[float, float]:
         b_error = np.sqrt(max(1.0, misfit) / power)
         # No light has less than a tenth of the mean variance: the reading of the camera is noisy.
         expected = np.maximum(mean + b * (at - middle), 0.1 * mean)
-    b *= max(0.0, 1 - (b_error / b) ** 2) if b else 0.0
-    slope = b / mean
-    below, above = float(middle - light.min()), float(light.max() - middle)
-    steepest = 0.9 / max(below, 1e-30), -0.9 / max(above, 1e-30)
-    return float(np.clip(slope, steepest[1], steepest[0])), float(middle)
+    b = b * (1 - (b_error / b) ** 2) if b > b_error else 0.0  # light brings noise, it takes none
+    steepest = 0.9 / max(float(middle - light.min()), 1e-30)
+    return min(b / mean, steepest), float(middle)

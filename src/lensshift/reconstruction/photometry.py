@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.operator import LinearOperator
-from lensshift.reconstruction.least_squares import smooth_fit
 from lensshift.reconstruction.noise import robust_scale
 
 Array = NDArray[Any]

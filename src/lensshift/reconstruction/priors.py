@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.reconstruction.differences import (
+from lensshift.forward.differences import (
     Directions,
     add_weighted_laplacian,
     differences,

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import QualityWarning
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.least_squares import smooth_fit
 from lensshift.reconstruction.noise import usual_size
 
 Array = NDArray[Any]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.forward.blur import Blur
+from lensshift.forward.differences import differences
+from lensshift.forward.least_squares import NEIGHBOURS, smooth_fit, solve_penalised
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.differences import differences
-from lensshift.reconstruction.least_squares import NEIGHBOURS, smooth_fit, solve_penalised
 from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.problem import Problem, make_blur, make_problem
 

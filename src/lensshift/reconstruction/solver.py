@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
+from lensshift.forward.least_squares import mean_column_square, smooth_fit, solve_penalised
 from lensshift.forward.operator import LinearOperator
-from lensshift.reconstruction.least_squares import mean_column_square, smooth_fit, solve_penalised
 from lensshift.reconstruction.losses import Loss
 from lensshift.reconstruction.priors import Prior
 

@@ -112,7 +112,7 @@ def likely_shifts(
         step.ravel()[free] = change
         largest_px = float(np.abs(step[:, :2]).max())
         # Where the frames say little, a step means little.
-        told = float(np.max(np.abs(change) / np.sqrt(np.diag(spread) + 1e-30)))
+        told = float(np.max(np.abs(change) / np.sqrt(np.maximum(np.diag(spread), 1e-30))))
         if np.sum(step * before) < 0.0:  # to and fro: the frames are surer than the model
             step *= 0.5
         step *= min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))

@@ -18,6 +18,7 @@ from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts, rival_shifts
+from lensshift.registration.picture import better_shifts
 
 Shifts = NDArray[np.float64]
 Method = Literal["auto", "gradient", "phase"]
@@ -32,6 +33,8 @@ PHASE_SIGMA_PX = 0.005
 USUAL_SHIFT_PX = 2.0
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 AGREES_PX = 0.5
+# Of larger frames the likelihood is asked of a part: its time goes with their pixels.
+MOST_PX = 96
 _CLEARLY_BETTER = 0.7  # noise that one fit leaves over that of the other
 
 
@@ -50,7 +53,8 @@ def register(
     ----------
     burst : frames of one scene, moved by up to a few pixels. Its own offsets are one of the
         starting points
-    method : "auto": maximum likelihood with aliases and noise in the model (`likely_shifts`);
+    method : "auto": maximum likelihood with aliases and noise in the model (`likely_shifts`), or
+        through the picture if that predicts six frames or more better (`better_shifts`);
         "gradient": least squares on low-passed frames (`gradient_shifts`), faster; "phase": phase
         correlation with one frame, roughest
     reference : number of the frame whose offset is kept; the others are relative to it, and so
@@ -89,7 +93,7 @@ def register(
     else:
         run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
         if method == "auto":
-            run = partial(likely_shifts, reference=reference, photometric=photometric)
+            run = partial(_likely_where_telling, reference=reference, photometric=photometric)
         elif np.iscomplexobj(frames):
             frames = np.abs(frames)
         fit = _from_best_start(run, frames, valid, given_px, phase_px, keep_given=use_given)
@@ -98,6 +102,7 @@ def register(
         else:
             measured_px = burst.offset_sigma_px if use_given else None
             told_px = _against_reference(measured_px, reference)
+            fit = better_shifts(fit, _alike(whole, fit, photometric), valid, reference)
             fit = with_given(fit, given_px, told_px, said=said)
     rivals_px = np.zeros_like(given_px)
     if method == "phase" or not said:
@@ -179,6 +184,41 @@ def _from_best_start(
         return run(frames, valid, phase_px)
     first, second = run(frames, valid, given_px), run(frames, valid, phase_px)
     return second if second.noise_sigma < _CLEARLY_BETTER * first.noise_sigma else first
+
+
+def _likely_where_telling(
+    frames: Array, valid: NDArray[np.bool_], start_px: Shifts, *, reference: int, photometric: bool
+) -> ShiftFit:
+    """Return the likeliest shifts; of large frames those of the part that shows most of them."""
+    span = np.ceil(np.ptp(start_px, axis=0)).astype(int)
+    part = _telling(filled(frames, valid), *(MOST_PX + span))
+    return likely_shifts(
+        frames[part], valid[part], start_px, reference=reference, photometric=photometric
+    )
+
+
+def _telling(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
+    """Return the part of the frames, `sides` px large, with most detail along its poorer axis."""
+    shape = frames.shape[1:]
+    rows, cols = (min(side, size) for side, size in zip(sides, shape, strict=True))
+    if (rows, cols) == shape:
+        return np.s_[:], np.s_[:], np.s_[:]
+    slopes = np.gradient(frames.mean(axis=0))
+    energy = np.pad([np.cumsum(np.cumsum(np.abs(s) ** 2, 0), 1) for s in slopes],
+                    ((0, 0), (1, 0), (1, 0)))  # fmt: skip
+    inside = (energy[:, rows:, cols:] - energy[:, :-rows, cols:]
+              - energy[:, rows:, :-cols] + energy[:, :-rows, :-cols])  # fmt: skip
+    detail = inside.min(axis=0)
+    top, left = np.unravel_index(int(np.argmax(detail)), detail.shape)
+    return np.s_[:], slice(int(top), int(top) + rows), slice(int(left), int(left) + cols)
+
+
+def _alike(frames: Array, fit: ShiftFit, photometric: bool) -> Array:
+    """Return the frames without their own gain and level, where these may differ."""
+    if not photometric:
+        return frames
+    level = frames.mean(axis=(1, 2), keepdims=True)
+    return np.asarray((frames - level) / fit.gain[:, None, None])
 
 
 def with_given(fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool) -> ShiftFit:

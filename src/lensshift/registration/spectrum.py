@@ -20,6 +20,9 @@ _FURTHEST_ALIAS = 3  # of sharp edges behind half-filled pixels 1e-5 of the powe
 _LEANING_BINS = 0.3
 _LEAST_FREEDOM = 1e-6  # so that roots and logarithms exist
 _NEIGHBOURS = 3  # bins along each axis that are averaged
+# Of the power of the scene, which may be 10^18 times the noise at the lowest frequencies of large
+# smooth frames: with less on the diagonal no inverse is known.
+_ROUNDING = 1e-13
 _NUMBERS_AT_ONCE = 200_000  # a few MB at a time, which stay in the cache
 
 
@@ -155,7 +158,8 @@ class Spectrum:
         """Return S [frequency frame frame] = sum P a a^H + sigma^2 I."""
         matrix = np.swapaxes(power[..., None] * steering, 1, 2) @ np.conj(steering)
         diagonal = np.arange(matrix.shape[-1])
-        matrix[:, diagonal, diagonal] += self.noise_power
+        rounding = _ROUNDING * power.sum(axis=-1, keepdims=True)
+        matrix[:, diagonal, diagonal] += self.noise_power + rounding
         return np.asarray(matrix)
 
     def scored(

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pixel_camera import SQUARE_PX
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from lensshift.forward.blur import GaussianBlur
-from lensshift.forward.model import forward_model
-from lensshift.forward.operator import LinearOperator
-from lensshift.reconstruction.least_squares import (
+from lensshift.forward.least_squares import (
     NEIGHBOURS,
     conjugate_gradient,
     mean_column_square,
     smooth_fit,
     solve_penalised,
 )
+from lensshift.forward.model import forward_model
+from lensshift.forward.operator import LinearOperator
 
 SHAPE, SCALE = (6, 7), 2
+SQUARE_PX = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25], [0.25, 0.25]])
 
 
 @pytest.fixture

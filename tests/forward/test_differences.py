@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse
 from numpy.typing import NDArray
 
-from lensshift.reconstruction.differences import (
+from lensshift.forward.differences import (
     add_laplacian_diagonal,
     add_weighted_laplacian,
     differences,

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.forward.operator import LinearOperator
-from lensshift.reconstruction.differences import (
+from lensshift.forward.differences import (
     Directions,
     add_laplacian_diagonal,
     add_weighted_laplacian,
     half_plane,
     laplacian,
 )
+from lensshift.forward.operator import LinearOperator
 
 Array = NDArray[Any]
 
