@@ -28,8 +28,9 @@ FIRST_ITERATIONS, ITERATIONS = 60, 15
 MAX_ROUNDS, CONVERGED_PX, MAX_STEP_PX = 12, 2e-3, 0.2
 # Residuals beyond so many standard deviations count by their size, not its square.
 HUBER_SIGMAS = 2.0
-# Three frames in each half: fewer predict others by what smoothness adds.
-LEAST_FRAMES = 6
+# Fewer frames fit a picture wherever they lie; and fewer than three in each half predict others by
+# what smoothness adds.
+LEAST_FRAMES, LEAST_PREDICTING = 4, 6
 # Shifts are refuted by others that predict so much better, as a belief in noise is
 # (`reconstruction.learned.belief`): in 96 simulated bursts none that erred more did.
 BETTER = 0.97
@@ -50,13 +51,14 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
     if len(frames) < LEAST_FRAMES:
         return fit
     other = picture_shifts(frames, valid, fit.offset_px, reference=reference)
-    error, _ = prediction_error(frames, valid, fit.offset_px)
-    other_error, apart_px = prediction_error(frames, valid, other.offset_px)
-    apart_px = apart_px - np.median(apart_px, axis=0)
-    # Half of the frames disagree with the other half by twice the variance of all.
-    other = _widened(other, np.mean(apart_px**2, axis=0), reference)
-    if other_error < BETTER * error:
-        return replace(other, gain=fit.gain)
+    if len(frames) >= LEAST_PREDICTING:
+        error, _ = prediction_error(frames, valid, fit.offset_px)
+        other_error, apart_px = prediction_error(frames, valid, other.offset_px)
+        # Half of the frames disagree with the other half by twice the variance of all.
+        variance = np.mean((apart_px - np.median(apart_px, axis=0)) ** 2, axis=0)
+        other = _widened(other, variance, reference)
+        if other_error < BETTER * error:
+            return replace(other, gain=fit.gain)
     square = (fit.offset_px - other.offset_px) ** 2 - fit.sigma_px**2 - other.sigma_px**2
     excess = np.maximum(np.delete(square, reference, axis=0).mean(axis=0), 0.0)
     return _widened(fit, excess, reference)
