@@ -371,4 +371,4 @@ def _slope(values: Array, light: Array, spread: float) -> tuple[float, float]:
         expected = np.maximum(mean + b * (at - middle), 0.1 * mean)
     b = b * (1 - (b_error / b) ** 2) if b > b_error else 0.0  # light brings noise, it takes none
     steepest = 0.9 / max(float(middle - light.min()), 1e-30)
-    return min(b / mean, steepest), float(middle)
+    return float(min(b / mean, steepest)), float(middle)

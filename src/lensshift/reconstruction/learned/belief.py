@@ -22,8 +22,9 @@ from lensshift.reconstruction.learned.solver import Asked, Solution
 # was below 1.3 in all of 112 bursts of photographs, print and shapes, some of them with outliers,
 # a bad frame, or shifts 0.05 px off.
 REFUTED = 1.3
-# The noise times these; what is between two of them makes hardly a difference.
-FACTORS = (0.5, 1.0, 2.0, 4.0)
+# The noise times half, and powers of 2 up to as much as explains most pixels, 4 at least; what is
+# between two of them makes hardly a difference.
+LEAST_FACTOR, LARGEST_FACTOR = 0.5, 4.0
 # Another belief has to predict this much better than the noise that was read: half of the frames is
 # not all of them.
 BETTER = 0.97
@@ -38,19 +39,31 @@ def refuted(asked: Asked, found: Solution) -> bool:
     some = np.array([np.isfinite(one).any() for one in asked.sigma])
     if min(np.sum(some[0::2]), np.sum(some[1::2])) < LEAST_HALF or asked.of_phasors:
         return False
+    return _excess(asked, found) > REFUTED
+
+
+def _excess(asked: Asked, found: Solution) -> float:
+    """Return the variance over that of the noise, of half of the pixels in half of the frames."""
     rest = (asked.y - asked.model.operator.forward(single(found.image))) / asked.sigma
-    seen = zip(rest[some], asked.sigma[some], strict=True)
-    squares = [np.median(r[s < np.inf] ** 2) for r, s in seen]
-    return bool(np.median(squares) > REFUTED * MEDIAN_SIZE**2)
+    seen = zip(rest, asked.sigma < np.inf, strict=True)
+    squares = [np.median(r[used] ** 2) for r, used in seen if used.any()]
+    return float(np.median(squares)) / MEDIAN_SIZE**2
 
 
-def as_predicted(asked: Asked, solve: Callable[[Asked], Solution]) -> Asked:
-    """Return what is asked with the noise, and the belief in outliers, that predict best."""
+def as_predicted(asked: Asked, found: Solution, solve: Callable[[Asked], Solution]) -> Asked:
+    """Return what is asked with the noise, and the belief in outliers, that predict best.
+
+    Parameters
+    ----------
+    found : the picture that refuted the noise as it was read
+    """
     used = np.isfinite(asked.sigma)
+    largest = max(np.sqrt(_excess(asked, found)), LARGEST_FACTOR)
+    factors = LEAST_FACTOR * 2.0 ** np.arange(np.ceil(np.log2(largest / LEAST_FACTOR)) + 1)
     even = np.where(used, np.sqrt(np.mean(asked.sigma[used] ** 2)), np.inf)
     tried = [asked] + [
         replace(asked, sigma=factor * even, alike=alike)
-        for factor in FACTORS for alike in (False, True)
+        for factor in factors for alike in (False, True)
     ]  # fmt: skip
     errors = [_error(_middle(one), solve) for one in tried]
     best = int(np.argmin(errors))

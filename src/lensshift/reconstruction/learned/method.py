@@ -252,7 +252,7 @@ def _as_they_fit(
         asked = replace(asked, y=as_sharp_as_most(A, found.image, y, scale, shaken))
         found, misfit = run(asked)
     if refuted(asked, found):
-        asked = as_predicted(asked, lambda other: _picture(other, request))
+        asked = as_predicted(asked, found, lambda other: _picture(other, request))
         found, misfit = run(asked)
     return asked, found, misfit, shaken
 
