@@ -1,9 +1,12 @@
 """Fixtures that several test folders share."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import serial.urlhandler.protocol_socket
 from hypothesis import settings
 
 # Times mean nothing on a shared machine, and the first call of a kernel compiles it.
@@ -21,3 +24,15 @@ def reference_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no reference data; set {REFERENCE_VARIABLE} to the folder that holds them")
     return folder
+
+
+@pytest.fixture(autouse=True, scope="session")
+def sockets_close_at_once() -> Iterator[None]:
+    """After it has closed a socket, pyserial sleeps 0.3 s for servers that are slow to listen.
+
+    An emulated stage has two sockets, it listens all the time, and many tests open one.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        at_once = SimpleNamespace(sleep=lambda seconds: None)
+        patch.setattr(serial.urlhandler.protocol_socket, "time", at_once)
+        yield

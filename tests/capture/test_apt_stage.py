@@ -289,7 +289,10 @@ def test_motor_that_never_sets_out_is_an_error() -> None:
 def test_home_too_soon_after_enabling_is_a_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     # Not the usual 0.8 s: the machine of the tests may stand still for longer.
     monkeypatch.setattr("lensshift.capture.emulators.apt_controller._LOCKS_UP_S", 60.0)
-    settings = replace(PATIENT, enable_wait_s=0.0, timeout_margin_s=0.1, home_velocity_mmps=100.0)
+    settings = replace(
+        PATIENT, enable_wait_s=0.0, timeout_margin_s=0.1, home_velocity_mmps=100.0,
+        acceleration_mmps2=1000.0,
+    )  # fmt: skip
     with (
         served(*pair_of(speed=1.0)) as urls,
         pytest.raises(DeviceTimeout, match=r"home: it takes longer"),

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 from typing import get_args
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from stand_in import Call
 
-from lensshift import Burst, load_image_stack, save_burst
+from lensshift import Burst, DataError, load_image_stack, save_burst
 from lensshift.cli import _one_line, main, session
 from lensshift.cli.reconstruct import _WIDTH_SOURCES
 from lensshift.cli.session import Progress
@@ -74,18 +75,27 @@ def test_no_escape_of_anybody_reaches_a_terminal(tmp_path: Path) -> None:
             assert not set(text) & set("\x1b\x07\x9b\u202e")
 
 
-def test_memory_of_a_file_is_bounded_and_the_bound_can_be_set(tmp_path: Path) -> None:
-    file = tmp_path / "a.npz"
-    np.savez_compressed(file, amplitude=np.zeros((1, 6000, 6000)), offset_px=np.zeros((1, 2)))
-    failed = process("info", file)
+def test_memory_of_a_file_is_bounded_and_the_bound_can_be_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with zipfile.ZipFile(tmp_path / "large.npz", "w") as container:
+        with container.open("amplitude.npy", "w") as member:
+            np.lib.format.write_array(member, np.zeros((1, 5, 7)))
+        container.getinfo("amplitude.npy").file_size = 288_000_000  # is all that it says
+    failed = process("info", tmp_path / "large.npz")
     assert (failed.returncode, failed.stdout) == (1, "")
-    assert "--max-memory" in failed.stderr
+    assert "got 288000000; if you trust it, allow more (lensshift --max-memory" in failed.stderr
     np.save(tmp_path / "a.npy", np.zeros((4, 300, 300)))
     assert process("info", tmp_path / "a.npy").returncode == 0
     failed = process("--max-memory", "0.001", "info", tmp_path / "a.npy")
     assert "expected at most 1073742 bytes of memory" in failed.stderr
+    file = tmp_path / "a.npz"
+    np.savez_compressed(file, amplitude=np.zeros((1, 600, 600)), offset_px=np.zeros((1, 2)))
+    monkeypatch.setattr("lensshift.io.reading._ALWAYS_UNPACKED_BYTES", 2**21)
+    with pytest.raises(DataError, match="got 2880"):
+        load_image_stack(file)
     with memory_limit(2**30):
-        assert load_image_stack(file).grid.shape == (6000, 6000)
+        assert load_image_stack(file).grid.shape == (600, 600)
     with pytest.raises(ValueError, match="positive number of bytes"), memory_limit(0):
         pass
 

@@ -30,6 +30,7 @@ def ended(*arguments: str, **environment: str) -> subprocess.CompletedProcess[st
 
 def test_the_package_is_a_command() -> None:
     assert ended("--version").stdout.startswith("lensshift 0.")
+    assert "--install-completion" in ended("--help").stdout
 
 
 @pytest.mark.parametrize(
@@ -43,7 +44,6 @@ def test_the_shell_is_told_how_a_word_goes_on(words: str, offered: set[str]) -> 
         COMP_CWORD=str(len(words.split()) - 1),
     )
     assert set(told.stdout.split()) == offered
-    assert "--install-completion" in ended("--help").stdout
 
 
 @pytest.mark.parametrize("group", [[], ["evaluate"], ["lens"], ["emulate"]], ids=str)

@@ -6,11 +6,13 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
-from serving import taken
+from serving import taken, until
 from typer.testing import CliRunner, Result
 
 from lensshift.cli.app import app
@@ -63,6 +65,18 @@ def started(*arguments: object) -> subprocess.Popen[str]:
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+def has_a_picture(address: str) -> None:
+    def directions() -> bool:
+        try:
+            with urllib.request.urlopen(f"{address}directions", timeout=30):
+                return True
+        except urllib.error.HTTPError as error:  # 409: no picture yet
+            error.close()
+            return False
+
+    until(directions)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent as a signal")
 def test_ctrl_c_ends_it_and_says_what_was_done(tmp_path: Path) -> None:
     save_burst(taken(), tmp_path / "burst.nc")
@@ -70,7 +84,7 @@ def test_ctrl_c_ends_it_and_says_what_was_done(tmp_path: Path) -> None:
     assert process.stdout is not None
     ready = json.loads(process.stdout.readline())
     assert ready["address"].startswith("http://127.0.0.1:")
-    time.sleep(2)
+    has_a_picture(ready["address"])
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
@@ -80,7 +94,7 @@ def test_ctrl_c_ends_it_and_says_what_was_done(tmp_path: Path) -> None:
 
 def test_it_ends_by_itself(tmp_path: Path) -> None:
     save_burst(taken(), tmp_path / "burst.nc")
-    process = started("--replay", tmp_path / "burst.nc", "--method", "bicubic", "--seconds", 2)
+    process = started("--replay", tmp_path / "burst.nc", "--method", "bicubic", "--seconds", 0.1)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     assert "pictures" in out

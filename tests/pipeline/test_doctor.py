@@ -114,6 +114,12 @@ def test_all_rigs_end_within_a_hundredth_of_a_pixel(
 # ---- planted faults --------------------------------------------------------------------------
 
 
+@pytest.fixture
+def glance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look at as few frames as the doctor may: enough for what is far from well."""
+    monkeypatch.setattr("lensshift.pipeline.doctor.view.LOOKED_S", 0.0)
+
+
 def test_a_camera_that_is_silent(tmp_path: Path) -> None:
     done = examined(
         tmp_path,
@@ -171,6 +177,7 @@ def test_somebody_else_sends_to_the_port(tmp_path: Path, alone: bool) -> None:
     assert (done.calibration is None) == alone
 
 
+@pytest.mark.usefixtures("glance")
 def test_too_little_light(tmp_path: Path) -> None:
     camera = camera_preset("o3m151")
     dim = replace(camera.illumination, intensity_w_per_sr=0.05)
@@ -179,6 +186,7 @@ def test_too_little_light(tmp_path: Path) -> None:
     assert done.axes is None  # nothing was moved
 
 
+@pytest.mark.usefixtures("glance")
 def test_a_scene_without_edges(tmp_path: Path) -> None:
     wall = Scene((Plane(centre_m=(0.0, 0.0, 3.0), reflectance=0.5),))
     done = examined(tmp_path, replace(QUICK, scene=wall))
@@ -226,6 +234,7 @@ def test_frames_that_get_lost(tmp_path: Path) -> None:
     assert verdict(done) == "DOUBT losses"
 
 
+@pytest.mark.usefixtures("glance")
 def test_a_stage_that_is_blocked(tmp_path: Path) -> None:
     """Its motor reports a motion error at the first move."""
 
@@ -238,6 +247,7 @@ def test_a_stage_that_is_blocked(tmp_path: Path) -> None:
     assert verdict(done) == "FAULT stage blocked"
 
 
+@pytest.mark.usefixtures("glance")
 def test_a_lens_that_does_not_follow_its_screw(tmp_path: Path) -> None:
     per_mm = np.diag([NOMINAL, 0.01])
     done = examined(tmp_path, replace(QUICK, px_per_mm=per_mm))
@@ -245,16 +255,19 @@ def test_a_lens_that_does_not_follow_its_screw(tmp_path: Path) -> None:
     assert "axis col" in done.verdict
 
 
+@pytest.mark.usefixtures("glance")
 def test_one_stage_for_both_axes(tmp_path: Path) -> None:
     done = examined(tmp_path, replace(QUICK, px_per_mm=NOMINAL * np.array([[1, 0.9], [0.1, 0.2]])))
     assert verdict(done) == "FAULT axes parallel"
 
 
+@pytest.mark.usefixtures("glance")
 def test_rest_at_the_end_of_the_way(tmp_path: Path) -> None:
     done = examined(tmp_path, calibration={"rest_mm": [3.0, 5.98]})
     assert verdict(done) == "FAULT limit"
 
 
+@pytest.mark.usefixtures("glance")
 def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(2**30, 2**30, 2**20))
@@ -273,6 +286,7 @@ def test_another_program_has_the_port_of_the_camera(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs a pty")
+@pytest.mark.usefixtures("glance")
 @pytest.mark.parametrize("fault", ["second process", "no permission", "wrong baud"])
 def test_a_port_of_the_stage_that_is_not_to_be_had(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
@@ -309,6 +323,7 @@ def test_a_port_of_the_stage_that_is_not_to_be_had(
     assert done.view is not None  # the camera is looked at all the same
 
 
+@pytest.mark.usefixtures("glance")
 def test_no_leave_to_home(tmp_path: Path) -> None:
     done = examined(tmp_path, stage={"home": "ask"})
     assert verdict(done) == "FAULT homing"

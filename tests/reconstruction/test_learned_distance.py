@@ -51,23 +51,34 @@ def pole(col: float) -> Scene:
     return scene
 
 
-def means(scene: Scene, offset_px: Array, per_px: int) -> NDArray[np.complex128]:
-    """Return the mean phasor and light of each of `per_px` x `per_px` parts of the pixels."""
+def seen(scene: Scene, offset_px: Array) -> tuple[Array, Array]:
+    """Return reflectance and distance at all points."""
     fine = [(np.arange(n * POINTS) + 0.5) / POINTS - 0.5 for n in SHAPE]
     rows, cols = np.meshgrid(fine[0] - offset_px[0], fine[1] - offset_px[1], indexing="ij")
-    light, distance_m = scene(rows, cols)
-    both = np.stack([light * np.exp(1j * distance_to_phase(distance_m, F_HZ)), light])
+    return scene(rows, cols)
+
+
+def mean(values: Array, per_px: int) -> Array:
+    """Return the mean of each of `per_px` x `per_px` parts of the pixels."""
     n = POINTS // per_px
-    blocks = both.reshape(2, SHAPE[0] * per_px, n, SHAPE[1] * per_px, n)
-    return np.asarray(blocks.mean(axis=(2, 4)))
+    blocks = values.reshape(SHAPE[0] * per_px, n, SHAPE[1] * per_px, n)
+    return np.asarray(blocks.mean(axis=3).mean(axis=1))
+
+
+def means(scene: Scene, offset_px: Array, per_px: int) -> tuple[NDArray[np.complex128], Array]:
+    """Return the mean phasor and light of each of `per_px` x `per_px` parts of the pixels."""
+    light, distance_m = seen(scene, offset_px)
+    phase = distance_to_phase(distance_m, F_HZ)
+    z = mean(light * np.cos(phase), per_px) + 1j * mean(light * np.sin(phase), per_px)
+    return z, mean(light, per_px)
 
 
 def taken(scenes: list[Scene], snr: float, seed: int, told: Array = OFFSETS) -> Burst:
     """Return frames, one of each scene; `snr` is that of pixels of median light."""
     rng = np.random.default_rng(seed)
     wrong = 0.02 * rng.standard_normal(OFFSETS.shape)
-    seen = [means(s, o, 1) for s, o in zip(scenes, OFFSETS + wrong, strict=True)]
-    z, light = np.stack([z for z, _ in seen]), np.stack([np.abs(light) for _, light in seen])
+    frames = [means(s, o, 1) for s, o in zip(scenes, OFFSETS + wrong, strict=True)]
+    z, light = (np.stack(part) for part in zip(*frames, strict=True))
     usual = np.median(light)
     sigma = usual / snr * np.sqrt(0.1 + 0.9 * light / usual)
     noise = rng.standard_normal((2, *z.shape))
@@ -82,7 +93,7 @@ def truth_m(scene: Scene) -> Array:
 
 def on_card(scene: Scene, dark: float, per_px: int, wide: int) -> NDArray[np.bool_]:
     """Return the parts of pixels that see, with `wide` x `wide` ones around, dark alone."""
-    light = np.abs(means(scene, np.zeros(2), per_px)[1])
+    light = mean(seen(scene, np.zeros(2))[0], per_px)
     return np.asarray(binary_erosion(np.abs(light - dark) < 0.01 * dark, np.ones((wide, wide))))
 
 
@@ -108,8 +119,8 @@ def test_a_dark_surface_is_not_drawn_to_the_bright_wall(snr: float, dark: float)
         errors.append(error.mean())
         within.append(np.mean(np.abs(error) < 2 * found.std[inside]))
         # The noise of these frames may happen to draw all that sees the card alone.
-        seen = burst.amplitude * np.conj([means(scene, o, 1)[0] for o in OFFSETS])
-        own.append(np.angle(seen[:, on_card(scene, dark, 1, 3)].sum()) / PER_M)
+        turned = burst.amplitude * np.conj([means(scene, o, 1)[0] for o in OFFSETS])
+        own.append(np.angle(turned[:, on_card(scene, dark, 1, 3)].sum()) / PER_M)
     # With hardly any light within the error bars, which are wide, at least.
     allowed = 0.5 * np.median(found.std[inside]) if snr < 20 else 0.0
     bias = np.mean(np.subtract(errors, own))

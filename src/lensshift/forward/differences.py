@@ -66,17 +66,24 @@ def laplacian(x: Array, directions: Directions) -> Array:
     return out
 
 
-def neighbours(shape: tuple[int, ...], directions: Directions) -> list[tuple[Part, Part]]:
+def neighbours(shape: tuple[int, ...], directions: Directions) -> tuple[tuple[Part, Part], ...]:
     """Return the pixels that have a neighbour in each direction, and those neighbours."""
+    return _neighbours(shape, tuple(map(tuple, directions.tolist())))
+
+
+@lru_cache(maxsize=64)  # a solver asks thousands of times: of a small image half of its time
+def _neighbours(
+    shape: tuple[int, ...], directions: tuple[tuple[int, ...], ...]
+) -> tuple[tuple[Part, Part], ...]:
     found = []
     for direction in directions:
         here, there = (
-            tuple(slice(max(0, -s), max(0, n - max(0, s)))
-                  for s, n in zip(way * direction, shape, strict=True))
+            tuple(slice(max(0, -way * s), max(0, n - max(0, way * s)))
+                  for s, n in zip(direction, shape, strict=True))
             for way in (1, -1)
         )  # fmt: skip
         found.append((here, there))
-    return found
+    return tuple(found)
 
 
 def add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Array) -> None:
