@@ -10,7 +10,7 @@ from lensshift.evaluation.slanted_edge import measure_edge
 from lensshift.evaluation.slanted_edge.edge_model import (
     SplineBasis,
     Tail,
-    edge_response,
+    edge_parts,
     edge_response_transform,
 )
 
@@ -75,14 +75,15 @@ def test_light_far_from_the_edge_is_not_taken_for_plateau(
 def test_the_tail_of_the_base_is_its_transform() -> None:
     """The response of a step is the transform of the LSF over 2 pi i f."""
     normal = np.linspace(-30.0, 30.0, 6001)
-    base = (0.4, 0.8, Tail(0.3, 1.7, 0.6))
-    rise = np.gradient(edge_response(normal, ANGLE, *base), normal)
+    tail = Tail(0.3, 1.7, 0.6)
+    parts = edge_parts(normal, ANGLE, 0.4, 0.8, tail.width_px)
+    rise = np.gradient(tail.shares @ parts[:, 0], normal)
     for f in (0.05, 0.2, 0.45):
         # What the window leaves out of the Lorentzian: 2 w / (pi) int_30^inf cos(2 pi f x) / x^2.
         x = np.arange(30.0, 3000.0, 0.01)
         rest = 2.0 * 0.3 * 0.6 * 1.7 / np.pi * np.trapezoid(np.cos(2.0 * np.pi * f * x) / x**2, x)
         found = np.trapezoid(rise * np.cos(2.0 * np.pi * f * normal), normal) + rest
-        expected = edge_response_transform(np.array([f]), ANGLE, *base)[0]
+        expected = edge_response_transform(np.array([f]), ANGLE, 0.4, 0.8, tail)[0]
         assert found == pytest.approx(expected, abs=2e-4)
 
 

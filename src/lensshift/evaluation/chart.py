@@ -65,9 +65,7 @@ def chart_edges(
     half = 0.5 * np.hypot(rows, cols)
     edges = []
     for one in results:
-        place = one.region
-        row_px = 0.5 * (place.row_start + place.row_stop - 1)
-        col_px = 0.5 * (place.col_start + place.col_stop - 1)
+        row_px, col_px = one.region.middle_px
         away = np.array([row_px - 0.5 * (rows - 1), col_px - 0.5 * (cols - 1)])
         radius = float(np.hypot(*away))
         along = _along(one)

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.slanted_edge.average import average_interval
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
 
 _MAX_TURN_RAD = np.deg2rad(1.0)  # two measurements of one edge agree better than that
 _MAX_APART = 0.25  # of the length of an edge, between the middles of its two regions
-_INTERVAL_SIGMAS = 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +119,9 @@ def pair_edges(
     pairs = []
     left = list(fine)
     for there in coarse:
-        middle_px, length_px = _middle_px(there, 1.0), _length_px(there)
+        middle_px, length_px = np.array(there.region.middle_px), there.extent_px[0]
         apart = [
-            float(np.hypot(*(_middle_px(here, scale) - middle_px)))
+            float(np.hypot(*((np.array(here.region.middle_px) + 0.5) / scale - 0.5 - middle_px)))
             if here.orientation == there.orientation
             else np.inf
             for here in left
@@ -135,17 +135,10 @@ def _geometric_mean(ratios: Sequence[Interval]) -> Interval:
     reached = [ratio for ratio in ratios if np.isfinite(ratio.value)]
     if len(reached) < 2:
         return reached[0] if reached else Interval(float("nan"))
-    logs = np.log([ratio.value for ratio in reached])
     with np.errstate(divide="ignore", invalid="ignore"):
-        stds = np.array([_log(ratio.high / ratio.low) for ratio in reached])
-    stds = stds / (2 * _INTERVAL_SIGMAS)
-    known = np.isfinite(stds) & (stds > 0)
-    if not known.any():
-        return Interval(float(np.exp(logs.mean())))
-    weights = 1.0 / stds[known] ** 2
-    mean = float(np.sum(weights * logs[known]) / weights.sum())
-    half = _INTERVAL_SIGMAS / float(np.sqrt(weights.sum()))
-    return Interval(float(np.exp(mean)), float(np.exp(mean - half)), float(np.exp(mean + half)))
+        logs = [Interval(*map(_log, (one.value, one.low, one.high))) for one in reached]
+    mean = average_interval(logs)
+    return Interval(*np.exp([mean.value, mean.low, mean.high]).tolist())
 
 
 def _log(ratio: float) -> float:
@@ -154,16 +147,3 @@ def _log(ratio: float) -> float:
 
 def _direction(edge: EdgeResult) -> str:
     return f"{edge.orientation} at {np.rad2deg(edge.angle_rad.value):.1f} degrees"
-
-
-def _middle_px(edge: EdgeResult, scale: float) -> np.ndarray:
-    """Return the middle of the region in pixels of the coarse image, from its corner."""
-    place = edge.region
-    ends = np.array([place.row_start + place.row_stop, place.col_start + place.col_stop])
-    return np.asarray(0.5 * ends / scale)
-
-
-def _length_px(edge: EdgeResult) -> int:
-    rows = edge.region.row_stop - edge.region.row_start
-    cols = edge.region.col_stop - edge.region.col_start
-    return rows if edge.orientation == "vertical" else cols

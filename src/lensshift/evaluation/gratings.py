@@ -19,12 +19,12 @@ from lensshift.evaluation.known_phase import (
     fit_harmonic,
     list_pixels,
     mtf_curve,
+    printed_orders,
 )
 
 Floats = NDArray[np.float64]
 Box = tuple[int, int, int, int]  # row start, row stop, col start, col stop
 
-_SQUARE_FUNDAMENTAL = 4.0 / np.pi  # first harmonic of a square wave of amplitude 1
 _FEWEST_TO_EXTRAPOLATE = 3
 _LEAST_CYCLES = 2.0  # in a region: with fewer, a wave is not told from uneven light
 _MOST_OFF = 0.05  # of the frequency that is given; bars are printed better than that
@@ -110,9 +110,8 @@ def gratings_mtf(
     wanted, places = wanted[order], [places[k] for k in order]
     groups = [_measured(pixels, f, place, profile) for f, place in zip(wanted, places, strict=True)]
     fits = [one.fit for one in groups]
-    factor = _SQUARE_FUNDAMENTAL if profile == "square" else 1.0
     outer = max(_FEWEST_TO_EXTRAPOLATE, (len(fits) + 1) // 2)
-    contrast = contrast_at_zero(wanted[:outer], fits[:outer], levels, factor)
+    contrast = contrast_at_zero(wanted[:outer], fits[:outer], levels, profile)
     return GratingResult(
         mtf=mtf_curve(wanted, fits, contrast, "bar gratings"),
         contrast=contrast[0],
@@ -172,10 +171,7 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     ).x  # fmt: skip
     f = frequency_lpmm * (1.0 + best[1])
     phase = phase_of(best)
-    orders = [1]
-    if profile == "square":  # harmonics beyond the Nyquist frequency are aliases, and faint
-        most = int(0.5 / (max(pixels.pitch_mm) * f))
-        orders = list(range(1, most + 1, 2)) or [1]
+    orders = printed_orders(profile, 1.0 / (max(pixels.pitch_mm) * f))
     fit = fit_harmonic(values, background, [order * phase for order in orders])
     if fit is None:
         raise ValueError(f"expected more pixels of the group of {frequency_lpmm:.4g} in {region}")

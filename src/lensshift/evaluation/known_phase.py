@@ -78,6 +78,15 @@ class HarmonicFit:
     residual: float
 
 
+_SQUARE_FUNDAMENTAL = 4.0 / np.pi  # first harmonic of a square wave of amplitude 1
+
+
+def printed_orders(profile: str, pixels_per_cycle: float) -> range:
+    """Return the harmonics of a wave: of a "square" one those below the Nyquist frequency."""
+    top = int(pixels_per_cycle / 2) if profile == "square" else 1
+    return range(1, max(top, 1) + 1, 2)
+
+
 # The waves at places row_mm [n], col_mm [n] from the centre.
 Pattern = Callable[[Floats, Floats], Waves]
 
@@ -155,11 +164,12 @@ def contrast_at_zero(
     frequency_lpmm: Floats,
     fits: Sequence[HarmonicFit],
     levels: tuple[float, float] | None,
-    factor: float = 1.0,
+    profile: str = "sine",
 ) -> tuple[float, float]:
     """Return the modulation at frequency 0 and its standard deviation.
 
-    From the levels (low, high): factor (high - low) / (high + low), taken as exact. Else by the
+    From the levels (low, high): (high - low) / (high + low), taken as exact; times 4 / pi for a
+    square wave. Else by the
     straight line through log modulation over frequency^2, as a Gaussian falls. Over the frequency
     itself, as diffraction falls, it meets 0 higher: the truth is taken to be anywhere between.
     """
@@ -167,6 +177,7 @@ def contrast_at_zero(
         low, high = levels
         if not 0 <= low < high < np.inf:
             raise ValueError(f"expected levels (low, high) with 0 <= low < high, got {levels}")
+        factor = _SQUARE_FUNDAMENTAL if profile == "square" else 1.0
         return factor * (high - low) / (high + low), 0.0
     modulation = np.array([fit.modulation for fit in fits])
     if np.min(modulation) < _MIN_MODULATION:

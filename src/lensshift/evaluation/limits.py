@@ -127,13 +127,17 @@ def first_crossing_lpmm(curve: MtfCurve, level: float) -> float:
 
     Linear between the samples. NaN if the curve never falls below the level, or starts below it.
     """
-    below = np.flatnonzero(curve.modulation < level)
+    return first_fall(curve.frequency_lpmm, curve.modulation - level)
+
+
+def first_fall(place: NDArray[np.float64], excess: NDArray[np.float64]) -> float:
+    """Return where an excess [n] at rising places first falls below 0; NaN as above."""
+    below = np.flatnonzero(excess < 0)
     if below.size == 0 or below[0] == 0:
         return float("nan")
-    after = below[0]
-    f0, f1 = curve.frequency_lpmm[after - 1 : after + 1]
-    m0, m1 = curve.modulation[after - 1 : after + 1]
-    return float(f0 + (f1 - f0) * (m0 - level) / (m0 - m1))
+    before, after = excess[below[0] - 1 : below[0] + 1]
+    start, end = place[below[0] - 1 : below[0] + 1]
+    return float(start + (end - start) * before / (before - after))
 
 
 def pitch_pair_mm(pitch_mm: float | tuple[float, float]) -> tuple[float, float]:

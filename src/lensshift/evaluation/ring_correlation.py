@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.limits import first_fall
 
 Floats = NDArray[np.float64]
 
@@ -16,6 +17,7 @@ FIXED_THRESHOLD = 1 / 7
 _MIN_SIDE_PX = 8
 # With fewer samples the correlation of pure noise scatters by more than the fixed threshold.
 _MIN_SAMPLES = 1 / FIXED_THRESHOLD**2
+_SAME = 1.0 - 1e-9  # rounding alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,9 +53,6 @@ class RingCorrelation:
     def fixed_resolution_mm(self) -> float | None:
         """Period at the cut-off of 1/7; infinite if nothing agrees, None if all rings do."""
         return _period_mm(self.fixed_cutoff_lpmm)
-
-
-_SAME = 1.0 - 1e-9  # rounding alone
 
 
 def fourier_ring_correlation(
@@ -122,14 +121,13 @@ def fourier_ring_correlation(
     root = np.sqrt(samples)
     half_bit = (0.2071 + 1.9102 / root) / (1.2071 + 0.9102 / root)
     frequency_lpmm = ring_sums(radius_lpmm) / count
-    fixed = np.full_like(half_bit, FIXED_THRESHOLD)
     return RingCorrelation(
         frequency_lpmm=frequency_lpmm,
         correlation=correlation,
         samples=samples,
         half_bit=half_bit,
         cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - half_bit),
-        fixed_cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - fixed),
+        fixed_cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - FIXED_THRESHOLD),
     )
 
 
@@ -191,14 +189,10 @@ def _warn_if_few(samples: Floats) -> None:
 
 def _first_crossing_lpmm(frequency_lpmm: Floats, excess: Floats) -> float | None:
     """Return where the excess over a threshold first falls below 0."""
-    below = np.flatnonzero(excess < 0)
-    if below.size == 0:
-        return None
-    k = int(below[0])
-    if k == 0:
+    if excess[0] < 0:
         return 0.0
-    share = excess[k - 1] / (excess[k - 1] - excess[k])
-    return float(frequency_lpmm[k - 1] + share * (frequency_lpmm[k] - frequency_lpmm[k - 1]))
+    found = first_fall(frequency_lpmm, excess)
+    return None if np.isnan(found) else found
 
 
 def _period_mm(cutoff_lpmm: float | None) -> float | None:

@@ -21,6 +21,7 @@ from lensshift.evaluation.known_phase import (
     fit_harmonic,
     list_pixels,
     mtf_curve,
+    printed_orders,
     refine_center_px,
     ring_indices,
     symmetry_center_px,
@@ -28,7 +29,6 @@ from lensshift.evaluation.known_phase import (
 
 Floats = NDArray[np.float64]
 
-_SQUARE_FUNDAMENTAL = 4.0 / np.pi  # first harmonic of a square wave of amplitude 1
 _MIN_RINGS = 3
 _RIM_PX = 2.0
 
@@ -134,8 +134,7 @@ def siemens_star_mtf(
     _warn_if_coarse(pixels_per_cycle)
     frequency_lpmm = star.frequency_lpmm(rings_mm)
     outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
-    factor = _SQUARE_FUNDAMENTAL if profile == "square" else 1.0
-    contrast = contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, factor)
+    contrast = contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
     curves = []
     for k in range(sectors):
         part = _sector(waves, angle_rad - 2 * np.pi * k / sectors, np.pi / sectors)
@@ -196,10 +195,10 @@ class _Star:
         radii_mm, fits = [], []
         for index in ring_indices(waves.ring):
             mean_mm = radius_mm[index].mean()
-            top = 1
-            if self.profile == "square":  # harmonics the pixels can tell apart
-                top = int(self.pixels_per_cycle(mean_mm, pixels.pitch_mm) / 2)
-            phases = [k * waves.phase_rad[index] for k in range(1, max(top, 1) + 1, 2)]
+            orders = printed_orders(
+                self.profile, float(self.pixels_per_cycle(mean_mm, pixels.pitch_mm))
+            )
+            phases = [k * waves.phase_rad[index] for k in orders]
             fit = fit_harmonic(pixels.values[index], waves.background[index], phases)
             if fit is not None:
                 radii_mm.append(mean_mm)

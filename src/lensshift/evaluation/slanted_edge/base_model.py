@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,20 +11,9 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     Tail,
     Vector,
-    core_slopes,
-    edge_response,
+    edge_parts,
     edge_response_transform,
-    far_slopes,
 )
-
-
-class _Parts(NamedTuple):
-    """What the parameters mean."""
-
-    sigma_px: float
-    side_px: float
-    tail: Tail
-    place_px: float
 
 
 class BaseModel(NamedTuple):
@@ -46,44 +34,57 @@ class BaseModel(NamedTuple):
     aperture_px: float
     unit_px: float
 
+    def parts(self, normal_px: Vector, parameters: Vector) -> NDArray[np.float64]:
+        """Return `edge_parts` at distances [n]."""
+        sigma_px, side_px, tail, place_px = self._meaning(parameters)
+        there = normal_px - place_px
+        width_px = float(tail.width_px)
+        return edge_parts(there, self.angle_rad, float(sigma_px), float(side_px), width_px)
+
     def response(self, normal_px: Vector, parameters: Vector) -> Vector:
         """Return the ESF at distances [n]."""
-        parts = self._parts(parameters)
-        return edge_response(
-            normal_px - parts.place_px, self.angle_rad, parts.sigma_px, parts.side_px, parts.tail
-        )
+        return self.mixed(self.parts(normal_px, parameters), parameters)
 
-    def slopes(self, normal_px: Vector, parameters: Vector) -> Matrix:
-        """Return [6 n]: how the ESF changes with the parameters."""
-        sigma_px, side_px, tail, place_px = self._parts(parameters)
-        there = normal_px - place_px
-        core = core_slopes(there, self.angle_rad, sigma_px, side_px)
-        slow, fast = far_slopes(there, self.angle_rad, side_px, float(tail.width_px))
-        far, share = fast + tail.slow * (slow - fast), tail.share
-        both = (1.0 - share) * core[2:] + share * far[2:]
-        slopes = np.empty((6, normal_px.size))
-        slopes[0] = (1.0 - share) * core[1]
-        slopes[1] = -2.0 * parameters[1] * both[0]
-        slopes[2] = 2.0 * abs(float(parameters[2])) * (far[0] - core[0])
-        slopes[3] = share * far[1]
-        slopes[4] = share * (slow[0] - fast[0])
-        slopes[5] = -self.unit_px * both[1]
+    def mixed(self, parts: NDArray[np.float64], parameters: Vector) -> Vector:
+        """Return the ESF [n] of `parts`."""
+        return np.asarray(self._meaning(parameters).tail.shares @ parts[:, 0])
+
+    def slopes(self, parts: NDArray[np.float64], parameters: Vector) -> Matrix:
+        """Return [6 n]: how the ESF of `parts` changes with the parameters."""
+        tail = self._meaning(parameters).tail
+        core, slow, fast = parts
+        shares = tail.shares
+        slopes = np.empty((6, parts.shape[2]))
+        slopes[0] = shares[0] * core[1]
+        slopes[1] = -2.0 * parameters[1] * (shares @ parts[:, 2])
+        far = fast[0] + tail.slow * (slow[0] - fast[0])
+        slopes[2] = 2.0 * abs(parameters[2]) * (far - core[0])
+        slopes[3] = shares[1:] @ parts[1:, 1]
+        slopes[4] = tail.share * (slow[0] - fast[0])
+        slopes[5] = -self.unit_px * (shares @ parts[:, 3])
         return slopes
 
     def transforms(self, frequency_cpp: Vector, parameters: Matrix) -> NDArray[np.complex128]:
         """Return the Fourier transforms of the LSFs [f k] of several parameters [p k]."""
-        log_sigma, root, root_share, log_tail, slow, place = parameters[:6]
-        tail = Tail(root_share * np.abs(root_share), np.exp(log_tail) * self.unit_px, slow)
-        f, sigma_px = frequency_cpp[:, None], np.exp(log_sigma) * self.unit_px
-        side_px = np.exp(-(root**2)) * self.aperture_px
+        sigma_px, side_px, tail, place_px = self._meaning(parameters)
+        f = frequency_cpp[:, None]
         there = edge_response_transform(f, self.angle_rad, sigma_px, side_px, tail)
-        return np.asarray(there * np.exp(-2j * np.pi * self.unit_px * place * f))
+        return np.asarray(there * np.exp(-2j * np.pi * place_px * f))
 
-    def _parts(self, parameters: Vector) -> _Parts:
-        log_sigma, root, root_share, log_tail, slow, place = parameters[:6].tolist()
-        return _Parts(
-            math.exp(log_sigma) * self.unit_px,
-            math.exp(-(root**2)) * self.aperture_px,
-            Tail(root_share * abs(root_share), math.exp(log_tail) * self.unit_px, slow),
+    def _meaning(self, parameters: NDArray[np.float64]) -> _Meaning:
+        log_sigma, root, root_share, log_tail, slow, place = parameters[:6]
+        return _Meaning(
+            np.exp(log_sigma) * self.unit_px,
+            np.exp(-(root**2)) * self.aperture_px,
+            Tail(root_share * np.abs(root_share), np.exp(log_tail) * self.unit_px, slow),
             place * self.unit_px,
         )
+
+
+class _Meaning(NamedTuple):
+    """What the parameters, or each of several, mean."""
+
+    sigma_px: Vector
+    side_px: Vector
+    tail: Tail
+    place_px: Vector

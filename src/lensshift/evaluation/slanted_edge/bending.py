@@ -135,12 +135,11 @@ def free_response(
     used : [n] the pixels that say so, None for all
     """
     there, known = (normal_px, values) if used is None else (normal_px[used], values[used])
-    ones = np.ones((known.size, 1))
-    sums = basis.products(there, ones, known)
-    products = np.block([[sums.zz, sums.zx], [sums.zx.T, np.array([[float(known.size)]])]])
-    factors = _ridge_solved(products, np.append(sums.zy, known.sum()), _SLIGHT_RIDGE)
-    pixels, splines = nodes.between(normal_px), factors[:-1]
-    return pixels.of(nodes.integrals @ splines + factors[-1]), pixels.of(nodes.values @ splines)
+    rows, sums = basis.rising(there)
+    products = sums.T @ ((rows.T @ rows) @ sums)
+    level, *splines = _ridge_solved(products, sums.T @ (rows.T @ known), _SLIGHT_RIDGE)
+    pixels = nodes.between(normal_px)
+    return pixels.of(nodes.integrals @ splines + level), pixels.of(nodes.values @ splines)
 
 
 def _ridge_fit(columns: Matrix, values: Vector) -> tuple[Vector, float]:

@@ -11,13 +11,12 @@ from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.frames import EdgeFrames
 from lensshift.evaluation.slanted_edge.result import (
-    PIXEL_MTF50_CPP,
     EdgeResult,
     Interval,
     Profile,
     Region,
-    crossings,
-    rises,
+    numbers_of,
+    steps_to,
 )
 from lensshift.evaluation.slanted_edge.sfrmat import SfrmatResult, sfrmat3, sfrmat5
 
@@ -74,18 +73,15 @@ def _result(
     dark, bright = sorted(float(np.mean(side)) for side in sides)
     noise = float(np.sqrt(np.mean([np.var(side) for side in sides]))) / max(bright - dark, 1e-300)
     nyquist_cpp = 0.5 / frames.scale
-    below = np.linspace(0.0, nyquist_cpp, 51)
-    modulation = np.interp(below, found.frequency_cpp, found.modulation)
-    half, third, tenth = (
-        Interval(float(crossings(found.frequency_cpp, found.modulation[:, None], level)[0]))
-        for level in (0.5, 0.3, 0.1)
-    )
+    to_nyquist = np.interp(steps_to(nyquist_cpp), found.frequency_cpp, found.modulation)
     esf = (found.esf - np.min(sides)) / max(float(np.ptp(sides)), 1e-300)
     esf = esf if upright[:, -1].mean() > upright[:, 0].mean() else 1.0 - esf
     middle = int(np.nanargmin(np.abs(esf - 0.5)))
     normal_px: Vector = np.asarray((np.arange(esf.size) - middle) * found.bin_px, dtype=np.float64)
     unknown = Interval(float("nan"))
+    curves = (found.frequency_cpp, found.modulation[:, None], to_nyquist[:, None])
     return EdgeResult(
+        **numbers_of(*curves, normal_px, esf[:, None], pitch_mm),
         method=method,
         region=region,
         orientation="horizontal" if found.rotated else "vertical",
@@ -101,15 +97,7 @@ def _result(
         mtf=curve,
         low=None,
         high=None,
-        mtf50_lpmm=half.scaled(1.0 / pitch_mm),
-        mtf30_lpmm=third.scaled(1.0 / pitch_mm),
-        mtf10_lpmm=tenth.scaled(1.0 / pitch_mm),
         nyquist_lpmm=nyquist_cpp / pitch_mm,
-        mtf_at_nyquist=Interval(float(modulation[-1])),
-        area_to_nyquist=Interval(float(np.trapezoid(modulation, dx=1.0 / 50))),
-        peak=Interval(float(np.max(found.modulation))),
-        effective_pixel_mm=Interval(PIXEL_MTF50_CPP * pitch_mm / half.value),
-        rise_mm=Interval(float(rises(normal_px, esf[:, None])[0])).scaled(pitch_mm),
         esf=Profile(normal_px, esf),
         lsf=Profile(normal_px, np.gradient(esf, found.bin_px)),
         residual=None,

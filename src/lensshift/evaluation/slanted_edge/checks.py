@@ -93,13 +93,11 @@ def warn_of(found: list[str], region: object) -> None:
 
 def _shape(values: Vector, result: EdgeResult) -> list[str]:
     """Of black and white alone, or without plateaus, a profile is the model's own."""
-    found, place = [], result.region
+    found = []
     count = np.unique(values).size
     if count < _FEWEST_LEVELS:
         found.append(f"the pixels have {count} levels only: the profile of the edge is lost")
-    wide = place.col_stop - place.col_start
-    if result.orientation != "vertical":
-        wide = place.row_stop - place.row_start
+    wide = result.extent_px[1]
     rise_px = result.rise_mm.value / result.pitch_mm
     if rise_px > _LARGEST_RISE * wide:
         found.append(

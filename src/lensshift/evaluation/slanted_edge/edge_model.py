@@ -10,17 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.interpolate import BSpline
 from scipy.special import ndtr
 
-from lensshift.evaluation.slanted_edge.kernels import (
-    edge_slopes,
-    spline_integrals,
-    spline_products,
-    spline_values,
-    tail_slopes,
-    trapezium_edge,
-    trapezium_tail,
-)
+from lensshift.evaluation.slanted_edge.kernels import edge_slopes, tail_slopes
 
 _SQRT2 = math.sqrt(2.0)
 
@@ -52,25 +45,22 @@ class Tail(NamedTuple):
     width_px: float | Vector
     slow: float | Vector
 
+    @property
+    def shares(self) -> Vector:
+        """Shares of the Gaussian, the Lorentzian and the Laplacian in all light."""
+        slow = self.share * self.slow
+        return np.array([1.0 - self.share, slow, self.share - slow])
 
-NO_TAIL = Tail(0.0, 1.0, 1.0)
 
+def core_slopes(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float) -> Matrix:
+    """Return [4 n]: a straight edge blurred by a Gaussian, as a square pixel sees it; its slopes.
 
-def edge_response(
-    normal_px: Vector,
-    angle_rad: float,
-    sigma_px: float,
-    aperture_px: float,
-    tail: Tail = NO_TAIL,
-) -> Vector:
-    """Return the share of a pixel's light that comes from the bright side of a straight edge.
-
-    A step, blurred by a Gaussian, seen by a square pixel whose axes are turned by `angle_rad`
-    against the edge: the second antiderivative G of the normal distribution at the four corners,
+    The pixel's axes are turned by `angle_rad` against the edge. The second antiderivative G of the
+    normal distribution at its four corners tells the share of its light from the bright side,
 
         E(d) = (G(d+p+q) - G(d+p-q) - G(d-p+q) + G(d-p-q)) / (4 p q)
 
-    with p, q = a/2 |cos t|, a/2 |sin t|. A share of the light may be blurred by a tail instead.
+    with p, q = a/2 |cos t|, a/2 |sin t|. The slopes are by log sigma, log aperture and distance.
 
     Parameters
     ----------
@@ -78,79 +68,51 @@ def edge_response(
     angle_rad : angle between the edge and the columns (or rows)
     sigma_px : standard deviation of the Gaussian
     aperture_px : side of the square pixel; 0 for a point
-    tail : light far from the edge
     """
-    core = edge_core(normal_px, angle_rad, sigma_px, aperture_px)
-    if tail.share == 0.0:
-        return core
-    far = edge_tail(normal_px, angle_rad, aperture_px, float(tail.width_px), float(tail.slow))
-    return np.asarray((1.0 - tail.share) * core + tail.share * far)
-
-
-def edge_core(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float) -> Vector:
-    """Return the response of an edge without a tail; see `edge_response`."""
-    if aperture_px <= _POINT_PX:
-        return np.asarray(ndtr(normal_px / sigma_px))
-    core = np.empty(normal_px.shape)
-    sides = _half_sides(angle_rad, aperture_px)
-    trapezium_edge(np.ascontiguousarray(normal_px), *sides, sigma_px, core)
-    return core
-
-
-def edge_tail(
-    normal_px: Vector, angle_rad: float, aperture_px: float, width_px: float, slow: float
-) -> Vector:
-    """Return the response of an edge that is blurred by a tail alone; see `edge_response`."""
-    p = max(0.5 * aperture_px * abs(math.cos(angle_rad)), _SMALLEST_HALF_PX)
-    q = max(0.5 * aperture_px * abs(math.sin(angle_rad)), _SMALLEST_HALF_PX)
-    far = np.empty(normal_px.shape)
-    trapezium_tail(np.ascontiguousarray(normal_px), p, q, width_px, slow, far)
-    return far
-
-
-def core_slopes(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float) -> Matrix:
-    """Return [4 n]: `edge_core`; its slopes by log sigma, log aperture and the distance."""
     out = np.zeros((4, normal_px.size))
     if aperture_px <= _POINT_PX:
         place = normal_px / sigma_px
-        out[0], out[3] = (
-            ndtr(place),
-            np.exp(-0.5 * place**2) / (math.sqrt(2.0 * math.pi) * sigma_px),
-        )
+        out[0] = ndtr(place)
+        out[3] = np.exp(-0.5 * place**2) / (math.sqrt(2.0 * math.pi) * sigma_px)
         out[1] = -normal_px * out[3]
         return out
-    edge_slopes(normal_px, *_half_sides(angle_rad, aperture_px), sigma_px, out)
+    p, q = _half_sides(angle_rad, aperture_px)
+    edge_slopes(normal_px, p, max(q, _SMALLEST_SIDE * aperture_px), sigma_px, out)
     return out
 
 
-def far_slopes(
-    normal_px: Vector, angle_rad: float, aperture_px: float, width_px: float
+def edge_parts(
+    normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float, width_px: float
 ) -> NDArray[np.float64]:
-    """Return [2 4 n]: the response of `edge_tail` of either law alone, and its slopes.
+    """Return [3 4 n]: edges blurred by a Gaussian, a Lorentzian, a Laplacian alone; their slopes.
 
-    The slopes are by log width, log aperture and the distance.
+    Parameters
+    ----------
+    normal_px, angle_rad, sigma_px, aperture_px : as in `core_slopes`, as are the slopes
+    width_px : of the two laws of the `Tail`
     """
-    sides = 0.5 * aperture_px * np.abs([math.cos(angle_rad), math.sin(angle_rad)])
+    sides = np.array(_half_sides(angle_rad, aperture_px))
     p, q = np.maximum(sides, _SMALLEST_HALF_PX).tolist()
     grows = tuple((sides > _SMALLEST_HALF_PX).astype(float).tolist())
-    out = np.empty((2, 4, normal_px.size))
-    tail_slopes(normal_px, p, q, grows, width_px, out)
+    out = np.empty((3, 4, normal_px.size))
+    out[0] = core_slopes(normal_px, angle_rad, sigma_px, aperture_px)
+    tail_slopes(normal_px, p, q, grows, width_px, out[1:])
     return out
 
 
 def _half_sides(angle_rad: float, aperture_px: float) -> tuple[float, float]:
-    p = 0.5 * aperture_px * abs(math.cos(angle_rad))
-    return p, max(0.5 * aperture_px * abs(math.sin(angle_rad)), _SMALLEST_SIDE * aperture_px)
+    half_px = 0.5 * aperture_px
+    return half_px * abs(math.cos(angle_rad)), half_px * abs(math.sin(angle_rad))
 
 
 def edge_response_transform(
     frequency_cpp: Vector,
     angle_rad: float,
-    sigma_px: float,
-    aperture_px: float,
-    tail: Tail = NO_TAIL,
+    sigma_px: float | Vector,
+    aperture_px: float | Vector,
+    tail: Tail,
 ) -> Vector:
-    """Return the Fourier transform of the derivative of `edge_response`, 1 at frequency 0.
+    """Return the Fourier transform of the line spread function of an edge, 1 at frequency 0.
 
         T(f) = [(1 - v) exp(-2 pi^2 s^2 f^2) + v R(f)] sinc(a f cos t) sinc(a f sin t)
         R(f) = k exp(-2 pi w |f|) + (1 - k) / (1 + (2 pi w f)^2)
@@ -158,7 +120,8 @@ def edge_response_transform(
     Parameters
     ----------
     frequency_cpp : [n] cycles per pixel along the edge normal
-    angle_rad, sigma_px, aperture_px, tail : as in `edge_response`
+    angle_rad, sigma_px, aperture_px : as in `core_slopes`
+    tail : light far from the edge
     """
     optics = (1.0 - tail.share) * np.exp(-2.0 * (np.pi * sigma_px * frequency_cpp) ** 2)
     turn = 2.0 * np.pi * tail.width_px * np.abs(frequency_cpp)
@@ -168,20 +131,6 @@ def edge_response_transform(
         optics * np.sinc(side * np.cos(angle_rad)) * np.sinc(side * np.sin(angle_rad))
     )
     return transform
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SplineProducts:
-    """Sums over pixels of products of the integrated splines z, level columns x and values y.
-
-    Parameters
-    ----------
-    zz, zx, zy : [j j], [j p], [j]
-    """
-
-    zz: Matrix
-    zx: Matrix
-    zy: Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +152,7 @@ class SplineBasis:
     step_px: float
     number: NDArray[np.intp]
     narrow_px: Vector
-    parts: sparse.csr_array
+    parts: Matrix
 
     @classmethod
     def covering(cls, half_width_px: float, step_px: float, unit_px: float) -> SplineBasis:
@@ -238,26 +187,28 @@ class SplineBasis:
 
     def integrals(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the integral of spline j from minus infinity to each distance."""
-        narrow = np.empty((normal_px.size, self.narrow_px.size))
-        spline_integrals(self._knots(normal_px), narrow)
-        return np.asarray((narrow @ self.parts) * self.step_px)
+        rows, sums = self.rising(normal_px)
+        return np.asarray(rows @ sums[:, 1:])
 
-    def products(self, normal_px: Vector, columns: Matrix, values: Vector) -> SplineProducts:
-        """Return the cross products of `integrals` with themselves, with columns and values."""
-        knots, levels = self.narrow_px.size, columns.shape[1]
-        zz, zx, zy = np.zeros((knots, knots)), np.zeros((knots, levels)), np.zeros(knots)
-        spline_products(self._knots(normal_px), columns, values, zz, zx, zy)
-        over = self.parts.T.tocsr()
-        zz = np.ascontiguousarray((over @ (over @ zz).T).T)
-        return SplineProducts(
-            self.step_px**2 * zz, self.step_px * (over @ zx), self.step_px * (over @ zy)
-        )
+    def rising(self, normal_px: Vector) -> tuple[sparse.csr_array, Matrix]:
+        """Return [n m], of which few are not 0, and [m 1+j]: factors of 1 and `integrals`.
+
+        The integrals of two neighbours differ by a spline of the next degree, and all these splines
+        add up to 1.
+        """
+        sums = np.cumsum(np.pad(self.parts, ((4, 3), (0, 0))), axis=0) * self.step_px
+        return self._narrow(normal_px, 4), np.hstack([np.ones((len(sums), 1)), sums])
 
     def values(self, normal_px: Vector) -> Matrix:
         """Return [n j]: the splines themselves."""
-        narrow = np.zeros((normal_px.size, self.narrow_px.size))
-        spline_values(self._knots(normal_px), narrow)
-        return np.asarray(narrow @ self.parts)
+        return np.asarray(self._narrow(normal_px, 3) @ np.pad(self.parts, ((3, 3), (0, 0))))
+
+    def _narrow(self, normal_px: Vector, degree: int) -> sparse.csr_array:
+        """Return [n m]: splines of a degree on the narrow knots, some more at either end."""
+        last = self.narrow_px.size + 1.0
+        place = np.clip((normal_px - self.narrow_px[0]) / self.step_px, -2.0, last)
+        knots = np.arange(-2.0 - degree, last + degree + 1.0)
+        return BSpline.design_matrix(place, knots, degree)
 
     def transforms(self, frequency_cpp: Vector) -> tuple[Matrix, Matrix]:
         """Return the Fourier transforms of even functions [f h+1], and of odd ones over i [f h]."""
@@ -268,17 +219,13 @@ class SplineBasis:
         even, odd = shape * np.cos(turn), -shape * np.sin(turn)
         even[:, 0] *= 0.5  # the middle has no mirror image
         evens = self.number.size
-        return np.asarray(even @ right[:, :evens]), np.asarray(odd @ right[:, evens:])
-
-    def _knots(self, normal_px: Vector) -> Vector:
-        """Return distances [n] from the first narrow spline, in steps."""
-        return np.asarray((normal_px - self.narrow_px[0]) / self.step_px)
+        return even @ right[:, :evens], odd @ right[:, evens:]
 
 
 @lru_cache(maxsize=64)
 def _spread(
     last: int, limits: tuple[int, int]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], sparse.csr_array]:
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Matrix]:
     """Return centres of splines and of narrow ones, in steps, and what makes up which [i j].
 
     Centres lie at every step up to the first limit, at every second up to the next, then at
@@ -310,4 +257,4 @@ def _spread(
     middle = rows.shape[1] // 2
     right, left = rows[:, middle + 1 :], rows[:, :middle][:, ::-1]
     folded = np.hstack([rows[:, [middle]], (right + left) / _SQRT2, (right - left) / _SQRT2])
-    return narrow[kept][middle:], narrow, sparse.csr_array(folded)
+    return narrow[kept][middle:], narrow, folded

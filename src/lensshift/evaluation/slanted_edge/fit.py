@@ -36,34 +36,28 @@ _SPARE_PX = 4.0  # by which the edge may move until pixels leave the nodes
 
 @dataclass(frozen=True, slots=True)
 class EdgeFit:
-    """One edge with draws: the last axis of every `..._draws` counts them.
+    """One edge: column 0 of every table is the optimum, the others are draws.
 
     Parameters
     ----------
-    edge, noise, light : the region, its noise, and the order of its uneven light
-    geometry, geometry_draws : [g], [g k] angle, position, bends
+    edge, noise : the region and its noise
+    geometry : [g k] angle, position, bends
     dark, contrast : level and height of the edge, spline included, in units of the first guess
-    frequency_cpp, modulation, modulation_draws : [f], [f], [f k]
-    normal_px, esf, esf_draws : [d], [d], [d k] from 0 (dark) to 1 (bright)
-    lsf, lsf_draws : [d], [d k] per pixel
+    modulation : [f k]
+    normal_px, esf : [d], [d k] from 0 (dark) to 1 (bright)
+    lsf : [d k] per pixel
     residual : [n] pixels minus model, in units of the contrast
     """
 
     edge: UprightEdge
     noise: NoiseModel
-    light: int
-    geometry: Vector
-    geometry_draws: Matrix
+    geometry: Matrix
     dark: float
     contrast: float
-    frequency_cpp: Vector
-    modulation: Vector
-    modulation_draws: Matrix
+    modulation: Matrix
     normal_px: Vector
-    esf: Vector
-    esf_draws: Matrix
-    lsf: Vector
-    lsf_draws: Matrix
+    esf: Matrix
+    lsf: Matrix
     residual: Vector
 
 
@@ -105,26 +99,19 @@ def fit_edge(
     drawn = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
     missing = np.append(0.0, np.maximum(drawn, 0.0))
     modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
-    geometry = _moved(likelihood, parameters, levels)
     factors = levels[:, 0], coefficients[:, 0]
     return EdgeFit(
         edge=edge,
         noise=noise,
-        light=light,
-        geometry=geometry[:, 0],
-        geometry_draws=geometry[:, 1:],
+        geometry=_moved(likelihood, parameters, levels),
         dark=float(levels[0, 0]),
         contrast=float(
             levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
         ),
-        frequency_cpp=frequency_cpp,
-        modulation=modulation[:, 0],
-        modulation_draws=modulation[:, 1:],
+        modulation=modulation,
         normal_px=curves.normal_px,
-        esf=esf[:, 0],
-        esf_draws=esf[:, 1:],
-        lsf=lsf[:, 0],
-        lsf_draws=lsf[:, 1:],
+        esf=esf,
+        lsf=lsf,
         residual=edge.scaled - likelihood.model_of(posterior.best, *factors),
     )
 

@@ -19,19 +19,17 @@ from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
 from lensshift.evaluation.slanted_edge.frames import EdgeFrames
 from lensshift.evaluation.slanted_edge.prepare import UprightEdge
 from lensshift.evaluation.slanted_edge.result import (
-    PIXEL_MTF50_CPP,
     EdgeResult,
     Interval,
     Profile,
     Region,
-    crossings,
     interval_of,
-    rises,
+    numbers_of,
+    steps_to,
 )
 from lensshift.evaluation.slanted_edge.screening import screened
 
 _GRID = np.arange(151) * 0.01  # cycles per unit width, for the crossings
-_NYQUIST_STEPS = 50
 _FEWEST_ASIDE = 20  # pixels on either side of the edge
 
 
@@ -82,7 +80,7 @@ def measure_likely(
     nyquist_cpp = 0.5 * pitch_mm / (frames.scale * max(frames.pitch_mm))
     blocks = (
         np.asarray(_GRID / edge.unit_px, dtype=np.float64),
-        np.linspace(0.0, nyquist_cpp, _NYQUIST_STEPS + 1),
+        steps_to(nyquist_cpp),
         frequency_lpmm * pitch_mm,
     )
     fit = fit_edge(
@@ -109,50 +107,30 @@ def _result(
     pitch_mm: float,
 ) -> EdgeResult:
     edge, ends = fit.edge, np.cumsum([block.size for block in blocks])
-    best = np.split(fit.modulation, ends[:-1])
-    draws = np.split(fit.modulation_draws, ends[:-1])
-    at = {
-        level: _crossing(blocks[0], best[0], draws[0], level).scaled(1.0 / pitch_mm)
-        for level in (0.5, 0.3, 0.1)
-    }
-    half = at[0.5]
-    band = np.quantile(draws[2], (0.025, 0.975), axis=1)
+    grid, to_nyquist, wanted = np.split(fit.modulation, ends[:-1])
+    band = np.quantile(wanted[:, 1:], (0.025, 0.975), axis=1)
     level_noise = 0.5 * (fit.noise.dark_sigma + fit.noise.bright_sigma)
     noise = max(level_noise / fit.contrast, float(np.finfo(float).tiny))
     span = edge.line.high - edge.line.low
     dark, bright = edge.line.low + span * np.array([fit.dark, fit.dark + fit.contrast])
     return EdgeResult(
+        **numbers_of(blocks[0], grid, to_nyquist, fit.normal_px, fit.esf, pitch_mm),
         method="ml",
         region=region,
         orientation="vertical" if edge.vertical else "horizontal",
-        angle_rad=_angle(fit),
+        angle_rad=interval_of(edge.sign * fit.geometry[0]),
         position_px=_position(fit, region),
-        bend_px=rms_bend_px(fit.geometry),
+        bend_px=rms_bend_px(fit.geometry[:, 0]),
         dark=float(dark),
         bright=float(bright),
         noise=noise,
         snr=1.0 / noise,
-        mtf=MtfCurve(frequency_lpmm, best[2], draws[2].std(axis=1), "slanted edge"),
+        mtf=MtfCurve(frequency_lpmm, wanted[:, 0], wanted[:, 1:].std(axis=1), "slanted edge"),
         low=band[0],
         high=band[1],
-        mtf50_lpmm=half,
-        mtf30_lpmm=at[0.3],
-        mtf10_lpmm=at[0.1],
         nyquist_lpmm=0.5 / (frames.scale * max(frames.pitch_mm)),
-        mtf_at_nyquist=interval_of(float(best[1][-1]), draws[1][-1]),
-        area_to_nyquist=interval_of(
-            float(np.trapezoid(best[1], dx=1.0 / _NYQUIST_STEPS)),
-            np.asarray(np.trapezoid(draws[1], dx=1.0 / _NYQUIST_STEPS, axis=0)),
-        ),
-        peak=interval_of(float(best[0].max()), draws[0].max(axis=0)),
-        effective_pixel_mm=Interval(
-            PIXEL_MTF50_CPP / half.value, PIXEL_MTF50_CPP / half.high, PIXEL_MTF50_CPP / half.low
-        ),
-        rise_mm=interval_of(
-            float(rises(fit.normal_px, fit.esf[:, None])[0]), rises(fit.normal_px, fit.esf_draws)
-        ).scaled(pitch_mm),
-        esf=Profile(fit.normal_px, fit.esf, fit.esf_draws.std(axis=1)),
-        lsf=Profile(fit.normal_px, fit.lsf, fit.lsf_draws.std(axis=1)),
+        esf=Profile(fit.normal_px, fit.esf[:, 0], fit.esf[:, 1:].std(axis=1)),
+        lsf=Profile(fit.normal_px, fit.lsf[:, 0], fit.lsf[:, 1:].std(axis=1)),
         residual=_residual_image(fit, region),
         aliasing_px=_aliasing_px(fit, frames.scale),
         asymmetry=_asymmetry(fit),
@@ -160,39 +138,20 @@ def _result(
     )
 
 
-def _crossing(frequency: Vector, best: Vector, draws: Matrix, level: float) -> Interval:
-    value = float(crossings(frequency, best[:, None], level)[0])
-    return interval_of(value, crossings(frequency, draws, level))
-
-
-def _angle(fit: EdgeFit) -> Interval:
-    sign = fit.edge.sign
-    draws = sign * fit.geometry_draws[0]
-    return interval_of(sign * float(fit.geometry[0]), draws)
-
-
 def _position(fit: EdgeFit, region: Region) -> Interval:
     """Return where the edge crosses the middle of the region, along the axis across it."""
     edge = fit.edge
-    if edge.vertical:
-        middle_px = 0.5 * (region.col_start + region.col_stop - 1)
-    else:
-        middle_px = 0.5 * (region.row_start + region.row_stop - 1)
+    middle_px = region.middle_px[1 if edge.vertical else 0]
     origin_px = edge.line.position_px / np.cos(edge.start_angle_rad)
-    bends = np.polynomial.legendre.legval(0.0, np.concatenate([[0.0, 0.0], fit.geometry[2:]]))
-
-    def place(angle_rad: Vector, rho_px: Vector) -> Vector:
-        across_px: Vector = (rho_px + bends) / np.cos(angle_rad) + origin_px
-        return middle_px + edge.sign * across_px
-
-    value = place(fit.geometry[0], fit.geometry[1])
-    return interval_of(float(value), place(fit.geometry_draws[0], fit.geometry_draws[1]))
+    angle_rad, rho_px, *bends_px = fit.geometry
+    bends = np.polynomial.legendre.legval(0.0, [0.0, 0.0, *(bend[0] for bend in bends_px)])
+    across_px = (rho_px + bends) / np.cos(angle_rad) + origin_px
+    return interval_of(middle_px + edge.sign * across_px)
 
 
 def _residual_image(fit: EdgeFit, region: Region) -> NDArray[np.float64]:
     """Return the residuals of the first frame [row col]."""
-    shape = (region.row_stop - region.row_start, region.col_stop - region.col_start)
-    image = np.full(shape, np.nan)
+    image = np.full(region.shape, np.nan)
     frame, row, col = fit.edge.pixels.places.T
     first = frame == 0
     image[row[first], col[first]] = fit.residual[first]
@@ -202,20 +161,20 @@ def _residual_image(fit: EdgeFit, region: Region) -> NDArray[np.float64]:
 def _aliasing_px(fit: EdgeFit, scale: int) -> float:
     if scale < 2:
         return float("nan")
-    slope = np.interp(fit.edge.normal_px, fit.normal_px, fit.lsf, left=0.0, right=0.0)
+    slope = np.interp(fit.edge.normal_px, fit.normal_px, fit.lsf[:, 0], left=0.0, right=0.0)
     noise = fit.noise.dark_sigma
     return phase_displacement_px(fit.residual, slope, fit.edge.pixels.places, noise, scale)
 
 
 def _asymmetry(fit: EdgeFit) -> Interval:
     """Return the largest departure of the ESF from symmetry about its point of half height."""
-    values, place = np.vstack([fit.esf, fit.esf_draws.T]), fit.normal_px
+    values, place = fit.esf.T, fit.normal_px
     middle = place[np.argmin(np.abs(values - 0.5), axis=1)]
     step_px = place[1] - place[0]  # mirrored places lie half-way between at most
     at = np.clip((2.0 * middle[:, None] - place - place[0]) / step_px, 0.0, place.size - 1.0)
     mirrored = np.take_along_axis(values, np.rint(at).astype(np.intp), axis=1)
     odd = 0.5 * np.max(np.abs(values + mirrored - 1.0), axis=1)
-    return interval_of(float(odd[0]), odd[1:])
+    return interval_of(odd)
 
 
 def _lines(edge: UprightEdge) -> Vector:

@@ -148,7 +148,7 @@ def measure_edges(
             result = measure_binned(frames, place, wanted, method, given)
         warn_of(list(result.notes), result.region)
         results.append(result)
-    return sorted(results, key=lambda one: (one.usable, _length(one)), reverse=True)
+    return sorted(results, key=lambda one: (one.usable, one.extent_px[0]), reverse=True)
 
 
 def _known(method: Method, options: MethodOptions) -> dict[str, Any]:
@@ -165,13 +165,6 @@ def _likely(given: dict[str, Any], scale: int) -> LikelySettings:
     if given.get("noise_covariance") is not None:
         given["noise_covariance"] = np.asarray(given["noise_covariance"], dtype=float)
     return LikelySettings(**given)
-
-
-def _length(result: EdgeResult) -> int:
-    region = result.region
-    if result.orientation == "vertical":
-        return region.row_stop - region.row_start
-    return region.col_stop - region.col_start
 
 
 def _given(region: Region | Sequence[int], frames: EdgeFrames) -> Region:

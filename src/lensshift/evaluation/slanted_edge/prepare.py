@@ -12,7 +12,7 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
     Vector,
-    edge_response,
+    core_slopes,
 )
 from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
 from lensshift.evaluation.slanted_edge.near_noise import with_edge
@@ -237,9 +237,8 @@ def take_samples(
     relative = np.ones(edge.scaled.size)
     normal_px = edge.normal_px
     if noise.dark_sigma != noise.bright_sigma or noise.near is not None:
-        response = edge_response(
-            normal_px, float(edge.geometry[0]), edge.line.sigma_px, aperture_px
-        )
+        angle_rad = float(edge.geometry[0])
+        response = core_slopes(normal_px, angle_rad, edge.line.sigma_px, aperture_px)[0]
         relative = noise.relative_sigma(response, normal_px)
     rounding = edge.rounding
     # By themselves, and with what they share with pixels of the same value.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,11 @@ from lensshift.core.optical import MtfCurve
 from lensshift.core.showing import AsTable, Shown
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 # MTF50 of a square pixel alone, in cycles per pixel: sinc(f) = 1/2.
-PIXEL_MTF50_CPP = 0.6033545644016142
+_PIXEL_MTF50_CPP = 0.6033545644016142
+_STEPS = 50  # from 0 to the LR Nyquist frequency
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,16 +46,16 @@ class Interval:
         return f"{self.value:.4g} ({self.low:.4g} to {self.high:.4g})"
 
 
-def interval_of(value: float, draws: Vector) -> Interval:
+def interval_of(values: Vector) -> Interval:
     """Return the estimate with the central 95 % of the draws; NaN draws count as unreached.
 
     Parameters
     ----------
-    value : the estimate
-    draws : [k] posterior draws
+    values : [1 + k] the estimate, then posterior draws, if there are any
     """
+    value, draws = float(values[0]), values[1:]
     finite = draws[np.isfinite(draws)]
-    if finite.size < 0.5 * draws.size:
+    if finite.size < 0.5 * draws.size or not draws.size:
         return Interval(value)
     low, high = np.quantile(finite, (0.025, 0.975))
     if finite.size < 0.975 * draws.size:
@@ -89,6 +92,17 @@ class Region:
     def slices(self) -> tuple[slice, slice]:
         """Return the slices that cut the region out of an image."""
         return slice(self.row_start, self.row_stop), slice(self.col_start, self.col_stop)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and of columns."""
+        return self.row_stop - self.row_start, self.col_stop - self.col_start
+
+    @property
+    def middle_px(self) -> tuple[float, float]:
+        """Row and column of the middle, counted from that of the first pixel."""
+        middle = self.row_start + self.row_stop - 1, self.col_start + self.col_stop - 1
+        return 0.5 * middle[0], 0.5 * middle[1]
 
     def __str__(self) -> str:
         rows, cols = f"{self.row_start}:{self.row_stop}", f"{self.col_start}:{self.col_stop}"
@@ -174,10 +188,55 @@ class EdgeResult(Shown, AsTable):
         return bool(self.mtf50_lpmm.value > self.sample_nyquist_lpmm)
 
     @property
+    def extent_px(self) -> tuple[int, int]:
+        """Length of the region along the edge, and across it."""
+        rows, cols = self.region.shape
+        return (rows, cols) if self.orientation == "vertical" else (cols, rows)
+
+    @property
     def contrast(self) -> float:
         """Michelson contrast of the edge."""
         total = self.bright + self.dark
         return (self.bright - self.dark) / total if total > 0 else float("nan")
+
+
+def steps_to(nyquist_cpp: float) -> Vector:
+    """Return frequencies from 0 to the LR Nyquist frequency in even steps."""
+    return np.linspace(0.0, nyquist_cpp, _STEPS + 1)
+
+
+def numbers_of(
+    frequency_cpp: Vector,
+    modulation: Matrix,
+    to_nyquist: Matrix,
+    normal_px: Vector,
+    esf: Matrix,
+    pitch_mm: float,
+) -> dict[str, Any]:
+    """Return the numbers of an `EdgeResult` that its curves tell; columns as in `interval_of`.
+
+    Parameters
+    ----------
+    frequency_cpp, modulation : [f], [f k] the curve as far as it is looked at, and its draws
+    to_nyquist : [n k] modulation at `steps_to` the LR Nyquist frequency
+    normal_px, esf : [d], [d k]
+    pitch_mm : along the edge normal
+    """
+    at = {
+        f"mtf{round(100 * level)}_lpmm": interval_of(
+            crossings(frequency_cpp, modulation, level)
+        ).scaled(1.0 / pitch_mm)
+        for level in (0.5, 0.3, 0.1)
+    }
+    half = at["mtf50_lpmm"]
+    pixel = (_PIXEL_MTF50_CPP / one for one in (half.value, half.high, half.low))
+    return at | {
+        "mtf_at_nyquist": interval_of(to_nyquist[-1]),
+        "area_to_nyquist": interval_of(np.asarray(np.trapezoid(to_nyquist, dx=1 / _STEPS, axis=0))),
+        "peak": interval_of(modulation.max(axis=0)),
+        "effective_pixel_mm": Interval(*pixel),
+        "rise_mm": interval_of(rises(normal_px, esf)).scaled(pitch_mm),
+    }
 
 
 def crossings(frequency: Vector, modulation: NDArray[np.float64], level: float) -> Vector:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_upright
@@ -92,11 +93,7 @@ def _levels(values: Vector, bins: _Bins) -> tuple[Vector, Vector]:
 
 
 def _medians(values: Vector, bins: _Bins) -> Vector:
-    ordered = values[np.lexsort((values, bins.number))]
-    start = np.cumsum(bins.size) - bins.size
-    low, high = start + np.maximum(bins.size - 1, 0) // 2, start + bins.size // 2
-    last = ordered.size - 1  # empty bins have no median
-    return np.asarray(0.5 * (ordered[np.minimum(low, last)] + ordered[np.minimum(high, last)]))
+    return np.asarray(ndimage.median(values, bins.number, np.arange(bins.size.size)))
 
 
 def _refuse_others(edge: UprightEdge) -> None:

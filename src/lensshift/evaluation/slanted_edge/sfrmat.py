@@ -13,6 +13,7 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
 from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.slanted_edge.result import crossings
 from lensshift.evaluation.slanted_edge.sfrmat_steps import (
     BINS_PER_PX,
     LEAST_LINES,
@@ -248,7 +249,8 @@ def _result(
     found: _Curve, edge: Vector, slope: float, used: int, empty: int, turned: bool
 ) -> SfrmatResult:
     mtf50_cpp, mtf10_cpp = (
-        _crossing_cpp(found.frequency_cpp, found.modulation, level) for level in (0.5, 0.1)
+        float(crossings(found.frequency_cpp, found.modulation[:, None], level)[0])
+        for level in (0.5, 0.1)
     )
     angle_rad = float(np.arctan(slope))
     return SfrmatResult(
@@ -267,15 +269,6 @@ def _result(
         mtf10_cpp=mtf10_cpp,
         sampling_efficiency=float(np.fmin(mtf10_cpp / found.half_cpp, 1.0)),
     )
-
-
-def _crossing_cpp(frequency_cpp: Vector, modulation: Vector, level: float) -> float:
-    below = np.flatnonzero(modulation < level)
-    if below.size == 0:
-        return float("nan")
-    i = int(below[0])  # not 0: the curve starts at 1
-    share = (modulation[i - 1] - level) / (modulation[i - 1] - modulation[i])
-    return float(frequency_cpp[i - 1] + share * (frequency_cpp[i] - frequency_cpp[i - 1]))
 
 
 def _warn(message: str) -> None:
