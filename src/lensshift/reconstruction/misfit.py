@@ -75,6 +75,7 @@ class Misfit:
     everywhere : whether those would show it in most of the picture, so that nothing else explains
         what they contradict
     brightness : how much gain and bias of a frame differ, over what else is left of it
+    more : whether the frames contradict without their own gain and bias as well
     unsure : frames that were told to be noisier than others, by themselves or by their shift
     """
 
@@ -85,6 +86,7 @@ class Misfit:
     off_px: dict[int, tuple[float, float]]
     everywhere: bool
     brightness: float
+    more: bool
     unsure: frozenset[int]
 
     @property
@@ -137,10 +139,11 @@ class Misfit:
         frames : their numbers in the burst
         """
         if self.lit:
-            return (
+            lit = (
                 f"the frames differ in brightness by {self.brightness:.1f} times what they differ "
                 "by otherwise: photometric=True (--photometric) estimates gain and bias"
             )
+            return f"{lit}; and {self._moved(frames[self.first])}" if self.more else lit
         said = [self._elsewhere(frames)] if self.off_px else []
         if self.doubt.max(initial=0.0) > 1.0 and not (self.off_px and self.everywhere):
             said.append(self._moved(frames[self.first]))
@@ -209,7 +212,9 @@ def find_misfit(
     )
     off_px, everywhere = _elsewhere(r, slopes, variance * parts, used, doubt, limit)
     terms = [np.ones_like(r), predicted - predicted.mean(), *slopes]
-    brightness = _brightness(r, np.stack(terms, axis=1), variance * parts, used, doubt)
+    brightness, light = _brightness(r, np.stack(terms, axis=1), variance * parts, used, doubt)
+    rest = np.abs(r - np.einsum("kt,tkhw->khw", light, np.stack(terms[:2]))) ** 2 / parts
+    unlit = _around(np.minimum(rest / variance, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit
     lone = None if off_px or brightness >= 1.0 else _lone_frame(doubt)
     if lone is not None:  # by more than its slopes can tell
         off_px, everywhere = {lone: (np.nan, np.nan)}, True
@@ -218,10 +223,13 @@ def find_misfit(
         doubt = np.where(alike, np.minimum(doubt, 1.0), doubt)
     if np.count_nonzero(doubt > 1.0) < WINDOW_PX:  # what contradicts does so in all that see it
         doubt = np.minimum(doubt, 1.0)
+    more = bool(np.count_nonzero((unlit > 1.0) & (doubt > 1.0)) >= WINDOW_PX)
     chi_square, unexplained = _chi_square(A, square / noise * seen, noise * seen, seen, parts)
     usual = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
     unsure = frozenset(np.flatnonzero(usual > UNSURE * usual.min()).tolist())
-    return Misfit(chi_square, unexplained, doubt, against, off_px, everywhere, brightness, unsure)
+    return Misfit(
+        chi_square, unexplained, doubt, against, off_px, everywhere, brightness, more, unsure
+    )
 
 
 def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
@@ -304,16 +312,21 @@ def _middle(values: Array, on: Mask) -> Array:
     return np.take_along_axis(ordered, on.sum(axis=-1, keepdims=True) // 2, axis=-1)
 
 
-def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Array) -> float:
+def _brightness(
+    r: Array, terms: Array, variance: Array, used: Mask, doubt: Array
+) -> tuple[float, Array]:
     """Return the largest difference in gain and bias of a frame over what else is left of it.
+
+    And both of each frame, [frame 2].
 
     Where a frame contradicts more than it usually does, it counts less: that is not its light.
     Neither is what goes with its slopes, the last of `terms` [frame term row col].
     """
     on = some_pixels(used)
     enough = on.sum(axis=-1) >= WINDOW_PX**2
+    found = np.zeros((len(r), 2))
     if not enough.any():
-        return 0.0
+        return 0.0, found
     on, r, terms, variance, doubt = (
         v[enough] for v in (on, *(some_pixels(v) for v in (r, terms, variance, doubt)))
     )
@@ -322,8 +335,9 @@ def _brightness(r: Array, terms: Array, variance: Array, used: Mask, doubt: Arra
     rest = _middle(np.abs(r - (fit @ terms)[:, 0]), on) / MEDIAN_SIZE
     rest = np.maximum(rest, LEAST_REST * np.sqrt(_middle(variance, on)))[:, 0]
     own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
+    found[enough] = own[:, 0]
     light = np.abs((own @ terms[:, :2])[:, 0]) ** 2
-    return float(np.max(np.sqrt(np.mean(light, axis=-1, where=on)) / rest))
+    return float(np.max(np.sqrt(np.mean(light, axis=-1, where=on)) / rest)), found
 
 
 def _elsewhere(
