@@ -61,7 +61,7 @@ class Conditional:
     shape: Vector
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[Matrix, Matrix]:
-        """Draw levels [p count] and coefficients [j count].
+        """Draw levels [p count] and heights of the splines [j count].
 
         A draw of the prior, and of pixels, is corrected as the true pixels say (Matheron's rule).
 
@@ -77,7 +77,7 @@ class Conditional:
             shown[-1][:, None] - shown[:-1].T @ levels - self.pixels.factor.T @ heights - grain
         )
         heights += self.explained.heights(self.pixels, missing, self.explained.over(missing))
-        return levels, self.prior.coefficients(heights)
+        return levels, heights
 
 
 @dataclass(frozen=True, slots=True)
