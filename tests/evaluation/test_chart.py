@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
+from lensshift.core.processes import ready_with
 from lensshift.evaluation.chart import (
     ChartEdge,
     acutance,
@@ -157,7 +158,8 @@ def test_through_focus(edges: list[ChartEdge]) -> None:
     assert all(fit.focus == pytest.approx(1.0, abs=1e-6) for fit in fits.values())
 
 
-def test_workers_find_the_same(edges: list[ChartEdge]) -> None:
+@pytest.mark.parametrize("ready", [False, True])
+def test_workers_find_the_same(edges: list[ChartEdge], ready: bool) -> None:
     """And a photograph without an edge costs nothing but a line of its own."""
     empty = np.random.default_rng(1).normal(0.5, 0.01, (80, 90))
     told: list[tuple[int, int]] = []
@@ -166,6 +168,7 @@ def test_workers_find_the_same(edges: list[ChartEdge]) -> None:
         again = measure_chart(
             [Photograph("empty", empty), Photograph("one", photograph(), 3.0)],
             workers=2,
+            context=ready_with("lensshift.evaluation.chart_series") if ready else None,
             on_edge=lambda done, of: told.append((done, of)),
         )
     for one, other in zip(again, edges, strict=True):  # threads of linear algebra sum otherwise

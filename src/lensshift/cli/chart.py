@@ -60,16 +60,21 @@ def chart(current: Session, asked: ChartOptions) -> None:
       lensshift evaluate chart f0.png f1.png f2.png --focus 0,10,20 --focus-unit um
       lensshift evaluate chart raw.tif --bayer RGGB --channel red --pitch-mm 0.0034 --at 60
     """
-    from lensshift.evaluation.chart_series import focus_series, measure_chart
+    from lensshift.core.processes import ready_with
 
     written = [path for path in (asked.report, asked.csv) if path is not None]
     refuse_overwriting([*asked.images, asked.photo.oecf], written)
+    # Processes get ready while this one imports what it measures with.
+    context = None if asked.workers == 1 else ready_with("lensshift.evaluation.chart_series")
+
+    from lensshift.evaluation.chart_series import focus_series, measure_chart
+
     pictures, pitch = _pictures(asked)
     unit = frequency_unit(pitch, asked.focal_length_mm)
     with closing(Progress("measuring edges")) as progress:
         edges = measure_chart(
             pictures, pitch.pitch_mm, workers=asked.workers, on_edge=progress.count,
-            **asked.edges.given(),
+            context=context, **asked.edges.given(),
         )  # fmt: skip
     wanted = [one / unit.factor for one in asked.edges.at or []]
     series, fits = focus_series(edges) if asked.focus is not None else ([], {})

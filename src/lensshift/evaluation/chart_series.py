@@ -9,17 +9,18 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
+from multiprocessing.context import BaseContext
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
+from lensshift.core.processes import one_thread_each
 from lensshift.evaluation.chart import ChartEdge, FocusFit, best_focus, chart_edges, zone_rows
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, find_regions, measure_edge
 
 Pitch = float | tuple[float, float]
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _WORTH_WORKERS = 8  # edges: below, starting processes takes longer than it saves
 
 
@@ -52,6 +53,7 @@ def measure_chart(
     *,
     workers: int | None = None,
     on_edge: Callable[[int, int], None] | None = None,
+    context: BaseContext | None = None,
     **options: Any,
 ) -> list[ChartEdge]:
     """Measure every slanted edge of photographs, and say where in the field each lies.
@@ -64,6 +66,7 @@ def measure_chart(
     pitch_mm : of the pixels; 1 gives cycles per pixel
     workers : processes, by default one a core if there are edges enough; 1: none
     on_edge : told how many edges are done, and how many there are
+    context : how processes start, spawned by default; see `core.processes`
     options : of `measure_edges`: method, aperture_px and so on
 
     Raises
@@ -86,7 +89,8 @@ def measure_chart(
         workers = (os.cpu_count() or 1) if len(tasks) >= _WORTH_WORKERS else 1
     found: list[list[EdgeResult]] = [[] for _ in pictures]
     refused: list[str] = []
-    with _measured(pictures, pitch_mm, options, tasks, workers) as results:
+    where = context or get_context("spawn")
+    with _measured(pictures, pitch_mm, options, tasks, workers, where) as results:
         for done, (number, result) in enumerate(results, start=1):
             if isinstance(result, str):
                 refused.append(f"{pictures[number].name}: {result}")
@@ -148,37 +152,20 @@ def _measured(
     options: dict[str, Any],
     tasks: Sequence[tuple[int, Region]],
     workers: int,
+    context: BaseContext,
 ) -> Iterator[Iterator[tuple[int, EdgeResult | str]]]:
     """Yield the results in the order of the tasks."""
     given = [(one.image, one.offset_px) for one in pictures]
     if workers <= 1:
         yield (_one(given, pitch_mm, options, task) for task in tasks)
         return
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin, (given, pitch_mm, options))
+    pool = ProcessPoolExecutor(workers, context, _begin, (given, pitch_mm, options))
     try:
-        with _one_thread_each():
+        with one_thread_each():
             results = pool.map(_task, tasks)  # starts the processes
         yield results
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Tell processes that start meanwhile that every core has one already.
-
-    The threads of their linear algebra would wait for one another: ten times as long on two cores.
-    """
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 _given: Any = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -34,26 +35,23 @@ class BaseModel(NamedTuple):
     aperture_px: float
     unit_px: float
 
-    def parts(self, normal_px: Vector, parameters: Vector) -> NDArray[np.float64]:
-        """Return `edge_parts` at distances [n]."""
-        sigma_px, side_px, tail, place_px = self._meaning(parameters)
-        there = normal_px - place_px
-        width_px = float(tail.width_px)
-        return edge_parts(there, self.angle_rad, float(sigma_px), float(side_px), width_px)
+    def seen(self, normal_px: Vector, parameters: Vector) -> SeenBase:
+        """Return what distances [n] see of the model."""
+        log_sigma, root, root_share, log_tail, slow, place = parameters[:6].tolist()
+        tail = Tail(root_share * abs(root_share), math.exp(log_tail) * self.unit_px, slow)
+        sigma_px, side_px = math.exp(log_sigma) * self.unit_px, math.exp(-(root**2))
+        there = normal_px - place * self.unit_px
+        widths_px = sigma_px, side_px * self.aperture_px, float(tail.width_px)
+        return SeenBase(edge_parts(there, self.angle_rad, *widths_px), tail)
 
     def response(self, normal_px: Vector, parameters: Vector) -> Vector:
         """Return the ESF at distances [n]."""
-        return self.mixed(self.parts(normal_px, parameters), parameters)
+        return self.seen(normal_px, parameters).response
 
-    def mixed(self, parts: NDArray[np.float64], parameters: Vector) -> Vector:
-        """Return the ESF [n] of `parts`."""
-        return np.asarray(self._meaning(parameters).tail.shares @ parts[:, 0])
-
-    def slopes(self, parts: NDArray[np.float64], parameters: Vector) -> Matrix:
-        """Return [6 n]: how the ESF of `parts` changes with the parameters."""
-        tail = self._meaning(parameters).tail
+    def slopes(self, seen: SeenBase, parameters: Vector) -> Matrix:
+        """Return [6 n]: how the ESF changes with the parameters."""
+        parts, tail, shares = seen.parts, seen.tail, seen.tail.shares
         core, slow, fast = parts
-        shares = tail.shares
         slopes = np.empty((6, parts.shape[2]))
         slopes[0] = shares[0] * core[1]
         slopes[1] = -2.0 * parameters[1] * (shares @ parts[:, 2])
@@ -66,25 +64,21 @@ class BaseModel(NamedTuple):
 
     def transforms(self, frequency_cpp: Vector, parameters: Matrix) -> NDArray[np.complex128]:
         """Return the Fourier transforms of the LSFs [f k] of several parameters [p k]."""
-        sigma_px, side_px, tail, place_px = self._meaning(parameters)
-        f = frequency_cpp[:, None]
-        there = edge_response_transform(f, self.angle_rad, sigma_px, side_px, tail)
-        return np.asarray(there * np.exp(-2j * np.pi * place_px * f))
-
-    def _meaning(self, parameters: NDArray[np.float64]) -> _Meaning:
         log_sigma, root, root_share, log_tail, slow, place = parameters[:6]
-        return _Meaning(
-            np.exp(log_sigma) * self.unit_px,
-            np.exp(-(root**2)) * self.aperture_px,
-            Tail(root_share * np.abs(root_share), np.exp(log_tail) * self.unit_px, slow),
-            place * self.unit_px,
-        )
+        tail = Tail(root_share * np.abs(root_share), np.exp(log_tail) * self.unit_px, slow)
+        f, sigma_px = frequency_cpp[:, None], np.exp(log_sigma) * self.unit_px
+        side_px = np.exp(-(root**2)) * self.aperture_px
+        there = edge_response_transform(f, self.angle_rad, sigma_px, side_px, tail)
+        return np.asarray(there * np.exp(-2j * np.pi * self.unit_px * place * f))
 
 
-class _Meaning(NamedTuple):
-    """What the parameters, or each of several, mean."""
+class SeenBase(NamedTuple):
+    """`edge_parts` [3 4 n] of the base model, and its tail."""
 
-    sigma_px: Vector
-    side_px: Vector
+    parts: NDArray[np.float64]
     tail: Tail
-    place_px: Vector
+
+    @property
+    def response(self) -> Vector:
+        """The ESF [n]."""
+        return np.asarray(self.tail.shares @ self.parts[:, 0])

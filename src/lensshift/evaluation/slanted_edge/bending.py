@@ -119,27 +119,35 @@ def _moves(x: Vector, y: Vector, geometry: Vector, half_length_px: float) -> Mat
     return np.column_stack([turn, -bends[:, : geometry.size - 2]])
 
 
-def free_response(
-    normal_px: Vector,
-    values: Vector,
-    basis: SplineBasis,
-    nodes: Nodes,
-    used: NDArray[np.bool_] | None = None,
-) -> tuple[Vector, Vector]:
-    """Return ESF and LSF at every pixel when nothing but the pixels says what they are.
+class FreeResponse:
+    """ESF and LSF at every pixel when nothing but the pixels says what they are.
 
     Parameters
     ----------
-    normal_px, values : [n] distances from the edge and pixels
+    normal_px : [n] distances of pixels from the edge
     basis, nodes : splines of the LSF, and nodes that reach as far as the pixels
     used : [n] the pixels that say so, None for all
     """
-    there, known = (normal_px, values) if used is None else (normal_px[used], values[used])
-    rows, sums = basis.rising(there)
-    products = sums.T @ ((rows.T @ rows) @ sums)
-    level, *splines = _ridge_solved(products, sums.T @ (rows.T @ known), _SLIGHT_RIDGE)
-    pixels = nodes.between(normal_px)
-    return pixels.of(nodes.integrals @ splines + level), pixels.of(nodes.values @ splines)
+
+    def __init__(
+        self,
+        normal_px: Vector,
+        basis: SplineBasis,
+        nodes: Nodes,
+        used: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self._used = slice(None) if used is None else used
+        rows, self._sums = basis.rising(normal_px[self._used])
+        self._over_pixels = rows.T
+        self._products = self._sums.T @ ((rows.T @ rows) @ self._sums)
+        self._nodes, self._pixels = nodes, nodes.between(normal_px)
+
+    def of(self, values: Vector) -> tuple[Vector, Vector]:
+        """Return ESF and LSF [n] of pixels [n]."""
+        right = self._sums.T @ (self._over_pixels @ values[self._used])
+        level, *splines = _ridge_solved(self._products, right, _SLIGHT_RIDGE)
+        esf = self._pixels.of(self._nodes.integrals @ splines + level)
+        return esf, self._pixels.of(self._nodes.values @ splines)
 
 
 def _ridge_fit(columns: Matrix, values: Vector) -> tuple[Vector, float]:

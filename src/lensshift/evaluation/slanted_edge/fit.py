@@ -205,13 +205,16 @@ def _whole_draws(
     )
     kept, counts = np.unique(chosen, return_counts=True)
     best = _known(likelihood, posterior.best)
-    parts = [(posterior.best[:, None], best.levels[:, None], best.coefficients[:, None])]
+    parts = []
     for index, count in zip(kept, counts, strict=True):
         parameters, found = posterior.draws[index], posterior.found[index]
         if found is not None:
             drawn = likelihood.conditional(found).draw(int(count), rng)
             parts.append((np.tile(parameters[:, None], count), *drawn))
-    whole = [np.hstack(columns) for columns in zip(*parts, strict=True)]
+    parameters, levels, heights = (np.hstack(columns) for columns in zip(*parts, strict=True))
+    draws = parameters, levels, best.prior.coefficients(heights)
+    optimum = posterior.best, best.levels, best.coefficients
+    whole = [np.column_stack(both) for both in zip(optimum, draws, strict=True)]
     return whole[0], whole[1], whole[2]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
@@ -65,36 +64,37 @@ def tail_slopes(
     out : [2 4 n] of Lorentzian and Laplacian: response; slopes by the log of the width, by the log
         of the pixel's side, by the distance
     """
-    far_px, half_variance = _FAR_SIDES * max(p, q), (p * p + q * q) / 6.0
+    far_px, half_variance, area = _FAR_SIDES * max(p, q), (p * p + q * q) / 6.0, 4.0 * p * q
     wider = (grows[0] * p * p + grows[1] * q * q) / 3.0
     for i in range(normal_px.size):
         d = normal_px[i]
         if abs(d) > far_px:
             _far_slopes(d, w, half_variance, wider, out[:, :, i])
             continue
-        sums = np.zeros((2, 4))
-        for one, other, sign in ((1, 1, 1.0), (1, -1, -1.0), (-1, 1, -1.0), (-1, -1, 1.0)):
-            x = d + one * p + other * q
-            shift = one * grows[0] * p + other * grows[1] * q
+        slow = slow_width = slow_side = slow_place = 0.0
+        fast = fast_width = fast_side = fast_place = 0.0
+        for one, other in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+            x, sign = d + one * p + other * q, one * other
+            shift = sign * (one * grows[0] * p + other * grows[1] * q)
             square, angle, far = x * x + w * w, math.atan(x / w), abs(x)
             log, fall = math.log(square), math.expm1(-far / w)
-            first = (x * angle - 0.5 * w * log) / math.pi
-            fast = 0.5 * (far + w * fall)
-            side = 0.5 if x > 0.0 else -0.5
-            values = ((x * x - w * w) * angle - w * x * log) / (2.0 * math.pi)
-            sums[0, 0] += sign * values
-            sums[0, 1] -= sign * w * (w * angle + 0.5 * x * log) / math.pi
-            sums[0, 2] += sign * shift * first
-            sums[0, 3] += sign * first
-            sums[1, 0] += sign * side * (0.5 * x * x - w * w * fall - w * far)
-            sums[1, 1] -= sign * side * w * (2.0 * w * fall + far * (2.0 + fall))
-            sums[1, 2] += sign * shift * fast
-            sums[1, 3] += sign * fast
-        for k in range(2):
-            sums[k, 2] -= (grows[0] + grows[1]) * sums[k, 0]
-            for m in range(4):
-                out[k, m, i] = sums[k, m] / (4.0 * p * q)
-            out[k, 0, i] += 0.5
+            first = x * angle - 0.5 * w * log
+            slow += sign * (0.5 * (x * x - w * w) * angle - 0.5 * w * x * log)
+            slow_width -= sign * w * (w * angle + 0.5 * x * log)
+            slow_side += shift * first
+            slow_place += sign * first
+            first = 0.5 * (far + w * fall)
+            side = sign * math.copysign(0.5, x)
+            fast += side * (0.5 * x * x - w * w * fall - w * far)
+            fast_width -= side * w * (2.0 * w * fall + far * (2.0 + fall))
+            fast_side += shift * first
+            fast_place += sign * first
+        both = grows[0] + grows[1]
+        out[0, 0, i], out[0, 1, i] = 0.5 + slow / (math.pi * area), slow_width / (math.pi * area)
+        out[0, 2, i] = (slow_side - both * slow) / (math.pi * area)
+        out[0, 3, i] = slow_place / (math.pi * area)
+        out[1, 0, i], out[1, 1, i] = 0.5 + fast / area, fast_width / area
+        out[1, 2, i], out[1, 3, i] = (fast_side - both * fast) / area, fast_place / area
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lensshift.evaluation.slanted_edge.base_model import BaseModel
+from lensshift.evaluation.slanted_edge.base_model import BaseModel, SeenBase
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
@@ -61,7 +61,7 @@ class Conditional:
     shape: Vector
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[Matrix, Matrix]:
-        """Draw levels [p count] and coefficients [j count].
+        """Draw levels [p count] and heights of the splines [j count].
 
         A draw of the prior, and of pixels, is corrected as the true pixels say (Matheron's rule).
 
@@ -77,7 +77,7 @@ class Conditional:
             shown[-1][:, None] - shown[:-1].T @ levels - self.pixels.factor.T @ heights - grain
         )
         heights += self.explained.heights(self.pixels, missing, self.explained.over(missing))
-        return levels, self.prior.coefficients(heights)
+        return levels, heights
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,12 +128,12 @@ class _Explained:
 class _Moments:
     """The design and its cross products: X are the levels, H the heights, y the pixels.
 
-    `parts` [3 4 g] are those of the base model at the nodes, `seen` [s g] the columns that follow
-    it, `across` [k s g] what the pixels times their factor k see of these, `gram` is [X y]^T [X y],
+    `base` is what the nodes see of the base model, `seen` [s g] the columns that follow it,
+    `across` [k s g] what the pixels times their factor k see of these, `gram` is [X y]^T [X y],
     `heights` [X y]^T H.
     """
 
-    parts: NDArray[np.float64]
+    base: SeenBase
     seen: Matrix
     across: NDArray[np.float64]
     gram: Matrix
@@ -259,8 +259,8 @@ class EdgeLikelihood:
 
     def _moments(self, parameters: Vector) -> _Moments:
         g, knots, fixed = self.gathered, self.basis.size, self.gathered.response
-        parts = self.base.parts(g.nodes.place_px, parameters)
-        seen = self._factors * self.base.mixed(parts, parameters)
+        base = self.base.seen(g.nodes.place_px, parameters)
+        seen = self._factors * base.response
         across = np.empty((len(g.node_node), *seen.shape))
         across_nodes(g.node_node, g.reach, self._powers, seen, across)
         gram, heights = self._gram.copy(), self._heights.copy()
@@ -270,7 +270,7 @@ class EdgeLikelihood:
             gram[own, :fixed] = gram[:fixed, own] = sums[knots:-1]
             gram[own, -1] = gram[-1, own] = sums[-1]
             gram[own, fixed:-1] = across[one.power] @ seen[k]
-        return _Moments(parts, seen, across, gram, heights)
+        return _Moments(base, seen, across, gram, heights)
 
     def solved(self, parameters: Vector) -> Solution | None:
         """Return what the pixels say at a point, None where nothing can."""
@@ -364,7 +364,7 @@ class EdgeLikelihood:
             to_node = factors @ self._node_sums[column.power]
             to_node += both[fixed:] @ m.across[column.power]
             to_response += column.factor * to_node
-        slopes = self.base.slopes(m.parts, found.allowed)
+        slopes = self.base.slopes(m.base, found.allowed)
         return np.asarray(slopes @ to_response / one.variance)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.noise_model import (
@@ -55,7 +55,7 @@ def with_edge(
         return noise
     most = float(sums[:_NEAREST].sum()) / near - _FREE_ERROR**2
     freedom = (1 + 2 * noise.order) ** 2
-    if f_distribution.sf(most / level, near / freedom, far / freedom) > SIGNIFICANT:
+    if fdtrc(near / freedom, far / freedom, most / level) > SIGNIFICANT:
         return noise
     each = (sums / np.maximum(counts, 1) - _FREE_ERROR**2)[:_NEAR_STEPS] / level
     louder = NearNoise(np.append(np.maximum(each, 1.0), 1.0), 0, np.zeros(0), 1.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.stats import f as f_distribution
+from scipy.special import fdtr, fdtrc
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 
@@ -198,7 +198,7 @@ def plateau_tilt_matters(
     if tilted <= least**2 * blocks:
         return bool(plain > least**2 * blocks)
     ratio = (plain - tilted) / terms / (tilted / freedom)
-    return bool(f_distribution.sf(ratio, terms, freedom) < SIGNIFICANT)
+    return bool(fdtrc(terms, freedom, ratio) < SIGNIFICANT)
 
 
 def few_factors(columns: Matrix, values: Vector) -> Vector:
@@ -247,9 +247,8 @@ def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]
     # Correlated residuals count for less than their number.
     freedom = [count / (1 + 2 * order) ** 2 for count in counts]
     if dark > 0.0 and bright > 0.0:
-        upper = f_distribution.sf((bright / dark) ** 2, freedom[1], freedom[0])
-        lower = f_distribution.cdf((bright / dark) ** 2, freedom[1], freedom[0])
-        if min(upper, lower) < 0.5 * SIGNIFICANT:
+        told = freedom[1], freedom[0], (bright / dark) ** 2
+        if min(fdtrc(*told), fdtr(*told)) < 0.5 * SIGNIFICANT:
             return NoiseModel(dark, bright, order, prediction)
     return NoiseModel(together, together, order, prediction)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.evaluation.slanted_edge.bending import bend_edge, free_response
+from lensshift.evaluation.slanted_edge.bending import FreeResponse, bend_edge
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
     SplineBasis,
@@ -106,16 +106,11 @@ class UprightEdge:
         units = np.clip(reach_px / self.unit_px, _HALF_WIDTH, _LARGEST_REACH)
         return splines_for(float(units), self.unit_px)
 
-    def free_response(self, used: Mask | None = None) -> tuple[Vector, Vector]:
-        """Return ESF and LSF at every pixel when nothing but the pixels says what they are.
-
-        Parameters
-        ----------
-        used : [n] the pixels that say so, None for all
-        """
-        normal_px = self.normal_px
-        nodes = nodes_for(self.basis, self.unit_px, 1.0, float(np.max(np.abs(normal_px))))
-        return free_response(normal_px, self.scaled, self.basis, nodes, used)
+    def free_response(self, used: Mask | None = None) -> FreeResponse:
+        """Return what tells ESF and LSF from the pixels alone, or from those used [n]."""
+        normal_px, basis = self.normal_px, self.basis
+        nodes = nodes_for(basis, self.unit_px, 1.0, float(np.max(np.abs(normal_px))))
+        return FreeResponse(normal_px, basis, nodes, used)
 
     def plateaus(self) -> list[Mask]:
         """Return the masks of the dark and the bright plateau."""
@@ -187,7 +182,8 @@ def learn_noise(
     step_sigma = edge.rounding.sigma
     # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
     # what changes across the edge; what changes along it tells uneven light.
-    free, slope = edge.free_response()
+    response = edge.free_response()
+    free, slope = response.of(edge.scaled)
     rest = edge.scaled - free
     place = edge.along_px / edge.half_length_px
     along = np.column_stack([place, place**2 - 1.0 / 3.0])
@@ -204,22 +200,22 @@ def learn_noise(
         order = int(plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
     if covariance is not None:
         return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
-    left = (even if order else rest) / np.sqrt(1.0 - _share_taken(edge, sides))
+    left = (even if order else rest) / np.sqrt(1.0 - _share_taken(response, sides))
     noise = estimate_noise(left, places, sides)
     terms = both if order else moves
     taken = terms @ few_factors(terms, rest)
     if order:  # the free ESF took some of the light, which shows where it is steep
-        free = replace(edge, scaled=edge.scaled - taken).free_response()[0]
+        free = response.of(edge.scaled - taken)[0]
     return with_edge(noise, edge.scaled - taken - free, free, edge.normal_px, places), order
 
 
-def _share_taken(edge: UprightEdge, sides: list[Mask]) -> float:
+def _share_taken(response: FreeResponse, sides: list[Mask]) -> float:
     """Return the share of the noise of the plateaus that a free ESF follows, by a random probe."""
     plateaus = sides[0] | sides[1]
     if not plateaus.any():
         return 0.0
-    probe = np.random.default_rng(0).choice([-1.0, 1.0], edge.scaled.size)
-    followed = probe * replace(edge, scaled=probe).free_response()[0]
+    probe = np.random.default_rng(0).choice([-1.0, 1.0], plateaus.size)
+    followed = probe * response.of(probe)[0]
     return float(np.clip(np.mean(followed[plateaus]), 0.0, _MOST_TAKEN))
 
 

@@ -55,7 +55,7 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
 
 
 def _standing_out(edge: UprightEdge, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    rest = edge.scaled - edge.free_response(used)[0]
+    rest = edge.scaled - edge.free_response(used).of(edge.scaled)[0]
     levels = np.unique(edge.scaled)  # neighbouring grey levels are no exception
     least = max(_LEAST_OUT, _OF_GREY_LEVEL * float(np.min(np.diff(levels), initial=1.0)))
     bins = _bins(edge)
