@@ -107,6 +107,18 @@ def test_complex_frames_and_invalid_pixels() -> None:
     assert right < 0.8 * wrong
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_along_an_edge_between_columns_nothing_is_known(seed: int) -> None:
+    """The picture predicts such frames better, and drifts along the edge."""
+    true_px = offsets(9, seed)
+    step = sampled(lambda row, col: 0.0 * row + (col > 14.2), true_px, (21, 30))
+    frames, valid = noisy(step, 0.003, seed), np.ones(step.shape, np.bool_)
+    fit = likely_shifts(frames, valid, true_px)
+    found = better_shifts(fit, frames, valid, 0)
+    np.testing.assert_allclose(found.offset_px[:, 0], fit.offset_px[:, 0], atol=0.01)
+    assert np.all(found.sigma_px[1:, 0] > 1.0)
+
+
 def test_of_large_frames_the_part_that_shows_something_tells() -> None:
     true_px = offsets(4, 6)
 

@@ -28,6 +28,8 @@ FIRST_ITERATIONS, ITERATIONS = 60, 15
 MAX_ROUNDS, CONVERGED_PX, MAX_STEP_PX = 12, 2e-3, 0.2
 # Residuals beyond so many standard deviations count by their size, not its square.
 HUBER_SIGMAS = 2.0
+# A shift that is known to a pixel is not known.
+UNKNOWN_PX = 1.0
 # Fewer frames fit a picture wherever they lie; and fewer than three in each half predict others by
 # what smoothness adds.
 LEAST_FRAMES, LEAST_PREDICTING = 4, 6
@@ -58,10 +60,25 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
         variance = np.mean((apart_px - np.median(apart_px, axis=0)) ** 2, axis=0)
         other = _widened(other, variance, reference)
         if other_error < BETTER * error:
-            return replace(other, gain=fit.gain)
+            return _where_known(replace(other, gain=fit.gain), fit)
     square = (fit.offset_px - other.offset_px) ** 2 - fit.sigma_px**2 - other.sigma_px**2
     excess = np.maximum(np.delete(square, reference, axis=0).mean(axis=0), 0.0)
     return _widened(fit, excess, reference)
+
+
+def _where_known(other: ShiftFit, fit: ShiftFit) -> ShiftFit:
+    """Return the other shifts but along what the fit knows nothing of, as along a single edge.
+
+    There a picture drifts, and what it is told by is the noise.
+    """
+    variance, along = np.linalg.eigh(fit.covariance_px2)
+    blind = along * (variance > UNKNOWN_PX**2)
+    drift_px = blind @ blind.T @ (other.offset_px - fit.offset_px).ravel()
+    return replace(
+        other,
+        offset_px=other.offset_px - drift_px.reshape(-1, 2),
+        covariance_px2=other.covariance_px2 + (blind * variance) @ blind.T,
+    )
 
 
 def _widened(fit: ShiftFit, variance_px2: Shifts, reference: int) -> ShiftFit:
