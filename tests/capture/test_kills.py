@@ -19,6 +19,7 @@ from lensshift.core.errors import DataError
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no such signals there")
 COMMAND = [sys.executable, "-c", "from lensshift.cli import main; main()", "capture"]
 FRAMES = 4  # at each of nine positions
+LONGEST_S = 5.0  # from the start of a process until it is killed
 
 
 def frames_in(file: Path) -> int:
@@ -49,15 +50,14 @@ def killed(bench: Bench, number: int, after_s: float) -> tuple[int, int]:
     return process.returncode, FRAMES * len(done)
 
 
-def kill_often(bench: Bench, count: int, seed: int, longest_s: float) -> None:
-    """Kill captures, each until so long after the start of its process."""
+def kill_often(bench: Bench, count: int, seed: int) -> None:
     rng = random.Random(seed)
     whole = at_rest = 0
     bench.file.write_text(bench.file.read_text() + "reorder = false\n")
     for _ in range(count):
         number = rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
         before = frames_in(bench.out)
-        status, told = killed(bench, number, rng.uniform(0.0, longest_s))
+        status, told = killed(bench, number, rng.uniform(0.0, LONGEST_S))
         after = frames_in(bench.out)
         assert after >= before + told - FRAMES  # the first position told of may have been there
         assert after >= before, "a finished frame is lost"
@@ -88,10 +88,10 @@ def bench(tmp_path: Path):  # type: ignore[no-untyped-def]
 
 
 def test_a_few_kills_at_random_moments(bench: Bench) -> None:
-    kill_often(bench, 4, seed=1, longest_s=2.5)
+    kill_often(bench, 4, seed=1)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 def test_two_hundred_kills_at_random_moments(bench: Bench) -> None:
-    kill_often(bench, 200, seed=2, longest_s=5.0)
+    kill_often(bench, 200, seed=2)
