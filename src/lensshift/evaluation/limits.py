@@ -130,13 +130,13 @@ def first_crossing_lpmm(curve: MtfCurve, level: float) -> float:
     return first_fall(curve.frequency_lpmm, curve.modulation - level)
 
 
-def first_fall(place: NDArray[np.float64], excess: NDArray[np.float64]) -> float:
-    """Return where an excess [n] at rising places first falls below 0; NaN as above."""
+def first_fall(frequency_lpmm: NDArray[np.float64], excess: NDArray[np.float64]) -> float:
+    """Return where an excess [n] at rising frequencies first falls below 0; NaN as above."""
     below = np.flatnonzero(excess < 0)
     if below.size == 0 or below[0] == 0:
         return float("nan")
     before, after = excess[below[0] - 1 : below[0] + 1]
-    start, end = place[below[0] - 1 : below[0] + 1]
+    start, end = frequency_lpmm[below[0] - 1 : below[0] + 1]
     return float(start + (end - start) * before / (before - after))
 
 
