@@ -2,8 +2,10 @@
 
 import runpy
 import warnings
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,6 +158,26 @@ def test_through_focus(edges: list[ChartEdge]) -> None:
     series, fits = focus_series([one for focus in (-2.0, 0.0, 2.0, 4.0) for one in at(focus)])
     assert {row["zone"] for row in series} == set(fits)
     assert all(fit.focus == pytest.approx(1.0, abs=1e-6) for fit in fits.values())
+
+
+@pytest.mark.parametrize(("photographs", "expected"), [(1, 1), (2, 3)])
+def test_eight_edges_are_worth_a_process_on_each_core(
+    monkeypatch: pytest.MonkeyPatch, photographs: int, expected: int
+) -> None:
+    asked: list[int] = []
+
+    @contextmanager
+    def measured(
+        pictures: Any, pitch_mm: Any, options: Any, tasks: Any, workers: int, context: Any
+    ) -> Any:
+        asked.append(workers)
+        yield iter(())
+
+    monkeypatch.setattr("lensshift.evaluation.chart_series._measured", measured)
+    monkeypatch.setattr("os.cpu_count", lambda: 3)
+    with pytest.raises(ValueError, match="found none"):
+        measure_chart([Photograph("one", photograph())] * photographs)
+    assert asked == [expected]
 
 
 @pytest.mark.parametrize("ready", [False, True])
