@@ -128,3 +128,14 @@ def test_frames_that_no_noise_explains_are_followed_as_far_as_they_predict(seed:
             for s in (seen.sigma / 4, 0.05)
         )
     assert small < 1.3 * right
+
+
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_less_noise_never_costs_anything(seed: int) -> None:
+    """Hardly any noise is left, and the pixel's response is not quite as told: it is no noise."""
+    inner = (slice(6, -6), slice(6, -6))
+    errors = []
+    for snr in (200.0, 1000.0):
+        seen = shaken_burst(seed, {}, frames=12, snr=snr)
+        errors.append(np.std((said_of(seen)[0] - seen.truth)[inner]))
+    assert errors[1] < 1.05 * errors[0]

@@ -194,11 +194,10 @@ def find_misfit(
     used = np.isfinite(sigma)
     image, y, seen = single(image), single(y), used.astype(np.float32)
     predicted = A.forward(image)
-    slopes = np.stack([scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)])
+    slopes, contrast = slopes_of(A, image, scale)
     r = np.where(used, y - predicted, 0.0)
     square = np.abs(r) ** 2 / parts
     noise = single(np.where(used, sigma, 1.0) ** 2)
-    contrast = _around(np.sum(np.abs(slopes) ** 2, axis=0), np.ones_like(seen), 3, 0.0)
     variance = noise + ALLOWED_SHIFT_PX**2 / parts * contrast
     told = square / variance
     excess = _excess_noise(told, used)
@@ -230,6 +229,16 @@ def find_misfit(
     return Misfit(
         chi_square, unexplained, doubt, against, off_px, everywhere, brightness, more, unsure
     )
+
+
+def slopes_of(A: LinearOperator, image: Array, scale: int) -> tuple[Array, Array]:
+    """Return slopes [axis frame row col] of the frames, and their mean square around each pixel.
+
+    By an LR pixel; times the square of the error of a shift, the second is what that error leaves.
+    """
+    slopes = np.stack([scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)])
+    square = np.sum(np.abs(slopes) ** 2, axis=0)
+    return slopes, _around(square, np.ones_like(square), 3, 0.0)
 
 
 def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:

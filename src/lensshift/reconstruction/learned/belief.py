@@ -17,14 +17,14 @@ import numpy as np
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import single
 from lensshift.reconstruction.learned.solver import Asked, Solution
+from lensshift.reconstruction.misfit import slopes_of
 
-# Variance over that of the noise as it was read, of half of the pixels in half of the frames; it
-# was below 1.3 in all of 112 bursts of photographs, print and shapes, some of them with outliers,
-# a bad frame, or shifts 0.05 px off.
-REFUTED = 1.3
-# The noise times half, and powers of 2 up to as much as explains most pixels, 4 at least; what is
-# between two of them makes hardly a difference.
-LEAST_FACTOR, LARGEST_FACTOR = 0.5, 4.0
+# A square pixel and the Gaussian of its width differ at an edge as by this error of a shift: frames
+# that are off by no more refute no noise (`misfit.ALLOWED_SHIFT_PX`).
+ALIKE_PX = 0.06
+# The noise times an eighth (of less a picture hardly changes), and powers of 2 up to as much as
+# explains most pixels, 4 at least; what is between two of them makes hardly a difference.
+LEAST_FACTOR, LARGEST_FACTOR = 0.125, 4.0
 # Another belief has to predict this much better than the noise that was read: half of the frames is
 # not all of them.
 BETTER = 0.97
@@ -35,18 +35,27 @@ MOST_PX = 96
 
 
 def refuted(asked: Asked, found: Solution) -> bool:
-    """Tell whether most pixels of most frames are off by more than their noise."""
+    """Tell whether most pixels of most frames are off by more than noise and usual shifts."""
     some = np.array([np.isfinite(one).any() for one in asked.sigma])
     if min(np.sum(some[0::2]), np.sum(some[1::2])) < LEAST_HALF or asked.of_phasors:
         return False
-    return _excess(asked, found) > REFUTED
+    return _excess(asked, found, ALIKE_PX) > 1.0
 
 
-def _excess(asked: Asked, found: Solution) -> float:
-    """Return the variance over that of the noise, of half of the pixels in half of the frames."""
-    rest = (asked.y - asked.model.operator.forward(single(found.image))) / asked.sigma
-    seen = zip(rest, asked.sigma < np.inf, strict=True)
-    squares = [np.median(r[used] ** 2) for r, used in seen if used.any()]
+def _excess(asked: Asked, found: Solution, shift_px: float = 0.0) -> float:
+    """Return the variance over that of the noise, of half of the pixels in half of the frames.
+
+    Parameters
+    ----------
+    shift_px : error of shifts that is noise as well
+    """
+    A, image = asked.model.operator, single(found.image)
+    variance = asked.sigma**2
+    if shift_px:
+        variance = variance + shift_px**2 * slopes_of(A, image, asked.model.scale)[1]
+    chi = (asked.y - A.forward(image)) ** 2 / variance
+    seen = zip(chi, asked.sigma < np.inf, strict=True)
+    squares = [np.median(c[used]) for c, used in seen if used.any()]
     return float(np.median(squares)) / MEDIAN_SIZE**2
 
 
