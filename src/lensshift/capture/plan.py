@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, permutations
 from pathlib import Path
 
 import numpy as np
@@ -94,29 +94,12 @@ def _length(order: list[int], way: Floats) -> float:
 
 
 def _best_of_all(way: Floats, count: int) -> list[int]:
-    """Return the shortest of all orders, part by part (Held and Karp)."""
-    best: dict[tuple[int, int], tuple[float, int]] = {
-        (1 << last, last): (float(way[0, last + 1]), -1) for last in range(count)
-    }
-    for visited in range(1, 1 << count):
-        for last in range(count):
-            if (visited, last) not in best:
-                continue
-            so_far = best[visited, last][0]
-            for place in range(count):
-                if visited >> place & 1:
-                    continue
-                reached = so_far + float(way[last + 1, place + 1])
-                key = (visited | 1 << place, place)
-                if key not in best or reached < best[key][0] - 1e-12:
-                    best[key] = (reached, last)
-    visited = (1 << count) - 1
-    last = min(range(count), key=lambda place: best[visited, place][0])
-    order = []
-    while last >= 0:
-        order.append(last)
-        visited, last = visited & ~(1 << last), best[visited, last][1]
-    return order[::-1]
+    """Return the shortest of all orders, the first of them where several are as short."""
+    orders = np.fromiter(permutations(range(1, count + 1)), dtype=(np.intp, count))
+    legs = np.insert(orders, 0, 0, axis=1)
+    length = way[legs[:, :-1], legs[:, 1:]].sum(axis=1)
+    best = np.argmax(length < length.min() + 1e-12)
+    return [int(place) - 1 for place in orders[best]]
 
 
 def _bettered(order: list[int], way: Floats) -> list[int]:
