@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
@@ -23,15 +24,32 @@ from lensshift.optics.lens import WAVELENGTH_NM, Element, Lens, Stop, Surface
 from lensshift.optics.sequential import about
 from lensshift.optics.zmx import load_zmx
 
-_LENS_KEYS = {"name", "wavelength_nm", "temperature_c", "object_mm", "stop", "element", "glass"}
-_STOP_KEYS = {"diameter_mm", "position_mm", "rides_on"}
-_ELEMENT_KEYS = {
-    "name", "glass", "thickness_mm", "gap_mm", "decenter_mm", "tilt_deg", "surface",
+# Entry of a table -> what it is (numbers: how many, or a tuple of any), and what it is if it is
+# missing; with `...` it must be there.
+_Fields = Mapping[str, tuple[Any, Any]]
+_LENS: _Fields = {
+    "name": (object, ""), "wavelength_nm": (float, WAVELENGTH_NM),
+    "temperature_c": (float, REFERENCE_TEMPERATURE_C), "object_mm": (float, math.inf),
+    "stop": (object, ...), "element": (list, ...), "glass": (list, []),
 }  # fmt: skip
-_SURFACE_KEYS = {
-    "radius_mm", "conic", "asphere", "semi_diameter_mm", "radial", "mirror", "tilt_deg",
+_STOP: _Fields = {
+    "diameter_mm": (float, ...), "position_mm": (float, 0.0), "rides_on": (object, None),
 }  # fmt: skip
-_GLASS_KEYS = {"name", "formula", "constants", "thermal", "reference_c", "range_nm", "source"}
+_ELEMENT: _Fields = {
+    "name": (str, ""), "glass": (object, ...), "thickness_mm": (tuple, ...),
+    "gap_mm": (float, ...), "decenter_mm": (2, (0.0, 0.0)), "tilt_deg": (2, (0.0, 0.0)),
+    "surface": (list, ...),
+}  # fmt: skip
+_SURFACE: _Fields = {
+    "radius_mm": (float, ...), "conic": (float, 0.0), "asphere": (tuple, ()),
+    "semi_diameter_mm": (float, math.inf), "radial": (tuple, ()), "mirror": (bool, False),
+    "tilt_deg": (2, (0.0, 0.0)),
+}  # fmt: skip
+_GLASS: _Fields = {
+    "name": (str, ...), "formula": (str, ...), "constants": (tuple, ...),
+    "thermal": (6, NO_CHANGE), "reference_c": (float, REFERENCE_TEMPERATURE_C),
+    "range_nm": (2, ...), "source": (str, ""),
+}  # fmt: skip
 
 
 def lens_names() -> tuple[str, ...]:
@@ -146,129 +164,86 @@ def _degrees(tilt_rad: tuple[float, float]) -> tuple[float, ...] | None:
     return tuple(map(math.degrees, tilt_rad)) if any(tilt_rad) else None
 
 
-def _glass(table: dict[str, Any], where: str) -> dict[str, Glass]:
-    """Return a glass that the file brings with it."""
-    _check_keys(table, _GLASS_KEYS, where, {"name", "formula", "constants", "range_nm"})
-    low_nm, high_nm = _numbers(table["range_nm"], "range_nm", where, 2)
-    with about(where):
-        glass = Glass(
-            formula=fit(table["formula"], str, f"{where}, formula"),
-            constants=_numbers(table["constants"], "constants", where),
-            thermal=_numbers(table.get("thermal", list(NO_CHANGE)), "thermal", where, 6),
-            reference_c=_number(table, "reference_c", where, REFERENCE_TEMPERATURE_C),
-            range_nm=(low_nm, high_nm),
-            source=fit(table.get("source", ""), str, f"{where}, source"),
-        )
-    return {fit(table["name"], str, f"{where}, name").upper(): glass}
-
-
 def _lens(content: dict[str, Any], text: str) -> Lens:
-    _check_keys(content, _LENS_KEYS, "lens", {"stop", "element"})
-    for number, one in enumerate(_tables(content.get("glass", []), "glass", "lens"), start=1):
+    found = _entries_of(content, _LENS, "lens")
+    for number, table in enumerate(found["glass"], start=1):
         where = f"glass {number}, line {_line(text, '[[glass]]', number)}"
-        add_glasses(_glass(_table(one, where), where))
-    stop = _table(content["stop"], "stop")
-    _check_keys(stop, _STOP_KEYS, "stop", {"diameter_mm"})
-    tables = _tables(content["element"], "element", "lens")
-    elements, gaps_mm = [], []
-    for number, table in enumerate(tables, start=1):
-        where = f"element {number}, line {_line(text, '[[element]]', number)}"
-        element = _table(table, where)
-        _check_keys(element, _ELEMENT_KEYS, where, {"glass", "thickness_mm", "gap_mm", "surface"})
-        first = sum(len(one["surface"]) for one in tables[: number - 1])
-        elements.append(_element(element, where, text, first))
-        gaps_mm.append(_number(element, "gap_mm", where))
-    rides_on = stop.get("rides_on")
-    if rides_on is not None and (isinstance(rides_on, bool) or not isinstance(rides_on, int)):
+        glass = _entries_of(table, _GLASS, where)
+        name = glass.pop("name").upper()
+        with about(where):
+            add_glasses({name: Glass(**glass)})
+    stop = _entries_of(found["stop"], _STOP, "stop")
+    rides_on = stop.pop("rides_on")
+    if rides_on is not None and type(rides_on) is not int:
         raise DataError(f"expected the number of an element, got {rides_on!r}", field="rides_on")
+    elements: list[Element] = []
+    gaps_mm = []
+    for number, table in enumerate(found["element"], start=1):
+        where = f"element {number}, line {_line(text, '[[element]]', number)}"
+        entries = _entries_of(table, _ELEMENT, where)
+        gaps_mm.append(entries.pop("gap_mm"))
+        first = sum(len(element.surfaces) for element in elements)
+        elements.append(_element(entries, where, text, first))
     return Lens(
         elements=tuple(elements),
         gaps_mm=tuple(gaps_mm),
-        stop=Stop(
-            diameter_mm=_number(stop, "diameter_mm", "stop"),
-            position_mm=_number(stop, "position_mm", "stop", 0.0),
-            rides_on=None if rides_on is None else rides_on - 1,
-        ),
-        object_mm=_number(content, "object_mm", "lens", math.inf),
-        wavelength_nm=_number(content, "wavelength_nm", "lens", WAVELENGTH_NM),
-        temperature_c=_number(content, "temperature_c", "lens", REFERENCE_TEMPERATURE_C),
-        name=fit(content.get("name", ""), str, "name"),
+        stop=Stop(**stop, rides_on=None if rides_on is None else rides_on - 1),
+        object_mm=found["object_mm"],
+        wavelength_nm=found["wavelength_nm"],
+        temperature_c=found["temperature_c"],
+        name=fit(found["name"], str, "name"),
     )
 
 
-def _element(table: dict[str, Any], where: str, text: str, first_surface: int) -> Element:
+def _element(entries: dict[str, Any], where: str, text: str, first_surface: int) -> Element:
     surfaces = []
-    for number, content in enumerate(_tables(table["surface"], "surface", where), start=1):
+    for number, table in enumerate(entries.pop("surface"), start=1):
         line = _line(text, "[[element.surface]]", first_surface + number)
         at = f"{where.split(',')[0]} surface {number}, line {line}"
-        surface = _table(content, at)
-        _check_keys(surface, _SURFACE_KEYS, at, {"radius_mm"})
+        surface = _entries_of(table, _SURFACE, at)
         with about(at):
-            surfaces.append(_surface(surface, at))
-    row_mm, col_mm = _numbers(table.get("decenter_mm", [0.0, 0.0]), "decenter_mm", where, 2)
-    glass = table["glass"] if isinstance(table["glass"], list) else [table["glass"]]
+            surfaces.append(Surface(**surface))
+    named = entries.pop("glass")
+    glass = named if isinstance(named, list) else [named]
     if not all(isinstance(one, str) for one in glass):
-        raise DataError(f"expected names of glasses, got {table['glass']!r}", field=where)
+        raise DataError(f"expected names of glasses, got {named!r}", field=where)
     with about(where):
-        return Element(
-            surfaces=tuple(surfaces),
-            glass=tuple(glass),
-            thickness_mm=_numbers(table["thickness_mm"], "thickness_mm", where),
-            name=fit(table.get("name", ""), str, f"{where}, name"),
-            decenter_mm=(row_mm, col_mm),
-            tilt_rad=_tilt_rad(table, where),
-        )
+        return Element(surfaces=tuple(surfaces), glass=tuple(glass), **entries)
 
 
-def _surface(table: dict[str, Any], where: str) -> Surface:
-    return Surface(
-        radius_mm=_number(table, "radius_mm", where),
-        conic=_number(table, "conic", where, 0.0),
-        asphere=_numbers(table.get("asphere", []), "asphere", where),
-        semi_diameter_mm=_number(table, "semi_diameter_mm", where, math.inf),
-        radial=_numbers(table.get("radial", []), "radial", where),
-        mirror=fit(table.get("mirror", False), bool, f"{where}, mirror"),
-        tilt_rad=_tilt_rad(table, where),
-    )
-
-
-def _tilt_rad(table: dict[str, Any], where: str) -> tuple[float, float]:
-    row_deg, col_deg = _numbers(table.get("tilt_deg", [0.0, 0.0]), "tilt_deg", where, 2)
-    return math.radians(row_deg), math.radians(col_deg)
-
-
-def _tables(value: object, key: str, where: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise DataError(f"expected tables [[{key}]], got {value!r}", field=where)
-    return value
-
-
-def _table(value: object, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise DataError(f"expected a table, got {value!r}", field=where)
-    return value
-
-
-def _check_keys(table: dict[str, Any], known: set[str], where: str, needed: set[str]) -> None:
+def _entries_of(table: Any, fields: _Fields, where: str) -> dict[str, Any]:
+    """Return the entries of a table, those that are missing as well; angles in radians."""
+    if not isinstance(table, dict):
+        raise DataError(f"expected a table, got {table!r}", field=where)
     for key in table:
-        if key not in known:
-            raise DataError(f"expected {', '.join(sorted(known))}, got {key!r}", field=where)
-    for key in sorted(needed - set(table)):
-        raise DataError(f"expected {key!r}, which is missing", field=where)
+        if key not in fields:
+            raise DataError(f"expected {', '.join(sorted(fields))}, got {key!r}", field=where)
+    found = {}
+    for key, (kind, default) in fields.items():
+        if key not in table and default is ...:
+            raise DataError(f"expected {key!r}, which is missing", field=where)
+        found[key] = _value(table[key], key, kind, where) if key in table else default
+    if "tilt_deg" in found:
+        row_deg, col_deg = found.pop("tilt_deg")
+        found["tilt_rad"] = math.radians(row_deg), math.radians(col_deg)
+    return found
 
 
-def _number(table: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
-    value = table.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise DataError(f"expected a number for {key!r}, got {value!r}", field=where)
-    return float(value)
-
-
-def _numbers(value: object, key: str, where: str, count: int | None = None) -> tuple[float, ...]:
-    values = value if isinstance(value, list) else [value]
-    if count is not None and len(values) != count:
-        raise DataError(f"expected {count} numbers for {key!r}, got {value!r}", field=where)
-    return tuple(_number({key: one}, key, where) for one in values)
+def _value(value: Any, key: str, kind: Any, where: str) -> Any:
+    if kind in (str, bool):
+        return fit(value, kind, f"{where}, {key}")
+    if kind is list and not isinstance(value, list):
+        raise DataError(f"expected tables [[{key}]], got {value!r}", field=where)
+    if kind is float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise DataError(f"expected a number for {key!r}, got {value!r}", field=where)
+        return float(value)
+    if kind is tuple or isinstance(kind, int):
+        values = value if isinstance(value, list) else [value]
+        if isinstance(kind, int) and len(values) != kind:
+            raise DataError(f"expected {kind} numbers for {key!r}, got {value!r}", field=where)
+        return tuple(_value(one, key, float, where) for one in values)
+    return value
 
 
 def _line(text: str, heading: str, number: int) -> int:
