@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import select
 import socket
 import threading
@@ -10,14 +9,13 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
+from lensshift.capture.drivers.pcic_protocol import RESULT_TICKET, PcicParser, write_message
 from lensshift.capture.emulators.listener import check_own, listen
 from lensshift.capture.emulators.pcic_result import MODELS, result_content, schema_text, wanted_by
 from lensshift.core.types import Frame
 
 Look = Callable[[float, float], Frame]
 
-_HEAD_BYTES = 16  # of `_COMMAND`
-_COMMAND = re.compile(rb"(\d{4})L(\d{9})\r\n")
 _LONGEST_COMMAND = 1 << 16  # a schema has a few thousand bytes
 _SEND_S = 2.0  # a client that takes nothing for so long is dropped
 
@@ -112,7 +110,7 @@ class PcicServer:
 
     def _serve(self, client: socket.socket) -> None:
         self._hang_up.clear()
-        waiting = b""
+        commands = PcicParser(_LONGEST_COMMAND)
         begin_s = time.monotonic()
         while not (self._stop.is_set() or self._hang_up.is_set()):
             due_s = begin_s + self._exposure_s
@@ -121,7 +119,8 @@ class PcicServer:
                 data = client.recv(65536)
                 if not data:
                     return
-                waiting = self._obey(client, waiting + data)
+                for one in commands.feed(data):
+                    client.sendall(write_message(one.ticket, self._answer(one.content)))
             if time.monotonic() >= due_s:
                 if self._streams:
                     self._send_result(client, begin_s, due_s)
@@ -134,24 +133,8 @@ class PcicServer:
             frame, model=self._model, count=self._count, time_s=begin_s, wanted=self._wanted
         )
         garbage, self._garbage = self._garbage, b""
-        client.sendall(garbage + _message(b"0000", content))
+        client.sendall(garbage + write_message(RESULT_TICKET, content))
         self.sent += 1
-
-    def _obey(self, client: socket.socket, waiting: bytes) -> bytes:
-        """Answer the whole commands in what has come; return the rest.
-
-        What is no command, or one longer than any, is forgotten with all that came with it.
-        """
-        while len(waiting) >= _HEAD_BYTES:
-            head = _COMMAND.match(waiting)
-            if head is None or int(head[2]) > _LONGEST_COMMAND:
-                return b""
-            end = _HEAD_BYTES + int(head[2])
-            if len(waiting) < end:
-                break
-            client.sendall(_message(head[1], self._answer(waiting[20 : end - 2])))
-            waiting = waiting[end:]
-        return waiting
 
     def _answer(self, command: bytes) -> bytes:
         if command in (b"p0", b"p1"):
@@ -171,7 +154,3 @@ class PcicServer:
             self.schema = command[10:]
             return b"*"
         return b"?"
-
-
-def _message(ticket: bytes, content: bytes) -> bytes:
-    return ticket + b"L" + b"%09d" % (len(content) + 6) + b"\r\n" + ticket + content + b"\r\n"
