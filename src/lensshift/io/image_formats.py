@@ -95,22 +95,18 @@ def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
 def _write_wcs(header: Header, value: Burst | Reconstruction) -> None:
     from astropy.wcs import WCS
 
-    def cards(kinds: tuple[str, str], unit: str, first: Any, steps: Any) -> Any:
+    def cards(kinds: tuple[str, str], unit: str, first: Any, steps: Any, which: str = " ") -> Any:
         told = WCS(naxis=2)
+        told.wcs.alt = which
         told.wcs.ctype, told.wcs.cunit = kinds, (unit, unit)
         told.wcs.crpix, told.wcs.cdelt = first, steps
         return told.to_header()
 
-    plain = cards(("X", "Y"), "mm", (1.0, 1.0), value.grid.pitch_mm[::-1])
     seen = value.intrinsics
     straight = isinstance(seen, Pinhole) and not any((seen.k1, seen.k2, seen.p1, seen.p2, seen.k3))
     if isinstance(seen, Pinhole) and straight:
         steps = np.rad2deg((1 / seen.fx_px, -1 / seen.fy_px))
         middle = (seen.cx_px + 1.0, seen.cy_px + 1.0)
         header.update(cards(("CMLN-TAN", "CMLT-TAN"), "deg", middle, steps))
-        for name in ("CRPIX", "CDELT", "CUNIT", "CTYPE", "CRVAL"):
-            for key in (f"{name}1", f"{name}2"):
-                if key in plain:
-                    header[f"{key}A"] = plain[key]
-    else:
-        header.update(plain)
+    on_sensor = (1.0, 1.0), value.grid.pitch_mm[::-1]
+    header.update(cards(("X", "Y"), "mm", *on_sensor, "A" if straight else " "))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
 from lensshift.optics.glass import GLASSES, glass_called, refractive_index
 from lensshift.optics.lens import Lens, Surface
@@ -34,11 +34,11 @@ def to_optiland(lens: Lens) -> Any:
     """
     optic = _need("optiland.optic").Optic(lens.name)
     planes = list(_planes(lens))
-    places_mm = [plane.vertex_mm[2] for plane in planes] + [float(lens.positions_mm()[-1])]
+    places_mm = [z_mm for z_mm, _ in planes] + [float(lens.positions_mm()[-1])]
     far = math.isinf(lens.object_mm)
     optic.surfaces.add(index=0, thickness=math.inf if far else lens.object_mm + places_mm[0])
-    for number, plane in enumerate(planes, start=1):
-        plane.add_to(optic, number, places_mm[number] - places_mm[number - 1], lens)
+    for number, (z_mm, options) in enumerate(planes, start=1):
+        optic.surfaces.add(index=number, thickness=places_mm[number] - z_mm, **options)
     optic.surfaces.add(index=len(planes) + 1)
     optic.set_aperture("float_by_stop_size", lens.stop.diameter_mm)
     optic.fields.set_type("angle")
@@ -81,46 +81,8 @@ def from_optiland(optic: Any) -> Lens:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Plane:
-    """A surface as Optiland places it: vertex (x, y, z), turned about x, then about y."""
-
-    surface: Surface
-    vertex_mm: tuple[float, float, float]
-    turn_rad: tuple[float, float]
-    glass: str | None
-    comment: str
-    is_stop: bool = False
-
-    def add_to(self, optic: Any, number: int, thickness_mm: float, lens: Lens) -> None:
-        """Append the surface to an optic."""
-        surface = self.surface
-        options: dict[str, Any] = {"radius": surface.radius_mm, "conic": surface.conic}
-        if surface.asphere:
-            options |= {
-                "surface_type": "even_asphere",
-                "coefficients": [(*surface.radial, 0.0, 0.0)[1], *surface.asphere],
-                "tol": 1e-13,
-            }
-        if math.isfinite(surface.semi_diameter_mm):
-            options["aperture"] = 2.0 * surface.semi_diameter_mm
-        glass = None if self.glass is None else _glass_class()(self.glass, lens.temperature_c)
-        optic.surfaces.add(
-            index=number,
-            thickness=thickness_mm,
-            dx=self.vertex_mm[0],
-            dy=self.vertex_mm[1],
-            rx=self.turn_rad[0],
-            ry=self.turn_rad[1],
-            material="air" if glass is None else glass,
-            is_stop=self.is_stop,
-            comment=self.comment,
-            **options,
-        )
-
-
-def _planes(lens: Lens) -> Iterator[_Plane]:
-    """Yield the surfaces and the stop in the order in which light meets them."""
+def _planes(lens: Lens) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield place and options of the surfaces and the stop as light meets them."""
     before = lens.elements_before_stop()
     for number, (element, start_mm) in enumerate(
         zip(lens.elements, lens.positions_mm(), strict=False)
@@ -129,26 +91,43 @@ def _planes(lens: Lens) -> Iterator[_Plane]:
             yield _stop(lens)
         turned = rotations_of(np.array(element.tilt_rad))
         depths_mm = np.cumsum([0.0, *element.thickness_mm])
-        row_mm, col_mm = element.decenter_mm
-        for depth_mm, surface, glass in zip(
-            depths_mm, element.surfaces, (*element.glass, None), strict=True
+        materials = [_glass_class()(glass, lens.temperature_c) for glass in element.glass]
+        for depth_mm, surface, material in zip(
+            depths_mm, element.surfaces, (*materials, "air"), strict=True
         ):
-            vertex_mm = np.array([row_mm, col_mm, start_mm]) + depth_mm * turned[:, 2]
-            y_mm, x_mm, z_mm = map(float, vertex_mm)
+            vertex_mm = np.array([*element.decenter_mm, start_mm]) + depth_mm * turned[:, 2]
             y, x, z = (turned @ rotations_of(np.array(surface.tilt_rad)))[:, 2]
-            turn_rad = (-math.asin(y), math.atan2(x, z))
-            yield _Plane(surface, (x_mm, y_mm, z_mm), turn_rad, glass, element.name)
+            placed = {"rx": -math.asin(y), "ry": math.atan2(x, z), "comment": element.name}
+            yield (
+                float(vertex_mm[2]),
+                _options(surface, vertex_mm) | placed | {"material": material},
+            )
     if before == len(lens.elements):
         yield _stop(lens)
 
 
-def _stop(lens: Lens) -> _Plane:
-    row_mm = col_mm = 0.0
+def _stop(lens: Lens) -> tuple[float, dict[str, Any]]:
+    aside_mm = np.zeros(2)
     if lens.stop.rides_on is not None:
-        row_mm, col_mm = lens.elements[lens.stop.rides_on].decenter_mm
+        aside_mm = np.array(lens.elements[lens.stop.rides_on].decenter_mm)
     plane = Surface(math.inf, semi_diameter_mm=0.5 * lens.stop.diameter_mm)
-    vertex_mm = (col_mm, row_mm, lens.stop.position_mm)
-    return _Plane(plane, vertex_mm, (0.0, 0.0), None, "stop", is_stop=True)
+    told = {"material": "air", "is_stop": True, "comment": "stop"}
+    return lens.stop.position_mm, _options(plane, aside_mm) | told
+
+
+def _options(surface: Surface, vertex_mm: Floats) -> dict[str, Any]:
+    """Return the shape of a surface, and how far (row, col) it lies aside, as Optiland says it."""
+    options: dict[str, Any] = {"radius": surface.radius_mm, "conic": surface.conic}
+    options |= {"dy": float(vertex_mm[0]), "dx": float(vertex_mm[1])}
+    if surface.asphere:
+        options |= {
+            "surface_type": "even_asphere",
+            "coefficients": [(*surface.radial, 0.0, 0.0)[1], *surface.asphere],
+            "tol": 1e-13,
+        }
+    if math.isfinite(surface.semi_diameter_mm):
+        options["aperture"] = 2.0 * surface.semi_diameter_mm
+    return options
 
 
 def _entry(number: int, surface: Any, wavelength_um: float) -> Entry:
