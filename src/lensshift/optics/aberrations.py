@@ -68,18 +68,25 @@ def ray_fan(
     """
     if rays < 3 or rays % 2 == 0:
         raise ValueError(f"expected an odd number of rays, at least 3, got {rays}")
-    fields = np.asarray(field_tan, dtype=np.float64)
     pupil = np.linspace(-1.0, 1.0, rays)
-    errors = np.empty((*fields.shape[:-1], 2, rays))
+    at_mm, _, passed = _in_sections(lens, field_tan, pupil, build, wavelength_nm)
+    errors_mm = np.where(passed, at_mm, np.nan) - at_mm[..., rays // 2, None]
+    return RayFan(pupil, errors_mm[..., 0, :], errors_mm[..., 1, :])
+
+
+def _in_sections(
+    lens: Lens, field_tan: ArrayLike, pupil: Floats, build: Build | None, nm: float | None
+) -> tuple[Floats, Floats, Floats]:
+    """Return places in mm and slopes along both sections [... section ray], and which arrive."""
+    fields = np.asarray(field_tan, dtype=np.float64)
+    found = np.empty((3, *fields.shape[:-1], 2, len(pupil)))
     for place in np.ndindex(fields.shape[:-1]):
         for number, along in enumerate(sections(fields[place])):
-            found = trace(
-                lens, fields[place], pupil[:, None] * along, build=build,
-                wavelength_nm=wavelength_nm,
-            )  # fmt: skip
-            at_mm = np.where(found.passed, found.position_mm @ along, np.nan)
-            errors[(*place, number)] = at_mm - found.position_mm[rays // 2] @ along
-    return RayFan(pupil, errors[..., 0, :], errors[..., 1, :])
+            points = np.outer(pupil, along)
+            rays = trace(lens, fields[place], points, build=build, wavelength_nm=nm)
+            slope = (rays.direction[:, :2] / rays.direction[:, 2:]) @ along
+            found[(slice(None), *place, number)] = rays.position_mm @ along, slope, rays.passed
+    return found[0], found[1], found[2]
 
 
 def sections(field_tan: ArrayLike) -> Floats:
@@ -133,18 +140,13 @@ def focal_surfaces(
     ValueError
         If a ray does not arrive, or its neighbours are parallel to it.
     """
-    fields = np.asarray(field_tan, dtype=np.float64)
-    focus_mm = np.empty((*fields.shape[:-1], 2))
-    for place in np.ndindex(fields.shape[:-1]):
-        for number, along in enumerate(sections(fields[place])):
-            pupil = np.outer([_NEAR_CHIEF, -_NEAR_CHIEF], along)
-            rays = trace(lens, fields[place], pupil, build=build, wavelength_nm=wavelength_nm)
-            slope = (rays.direction[:, :2] / rays.direction[:, 2:]) @ along
-            at_mm = rays.position_mm @ along
-            apart = slope[0] - slope[1]
-            if not abs(apart) > 1e-9 * _NEAR_CHIEF:
-                raise ValueError(f"expected rays of field {fields[place]} to meet, got {slope}")
-            focus_mm[(*place, number)] = -(at_mm[0] - at_mm[1]) / apart
+    pair = np.array([_NEAR_CHIEF, -_NEAR_CHIEF])
+    at_mm, slope, _ = _in_sections(lens, field_tan, pair, build, wavelength_nm)
+    apart = slope[..., 0] - slope[..., 1]
+    meet = np.all(np.abs(apart) > 1e-9 * _NEAR_CHIEF, axis=-1)
+    if not np.all(meet):
+        raise ValueError(f"expected rays of field {np.asarray(field_tan)[~meet][0]} to meet")
+    focus_mm = (at_mm[..., 1] - at_mm[..., 0]) / apart
     return FocalSurfaces(focus_mm[..., 0], focus_mm[..., 1])
 
 

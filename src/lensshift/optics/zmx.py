@@ -352,21 +352,13 @@ def _frames(entries: list[Entry]) -> list[Frame]:
 
 def _break(entry: Entry, origin: Floats, axes: Floats) -> tuple[Floats, Floats]:
     """Apply decentre and then tilts about x, y, z, or all in the opposite order."""
+    from scipy.spatial.transform import Rotation
+
     value = [entry.parameters.get(i, 0.0) for i in range(1, 7)]
     shift = np.array([value[0], value[1], 0.0])
-    about_x, about_y, about_z = (
-        _rotation(axis, math.radians(value[2 + axis])) for axis in range(3)
-    )
+    tilts_deg = value[2:5]
     if value[5] == 0:
-        return origin + axes @ shift, axes @ about_x @ about_y @ about_z
-    turned = axes @ about_z @ about_y @ about_x
+        turn = Rotation.from_euler("XYZ", tilts_deg, degrees=True).as_matrix()
+        return origin + axes @ shift, axes @ turn
+    turned = axes @ Rotation.from_euler("ZYX", tilts_deg[::-1], degrees=True).as_matrix()
     return origin + turned @ shift, turned
-
-
-def _rotation(axis: int, angle_rad: float) -> Floats:
-    """Return the right-handed rotation about the x, y or z axis."""
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.eye(3)
-    matrix[first, first] = matrix[second, second] = math.cos(angle_rad)
-    matrix[second, first], matrix[first, second] = math.sin(angle_rad), -math.sin(angle_rad)
-    return matrix
