@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from lensshift.capture.opening import EXAMPLE
@@ -15,25 +14,16 @@ _SERIALS = ("27", "83")  # KDC101, TDC001
 Ask = Callable[[str, str], str]
 
 
-@dataclass(frozen=True, slots=True)
-class Cube:
-    """A serial port that may be an APT controller."""
-
-    serial: str
-    port: str
-    description: str
-
-
-def cubes() -> list[Cube]:
-    """Return the ports that look like KDC101 or TDC001 controllers, by serial number."""
+def cubes() -> list[str]:
+    """Return the serial numbers, or ports, of what looks like KDC101 or TDC001 controllers."""
     from serial.tools import list_ports
 
     found = []
     for one in list_ports.comports():
         serial = one.serial_number or ""
         if (one.vid, one.pid) == (_VENDOR, _PRODUCT) or serial.startswith(_SERIALS):
-            found.append(Cube(serial or one.device, one.device, one.description))
-    return sorted(found, key=lambda cube: cube.serial)
+            found.append(serial or one.device)
+    return sorted(found)
 
 
 def rig_text(row: str, col: str, port: int) -> str:
@@ -69,7 +59,7 @@ def begin(path: Path, row: str | None, col: str | None, port: int, ask: Ask | No
     """
     if path.exists():
         raise DataError("there is a rig file already: give it as argument", source=path)
-    found = [cube.serial for cube in cubes() if cube.serial not in (row, col)]
+    found = [cube for cube in cubes() if cube not in (row, col)]
     answers = {"row": row, "col": col}
     meant = {"row": "moves the image up and down", "col": "moves it sideways"}
     for axis, given in answers.items():
