@@ -51,6 +51,8 @@ _SCAN_PX = 1.7  # as `pipeline.rig`
 _BYTES_PER_PIXEL = 64  # of a record of a journal, raw data of the camera and all; rather more
 _WARM_CELSIUS = 0.5  # worth a word
 _TOLD_DRIFT_SIGMAS = 4.0  # drift by less may be chance
+# Of a calibration, beside its map, for programs.
+_TOLD = ("px_per_mm_sigma", "play_mm", "play_sigma_mm", "drift_px_per_s", "psf_sigma_px")
 OnStep = Callable[[str, Progress | None], None]
 
 
@@ -112,15 +114,8 @@ class Diagnosis:
         if self.budget is not None and self.calibration is not None:
             found = self.calibration.calibration
             told["error_budget_px"] = self.budget.parts | {"shift": self.budget.shift_px}
-            told["calibration"] = {
-                "px_per_mm": found.stage_map.px_per_mm,
-                "px_per_mm_sigma": found.px_per_mm_sigma,
-                "play_mm": found.play_mm,
-                "play_sigma_mm": found.play_sigma_mm,
-                "drift_px_per_s": found.drift_px_per_s,
-                "psf_sigma_px": found.psf_sigma_px,
-                "sigma_px": found.stage_map.sigma_px,
-            }
+            of_map = {name: getattr(found.stage_map, name) for name in ("px_per_mm", "sigma_px")}
+            told["calibration"] = of_map | {name: getattr(found, name) for name in _TOLD}
         return told
 
 

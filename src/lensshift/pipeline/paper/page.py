@@ -251,12 +251,11 @@ def _box_section(page: Page, found: Reproduction) -> None:
     page.text("Errors of the distance against the truth, by draw, in millimetres:")
     page.table(
         [
-            {
-                "draw": number,
-                "edge, distance branch": 1e3 * one["distance"]["edge_rmse_m"],
-                "edge, phasor branch": 1e3 * one["phasor"]["edge_rmse_m"],
-                "elsewhere, distance branch": 1e3 * one["distance"]["flat_rmse_m"],
-                "elsewhere, phasor branch": 1e3 * one["phasor"]["flat_rmse_m"],
+            {"draw": number}
+            | {
+                f"{where}, {branch} branch": 1e3 * one[branch][key]
+                for where, key in (("edge", "edge_rmse_m"), ("elsewhere", "flat_rmse_m"))
+                for branch in ("distance", "phasor")
             }
             for number, one in enumerate(found.depth)
         ]

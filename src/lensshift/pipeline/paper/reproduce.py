@@ -40,6 +40,11 @@ _STRIPS = (
     (3.0, 12.0, 100.0),
     (0.15, 1.0, 100.0),
 )
+# Of a reproduction, beside claims and gratings, for results.json.
+_WRITTEN = (
+    "response_px", "response_error_px", "gradients", "depth", "beyond", "not_done", "command",
+    "seconds",
+)  # fmt: skip
 _BEYOND = ("patterns", "errors", "shift_map")
 _DRAWS = {"edge": 6, "grating": 2, "boxes": 8, "errors": 3}
 _QUICK_DRAWS = {"edge": 2, "grating": 1, "boxes": 3, "errors": 1}
@@ -186,23 +191,13 @@ def _of_kind(done: list[tuple[str, Any]], kind: str) -> list[Any]:
 
 
 def _write_results(found: Reproduction, path: Path) -> None:
-    claims = [
+    claims: Any = [
         {"id": one.id, "statement": one.statement, "paper": one.paper, "ours": one.ours}
         | {"interval": one.interval, "numbers": one.numbers, "verdict": one.verdict}
         | {"why": one.why, "criteria": {k: asdict(c) for k, c in CRITERIA[one.id].items()}}
         for one in found.claims
     ]
-    content = {
-        "claims": claims,
-        "response_px": found.response_px,
-        "response_error_px": found.response_error_px,
-        "gratings": [asdict(one) for one in found.gratings],
-        "gradients": found.gradients,
-        "depth": found.depth,
-        "beyond": found.beyond,
-        "not_done": found.not_done,
-        "command": found.command,
-        "seconds": found.seconds,
-    }
+    content = {"claims": claims} | {name: getattr(found, name) for name in _WRITTEN}
+    content["gratings"] = [asdict(one) for one in found.gratings]
     with written_whole(path) as part:
         part.write_text(to_json(content) + "\n", encoding="utf-8")
