@@ -9,6 +9,12 @@ import pytest
 import serial.urlhandler.protocol_socket
 from hypothesis import settings
 
+# Each core has a worker already. The threads of their linear algebra would wait for one another
+# over matrices far too small to share: four times the processor time. Read when numpy is imported,
+# and by all processes that tests start.
+for library in ("OPENBLAS", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
 # Times mean nothing on a shared machine, and the first call of a kernel compiles it.
 settings.register_profile("lensshift", deadline=None, max_examples=20)
 settings.load_profile("lensshift")
