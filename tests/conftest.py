@@ -2,11 +2,13 @@
 
 import os
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import serial.urlhandler.protocol_socket
+import typer.testing
 from hypothesis import settings
 
 # Each core has a worker already. The threads of their linear algebra would wait for one another
@@ -41,4 +43,12 @@ def sockets_close_at_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         at_once = SimpleNamespace(sleep=lambda seconds: None)
         patch.setattr(serial.urlhandler.protocol_socket, "time", at_once)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def commands_are_built_once() -> Iterator[None]:
+    """Typer makes all commands anew for each call, which takes longer than many of them do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.testing, "_get_command", cache(typer.testing._get_command))
         yield
