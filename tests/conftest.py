@@ -2,12 +2,20 @@
 
 import os
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import serial.urlhandler.protocol_socket
+import typer.testing
 from hypothesis import settings
+
+# Each core has a worker already. The threads of their linear algebra would wait for one another
+# over matrices far too small to share: four times the processor time. Read when numpy is imported,
+# and by all processes that tests start.
+for library in ("OPENBLAS", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 # Times mean nothing on a shared machine, and the first call of a kernel compiles it.
 settings.register_profile("lensshift", deadline=None, max_examples=20)
@@ -35,4 +43,12 @@ def sockets_close_at_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         at_once = SimpleNamespace(sleep=lambda seconds: None)
         patch.setattr(serial.urlhandler.protocol_socket, "time", at_once)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def commands_are_built_once() -> Iterator[None]:
+    """Typer makes all commands anew for each call, which takes longer than many of them do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.testing, "_get_command", cache(typer.testing._get_command))
         yield

@@ -37,8 +37,8 @@ def test_points_are_written_and_drawn(
     with np.load(files[2]) as fields:
         np.testing.assert_array_equal(fields["point_m"].reshape(-1, 3), expected)
     with Image.open(tmp_path / "burst_x2_preview.png") as picture:
-        colours = np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0)
-        assert len(colours) > 300
+        colours = np.asarray(picture.convert("RGB")) @ [1, 256, 65536]  # numbers sort in no time
+        assert len(np.unique(colours)) > 300
 
 
 @pytest.mark.parametrize(

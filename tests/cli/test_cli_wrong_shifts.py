@@ -159,7 +159,7 @@ def test_two_hundred_right_bursts_say_nothing(call: Call, tmp_path: Path) -> Non
     assert {seed: texts for seed, texts in alarms.items() if texts} == {}
 
 
-@pytest.mark.parametrize("seed", [101, 132])
+@pytest.mark.parametrize("seed", [pytest.param(101, marks=pytest.mark.slow), 132])
 def test_a_picture_of_less_contrast_is_not_taken_for_other_light(
     call: Call, tmp_path: Path, seed: int
 ) -> None:

@@ -180,7 +180,7 @@ def test_eight_edges_are_worth_a_process_on_each_core(
     assert asked == [expected]
 
 
-@pytest.mark.parametrize("ready", [False, True])
+@pytest.mark.parametrize("ready", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_workers_find_the_same(edges: list[ChartEdge], ready: bool) -> None:
     """And a photograph without an edge costs nothing but a line of its own."""
     empty = np.random.default_rng(1).normal(0.5, 0.01, (80, 90))

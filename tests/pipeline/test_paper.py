@@ -185,7 +185,7 @@ def test_verdicts_on_the_lens_follow_from_the_curves() -> None:
     assert optics_claims([alone])[2].verdict == "confirmed"
 
 
-@pytest.mark.parametrize("snr", [15.0, 50.0])
+@pytest.mark.parametrize("snr", [15.0, pytest.param(50.0, marks=pytest.mark.slow)])
 def test_phasors_keep_the_edges_of_the_boxes(snr: float) -> None:
     """Asked: 0.85 times the edge error of the distance channel, and no more on the flat."""
     depth = take_boxes(0, snr).depth

@@ -220,6 +220,22 @@ def test_wrong_settings_begin_nothing(film: Path, tmp_path: Path, said: dict, wr
     assert [path.name for path in tmp_path.iterdir()] == ["film.nc"]
 
 
+@pytest.mark.filterwarnings("ignore")  # those of dask when it ends
+def test_a_cluster_gives_the_same_file(film: Path, tmp_path: Path):
+    distributed = pytest.importorskip("distributed")
+    whole = reconstruct_recording(film, tmp_path / "whole.nc", window=4, every=1)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        found = reconstruct_recording(
+            film, tmp_path / "sr.nc", window=4, every=1, scheduler=cluster.scheduler_address
+        )
+    expected, got = pictures(whole.path), pictures(found.path)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(got[name], values, err_msg=name)
+
+
+@pytest.mark.slow  # its two workers are processes that import everything
 @pytest.mark.filterwarnings("ignore")  # those of dask while a worker dies
 def test_workers_give_the_same_file_though_one_is_killed(film: Path, tmp_path: Path):
     distributed = pytest.importorskip("distributed")

@@ -85,7 +85,7 @@ def test_the_ends_of_a_curved_field_gain_2_db(method: str, seed: int) -> None:
     assert 20 * np.log10(loss / left) > 2.0
 
 
-@pytest.mark.parametrize("pattern", ["square", "3x3", "4x4"])
+@pytest.mark.parametrize("pattern", ["square", pytest.param("3x3", marks=pytest.mark.slow), "4x4"])
 def test_a_sharp_lens_loses_nothing(pattern: str) -> None:
     """Spots of 0.07 to 0.16 px, as those of the published lens: here waves of 0.45 lose most."""
     field = curved_field(0.02)

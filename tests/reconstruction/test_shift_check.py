@@ -54,8 +54,15 @@ def _frames(scene: Callable[..., Array], offset_px: Array, sigma: float, seed: i
     return y + sigma * np.random.default_rng(seed).standard_normal(y.shape)
 
 
-@pytest.mark.parametrize("scene", [_boxes, _weave])
-@pytest.mark.parametrize("offset_px", [SQUARE_PX, SCATTERED_PX], ids=["square", "scattered"])
+@pytest.mark.parametrize(
+    ("scene", "offset_px"),  # the default run takes each once
+    [
+        pytest.param(_boxes, SQUARE_PX, id="boxes-square", marks=pytest.mark.slow),
+        pytest.param(_boxes, SCATTERED_PX, id="boxes-scattered"),
+        pytest.param(_weave, SQUARE_PX, id="weave-square"),
+        pytest.param(_weave, SCATTERED_PX, id="weave-scattered", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize(
     ("wrong", "mistake"),
     [

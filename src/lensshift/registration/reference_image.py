@@ -15,6 +15,7 @@ from lensshift.core.arrays import Floats
 KNOTS_PER_PX = 3
 _STIFFNESS = 1e-3  # of the spline, over the weight of what it is fitted to
 _PASSES = 60  # of conjugate gradients
+_NUMBERS_AT_ONCE = 50_000  # of the spline in some frames, so that they stay in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,22 +45,73 @@ def reference_image(
     offset_px : [frame 2]
     slip_px : [axis frame row col] small further shift of each pixel, to first order, or None
     """
-    rows = [_splines(frames.shape[1], d, offset_px[:, 0]) for d in offset_px[:, 0]]
-    cols = [_splines(frames.shape[2], d, offset_px[:, 1]) for d in offset_px[:, 1]]
-    operators = [(r[0], c[0]) for r, c in zip(rows, cols, strict=True)]
-    shape = (rows[0][0].shape[1], cols[0][0].shape[1])
+    groups = _groups(frames.shape, offset_px)
     target = frames
-    knots = np.full(shape, float(np.average(frames, weights=weight)))
-    knots = _fitted(target, weight, operators, knots)
+    knots = np.full(groups[0].knots, float(np.average(frames, weights=weight)))
+    knots = _fitted(target, weight, groups, knots)
     if slip_px is not None:
-        slope = _slopes(knots, rows, cols)
-        target = frames + np.sum(slope * slip_px, axis=0)
-        knots = _fitted(target, weight, operators, knots)
-    seen = np.stack([_seen(knots, r, c) for r, c in operators])
-    slope = _slopes(knots, rows, cols)
+        target = frames + np.sum(_slopes(knots, groups) * slip_px, axis=0)
+        knots = _fitted(target, weight, groups, knots)
+    seen = np.concatenate([one.seen(knots) for one in groups])
+    slope = _slopes(knots, groups)
     if slip_px is not None:
         seen = seen - np.sum(slope * slip_px, axis=0)
     return ReferenceImage(seen, slope)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Group:
+    """Frames that sample the spline at once: matrices of all, since each alone is little work.
+
+    Parameters
+    ----------
+    part : which frames
+    shape, knots : of a frame and of the spline
+    rows : [frame row, knot row] splines of all frames, one below the other, and their derivatives
+    cols : [frame col, frame knot col] a block for each frame, and their derivatives
+    """
+
+    part: slice
+    shape: tuple[int, int]
+    knots: tuple[int, int]
+    rows: tuple[Any, Any]
+    cols: tuple[Any, Any]
+
+    def seen(self, knots: Floats, down: int = 0, right: int = 0) -> Floats:
+        """Return the spline in each frame, [frame row col], or its derivative down or right."""
+        (height, width), across = self.shape, self.knots[1]
+        by_row = (self.rows[down] @ knots).reshape(-1, height, across)
+        turned = by_row.transpose(0, 2, 1).reshape(-1, height)
+        return np.asarray((self.cols[right] @ turned).reshape(-1, width, height).swapaxes(1, 2))
+
+    def back(self, frames: Floats) -> Floats:
+        """Return what pixels [frame row col] say to each knot: the transpose of `seen`."""
+        height, across = self.shape[0], self.knots[1]
+        turned = frames.transpose(0, 2, 1).reshape(-1, height)
+        by_col = (self.cols[0].T @ turned).reshape(-1, across, height)
+        return np.asarray(self.rows[0].T @ by_col.transpose(0, 2, 1).reshape(-1, across))
+
+
+def _groups(shape: tuple[int, ...], offset_px: NDArray[np.float64]) -> list[_Group]:
+    from scipy.sparse import block_diag, vstack
+
+    count, height, width = shape
+    down, right = offset_px.T
+    rows = [_splines(height, one, down) for one in down]
+    cols = [_splines(width, one, right) for one in right]
+    knots = (rows[0][0].shape[1], cols[0][0].shape[1])
+    step = max(1, _NUMBERS_AT_ONCE // (height * knots[1]))
+    parts = [slice(first, min(first + step, count)) for first in range(0, count, step)]
+    return [
+        _Group(
+            part,
+            (height, width),
+            knots,
+            tuple(vstack(of, format="csr") for of in zip(*rows[part], strict=True)),
+            tuple(block_diag(of, format="csr") for of in zip(*cols[part], strict=True)),
+        )
+        for part in parts
+    ]
 
 
 def _splines(size: int, offset_px: float, all_px: NDArray[np.float64]) -> tuple[Any, Any]:
@@ -87,32 +139,27 @@ def _splines(size: int, offset_px: float, all_px: NDArray[np.float64]) -> tuple[
     )
 
 
-def _seen(knots: Floats, row: Any, col: Any) -> Floats:
-    return np.asarray((col @ (row @ knots).T).T)
-
-
-def _slopes(knots: Floats, rows: list[Any], cols: list[Any]) -> Floats:
-    pairs = list(zip(rows, cols, strict=True))
-    down = np.stack([_seen(knots, r[1], c[0]) for r, c in pairs])
-    right = np.stack([_seen(knots, r[0], c[1]) for r, c in pairs])
+def _slopes(knots: Floats, groups: list[_Group]) -> Floats:
+    """Return the derivatives of the spline in each frame, [axis frame row col]."""
+    down = np.concatenate([one.seen(knots, down=1) for one in groups])
+    right = np.concatenate([one.seen(knots, right=1) for one in groups])
     return np.stack([down, right])
 
 
-def _fitted(frames: Floats, weight: Floats, operators: list[Any], start: Floats) -> Floats:
+def _fitted(frames: Floats, weight: Floats, groups: list[_Group], start: Floats) -> Floats:
     """Return the knots of the penalised least-squares spline (conjugate gradients)."""
     stiffness = _STIFFNESS * len(frames) * float(weight.mean())
-    back = [(row.T.tocsr(), col.T.tocsr()) for row, col in operators]  # once, not in each pass
 
     def normal(knots: Floats) -> Floats:
         total = stiffness * _stiff(knots)
-        for w, (row, col), (up, left) in zip(weight, operators, back, strict=True):
-            total += _seen(w * _seen(knots, row, col), up, left)
+        for one in groups:
+            total += one.back(weight[one.part] * one.seen(knots))
         return total
 
     knots = start.copy()
     residual = -normal(knots)
-    for y, w, (up, left) in zip(frames, weight, back, strict=True):
-        residual += _seen(w * y, up, left)
+    for one in groups:
+        residual += one.back(weight[one.part] * frames[one.part])
     direction = residual.copy()
     size = first = float(np.sum(residual**2))
     for _ in range(_PASSES):
