@@ -1,4 +1,4 @@
-"""How well shifts are found: registration, refinement, calibration.
+"""How well shifts are found: registration, calibration.
 
     python benchmarks/registration.py --seeds 3
 
@@ -17,7 +17,6 @@ import numpy as np
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
-from lensshift.reconstruction.shift_refinement import refine_shifts
 from lensshift.registration import METHODS, fit_scan, register
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,21 +64,6 @@ def simulated(seeds: int) -> None:
             print(f"{name:11} {method:9} {rms(wrong):.4f} px, {rms(wrong) / rms(told):.2f}")
 
 
-def refined(seeds: int) -> None:
-    """Print what refinement makes of shifts spoiled by 0.06 px."""
-    for name in SCENES:
-        before, after, told = [], [], []
-        for seed in range(seeds):
-            burst, true_px = taken(scene(name), seed=seed)
-            found = refine_shifts(burst)
-            for values, offset_px in ((before, burst.offset_px), (after, found.offset_px)):
-                wrong = offset_px - true_px
-                values.append(wrong - wrong.mean(axis=0))
-            told.append(found.offset_sigma_px)
-        ratio = rms(after) / rms(told)
-        print(f"{name:11} refined {rms(before):.4f} -> {rms(after):.4f} px, {ratio:.2f}")
-
-
 def calibrated() -> None:
     """Print how well a rig with known faults is calibrated."""
     rig = Rig(bending=1.0)
@@ -101,7 +85,6 @@ def main() -> None:
     seeds = parser.parse_args().seeds
     warnings.simplefilter("ignore", QualityWarning)
     simulated(seeds)
-    refined(seeds)
     calibrated()
     eia()
 

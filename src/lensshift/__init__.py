@@ -90,7 +90,6 @@ if TYPE_CHECKING:
     from lensshift.reconstruction.batch import reconstruct_batch as reconstruct_batch
     from lensshift.reconstruction.methods import method_names as method_names
     from lensshift.reconstruction.reconstruct import reconstruct as reconstruct
-    from lensshift.reconstruction.shift_refinement import refine_shifts as refine_shifts
     from lensshift.reconstruction.stream import Stream as Stream
     from lensshift.reconstruction.stream import stream as stream
     from lensshift.registration import calibrate as calibrate
@@ -121,7 +120,6 @@ _NAMES = {
     "reconstruction.batch": "reconstruct_batch",
     "reconstruction.methods": "method_names",
     "reconstruction.reconstruct": "reconstruct",
-    "reconstruction.shift_refinement": "refine_shifts",
     "reconstruction.stream": "Stream stream",
     "registration": "calibrate register",
 }

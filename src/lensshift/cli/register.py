@@ -28,7 +28,6 @@ class RegisterOptions:
     reference: int = option(0, "Frame whose offset is kept.", min=0)
     photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
     use_given: bool = option(False, "Weigh the burst's own offsets by their errors.")
-    refine: bool = option(False, "Refine through the forward model of a reconstruction.")
     stack: StackOptions = field(default_factory=StackOptions)
 
 
@@ -51,10 +50,6 @@ def register(current: Session, asked: RegisterOptions) -> None:
         load_input_burst(asked.burst, asked.stack, to_register=True),
         **picked(asked, "method channel reference photometric use_given"),
     )
-    if asked.refine:
-        from lensshift.reconstruction.shift_refinement import refine_shifts
-
-        found = refine_shifts(found)
     save_burst(found, target)
     current.result["input"] = asked.burst
     _say(current, found)
