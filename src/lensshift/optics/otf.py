@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
+from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import AZIMUTHS_RAD, Band, azimuth_axes, light_of
@@ -43,6 +44,7 @@ def exact_mtf(
     return MtfCurve(frequency, np.abs(otf[0]), label=label)
 
 
+@one_thread()
 def exact_otf(
     lens: Lens,
     field_tan: ArrayLike,

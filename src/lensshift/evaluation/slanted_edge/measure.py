@@ -9,6 +9,7 @@ from typing import Any, Literal, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.average import average_curves
 from lensshift.evaluation.slanted_edge.checks import warn_of
@@ -84,6 +85,7 @@ def measure_edge(
     return measure_edges(image, pitch_mm, **options)[0]
 
 
+@one_thread()
 def measure_edges(
     image: ArrayLike,
     pitch_mm: float | tuple[float, float] = 1.0,
