@@ -22,6 +22,9 @@ class RegisterOptions:
     burst: BurstArgument
     out: Path | None = option(None, "Burst file; default: BURST_registered.nc beside it.", "-o")
     method: Literal["auto", "gradient", "phase"] = option("auto", "How the shifts are found.")
+    motion: Literal["shift", "affine"] = option(
+        "shift", "affine: frames may also turn, grow and shear."
+    )
     channel: Literal["amplitude", "distance"] = option(
         "amplitude", "What the shifts are found from."
     )
@@ -40,6 +43,7 @@ def register(current: Session, asked: RegisterOptions) -> None:
       lensshift register burst.nc -o registered.nc
       lensshift register frames.tif --pitch-mm 0.015
       lensshift register frames/ --offsets planned.csv --pitch-mm 0.015 --photometric
+      lensshift register handheld.tif --pitch-mm 0.015 --motion affine
     """
     from lensshift.io import save_burst
     from lensshift.registration import register as find_shifts
@@ -48,7 +52,7 @@ def register(current: Session, asked: RegisterOptions) -> None:
     check_files((asked.burst, asked.stack.offsets), (target,))
     found = find_shifts(
         load_input_burst(asked.burst, asked.stack, to_register=True),
-        **picked(asked, "method channel reference photometric use_given"),
+        **picked(asked, "method motion channel reference photometric use_given"),
     )
     save_burst(found, target)
     current.result["input"] = asked.burst
@@ -69,6 +73,8 @@ def with_shifts(current: Session, burst: Burst) -> Burst:
 
 def _say(current: Session, burst: Burst) -> None:
     """Print and hand back the shifts of a burst, with their standard errors."""
+    from lensshift.registration.affine import turns_of
+
     current.result["frames"] = burst.frame_count
     current.tell(burst, "offset_px offset_sigma_px")
     current.say("frame      row px      col px   +- row   +- col")
@@ -76,3 +82,9 @@ def _say(current: Session, burst: Burst) -> None:
     for k, (row, col) in enumerate(burst.offset_px):
         told = "" if errors is None else f"{errors[k, 0]:9.4f}{errors[k, 1]:9.4f}"
         current.say(f"{k:5d}{row:12.4f}{col:12.4f}{told}")
+    if burst.affine is not None:
+        current.tell(burst, "affine")
+        current.say("frame  turn deg   size %")
+        turn_deg, size = turns_of(burst.affine)
+        for k, (one, grown) in enumerate(zip(turn_deg, 100 * size, strict=True)):
+            current.say(f"{k:5d}{one:10.3f}{grown:9.3f}")

@@ -52,7 +52,7 @@ class Status(Enum):
 
 # Fields of a burst that have one entry a frame, if they are known.
 FRAME_FIELDS = (
-    "distance_m", "valid", "offset_sigma_px", "stage_mm", "stage_commanded_mm", "time_s",
+    "distance_m", "valid", "offset_sigma_px", "affine", "stage_mm", "stage_commanded_mm", "time_s",
 )  # fmt: skip
 
 
@@ -71,6 +71,8 @@ class Burst(Shown, AsDataset, AsTable):
     valid : [frame row col] False where a pixel must not be used; None: all of them are good
     offset_sigma_px : [frame 2] standard deviation of `offset_px`, or None
     offset_source : where the offsets come from; "unknown": all are 0 until `register` finds them
+    affine : [frame 2 2] how frames turn, grow and shear, or None: pixel u is moved by
+        offset_px + affine (u - middle of the sensor)
     stage_mm, stage_commanded_mm : [frame 2] lens position read back and asked for, or None
     time_s : [frame] or None
     modulation_hz : modulation frequency; all of them if the distances are of several; or None
@@ -93,6 +95,7 @@ class Burst(Shown, AsDataset, AsTable):
     valid: NDArray[np.bool_] | None = None
     offset_sigma_px: NDArray[np.float64] | None = None
     offset_source: OffsetSource = "planned"
+    affine: NDArray[np.float64] | None = None
     stage_mm: NDArray[np.float64] | None = None
     stage_commanded_mm: NDArray[np.float64] | None = None
     time_s: NDArray[np.float64] | None = None
@@ -120,6 +123,8 @@ class Burst(Shown, AsDataset, AsTable):
         for name in ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm"):
             if name == "offset_px" or getattr(self, name) is not None:
                 settle[name] = as_pairs(getattr(self, name), count, name)
+        if self.affine is not None:
+            settle["affine"] = as_numbers(self.affine, (count, 2, 2), "affine")
         if self.time_s is not None:
             settle["time_s"] = as_numbers(self.time_s, (count,), "time_s")
         if self.offset_source not in OFFSET_SOURCES:
@@ -219,6 +224,16 @@ class Burst(Shown, AsDataset, AsTable):
     def frequencies_hz(self) -> tuple[float, ...]:
         """All modulation frequencies that are known."""
         return tuple(np.ravel([] if self.modulation_hz is None else self.modulation_hz).tolist())
+
+    @property
+    def shift_field(self) -> ShiftField | None:
+        """Offset of every pixel of frames that turn, grow or shear; None if they only shift."""
+        if self.affine is None:
+            return None
+        away = [np.arange(size) - (size - 1) / 2 for size in self.grid.shape]
+        at = np.stack(np.meshgrid(*away, indexing="ij"), axis=-1)
+        moved_px = np.einsum("kij,rcj->krci", self.affine, at)
+        return ShiftField(self.offset_px[:, None, None] + moved_px, self.grid.pitch_mm)
 
     def select(self, frames: Sequence[int]) -> Burst:
         """Return the burst that holds only the given frames, in the given order."""

@@ -7,6 +7,7 @@ Schema `lensshift-burst/1`, group `entry/data` and the root, dimensions (frame, 
     offset_row, offset_col, offset_sigma_row, offset_sigma_col   [frame]  pixel
     stage_row, stage_col, stage_commanded_row, stage_commanded_col   [frame]  mm
     time                  [frame]           s
+    affine                [frame axis along] how the image of a frame turns, grows and shears
     direction             [row col xyz]     where each pixel looks, see `io.intrinsics_fields`
     phasors               [frequency frame row col]
     raw_NAME              [frame ...]       as the camera sent it
@@ -209,6 +210,8 @@ def _burst(
     if container.has("phasors"):
         each = part and (slice(None), *part)
         fields["phasors"] = container.array("phasors", kinds="c", part=each)
+    if container.has("affine"):
+        fields["affine"] = container.array("affine", kinds="uif", part=part)
     if container.has("time"):
         fields["time_s"] = container.array("time", kinds="uif", part=part)
     flags = container.array("flags", kinds="ui", part=part)
@@ -243,6 +246,9 @@ def _variables(burst: Burst) -> dict[str, writer.Variable]:
         for index, axis in enumerate(("row", "col") if pairs is not None else ()):
             along = f"{label}, along {axis}s"
             variables[f"{name}_{axis}"] = writer.measured(("frame",), pairs[:, index], units, along)
+    if burst.affine is not None:
+        label = "offset of a pixel by its distance from the middle, both (row, col)"
+        variables["affine"] = writer.measured(("frame", "axis", "along"), burst.affine, "1", label)
     if burst.time_s is not None:
         variables["time"] = writer.measured(("frame",), burst.time_s, "s", "time of the frame")
     for name, values in burst.raw.items():

@@ -22,7 +22,7 @@ from lensshift.io.tiff_scale import pixel_size_mm
 FRAME_KEYS = ("amplitude", "frames", "LR")
 _GREATEST = 1e15  # beyond it sums of squares leave single precision
 _STACKS = ("distance_m", "valid")
-_PLAIN = ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm", "time_s")
+_PLAIN = ("offset_px", "offset_sigma_px", "affine", "stage_mm", "stage_commanded_mm", "time_s")
 _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
     "pitch_mm": lambda values: np.broadcast_to(values.astype(np.float64), (2,)),
     "modulation_hz": np.ndarray.tolist,
@@ -205,7 +205,7 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
 
 
 def _frames_name(path: Path, arrays: dict[str, NDArray[Any]], key: str | None) -> str:
-    others = (*_STACKS, *NAMES)
+    others = (*_STACKS, "affine", *NAMES)
     stacks = [name for name, v in arrays.items() if v.ndim in (3, 4) and name not in others]
     known = [name for name in FRAME_KEYS if name in arrays]
     candidates = [key] if key is not None else known[:1] or stacks

@@ -265,14 +265,17 @@ def predictor(
 ) -> FramePredictor:
     """Return what `Estimate.predict` calls, for frames of the whole burst, used or held out.
 
-    Gain, bias and the shift field are those of the frames used; the others have none.
+    Gain, bias and the shift field are those of the frames used; the others have what the burst
+    says of them.
     """
     gains, biases = np.ones(burst.frame_count), np.zeros(burst.frame_count)
     gains[list(used)], biases[list(used)] = gain, bias
     field_px = spot_px2 = None
     if shift_field is not None:
         shape = (burst.frame_count, *burst.grid.shape, 2)
-        field_px = np.array(np.broadcast_to(burst.offset_px[:, None, None], shape))
+        others = burst.shift_field
+        others_px = burst.offset_px[:, None, None] if others is None else others.offset_px
+        field_px = np.array(np.broadcast_to(others_px, shape))
         field_px[list(used)] = shift_field.offset_px
         if shift_field.spot_px2 is not None:  # that of others is the mean of those
             spot_px2 = np.tile(shift_field.spot_px2.mean(axis=0), (burst.frame_count, 1, 1, 1))

@@ -323,14 +323,15 @@ def _field_of(
     if lens_field is None:
         if shift_field is not None:
             shift_field.check_belongs(burst.offset_px, burst.grid)
-        return shift_field
+        return shift_field or burst.shift_field
     if not isinstance(lens_field, LensField):
         raise TypeError(
             f"expected a LensField, got {type(lens_field).__name__}; lensshift.load_lens_field "
             "reads one, lensshift.lens_field makes one"
         )
-    if shift_field is not None:
-        raise ValueError("expected shift_field or lens_field, got both")
+    if shift_field is not None or burst.affine is not None:
+        other = "shift_field" if shift_field is not None else "a burst whose frames turn (affine)"
+        raise ValueError(f"expected {other} or lens_field, got both")
     return lens_field.of(burst)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from lensshift.registration.likelihood import ShiftFit
 from lensshift.registration.spectrum import PIXEL_SIGMA_PX
 
 Shifts = NDArray[np.float64]
+Places = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # A grid that holds the first aliases, by which shifts are told apart.
@@ -36,6 +38,15 @@ LEAST_FRAMES, LEAST_PREDICTING = 4, 6
 # Shifts are refuted by others that predict so much better, as a belief in noise is
 # (`reconstruction.learned.belief`): in 96 simulated bursts none that erred more did.
 BETTER = 0.97
+
+
+class Fit(NamedTuple):
+    """Where frames lie: [frame (row, col) term] of `_terms`, covariance of each frame alone."""
+
+    place_px: Places
+    own: NDArray[np.float64]
+    noise: float
+    settled: bool
 
 
 def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> ShiftFit:
@@ -105,79 +116,121 @@ def picture_shifts(frames: Array, valid: Mask, start_px: Shifts, *, reference: i
     reference : frame whose offset stays as it is
     """
 
-    found = _alternate(frames, valid, start_px, reference)
+    found = _shifts_of(alternate(frames, valid, start_px[..., None], reference), reference)
 
     def estimate(part: Array, part_valid: Mask) -> tuple[Shifts, Shifts]:
-        alone = _alternate(part, part_valid, found.offset_px, reference)
+        start_px = found.offset_px[..., None]
+        alone = _shifts_of(alternate(part, part_valid, start_px, reference), reference)
         return alone.offset_px, alone.sigma_px
 
     factor = scatter_over_blocks(estimate, frames, valid, found.offset_px)
     return replace(found, covariance_px2=found.covariance_px2 * factor**2)
 
 
-def prediction_error(frames: Array, valid: Mask, offset_px: Shifts) -> tuple[float, Shifts]:
+def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[float, Shifts]:
     """Return the mean error of frames that are predicted from every other one.
 
     And by how much [frame 2] their shifts seem to be off in these pictures.
+
+    Parameters
+    ----------
+    place_px : [frame 2] shifts, or [frame 2 term] as in `Fit`
     """
     frames = frames - frames[valid].mean()
-    steps = np.zeros_like(offset_px)
+    place_px = place_px.reshape(len(frames), 2, -1)
+    steps = np.zeros((len(frames), 2))
     total, half = 0.0, np.arange(len(frames)) % 2 == 0
     for known in (half, ~half):
-        model, y, weight = _model(frames[known], valid[known], offset_px[known])
+        model, y, weight = _model(frames[known], valid[known], place_px[known])
         image = smooth_fit(model.operator, y, weight, STIFFNESS, FIRST_ITERATIONS)
-        model, y, weight = _model(frames[~known], valid[~known], offset_px[~known])
-        steps[~known] = _step(model.operator, image, y, weight)[0]
+        model, y, weight = _model(frames[~known], valid[~known], place_px[~known])
+        steps[~known] = _step(model.operator, image, y, weight)[0][..., 0]
         rest = np.abs(y - model.operator.forward(image))
         total += float(np.sum(rest * weight) / max(float(np.sum(weight)), 1.0))
     return total / 2, steps
 
 
-def _model(frames: Array, valid: Mask, offset_px: Shifts) -> tuple[ForwardModel, Array, Array]:
+def _model(frames: Array, valid: Mask, place_px: Places) -> tuple[ForwardModel, Array, Array]:
     """Return the model, and the frames in single precision with the weight of each pixel."""
     kind = np.complex64 if frames.dtype.kind == "c" else np.float32
-    model = forward_model(frames.shape[1:], SCALE, offset_px, blur=GaussianBlur(PIXEL_SIGMA_PX))
+    offset_px = field_px = None
+    if place_px.shape[2] == 1:
+        offset_px = place_px[..., 0]
+    else:
+        field_px = np.einsum("kit,thw->khwi", place_px, _terms(frames.shape[1:], 3))
+    model = forward_model(
+        frames.shape[1:], SCALE, offset_px, shift_field_px=field_px,
+        blur=GaussianBlur(PIXEL_SIGMA_PX),
+    )  # fmt: skip
     weight = (valid & model.inside).astype(np.float32)
     return model, np.where(valid, frames, 0).astype(kind), weight
 
 
-def _alternate(frames: Array, valid: Mask, start_px: Shifts, reference: int) -> ShiftFit:
-    """Return the shifts, with errors as if noise alone made them."""
+def _terms(shape: tuple[int, ...], number: int) -> NDArray[np.float64]:
+    """Return 1, row and col [term row col], these -1 to 1 from border to border."""
+    row, col = (np.linspace(-1.0, 1.0, size) for size in shape)
+    terms = np.broadcast_arrays(1.0, row[:, None], col)
+    return np.stack(terms[:number])
+
+
+def alternate(
+    frames: Array, valid: Mask, start_px: Places, reference: int, rounds: int = MAX_ROUNDS
+) -> Fit:
+    """Return where the frames lie, with errors as if noise alone made them.
+
+    Parameters
+    ----------
+    start_px : [frame 2 term] shift, and how it grows towards the borders
+    """
     level = frames[valid].mean()
-    offset_px, image, noise = start_px.copy(), None, 0.0
-    own = np.empty((0, 2, 2))
+    place_px, image, noise = start_px.copy(), None, 0.0
+    own = np.empty(0)
     largest_px = np.inf
-    for _ in range(MAX_ROUNDS):
-        model, y, weight = _model(frames - level, valid, offset_px)
+    for _ in range(rounds):
+        model, y, weight = _model(frames - level, valid, place_px)
         A = model.operator
         number = FIRST_ITERATIONS if image is None else ITERATIONS
         image = smooth_fit(A, y, weight, STIFFNESS, number, image)
-        step_px, own, noise = _step(A, image, y, weight)
+        step_px, own, noise = _step(A, image, y, weight, place_px.shape[2])
         step_px -= step_px[reference]
-        largest_px = float(np.abs(step_px).max())
-        offset_px = offset_px + step_px * min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))
+        largest_px = float(np.abs(step_px).sum(axis=2).max())
+        place_px = place_px + step_px * min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))
         if largest_px < CONVERGED_PX:
             break
-    settled = largest_px < 10 * CONVERGED_PX
-    return ShiftFit(offset_px, _against(own, reference), np.ones(len(frames)), noise, settled)
+    return Fit(place_px, own, noise, largest_px < 10 * CONVERGED_PX)
+
+
+def step_from(frames: Array, valid: Mask, offset_px: Shifts, terms: int) -> Places:
+    """Return how far frames seem to lie from shifts, by so many terms, in the picture of these."""
+    model, y, weight = _model(frames - frames[valid].mean(), valid, offset_px[..., None])
+    image = smooth_fit(model.operator, y, weight, STIFFNESS, FIRST_ITERATIONS)
+    return _step(model.operator, image, y, weight, terms)[0]
 
 
 def _step(
-    A: LinearOperator, image: Array, y: Array, weight: Array
-) -> tuple[Shifts, NDArray[np.float64], float]:
-    """Return how far frames lie from where they should, [frame 2 2] covariance, and the noise."""
+    A: LinearOperator, image: Array, y: Array, weight: Array, terms: int = 1
+) -> tuple[Places, NDArray[np.float64], float]:
+    """Return how far frames [frame 2 term] are off, the covariance of that, and the noise."""
     rest = y - A.forward(image)
     slopes = SCALE * np.stack(
         [-A.forward(np.ascontiguousarray(one)) for one in np.gradient(image)], axis=1
     )
     usual = float(np.median(np.abs(rest[weight > 0]))) / MEDIAN_SIZE
     weight = weight / np.maximum(np.abs(rest) / max(HUBER_SIGMAS * usual, 1e-30), 1.0)
-    weighed = slopes.conj() * weight[:, None]
-    seen = np.einsum("kihw,kjhw->kij", weighed, slopes).real.astype(np.float64)
+    known = (slopes[:, :, None] * _terms(y.shape[1:], terms)).reshape(len(y), -1, *y.shape[1:])
+    weighed = known.conj() * weight[:, None]
+    seen = np.einsum("kihw,kjhw->kij", weighed, known).real.astype(np.float64)
     score = np.einsum("kihw,khw->ki", weighed, rest).real
     noise = float(np.sqrt(np.sum(weight * np.abs(rest) ** 2) / np.sum(weight)))
     inverse = np.linalg.pinv(seen, rcond=1e-6, hermitian=True)
-    return (inverse @ score[..., None])[..., 0], noise**2 * inverse, noise
+    return (inverse @ score[..., None]).reshape(len(y), 2, terms), noise**2 * inverse, noise
+
+
+def _shifts_of(fit: Fit, reference: int) -> ShiftFit:
+    return ShiftFit(
+        fit.place_px[..., 0], _against(fit.own, reference), np.ones(len(fit.own)), fit.noise,
+        fit.settled,
+    )  # fmt: skip
 
 
 def _against(own: Array, reference: int) -> Shifts:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
+from lensshift.registration.affine import affine_motion, turning
 from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts, rival_shifts
-from lensshift.registration.picture import better_shifts
+from lensshift.registration.picture import LEAST_FRAMES, UNKNOWN_PX, better_shifts
 
 Shifts = NDArray[np.float64]
 Method = Literal["auto", "gradient", "phase"]
+Motion = Literal["shift", "affine"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
 Channel = Literal["amplitude", "distance"]
 Run = Callable[..., ShiftFit]
@@ -44,6 +46,7 @@ def register(
     method: Method = "auto",
     reference: int = 0,
     channel: Channel = "amplitude",
+    motion: Motion = "shift",
     photometric: bool = False,
     use_given: bool = False,
 ) -> Burst:
@@ -60,6 +63,8 @@ def register(
     reference : number of the frame whose offset is kept; the others are relative to it, and so
         are the standard errors, which are 0 there. Where no offset is known, their mean is 0
     channel : "amplitude" (complex phasors are used whole) or "distance"
+    motion : "shift", or "affine": frames also turn, grow and shear against the reference, which
+        `reconstruct` then allows for (method "auto", four frames and more)
     photometric : whether frames may differ by a factor and an additive constant
     use_given : whether the burst's own offsets count as measurements with `offset_sigma_px`
         (method "auto" only)
@@ -67,7 +72,7 @@ def register(
     Returns
     -------
     Burst
-        with `offset_px`, `offset_sigma_px` and offset_source "registered"
+        with `offset_px`, `offset_sigma_px`, offset_source "registered", and `affine` if asked for
 
     Raises
     ------
@@ -78,15 +83,16 @@ def register(
     -----
     QualityWarning
         If a shift has a standard error above 0.05 px or may be another one (scenes that repeat,
-        without planned offsets), or the search did not settle.
+        without planned offsets), the frames turn or grow and nobody asked for it, or the search
+        did not settle.
     """
     expect_burst(burst)
     frames = frames_of(burst, channel)
-    _check(burst, method, reference, use_given)
+    _check(burst, method, motion, reference, use_given)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
-    said = bool(np.any(given_px))
+    said, affine = bool(np.any(given_px)), None
     phase_px = phase_shifts(whole, reference)
     if method == "phase":
         fit = _phase_fit(whole, valid, phase_px, reference)
@@ -102,8 +108,10 @@ def register(
         else:
             measured_px = burst.offset_sigma_px if use_given else None
             told_px = _against_reference(measured_px, reference)
-            fit = better_shifts(fit, _alike(whole, fit, photometric), valid, reference)
+            alike = _alike(whole, fit, photometric)
+            fit = better_shifts(fit, alike, valid, reference)
             fit = with_given(fit, given_px, told_px, said=said)
+            fit, affine = _turned(fit, alike, valid, motion, reference)
     rivals_px = np.zeros_like(given_px)
     if method == "phase" or not said:
         rivals_px = rival_shifts(whole, reference)
@@ -117,6 +125,7 @@ def register(
         offset_px=offset_px,
         offset_sigma_px=sigma_px,
         offset_source="registered",
+        affine=affine,
     )
 
 
@@ -134,9 +143,44 @@ def frames_of(burst: Burst, channel: str) -> Array:
     return frames.astype(kind)
 
 
-def _check(burst: Burst, method: str, reference: int, use_given: bool) -> None:
+def _turned(
+    fit: ShiftFit, frames: Array, valid: NDArray[np.bool_], motion: Motion, reference: int
+) -> tuple[ShiftFit, NDArray[np.float64] | None]:
+    """Return the fit and how frames turn if that is asked for; else warn if they do."""
+    if motion == "shift":
+        # Along a single edge frames may lie anywhere, and then turn as they like.
+        blind = np.any(fit.sigma_px > UNKNOWN_PX)
+        found = None if blind else turning(frames, valid, fit.offset_px, reference)
+        if found is not None:
+            warnings.warn(
+                f"the frames do not only shift but differ {found.said(frames.shape[1:])}: "
+                'motion="affine" (--motion affine) allows for it',
+                QualityWarning,
+                stacklevel=3,
+            )
+        return fit, None
+    found = affine_motion(frames, valid, fit.offset_px, reference=reference)
+    own = np.diag(found.sigma_px.ravel() ** 2)
+    own[2 * reference : 2 * reference + 2] = 0.0
+    fit = replace(
+        fit, offset_px=found.offset_px, covariance_px2=fit.covariance_px2 + own,
+        converged=fit.converged and found.settled,
+    )  # fmt: skip
+    return fit, found.affine
+
+
+def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bool) -> None:
     if method not in METHODS:
         raise ValueError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
+    if motion not in get_args(Motion):
+        raise ValueError(f"expected a motion among shift, affine, got {motion!r}")
+    if motion == "affine" and method != "auto":
+        raise ValueError(f'expected method "auto" with motion "affine", got {method!r}')
+    if motion == "affine" and burst.frame_count < LEAST_FRAMES:
+        raise ValueError(
+            f"expected at least {LEAST_FRAMES} frames to tell how they turn, "
+            f"got {burst.frame_count}"
+        )
     if burst.frame_count < 2:
         raise ValueError(f"expected at least 2 frames to register, got {burst.frame_count}")
     if not 0 <= reference < burst.frame_count:

@@ -1,0 +1,133 @@
+"""Frames that turn, grow or shear against each other: a shift for every pixel."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.arrays import Array
+from lensshift.registration.picture import (
+    BETTER,
+    LEAST_FRAMES,
+    Mask,
+    Places,
+    Shifts,
+    alternate,
+    prediction_error,
+    step_from,
+)
+
+# Coarse frames come first: there what turns moves by few pixels.
+COARSE_PX = 64
+ROUNDS = 30
+# Frames whose corners move by less against their middle are as good as shifted.
+LEAST_CORNER_PX = 0.1
+
+
+class AffineFit(NamedTuple):
+    """Shift of pixel u of each frame, offset + affine (u - middle).
+
+    Parameters
+    ----------
+    offset_px : [frame 2] in the middle of the sensor, relative to the reference
+    affine : [frame 2 2] of (row, col) by (row, col)
+    sigma_px : [frame 2] standard error of the offset that noise makes
+    noise : of a pixel, as these shifts leave it
+    settled : whether the search did
+    """
+
+    offset_px: Shifts
+    affine: NDArray[np.float64]
+    sigma_px: Shifts
+    noise: float
+    settled: bool
+
+    def said(self, shape: tuple[int, ...]) -> str:
+        """Return in words by how much the frames turn and grow, and what that is in a corner."""
+        turn_deg, growth = turns_of(self.affine)
+        return (
+            f"by up to {np.abs(turn_deg).max():.2g} degrees in turn and "
+            f"{100 * np.abs(growth).max():.2g} % in size, {corner_px(self.affine, shape):.1f} px "
+            "in a corner"
+        )
+
+
+def turns_of(
+    affine: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return by how many degrees each frame turns, and by what part of its size it grows."""
+    turn_deg = np.rad2deg((affine[:, 1, 0] - affine[:, 0, 1]) / 2)
+    return turn_deg, np.trace(affine, axis1=1, axis2=2) / 2
+
+
+def corner_px(affine: NDArray[np.float64], shape: tuple[int, ...]) -> float:
+    """Return how far a corner of a frame moves against its middle, of the frame that does most."""
+    half = (np.array(shape) - 1) / 2
+    return float(np.max(np.abs(affine * half).sum(axis=2)))
+
+
+def affine_motion(frames: Array, valid: Mask, start_px: Shifts, *, reference: int = 0) -> AffineFit:
+    """Find the picture, and how each frame shifts, turns, grows and shears, in turn.
+
+        minimise over x, d, M   sum |y_k - A(d_k + M_k (u - middle)) x|^2 + s |L x|^2
+
+    As `picture_shifts` with six numbers a frame, from coarse frames to fine ones.
+
+    Parameters
+    ----------
+    frames, valid : [frame row col]
+    start_px : [frame 2] shifts relative to the reference
+    reference : frame that is taken to be upright
+    """
+    levels = [(frames, valid)]
+    while min(levels[-1][0].shape[1:]) >= 2 * COARSE_PX:
+        levels.append(_halved(*levels[-1]))
+    coarsest, *finer = reversed(levels)
+    start = np.asarray(start_px)[..., None] / 2 ** len(finer)
+    fit = alternate(*coarsest, _padded(start), reference, ROUNDS)
+    for seen, known in finer:
+        fit = alternate(seen, known, 2 * fit.place_px, reference, ROUNDS)
+    own = np.einsum("kii->ki", fit.own).reshape(fit.place_px.shape)[..., 0]
+    half = (np.array(frames.shape[1:]) - 1) / 2
+    return AffineFit(
+        fit.place_px[..., 0], fit.place_px[..., 1:] / half, np.sqrt(own + own[reference]),
+        fit.noise, fit.settled,
+    )  # fmt: skip
+
+
+def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -> AffineFit | None:
+    """Return how frames turn against each other, if that tells more of them than shifts do.
+
+    It has to leave less noise, and to predict half of the frames from the other half better.
+    """
+    if len(frames) < LEAST_FRAMES:
+        return None
+    seen, known, px = frames, valid, offset_px
+    while min(seen.shape[1:]) >= 2 * COARSE_PX:
+        (seen, known), px = _halved(seen, known), px / 2
+    size = frames.shape[1] / seen.shape[1]
+    first = step_from(seen, known, px, terms=3)
+    if size * np.abs((first - first[reference])[..., 1:]).sum(axis=2).max() < LEAST_CORNER_PX:
+        return None
+    shifted = alternate(seen, known, px[..., None], reference)
+    turned = alternate(seen, known, _padded(shifted.place_px), reference, ROUNDS)
+    errors = [prediction_error(seen, known, one.place_px)[0] for one in (turned, shifted)]
+    if turned.noise > BETTER * shifted.noise or errors[0] > BETTER * errors[1]:
+        return None
+    found = affine_motion(frames, valid, offset_px, reference=reference)
+    return found if corner_px(found.affine, frames.shape[1:]) > LEAST_CORNER_PX else None
+
+
+def _padded(place_px: Places) -> Places:
+    return np.concatenate([place_px, np.zeros((*place_px.shape[:2], 2))], axis=2)
+
+
+def _halved(frames: Array, valid: Mask) -> tuple[Array, Mask]:
+    """Return frames of a quarter of the pixels, each the mean of four."""
+    rows, cols = (size // 2 for size in frames.shape[1:])
+    parts = [one[:, : 2 * rows, : 2 * cols].reshape(len(one), rows, 2, cols, 2)
+             for one in (np.where(valid, frames, 0), valid)]  # fmt: skip
+    total, number = (part.sum(axis=(2, 4)) for part in parts)
+    return total / np.maximum(number, 1), number > 0

@@ -1,0 +1,155 @@
+"""Frames that turn, grow and shear: found, named, stored and allowed for."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lensshift import Burst, load_burst, load_image_stack, reconstruct, register, save_burst
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.io.export import export_burst
+from lensshift.registration.affine import affine_motion, corner_px, turning, turns_of
+
+FINE = 6
+SHAPE = (29, 36)
+Frames = NDArray[np.float64]
+
+
+def scene(row: Frames, col: Frames) -> Frames:
+    """A random field of waves, and three dark squares on it."""
+    rng = np.random.default_rng(8)
+    waves = rng.normal(scale=0.12, size=(20, 2)), rng.uniform(0, 2 * np.pi, 20)
+    seen = sum(
+        np.cos(2 * np.pi * (a * row + b * col) + p) for (a, b), p in zip(*waves, strict=True)
+    )
+    for top, left, side in ((3, 4, 8), (15, 20, 9), (6, 26, 5)):
+        dark = (abs(row - top - side / 2) < side / 2) & (abs(col - left - side / 2) < side / 2)
+        seen = np.where(dark, -4.0, seen)
+    return np.asarray(seen)
+
+
+def taken(offset_px: Frames, affine: Frames, noise: float, seed: int) -> Frames:
+    """Return what square pixels see whose places are moved by offset + affine (u - middle)."""
+    inside = (np.arange(FINE) + 0.5) / FINE - 0.5
+    row, col = ((np.arange(size)[:, None] + inside).ravel() for size in SHAPE)
+    down, right = row[:, None] - (SHAPE[0] - 1) / 2, col - (SHAPE[1] - 1) / 2
+    seen = [
+        scene(
+            row[:, None] - d[0] - m[0, 0] * down - m[0, 1] * right,
+            col - d[1] - m[1, 0] * down - m[1, 1] * right,
+        )
+        for d, m in zip(offset_px, affine, strict=True)
+    ]
+    frames = np.array(seen).reshape(-1, SHAPE[0], FINE, SHAPE[1], FINE).mean(axis=(2, 4))
+    return frames + np.random.default_rng(seed).normal(scale=noise, size=frames.shape)
+
+
+def motion(count: int, seed: int, size: float) -> tuple[Frames, Frames]:
+    """Return offsets and matrices, the first none; they move corners by up to some `size` px."""
+    rng = np.random.default_rng(seed)
+    offset_px = rng.uniform(-0.6, 0.6, (count, 2))
+    affine = rng.uniform(-1, 1, (count, 2, 2)) * size / 32
+    affine[:, 1, 0] -= affine[:, 0, 1]  # more turn than shear
+    return offset_px - offset_px[0], affine - affine[0]
+
+
+@pytest.mark.parametrize(("size", "seed"), [(0.3, 1), (1.0, 2), (3.0, 3)])
+def test_shift_turn_growth_and_shear_are_found(size: float, seed: int) -> None:
+    offset_px, affine = motion(6, seed, size)
+    frames = taken(offset_px, affine, 0.05, seed)
+    start_px = offset_px + np.random.default_rng(seed).normal(scale=0.1, size=offset_px.shape)
+    found = affine_motion(frames, np.ones(frames.shape, np.bool_), start_px - start_px[0])
+    assert found.settled
+    assert corner_px(found.affine - affine, SHAPE) < 0.04
+    np.testing.assert_allclose(found.offset_px, offset_px, atol=0.02)
+    np.testing.assert_array_equal(found.affine[0], 0.0)
+
+
+def test_of_a_turn_its_angle_and_of_growth_its_part_is_told() -> None:
+    turn, growth = np.deg2rad(1.5), 0.02
+    turned = (1 + growth) * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    degrees, size = turns_of(np.array([np.zeros((2, 2)), turned - np.eye(2)]))
+    np.testing.assert_allclose(degrees, [0, 1.5 * (1 + growth)], rtol=1e-3)
+    np.testing.assert_allclose(size, [0, growth], atol=4e-4)
+
+
+def test_large_frames_come_to_it_from_coarse_ones() -> None:
+    """A turn by 3 degrees moves a corner of 130 x 140 pixels by 7 px."""
+    rng = np.random.default_rng(4)
+    row, col = np.mgrid[:130, :140] - np.array([64.5, 69.5])[:, None, None]
+    waves = rng.normal(scale=0.06, size=(40, 2)), rng.uniform(0, 2 * np.pi, 40)
+    affine = np.zeros((4, 2, 2))
+    affine[1:, 0, 1], affine[1:, 1, 0] = (-0.05, 0.03, 0.01), (0.05, -0.03, -0.01)
+    frames = []
+    for m in affine:
+        down, right = row - m[0, 0] * row - m[0, 1] * col, col - m[1, 0] * row - m[1, 1] * col
+        frames.append(
+            sum(
+                np.cos(2 * np.pi * (a * down + b * right) + p)
+                for (a, b), p in zip(*waves, strict=True)
+            )
+        )
+    y = np.array(frames) + rng.normal(scale=0.05, size=(4, 130, 140))
+    found = affine_motion(y, np.ones(y.shape, np.bool_), np.zeros((4, 2)))
+    assert corner_px(found.affine - affine, y.shape[1:]) < 0.05
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_frames_that_turn_are_named_and_others_are_not(seed: int) -> None:
+    offset_px, affine = motion(6, seed, 0.6)
+    with pytest.warns(QualityWarning, match=r"degrees in turn.*motion=\"affine\""):
+        register(Burst.from_arrays(taken(offset_px, affine, 0.05, seed)))
+    still = taken(offset_px, 0 * affine, 0.05, seed)
+    assert turning(still, np.ones(still.shape, np.bool_), offset_px) is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", QualityWarning)
+        register(Burst.from_arrays(still))
+
+
+def test_the_picture_and_frames_left_out_follow_the_motion() -> None:
+    offset_px, affine = motion(9, 9, 1.0)
+    burst = Burst.from_arrays(taken(offset_px, affine, 0.05, 9), offset_px=offset_px)
+    found = register(burst, motion="affine")
+    assert found.affine is not None
+    assert corner_px(found.affine - affine, SHAPE) < 0.04
+    errors = []
+    for one in (found, burst):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", QualityWarning)
+            estimate = reconstruct(one, frames=[0, 2, 4, 6, 8], std=False).amplitude
+        assert estimate is not None
+        rest = np.stack([estimate.predict(k) - burst.amplitude[k] for k in (1, 3, 5, 7)])
+        errors.append(np.std(rest[:, 4:-4, 4:-4]))
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_it_is_stored_and_goes_with_its_frames(tmp_path: Path) -> None:
+    offset_px, affine = motion(5, 10, 1.0)
+    burst = Burst.from_arrays(
+        taken(offset_px, affine, 0.05, 10), offset_px=offset_px, affine=affine
+    )
+    save_burst(burst, tmp_path / "turned.nc")
+    export_burst(burst, tmp_path / "turned.npz")
+    for again in (load_burst(tmp_path / "turned.nc"), load_image_stack(tmp_path / "turned.npz")):
+        np.testing.assert_array_equal(again.affine, affine)
+    part = burst.select([3, 1])
+    assert part.shift_field is not None
+    assert burst.shift_field is not None
+    np.testing.assert_array_equal(part.shift_field.offset_px, burst.shift_field.offset_px[[3, 1]])
+    middle = burst.shift_field.offset_px[:, 14, 17:19].mean(axis=1)
+    np.testing.assert_allclose(middle, offset_px, atol=1e-12)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    offset_px, affine = motion(5, 11, 0.5)
+    burst = Burst.from_arrays(taken(offset_px, affine, 0.05, 11), offset_px=offset_px)
+    with pytest.raises(ValueError, match="at least 4 frames"):
+        register(burst.select([0, 1, 2]), motion="affine")
+    with pytest.raises(ValueError, match='method "auto" with motion "affine"'):
+        register(burst, method="phase", motion="affine")
+    with pytest.raises(ValueError, match="motion among shift, affine"):
+        register(burst, motion="turn")  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="affine"):
+        Burst.from_arrays(burst.amplitude, offset_px=offset_px, affine=affine[:3])
