@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import tifffile
 import typer
+from scipy import ndimage
 from stand_in import answer
 from typer.testing import CliRunner, Result
 
 from lensshift.cli.calibrate import calibrate
+from lensshift.cli.info import info
 from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.register import register
 from lensshift.core.grid import Grid
@@ -33,6 +35,7 @@ def call(*arguments: object) -> Result:
     app.command()(register)
     app.command()(calibrate)
     app.command()(reconstruct)
+    app.command()(info)
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
@@ -183,3 +186,19 @@ def test_help_has_examples(verb: str) -> None:
     done = call(verb, "--help")
     assert done.exit_code == 0
     assert f"lensshift {verb}" in done.stdout
+
+
+def test_frames_that_turn_are_told_by_register_and_info(tmp_path: Path) -> None:
+    """Turned about the middle in steps of a degree, by an image library."""
+    rng = np.random.default_rng(2)
+    scene = ndimage.gaussian_filter(rng.normal(size=(45, 52)), 1.5)
+    turned = [ndimage.rotate(scene, angle, reshape=False, order=3) for angle in (0, 1, -1, 2)]
+    np.save(tmp_path / "hand.npy", np.array(turned)[:, 6:-6, 6:-6] + 5.0)
+    stack, target = tmp_path / "hand.npy", tmp_path / "turned.nc"
+    said = answer(call, "register", stack, "--motion", "affine", "-o", target)
+    affine = np.array(said["affine"])
+    turn_deg = np.rad2deg(affine[:, 1, 0] - affine[:, 0, 1]) / 2
+    np.testing.assert_allclose(turn_deg, [0, 1, -1, 2], atol=0.03)
+    told = call("info", target).output
+    assert "turn deg" in told
+    assert said["affine"] == answer(call, "info", target)["affine"]

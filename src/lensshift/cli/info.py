@@ -11,6 +11,7 @@ import typer
 from lensshift.cli.inputs import FRAME_AXES, Kind, StackOptions, kind_of, load_input_burst
 from lensshift.cli.points import view_of, view_text
 from lensshift.cli.reconstruct import say_channels
+from lensshift.cli.register import say_turns
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
 
@@ -118,6 +119,7 @@ def _say_burst(current: Session, burst: Burst) -> None:
         if burst.offset_sigma_px is not None:
             sigma = "  sigma {:.4f} {:.4f}".format(*burst.offset_sigma_px[number])
         current.say(f"  {number:>4}  {row:+9.4f} {col:+9.4f}{sigma}")
+    say_turns(current, burst)
     for name, value in burst.meta.items():
         current.say(f"meta        {name}: {value!s:.100}")
 

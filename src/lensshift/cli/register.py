@@ -73,8 +73,6 @@ def with_shifts(current: Session, burst: Burst) -> Burst:
 
 def _say(current: Session, burst: Burst) -> None:
     """Print and hand back the shifts of a burst, with their standard errors."""
-    from lensshift.registration.affine import turns_of
-
     current.result["frames"] = burst.frame_count
     current.tell(burst, "offset_px offset_sigma_px")
     current.say("frame      row px      col px   +- row   +- col")
@@ -82,9 +80,17 @@ def _say(current: Session, burst: Burst) -> None:
     for k, (row, col) in enumerate(burst.offset_px):
         told = "" if errors is None else f"{errors[k, 0]:9.4f}{errors[k, 1]:9.4f}"
         current.say(f"{k:5d}{row:12.4f}{col:12.4f}{told}")
-    if burst.affine is not None:
-        current.tell(burst, "affine")
-        current.say("frame  turn deg   size %")
-        turn_deg, size = turns_of(burst.affine)
-        for k, (one, grown) in enumerate(zip(turn_deg, 100 * size, strict=True)):
-            current.say(f"{k:5d}{one:10.3f}{grown:9.3f}")
+    say_turns(current, burst)
+
+
+def say_turns(current: Session, burst: Burst) -> None:
+    """Print and hand back how much each frame turns and grows, if it does more than shift."""
+    if burst.affine is None:
+        return
+    from lensshift.registration.affine import turns_of
+
+    current.tell(burst, "affine")
+    current.say("frame  turn deg   size %")
+    turn_deg, size = turns_of(burst.affine)
+    for k, (one, grown) in enumerate(zip(turn_deg, 100 * size, strict=True)):
+        current.say(f"{k:5d}{one:10.3f}{grown:9.3f}")
