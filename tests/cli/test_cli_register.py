@@ -202,3 +202,7 @@ def test_frames_that_turn_are_told_by_register_and_info(tmp_path: Path) -> None:
     told = call("info", target).output
     assert "turn deg" in told
     assert said["affine"] == answer(call, "info", target)["affine"]
+    sharp = answer(call, "reconstruct", stack, "--motion", "affine", "-o", tmp_path / "sharp.nc")
+    assert sharp["channels"]["amplitude"]["status"] != "the frames contradict the picture"
+    refused = call("reconstruct", target, "--motion", "affine", "-o", tmp_path / "again.nc")
+    assert (refused.exit_code, "unknown shifts" in refused.stderr) == (1, True)

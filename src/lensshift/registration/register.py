@@ -154,7 +154,7 @@ def _turned(
         if found is not None:
             warnings.warn(
                 f"the frames do not only shift but differ {found.said(frames.shape[1:])}: "
-                'register with motion="affine" (lensshift register --motion affine) allows for it',
+                'motion="affine" of register (--motion affine) allows for it',
                 QualityWarning,
                 stacklevel=3,
             )
