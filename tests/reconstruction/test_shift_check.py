@@ -49,6 +49,31 @@ def _even(row: Array, col: Array) -> Array:
     return np.full(np.broadcast(row, col).shape, 0.5)
 
 
+def _turned(scene: Callable[..., Array], offset_px: Array, most_deg: float, seed: int) -> Array:
+    """Return frames of a camera that turns about its middle, and comes nearer by as much."""
+    rng = np.random.default_rng(seed)
+    middle = (np.array(SHAPE) - 1) / 2
+    seen = []
+    for one, turn in zip(offset_px, np.deg2rad(rng.uniform(-most_deg, most_deg, 9)), strict=False):
+
+        def turned(row: Array, col: Array, turn: float = turn) -> Array:
+            down, right = row - middle[0], col - middle[1]
+            return scene(row - turn * (right + down), col + turn * (down - right))
+
+        seen.append(photograph(turned, SHAPE, one[None])[0])
+    return np.array(seen) + SIGMA * rng.standard_normal((len(seen), *SHAPE))
+
+
+@pytest.mark.parametrize("scene", [_boxes, _weave])
+@pytest.mark.parametrize("offset_px", [SQUARE_PX, SCATTERED_PX], ids=["square", "scattered"])
+def test_a_camera_that_turned_is_named(scene: Callable[..., Array], offset_px: Array) -> None:
+    for seed in (0, 1):
+        doubt = doubtful_shifts(_turned(scene, offset_px, 3.0, seed), offset_px)
+        assert doubt is not None
+        assert doubt.mistake == "frames that turn"
+        assert doubtful_shifts(_turned(scene, offset_px, 0.0, seed), offset_px) is None
+
+
 def _frames(scene: Callable[..., Array], offset_px: Array, sigma: float, seed: int = 0) -> Array:
     y = photograph(scene, SHAPE, offset_px)
     return y + sigma * np.random.default_rng(seed).standard_normal(y.shape)

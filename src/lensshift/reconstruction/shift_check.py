@@ -37,10 +37,15 @@ STIFFNESS, ITERATIONS, BLUR_PX, SCALE = 0.03, 15, 0.3, 2
 CLIP_SIGMAS, CLIP_CONTRAST = 5.0, 0.5
 # A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
 LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
+INNER = np.s_[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
 # Directions whose gradients have a smaller part than this of the power of the others tell nothing.
 LEAST_TOLD = 0.03
 # Readings whose shifts differ by less from those given are the same.
 SAME_PX = 0.02
+# Frames whose borders seem to move by less against their middle are not asked how they turn.
+LEAST_TURN_PX = 0.15
+# Fewer frames fit a picture however they turn.
+LEAST_TURNING = 4
 # Frames that tell the given shifts to such errors, small beside the shifts, object to nothing.
 AGREED_PX, AGREED_SHARE = 0.1, 0.25
 # How much worse the given shifts have to predict: for a closer look, to name a mistake, and where
@@ -64,6 +69,7 @@ CURES: Mapping[str, str] = {
     "shifts that did not happen": "the frames lie at one place: check whether the lens moved",
     "shifts that were not told": "let `lensshift.register` find offset_px: the frames lie apart",
     "the order of the frames": "bring the frames into the order of offset_px",
+    "frames that turn": "let `lensshift.register` find it with motion affine",
     "no simple mistake": "check offset_px, or let `lensshift.register` find it",
 }
 NO_MISTAKE = "no simple mistake"
@@ -120,10 +126,11 @@ def doubtful_shifts(
     """Return what seems to be wrong with the shifts of some frames, or None.
 
     A smooth picture is fitted to three quarters of the pixels, under the given shifts and under
-    others: negated, rows for columns, in another unit, as the frames themselves tell them, and in
-    the order that comes closest to that. The reading that predicts the remaining pixels best is
-    named if the given one errs more by 5 % (20 % where no simple mistake explains it), and by five
-    standard errors of the difference. What white noise alone does to a reading does not count.
+    others: negated, rows for columns, in another unit, as the frames themselves tell them, in the
+    order that comes closest to that, and of frames that also turn and grow. The reading that
+    predicts the remaining pixels best is named if the given one errs more by 5 % (20 % where no
+    simple mistake explains it), and by five standard errors of the difference. What white noise
+    alone does to a reading does not count.
     A lone grating beyond the Nyquist frequency of a frame passes for its alias.
 
     Parameters
@@ -140,17 +147,22 @@ def doubtful_shifts(
         return None
     values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)
     seen = seen & ~_lone(np.where(seen, values, 0.0))
+    upright = len(values) < LEAST_TURNING or np.ndim(offset_px) == 4
+    objection: Doubt | None = None
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
-    return _doubt(np.where(seen, values, 0.0), seen, given, scale, seed) and _doubt(
-        _alike(values, seen), seen, given, scale, seed
-    )
+    for one in (np.where(seen, values, 0.0), _alike(values, seen)):
+        trial, smooth = _Trial(one, seen, given, seed), _low_passed(one, seen)
+        if smooth is None:
+            return None
+        objection = _doubt(trial, smooth, scale) or (None if upright else _turn(trial, smooth))
+        if objection is None:
+            return None
+    return objection
 
 
-def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> Doubt | None:
-    trial = _Trial(values, seen, given, seed)
-    found = _found_shifts(values, seen, given)
-    if found is None:
-        return None
+def _doubt(trial: _Trial, smooth: Array, scale: int) -> Doubt | None:
+    given = trial.given_px
+    found = _found_shifts(smooth, given)
     apart_px = found - given
     span_px = float(np.ptp(given, axis=0).max())
     if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * span_px or AGREED_PX):
@@ -176,6 +188,15 @@ def _doubt(values: Array, seen: Mask, given: Shifts, scale: int, seed: int) -> D
     return best
 
 
+def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
+    """Return the doubt that frames turn or grow as well, if that predicts them better."""
+    turned = _found_turns(smooth, trial.given_px)
+    if turned is None:
+        return None
+    ratio, sure = trial.compare(turned, CONFIRMING_FOLDS)
+    return Doubt("frames that turn", ratio) if sure >= LEAST_T and ratio >= NAMED else None
+
+
 class _Trial:
     """Fits to a part of the pixels, and how well they predict the others."""
 
@@ -192,7 +213,9 @@ class _Trial:
         The ratio is the smaller one of that of the frames and that beyond what white noise has;
         the second number is the difference in its standard errors.
         """
-        if np.abs(other_px - self.given_px).max() < SAME_PX:
+        over_sensor = other_px.ndim == 4
+        given_px = self.given_px[:, None, None] if over_sensor else self.given_px
+        if np.abs(other_px - given_px).max() < SAME_PX:
             return 1.0, 0.0
         one, two = self._errors(self.given_px, folds), self._errors(other_px, folds)
         both = np.isfinite(one) & np.isfinite(two)
@@ -216,7 +239,10 @@ class _Trial:
         key = (offset_px.tobytes(), fold, noise)
         if key not in self.cache:
             y = self.noise if noise else self.values
-            model = forward_model(y.shape[1:], SCALE, offset_px, blur=GaussianBlur(BLUR_PX))
+            kind = "shift_field_px" if offset_px.ndim == 4 else "offset_px"
+            model = forward_model(
+                y.shape[1:], SCALE, **{kind: offset_px}, blur=GaussianBlur(BLUR_PX)
+            )
             usable = self.seen & model.inside
             held = usable & (self.fold == fold)
             A, weight = model.operator, np.where(held, 0.0, usable)
@@ -248,33 +274,79 @@ def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str,
     ]
 
 
-def _found_shifts(values: Array, seen: Mask, given_px: Shifts) -> Shifts | None:
-    """Return the shifts [frame 2] about their mean as the frames tell them.
+def _found_turns(smooth: Array, given_px: Shifts) -> Array | None:
+    """Return the shift [frame row col 2] of every pixel, of frames that turn, grow or shear.
 
-    Along edges that all run one way nothing tells the shift: there it is the given one. None where
-    the low pass leaves less than it would of white noise: the frames show little but aliases,
-    which move in any direction.
+    None if they hardly do.
     """
-    from scipy.ndimage import gaussian_filter, shift, spline_filter
+    from scipy.ndimage import map_coordinates
+
+    at = np.indices(smooth.shape[1:], np.float64)
+    half = (np.array(smooth.shape[1:]) - 1) / 2
+    row, col = at / half[:, None, None] - 1.0
+    terms = np.stack([np.ones_like(row), row, col])
+    place = np.zeros((len(smooth), 2, 3))
+    place[..., 0] = given_px
+    moved = _moved(smooth, given_px)
+    for number in range(FINDING_ROUNDS):
+        if number:
+            field = np.einsum("kit,thw->kihw", place, terms)
+            moved = np.stack([
+                map_coordinates(frame, at + by, mode="mirror", prefilter=False)
+                for frame, by in zip(smooth, field, strict=True)
+            ])  # fmt: skip
+        common = moved.mean(axis=0)
+        known = (np.stack(np.gradient(common))[:, None] * terms)[INNER].reshape(6, -1)
+        told = np.linalg.pinv(known @ known.T, rcond=LEAST_TOLD, hermitian=True)
+        step = (common - moved)[INNER].reshape(len(smooth), -1) @ known.T @ told
+        step = np.clip(step - step.mean(axis=0), -1.0, 1.0).reshape(place.shape)
+        if number == 0 and np.abs(step[..., 1:]).sum(axis=2).max() < LEAST_TURN_PX:
+            return None
+        place = place + step
+        if np.abs(step).max() < FOUND_PX:
+            break
+    return np.asarray(np.einsum("kit,thw->khwi", place, terms))
+
+
+def _low_passed(values: Array, seen: Mask) -> Array | None:
+    """Return the splines of frames without what is finer than their pixels.
+
+    None where less is left than of white noise: the frames show little but aliases, which move in
+    any direction.
+    """
+    from scipy.ndimage import gaussian_filter, spline_filter
 
     width = (0, LOW_PASS_PX, LOW_PASS_PX)
     smooth = gaussian_filter(values, width)
     smooth /= np.maximum(gaussian_filter(seen.astype(np.float64), width), 1e-3)
     if np.mean(smooth**2) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * np.mean(values**2):
         return None
-    smooth = np.stack([spline_filter(frame) for frame in smooth])
+    return np.stack([spline_filter(frame) for frame in smooth])
+
+
+def _moved(smooth: Array, offset_px: Shifts) -> Array:
+    """Return the frames where they would be without these shifts."""
+    from scipy.ndimage import shift
+
+    pairs = zip(smooth, -offset_px, strict=True)
+    return np.stack([shift(frame, by, mode="mirror", prefilter=False) for frame, by in pairs])
+
+
+def _found_shifts(smooth: Array, given_px: Shifts) -> Shifts:
+    """Return the shifts [frame 2] about their mean as the frames tell them.
+
+    Along edges that all run one way nothing tells the shift: there it is the given one.
+    """
     offset_px = given_px.copy()
-    inner = np.s_[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
     told = np.eye(2)
     for _ in range(FINDING_ROUNDS):
-        pairs = zip(smooth, -offset_px, strict=True)
-        moved = np.stack([shift(frame, by, mode="mirror", prefilter=False) for frame, by in pairs])
+        moved = _moved(smooth, offset_px)
         common = moved.mean(axis=0)
-        slope = np.stack([g[inner].ravel() for g in np.gradient(common)], axis=1)
+        slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
         size, direction = np.linalg.eigh(slope.T @ slope)
         told = direction * (size > LEAST_TOLD * size[1]) @ direction.T
         inverse = direction / np.maximum(size, LEAST_TOLD * size[1] + 1e-300) @ direction.T
-        rest = (common - moved)[inner].reshape(len(values), -1)
+        rest = (common - moved)[INNER].reshape(len(smooth), -1)
         step = np.clip(rest @ slope @ inverse @ told, -1.0, 1.0)
         offset_px += step - step.mean(axis=0)
         if np.abs(step).max() < FOUND_PX:
