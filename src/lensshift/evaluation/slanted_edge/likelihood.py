@@ -273,8 +273,7 @@ class EdgeLikelihood:
         m = self._moments(allowed)
         covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
         factor = np.empty((knots + len(m.heights), knots))
-        within(told.band, covariance, factor)
-        factor[:knots].flat[:: knots + 1] += variance
+        within(told.band, covariance, variance, factor)
         band_solved(told.band, m.heights)
         # LAPACK counts along columns: it sees the transposed matrix.
         upper, failed = lapack.dpotrf(factor[:knots].T, lower=0, clean=0, overwrite_a=1)
@@ -284,9 +283,7 @@ class EdgeLikelihood:
         apart = m.gram - m.heights @ m.heights.T
         gram = apart / variance + factor[knots:] @ factor[knots:].T
         precision, centre = self._levels_precision, self._levels_centre
-        inverse = gram[:-1, :-1]
-        inverse.flat[:: len(inverse) + 1] += precision
-        levels_factor = _factor(inverse)
+        levels_factor = _factor(gram[:-1, :-1] + np.diag(precision))
         if levels_factor is None:
             return None
         v = _solve(levels_factor, gram[:-1, -1] + precision * centre)

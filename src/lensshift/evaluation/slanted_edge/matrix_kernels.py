@@ -114,8 +114,8 @@ def around(band: Array, middle: Array, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def within(band: Array, middle: Array, out: Array) -> None:
-    """Fill in the lower triangle of L^T M L; see `around`."""
+def within(band: Array, middle: Array, variance: float, out: Array) -> None:
+    """Fill in the lower triangle of L^T M L + s^2; see `around`."""
     size = band.shape[1]
     half = np.empty(size)
     for i in range(size):
@@ -129,6 +129,7 @@ def within(band: Array, middle: Array, out: Array) -> None:
             own, other, end = half[m:], band[m], min(i + 1, size - m)
             for j in range(end):
                 out[i, j] += own[j] * other[j]
+        out[i, i] += variance
 
 
 __all__ = ["around", "band_solved", "downdated", "inverted", "within"]
