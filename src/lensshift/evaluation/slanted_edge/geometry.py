@@ -147,8 +147,9 @@ def _refined(
     ones = np.ones_like(values)
 
     @lru_cache(maxsize=1)  # residuals and slopes are asked for at the same place
-    def seen(angle: float, position: float, log_sigma: float) -> tuple[Matrix, Matrix, Vector]:
+    def seen(*parameters: float) -> tuple[Matrix, Matrix, Vector]:
         """Return 1 and response [2 n], this with its slopes [4 n], and the levels that fit best."""
+        angle, position, log_sigma = parameters
         normal_px = x_px * np.cos(angle) + y_px * np.sin(angle) - position
         slopes = core_slopes(normal_px, angle, float(np.exp(log_sigma)), aperture_px)
         columns = np.stack([ones, slopes[0]])
