@@ -75,11 +75,14 @@ def _promises(
     splines = np.column_stack([np.ones_like(z), basis.integrals(normal_px)])
     slope = basis.values(normal_px) @ _ridge_fit(splines, z)[0][1:]
     bent = np.append(line[:2], np.zeros(most))
-    moves = _moves(x, y, bent, half_length_px) * slope[:, None]
-    straight = _ridge_fit(np.column_stack([splines, moves[:, :1]]), z)[1]
-    for terms in range(1, most + 1):
-        rest = _ridge_fit(np.column_stack([splines, moves[:, : 1 + terms]]), z)[1]
-        gain = z.size * np.log(max(straight, 1e-300) / max(rest, 1e-300))
+    columns = np.column_stack([splines, _moves(x, y, bent, half_length_px) * slope[:, None]])
+    products, right, straight = columns.T @ columns, columns.T @ z, splines.shape[1] + 1
+    rests = []
+    for used in range(straight, straight + most + 1):
+        factors = _ridge_solved(products[:used, :used], right[:used], _RIDGE)
+        rests.append(float(np.sum((z - columns[:, :used] @ factors) ** 2)))
+    for terms, rest in enumerate(rests[1:], 1):
+        gain = z.size * np.log(max(rests[0], 1e-300) / max(rest, 1e-300))
         if gain - terms * np.log(z.size) > _WORTH:
             return True
     return False

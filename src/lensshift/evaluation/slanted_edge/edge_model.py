@@ -52,7 +52,13 @@ class Tail(NamedTuple):
         return np.array([1.0 - self.share, slow, self.share - slow])
 
 
-def core_slopes(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float) -> Matrix:
+def core_slopes(
+    normal_px: Vector,
+    angle_rad: float,
+    sigma_px: float,
+    aperture_px: float,
+    out: Matrix | None = None,
+) -> Matrix:
     """Return [4 n]: a straight edge blurred by a Gaussian, as a square pixel sees it; its slopes.
 
     The pixel's axes are turned by `angle_rad` against the edge. The second antiderivative G of the
@@ -68,11 +74,12 @@ def core_slopes(normal_px: Vector, angle_rad: float, sigma_px: float, aperture_p
     angle_rad : angle between the edge and the columns (or rows)
     sigma_px : standard deviation of the Gaussian
     aperture_px : side of the square pixel; 0 for a point
+    out : [4 n] to fill
     """
-    out = np.zeros((4, normal_px.size))
+    out = np.empty((4, normal_px.size)) if out is None else out
     if aperture_px <= _POINT_PX:
         place = normal_px / sigma_px
-        out[0] = ndtr(place)
+        out[0], out[2] = ndtr(place), 0.0
         out[3] = np.exp(-0.5 * place**2) / (math.sqrt(2.0 * math.pi) * sigma_px)
         out[1] = -normal_px * out[3]
         return out
@@ -91,11 +98,11 @@ def edge_parts(
     normal_px, angle_rad, sigma_px, aperture_px : as in `core_slopes`, as are the slopes
     width_px : of the two laws of the `Tail`
     """
-    sides = np.array(_half_sides(angle_rad, aperture_px))
-    p, q = np.maximum(sides, _SMALLEST_HALF_PX).tolist()
-    grows = tuple((sides > _SMALLEST_HALF_PX).astype(float).tolist())
+    p, q = _half_sides(angle_rad, aperture_px)
+    grows = float(p > _SMALLEST_HALF_PX), float(q > _SMALLEST_HALF_PX)
+    p, q = max(p, _SMALLEST_HALF_PX), max(q, _SMALLEST_HALF_PX)
     out = np.empty((3, 4, normal_px.size))
-    out[0] = core_slopes(normal_px, angle_rad, sigma_px, aperture_px)
+    core_slopes(normal_px, angle_rad, sigma_px, aperture_px, out[0])
     tail_slopes(normal_px, p, q, grows, width_px, out[1:])
     return out
 

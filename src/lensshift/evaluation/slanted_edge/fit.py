@@ -203,16 +203,11 @@ def _whole_draws(
     chosen = np.minimum(
         np.searchsorted(np.cumsum(posterior.weights), places), posterior.weights.size - 1
     )
+    chosen = chosen[[posterior.found[k] is not None for k in chosen]]
     kept, counts = np.unique(chosen, return_counts=True)
     best = _known(likelihood, posterior.best)
-    parts = []
-    for index, count in zip(kept, counts, strict=True):
-        parameters, found = posterior.draws[index], posterior.found[index]
-        if found is not None:
-            drawn = likelihood.conditional(found).draw(int(count), rng)
-            parts.append((np.tile(parameters[:, None], count), *drawn))
-    parameters, levels, heights = (np.hstack(columns) for columns in zip(*parts, strict=True))
-    draws = parameters, levels, best.prior.coefficients(heights)
+    points = [one for k in kept if (one := posterior.found[k]) is not None]
+    draws = posterior.draws[chosen].T, *likelihood.drawn(points, counts.tolist(), rng)
     optimum = posterior.best, best.levels, best.coefficients
     whole = [np.column_stack(both) for both in zip(optimum, draws, strict=True)]
     return whole[0], whole[1], whole[2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -145,7 +146,8 @@ def _refined(
 
     ones = np.ones_like(values)
 
-    def seen(parameters: Vector) -> tuple[Matrix, Matrix, Vector]:
+    @lru_cache(maxsize=1)  # residuals and slopes are asked for at the same place
+    def seen(*parameters: float) -> tuple[Matrix, Matrix, Vector]:
         """Return 1 and response [2 n], this with its slopes [4 n], and the levels that fit best."""
         angle, position, log_sigma = parameters
         normal_px = x_px * np.cos(angle) + y_px * np.sin(angle) - position
@@ -155,12 +157,12 @@ def _refined(
         return columns, slopes, np.linalg.solve(columns @ columns.T + ridge, columns @ values)
 
     def residual(parameters: Vector) -> Vector:
-        columns, _, factors = seen(parameters)
+        columns, _, factors = seen(*parameters)
         return np.asarray((factors @ columns - values) / scale)
 
     def jacobian(parameters: Vector) -> Matrix:
         """Return [n 3], the levels followed to first order (Kaufman, BIT 15 (1975) 49)."""
-        columns, slopes, factors = seen(parameters)
+        columns, slopes, factors = seen(*parameters)
         angle = parameters[0]
         turned = slopes[3] * (y_px * np.cos(angle) - x_px * np.sin(angle))
         moves = factors[1] / scale * np.stack([turned, -slopes[3], slopes[1]])
@@ -183,7 +185,7 @@ def _refined(
         xtol=_SETTLED,
         max_nfev=40,
     )
-    dark, contrast = seen(fit.x)[2].tolist()
+    dark, contrast = seen(*fit.x)[2].tolist()
     return EdgeLine(
         float(fit.x[0]), float(fit.x[1]), float(np.exp(fit.x[2])), dark, dark + contrast
     )

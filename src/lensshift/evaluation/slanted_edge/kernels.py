@@ -14,7 +14,7 @@ Array = NDArray[Any]
 _ROOT_HALF = math.sqrt(0.5)
 _INVERSE_ROOT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
 _FAR_SIDES = 16.0  # half sides of a pixel, where an error below 1e-6 is left
-_FAR = 9.0  # standard deviations; what is left of the normal distribution there is below 1e-18
+_FAR = 7.0  # standard deviations; what is left of the normal distribution there is 1e-12
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

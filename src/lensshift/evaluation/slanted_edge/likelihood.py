@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,10 +25,8 @@ from lensshift.evaluation.slanted_edge.lsf_prior import (
 )
 from lensshift.evaluation.slanted_edge.matrix_kernels import (
     around,
-    band_of,
     band_solved,
     downdated,
-    factored,
     inverted,
     within,
 )
@@ -47,37 +46,13 @@ _ROUNDING = 1e-14  # of sums over pixels
 
 @dataclass(frozen=True, slots=True)
 class Conditional:
-    """Levels and spline coefficients, given everything else: a normal distribution.
+    """Levels and spline coefficients that are most likely, given everything else.
 
     The levels are factors of the columns of `Gathered`, first the fixed ones.
     """
 
     levels: Vector
     coefficients: Vector
-    levels_factor: Matrix
-    explained: _Explained
-    pixels: _Told
-    prior: SplinePrior
-    shape: Vector
-
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[Matrix, Matrix]:
-        """Draw levels [p count] and heights of the splines [j count].
-
-        A draw of the prior, and of pixels, is corrected as the true pixels say (Matheron's rule).
-
-        Source: Hoffman and Ribak, Astrophys. J. 380 (1991) L5.
-        """
-        noise = rng.standard_normal((self.levels.size, count))
-        levels = self.levels[:, None] + _solve(self.levels_factor, noise, transposed=True)
-        size = len(self.pixels.factor)
-        heights = self.prior.drawn(self.shape, count, rng)
-        grain = np.sqrt(self.explained.variance) * rng.standard_normal((size, count))
-        shown = self.explained.shown
-        missing = (
-            shown[-1][:, None] - shown[:-1].T @ levels - self.pixels.factor.T @ heights - grain
-        )
-        heights += self.explained.heights(self.pixels, missing, self.explained.over(missing))
-        return levels, heights
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +62,11 @@ class _Told:
     Parameters
     ----------
     factor : [j j] R^T
-    band : of its rows
+    band : [m j] its diagonals, the main one first
     """
 
     factor: Matrix
-    band: NDArray[np.intp]
+    band: Matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +91,12 @@ class _Explained:
         lower = self.factor[: self.factor.shape[1]]
         return _solve(lower, _solve(lower, right), transposed=True)
 
-    def heights(self, told: _Told, right: NDArray[np.float64], over: NDArray[np.float64]) -> Matrix:
-        """Return K R^T S^-1 times `right` [j ...], the heights that explain it.
+    def followed(self, right: NDArray[np.float64], over: NDArray[np.float64]) -> Matrix:
+        """Return R K R^T S^-1 times `right` [j ...]: what heights explain of it, seen by R.
 
-        That is R^-1 (1 - s^2 S^-1) times it; `over` is S^-1 times `right`.
+        That is (1 - s^2 S^-1) times it; `over` is S^-1 times `right`.
         """
-        return _solve(told.factor, right - self.variance * over, transposed=True)
+        return np.asarray(right - self.variance * over)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,17 +199,35 @@ class EdgeLikelihood:
         return IMPOSSIBLE if found is None else found.value
 
     def conditional(self, found: Solution) -> Conditional:
-        """Return the distribution of levels and coefficients at a point."""
-        heights = found.explained.heights(self._pixels, found.left, self._misfit(found))
-        return Conditional(
-            levels=found.levels,
-            coefficients=self._prior.coefficients(heights),
-            levels_factor=found.levels_factor,
-            explained=found.explained,
-            pixels=self._pixels,
-            prior=self._prior,
-            shape=found.allowed[BASE_HYPERS:HYPERS],
-        )
+        """Return the most likely levels and coefficients at a point."""
+        seen = found.explained.followed(found.left, self._misfit(found))
+        return Conditional(found.levels, self._prior.coefficients(self._heights_of(seen)))
+
+    def drawn(
+        self, found: Sequence[Solution], counts: Sequence[int], rng: np.random.Generator
+    ) -> tuple[Matrix, Matrix]:
+        """Draw levels [p k] and coefficients [j k], so many at each of some points.
+
+        A draw of the prior, and of pixels, is corrected as the true pixels say (Matheron's rule).
+
+        Source: Hoffman and Ribak, Astrophys. J. 380 (1991) L5.
+        """
+        knots, levels, white, grain = self.basis.size, [], [], []
+        for one, count in zip(found, counts, strict=True):
+            noise = rng.standard_normal((one.levels.size, count))
+            levels.append(one.levels[:, None] + _solve(one.levels_factor, noise, transposed=True))
+            white.append(self._prior.white(count, rng))
+            grain.append(np.sqrt(one.explained.variance) * rng.standard_normal((knots, count)))
+        shapes = np.repeat([one.allowed[BASE_HYPERS:HYPERS] for one in found], counts, axis=0)
+        heights = self._prior.drawn(shapes, np.vstack(white))
+        seen = np.split(self._pixels.factor.T @ heights + np.hstack(grain), np.cumsum(counts), 1)
+        missing = []
+        for one, level, part in zip(found, levels, seen[:-1], strict=True):
+            shown = one.explained.shown
+            rest = shown[-1][:, None] - shown[:-1].T @ level - part
+            missing.append(one.explained.followed(rest, one.explained.over(rest)))
+        heights += self._heights_of(np.hstack(missing))
+        return np.hstack(levels), self._prior.coefficients(heights)
 
     def with_gradient(self, parameters: Vector) -> tuple[float, Vector]:
         """Return `negative_log` and its gradient [p]."""
@@ -280,18 +273,17 @@ class EdgeLikelihood:
         m = self._moments(allowed)
         covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
         factor = np.empty((knots + len(m.heights), knots))
-        within(told.factor, told.band, covariance, factor)
-        factor[:knots].flat[:: knots + 1] += variance
-        band_solved(told.factor, told.band, m.heights)
-        factor[knots:] = m.heights
-        if not factored(factor):
+        within(told.band, covariance, variance, factor)
+        band_solved(told.band, m.heights)
+        # LAPACK counts along columns: it sees the transposed matrix.
+        upper, failed = lapack.dpotrf(factor[:knots].T, lower=0, clean=0, overwrite_a=1)
+        if failed:
             return None
+        factor[knots:] = lapack.dtrtrs(upper, m.heights.T, trans=1)[0].T
         apart = m.gram - m.heights @ m.heights.T
         gram = apart / variance + factor[knots:] @ factor[knots:].T
         precision, centre = self._levels_precision, self._levels_centre
-        inverse = gram[:-1, :-1]
-        inverse.flat[:: len(inverse) + 1] += precision
-        levels_factor = _factor(inverse)
+        levels_factor = _factor(gram[:-1, :-1] + np.diag(precision))
         if levels_factor is None:
             return None
         v = _solve(levels_factor, gram[:-1, -1] + precision * centre)
@@ -304,6 +296,10 @@ class EdgeLikelihood:
         value += 0.5 * float(z @ (self._precision * z) + beyond @ beyond / _WALL**2)
         explained = _Explained(variance, factor, m.heights)
         return Solution(value, allowed, m, explained, apart, levels, levels_factor)
+
+    def _heights_of(self, seen: NDArray[np.float64]) -> Matrix:
+        """Return heights [j ...] as R sees them."""
+        return _solve(self._pixels.factor, seen, transposed=True)
 
     def _misfit(self, found: Solution) -> Vector:
         """Return S^-1 times what the levels leave of the pixels."""
@@ -335,7 +331,7 @@ class EdgeLikelihood:
         gradient[:BASE_HYPERS] += self._by_base(found, covariance, levels, left)
         downdated(inverse, np.vstack([tops @ levels, left]))
         by_covariance = np.empty((knots, knots))
-        around(told.factor, told.band, inverse, by_covariance)
+        around(told.band, inverse, by_covariance)
         gradient[BASE_HYPERS:HYPERS] += 0.5 * self._prior.gradient(
             found.allowed[BASE_HYPERS:HYPERS], by_covariance
         )
@@ -354,7 +350,8 @@ class EdgeLikelihood:
         fixed = g.response
         # Of the levels' covariance, and of the misfit, what the splines take up.
         mixed = np.column_stack([one.shown[:-1].T @ covariance, found.left])
-        shared = one.heights(self._pixels, mixed, np.column_stack([levels.T @ covariance, left]))
+        over = np.column_stack([levels.T @ covariance, left])
+        shared = self._heights_of(one.followed(mixed, over))
         to_response = np.zeros(g.nodes.place_px.size)
         for k, column in enumerate(g.seen):
             own = fixed + k
@@ -374,9 +371,11 @@ def _told(squares: Matrix) -> _Told:
     for ridge in _ROUNDING * float(squares.sum()) * 10.0 ** np.arange(6):
         lower = np.where(np.abs(squares) < ridge, 0.0, squares)
         lower.flat[:: len(lower) + 1] = np.maximum(squares.diagonal(), 0.0) + ridge
-        if factored(lower):
-            lower = np.tril(lower)
-            return _Told(lower, band_of(lower))
+        factor = _factor(lower)
+        if factor is not None:
+            reach = int(np.max(np.subtract(*np.nonzero(factor))))
+            diagonals = [np.pad(factor.diagonal(-m), (0, m)) for m in range(reach + 1)]
+            return _Told(np.ascontiguousarray(factor), np.stack(diagonals))
     raise ValueError("expected pixels that tell the response of an edge, got none")
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
 from lensshift.evaluation.slanted_edge.prior_kernels import heights_covariance, heights_slopes
@@ -88,47 +87,48 @@ class SplinePrior:
         ----------
         shape : [4] log amplitude, log length, log tail, logit symmetry
         """
-        parts = self._parts(shape)
+        near, weight = self._near_and_weight(shape)
         heights = np.empty((self._number.size,) * 2)
-        weight = parts.envelope * self._area_px
-        heights_covariance(self._number, weight, parts.near, parts.symmetry, heights)
+        heights_covariance(self._number, weight, near, float(_symmetry(shape)), heights)
         return heights
 
     def gradient(self, shape: Vector, by_covariance: Matrix) -> Vector:
         """Return the gradient [4] of a value whose derivative by the covariance is given."""
-        parts = self._parts(shape)
-        weight = parts.envelope * self._area_px
-        slopes = heights_slopes(
-            by_covariance,
-            *(self._number, weight, parts.near, parts.longer, parts.wider, parts.symmetry),
-        )
-        m = parts.symmetry
+        near, weight = self._near_and_weight(shape)
+        length, tail = np.exp(shape[1:3])
+        longer, shares = (self._lags / length) ** 2 * near, (self._place / tail) ** 2
+        wider, m = 2.0 * shares / (1.0 + shares), float(_symmetry(shape))
+        slopes = heights_slopes(by_covariance, self._number, weight, near, longer, wider, m)
         return np.asarray(np.array(slopes) * np.array([1.0, 1.0, 1.0, m * (1.0 - m)]))
 
-    def drawn(self, shape: Vector, count: int, rng: np.random.Generator) -> Matrix:
-        """Return heights [j count] of the prior.
+    def white(self, count: int, rng: np.random.Generator) -> NDArray[np.complex128]:
+        """Return white noise [count f] for `drawn`."""
+        noise = rng.standard_normal((self._lags.size, count, 2)).view(complex)[..., 0]
+        noise[[0, -1]] *= _ROOT_2  # they have no imaginary part
+        return noise.T
+
+    def drawn(self, shapes: Matrix, white: NDArray[np.complex128]) -> Matrix:
+        """Return heights [j k] of the prior, one draw of each of the shapes [k 4].
 
         A process of covariance k on an even grid, drawn in Fourier space, and its mirror image:
         p g(x) + q g(-x) has the covariance k(x - x') + m k(x + x') where p^2 + q^2 = 1, 2 p q = m.
 
         Source: circulant embedding, Dietrich and Newsam, SIAM J. Sci. Comput. 18 (1997) 1088.
         """
-        parts = self._parts(shape)
-        ring = np.concatenate([parts.near, parts.near[-2:0:-1]])
-        root = np.sqrt(np.maximum(np.fft.rfft(ring).real, 0.0))
-        white = rng.standard_normal((root.size, count, 2)).view(complex)[..., 0]
-        white[[0, -1]] *= _ROOT_2  # they have no imaginary part
-        root *= np.sqrt(0.5 * ring.size)
-        process = np.fft.irfft(root[:, None] * white, ring.size, axis=0)
-        both, apart = np.sqrt(1.0 + parts.symmetry), np.sqrt(1.0 - parts.symmetry)
-        own = (both + apart) * process[self._number] + (both - apart) * process[-self._number]
-        weight = 0.5 * parts.envelope * self._area_px
-        return np.asarray(np.cumsum(weight[:, None] * own, axis=0))
+        near, weight = self._near_and_weight(shapes)
+        ring = np.hstack([near, near[:, -2:0:-1]])
+        size = ring.shape[1]
+        root = np.sqrt(0.5 * size * np.maximum(np.fft.rfft(ring).real, 0.0))
+        process = np.fft.irfft(root * white, size)
+        m = _symmetry(shapes)[:, None]
+        both, apart = np.sqrt(1.0 + m), np.sqrt(1.0 - m)
+        own = (both + apart) * process[:, self._number] + (both - apart) * process[:, -self._number]
+        return np.cumsum(0.5 * weight * own, axis=1).T
 
     def coefficients(self, heights: Matrix) -> Matrix:
         """Return the coefficients of the even and odd functions [j ...] that make heights."""
         own = np.diff(heights, axis=0, prepend=0.0)
-        own /= self._area_px.reshape(-1, *[1] * (heights.ndim - 1))
+        own /= _column(self._area_px, heights)
         right, left = own[self._middle + 1 :], own[: self._middle][::-1]
         middle = own[self._middle : self._middle + 1]
         return np.concatenate([middle, (right + left) * _ROOT_HALF, (right - left) * _ROOT_HALF])
@@ -138,25 +138,22 @@ class SplinePrior:
         even, odd = sums[: self._middle + 1], sums[self._middle + 1 :]
         right, left = (even[1:] + odd) * _ROOT_HALF, (even[1:] - odd) * _ROOT_HALF
         own = np.concatenate([left[::-1], even[:1], right])
-        own /= self._area_px.reshape(-1, *[1] * (sums.ndim - 1))
+        own /= _column(self._area_px, sums)
         own[:-1] -= own[1:]
         return own
 
-    def _parts(self, shape: Vector) -> _Parts:
-        amplitude, length, tail = np.exp(shape[:3])
-        lags = (self._lags / length) ** 2
-        near = np.exp(-0.5 * lags)
-        shares = (self._place / tail) ** 2
-        envelope = amplitude / self._unit_px / (1.0 + shares)
-        symmetry = float(1.0 / (1.0 + np.exp(-shape[3])))
-        return _Parts(near, lags * near, envelope, 2.0 * shares / (1.0 + shares), symmetry)
+    def _near_and_weight(self, shape: Vector | Matrix) -> tuple[Matrix, Matrix]:
+        """Return k [... l] at all lags, and a e times the area [... j] at all knots."""
+        amplitude, length, tail = (np.exp(shape[..., k, None]) for k in range(3))
+        near = np.exp(-0.5 * (self._lags / length) ** 2)
+        weight = amplitude / self._unit_px * self._area_px / (1.0 + (self._place / tail) ** 2)
+        return near, weight
 
 
-class _Parts(NamedTuple):
-    """k and its slope by log l at all lags, a e and its relative slope by log t, m."""
+def _symmetry(shape: Vector | Matrix) -> Vector:
+    return np.asarray(1.0 / (1.0 + np.exp(-shape[..., 3])))
 
-    near: Vector
-    longer: Vector
-    envelope: Vector
-    wider: Vector
-    symmetry: float
+
+def _column(values: Vector, beside: Matrix) -> Matrix:
+    """Return values to go with each column of a matrix, or with a vector."""
+    return values.reshape(-1, *[1] * (beside.ndim - 1))

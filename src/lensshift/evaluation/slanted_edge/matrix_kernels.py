@@ -1,7 +1,7 @@
 """Compiled loops over small matrices.
 
-A few hundred rows are too few for the threads of a BLAS, which cost more there than they save. All
-inner loops run along rows.
+A BLAS takes longer where a matrix is a band, or half of it is enough. All inner loops run along
+rows.
 """
 
 from __future__ import annotations
@@ -13,44 +13,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
-def factored(matrix: Array) -> bool:
-    """Turn S, and rows W below it, into the lower L with L L^T = S, and W L^-T; tell if it exists.
-
-    Parameters
-    ----------
-    matrix : [j + q, j] of which the upper triangle is neither read nor changed
-    """
-    rows, size = matrix.shape
-    scales = np.empty(size)
-    for i in range(rows):
-        end = min(i + 1, size)
-        for start in range(0, end, 4):
-            stop = min(start + 4, end)
-            if stop - start == 4:  # four sums at once: numbers are read as often as they are used
-                a = b = c = d = 0.0
-                for m in range(start):
-                    own = matrix[i, m]
-                    a += own * matrix[start, m]
-                    b += own * matrix[start + 1, m]
-                    c += own * matrix[start + 2, m]
-                    d += own * matrix[start + 3, m]
-                matrix[i, start] -= a
-                matrix[i, start + 1] -= b
-                matrix[i, start + 2] -= c
-                matrix[i, start + 3] -= d
-            for k in range(start, stop):
-                value = matrix[i, k]
-                for m in range(start if stop - start == 4 else 0, k):
-                    value -= matrix[i, m] * matrix[k, m]
-                if k == i:
-                    if not value > 0.0:
-                        return False
-                    scales[k] = 1.0 / np.sqrt(value)
-                matrix[i, k] = value * scales[k]
-    return True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -110,83 +72,64 @@ def downdated(matrix: Array, rows: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def band_of(lower: Array) -> Array:
-    """Return [j], for each row of a lower triangle, where its first number is that is not 0."""
-    first = np.empty(lower.shape[0], dtype=np.intp)
-    for i in range(lower.shape[0]):
-        first[i] = i
-        for j in range(i):
-            if lower[i, j] != 0.0:
-                first[i] = j
-                break
-    return first
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def band_solved(lower: Array, first: Array, right: Array) -> None:
+def band_solved(band: Array, right: Array) -> None:
     """Solve L u = r in place, in the first [j] of each row of `right`.
 
     Parameters
     ----------
-    lower, first : L and `band_of` it
+    band : [m j] diagonals of L, the main one first: L_(i+m, i) at (m, i)
     right : [q j]
     """
     for q in range(right.shape[0]):
         row = right[q]
-        for i in range(lower.shape[0]):
+        for i in range(band.shape[1]):
             total = row[i]
-            for k in range(first[i], i):
-                total -= lower[i, k] * row[k]
-            row[i] = total / lower[i, i]
+            for m in range(1, min(i + 1, band.shape[0])):
+                total -= band[m, i - m] * row[i - m]
+            row[i] = total / band[0, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def around(lower: Array, first: Array, middle: Array, out: Array) -> None:
-    """Fill in L M L^T, M symmetric and L a band.
+def around(band: Array, middle: Array, out: Array) -> None:
+    """Fill in L M L^T, M symmetric and L a band; see `band_solved`.
 
     Parameters
     ----------
-    lower, first : L and `band_of` it
+    band : of L
     middle, out : [j j]
     """
-    size = lower.shape[0]
-    half = np.zeros((size, size))
+    size = band.shape[1]
+    half = np.empty(size)
     for i in range(size):
-        row = half[i]
-        for k in range(first[i], i + 1):
-            share, other = lower[i, k], middle[k]
+        half[:] = 0.0
+        for m in range(min(i + 1, band.shape[0])):
+            share, other = band[m, i - m], middle[i - m]
             for j in range(size):
-                row[j] += share * other[j]
-    half = half.T.copy()
-    for i in range(size):
-        row = out[i]
-        row[:size] = 0.0
-        for k in range(first[i], i + 1):
-            share, other = lower[i, k], half[k]
-            for j in range(size):
-                row[j] += share * other[j]
+                half[j] += share * other[j]
+        out[i] = 0.0
+        for m in range(band.shape[0]):
+            own, other, end = out[i, m:], band[m], size - m
+            for j in range(end):
+                own[j] += half[j] * other[j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def within(lower: Array, first: Array, middle: Array, out: Array) -> None:
-    """Fill in L^T M L, M symmetric and L a band; see `around`."""
-    size = lower.shape[0]
-    half = np.zeros((size, size))
-    for k in range(size):
-        other = middle[k]
-        for i in range(first[k], k + 1):
-            share, row = lower[k, i], half[i]
-            for j in range(size):
-                row[j] += share * other[j]
-    half = half.T.copy()
+def within(band: Array, middle: Array, variance: float, out: Array) -> None:
+    """Fill in the lower triangle of L^T M L + s^2; see `around`."""
+    size = band.shape[1]
+    half = np.empty(size)
     for i in range(size):
+        half[:] = 0.0
+        for m in range(min(size - i, band.shape[0])):
+            share, other = band[m, i], middle[i + m]
+            for j in range(size):
+                half[j] += share * other[j]
         out[i, :size] = 0.0
-    for k in range(size):
-        other = half[k]
-        for i in range(first[k], k + 1):
-            share, row = lower[k, i], out[i]
-            for j in range(i + 1):
-                row[j] += share * other[j]
+        for m in range(band.shape[0]):
+            own, other, end = half[m:], band[m], min(i + 1, size - m)
+            for j in range(end):
+                out[i, j] += own[j] * other[j]
+        out[i, i] += variance
 
 
-__all__ = ["around", "band_of", "band_solved", "downdated", "factored", "inverted", "within"]
+__all__ = ["around", "band_solved", "downdated", "inverted", "within"]

@@ -94,8 +94,7 @@ class NoiseModel:
             return scaled.tocsr()
         index = _index_of(places)
         sites = np.arange(len(places))
-        steps = _half_plane(order)
-        found = np.stack([_look_up(index, places, step) for step in steps], axis=1)
+        found = _look_up(index, places, _half_plane(order))
         whole = np.all(found >= 0, axis=1)
         taps = np.hstack([sites[whole, None], found[whole]])
         factors = np.tile(_widened(self.order, self.prediction, order), (len(taps), 1))
@@ -310,7 +309,7 @@ def best_prediction(
     """
     index, widest = _index_of(places), _half_plane(_LARGEST_ORDER)
     sites = sites[:: max(1, sites.size // _MOST_SITES)]
-    found = np.stack([_look_up(index, places[sites], step) for step in widest], axis=1)
+    found = _look_up(index, places[sites], widest)
     around = np.where(found >= 0, scaled[found], np.nan)
     whole = np.all(np.isfinite(around), axis=1)
     around, foretold = around[whole], scaled[sites[whole]]
@@ -355,10 +354,9 @@ def _index_of(places: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _look_up(
-    index: NDArray[np.intp], places: NDArray[np.intp], step: NDArray[np.intp]
+    index: NDArray[np.intp], places: NDArray[np.intp], steps: NDArray[np.intp]
 ) -> NDArray[np.intp]:
-    margin = _LARGEST_ORDER
-    found: NDArray[np.intp] = index[
-        places[:, 0], places[:, 1] + margin + step[0], places[:, 2] + margin + step[1]
-    ]
-    return found
+    """Return [n k]: the numbers of the pixels that lie each of the steps [k 2] from the places."""
+    strides = np.array([index[0].size, index.shape[2], 1])
+    start = places @ strides + _LARGEST_ORDER * strides[1:].sum()
+    return np.asarray(np.take(index, start[:, None] + steps @ strides[1:]))

@@ -123,18 +123,12 @@ class _Student:
 
     def log_density(self, parameters: Matrix) -> Vector:
         """Return the log density of each of [k p], up to a constant of the dimension."""
-        two_sided: Vector = np.logaddexp(
-            self._one_sided(parameters), self._one_sided(parameters * self.twin)
-        )
-        return two_sided
-
-    def _one_sided(self, parameters: Matrix) -> Vector:
-        scaled = np.linalg.solve(self.directions, (parameters - self.centre).T)
-        size = self.centre.size
-        radius = np.sum(scaled**2, axis=0)
+        both = np.stack([parameters, parameters * self.twin]) - self.centre
+        scaled = np.linalg.solve(self.directions, both.swapaxes(1, 2))
+        radius = np.sum(scaled**2, axis=1)
         volume = np.linalg.slogdet(self.directions)[1]
-        density: Vector = -0.5 * (_FREEDOM + size) * np.log1p(radius / _FREEDOM) - volume
-        return density
+        sides = -0.5 * (_FREEDOM + self.centre.size) * np.log1p(radius / _FREEDOM) - volume
+        return np.asarray(np.logaddexp(*sides))
 
     def adapted(self, parameters: Matrix, log_weights: Vector) -> _Student:
         """Return the distribution with the mean and covariance of weighted draws."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,7 @@ class Pixels:
     values: Vector
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class UprightEdge:
     """A region turned so that its edge runs along the second axis, bright at positive x.
 
@@ -84,33 +85,38 @@ class UprightEdge:
     scaled: Vector
     unit_px: float
 
-    @property
+    @cached_property
     def half_length_px(self) -> float:
         """Half the extent of the region along the edge."""
         return max(float(np.max(np.abs(self.along_px))), 1.0)
 
-    @property
+    @cached_property
     def normal_px(self) -> Vector:
         """Signed distance of every pixel from the first guess."""
         return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
 
-    @property
+    @cached_property
     def rounding(self) -> Rounding:
         """How the pixels are rounded."""
         return rounding_of(self.scaled)
 
-    @property
+    @cached_property
     def basis(self) -> SplineBasis:
         """Splines that suit the width of the edge and reach as far as the region."""
         reach_px = float(np.max(np.abs(self.normal_px)))
         units = np.clip(reach_px / self.unit_px, _HALF_WIDTH, _LARGEST_REACH)
         return splines_for(float(units), self.unit_px)
 
-    def free_response(self, used: Mask | None = None) -> FreeResponse:
-        """Return what tells ESF and LSF from the pixels alone, or from those used [n]."""
-        normal_px, basis = self.normal_px, self.basis
-        nodes = nodes_for(basis, self.unit_px, 1.0, float(np.max(np.abs(normal_px))))
-        return FreeResponse(normal_px, basis, nodes, used)
+    @cached_property
+    def free_response(self) -> FreeResponse:
+        """What tells ESF and LSF from the pixels alone."""
+        return self.response_without(None)
+
+    def response_without(self, out: Mask | None) -> FreeResponse:
+        """Return `free_response` as the pixels but those out [n] tell it."""
+        normal_px, used = self.normal_px, None if out is None else ~out
+        nodes = nodes_for(self.basis, self.unit_px, 1.0, float(np.max(np.abs(normal_px))))
+        return FreeResponse(normal_px, self.basis, nodes, used)
 
     def plateaus(self) -> list[Mask]:
         """Return the masks of the dark and the bright plateau."""
@@ -182,7 +188,7 @@ def learn_noise(
     step_sigma = edge.rounding.sigma
     # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
     # what changes across the edge; what changes along it tells uneven light.
-    response = edge.free_response()
+    response = edge.free_response
     free, slope = response.of(edge.scaled)
     rest = edge.scaled - free
     place = edge.along_px / edge.half_length_px

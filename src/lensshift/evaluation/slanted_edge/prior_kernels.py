@@ -33,13 +33,13 @@ def heights_covariance(
     """
     for i in range(number.size):
         total = 0.0
-        for j in range(number.size):
-            lag, fold = abs(number[i] - number[j]), abs(number[i] + number[j])
+        for j in range(i + 1):
+            lag, fold = number[i] - number[j], abs(number[i] + number[j])
             total += weight[j] * (near[lag] + symmetry * near[fold])
             out[i, j] = weight[i] * total
-        if i:
-            for j in range(number.size):
+            if i:
                 out[i, j] += out[i - 1, j]
+            out[j, i] = out[i, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -41,7 +41,7 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
     edge = turn_upright(pixels, aperture_px, most_bends)
     out = np.zeros(edge.scaled.size, dtype=bool)
     for _ in range(2):  # the worst hide others
-        more = _standing_out(edge, ~out)
+        more = _standing_out(edge, out)
         if np.array_equal(more, out) or np.mean(more) > _MOST_OUT:
             break
         out = more
@@ -54,8 +54,9 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
     return edge, int(out.sum())
 
 
-def _standing_out(edge: UprightEdge, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    rest = edge.scaled - edge.free_response(used).of(edge.scaled)[0]
+def _standing_out(edge: UprightEdge, out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    response = edge.response_without(out) if out.any() else edge.free_response
+    rest = edge.scaled - response.of(edge.scaled)[0]
     levels = np.unique(edge.scaled)  # neighbouring grey levels are no exception
     least = max(_LEAST_OUT, _OF_GREY_LEVEL * float(np.min(np.diff(levels), initial=1.0)))
     bins = _bins(edge)
