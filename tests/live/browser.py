@@ -73,7 +73,7 @@ class Page:
             found = self.value(expression)
             if found:
                 return found
-            time.sleep(0.1)
+            time.sleep(0.03)
         raise AssertionError(f"not within {seconds:g} s: {expression}; {self.problems}")
 
     def size(self, width: int, height: int, scale: float = 1.0) -> None:
@@ -132,5 +132,5 @@ def _tab(folder: Path) -> str:
                 tabs = [one for one in json.load(answer) if one["type"] == "page"]
             if tabs:
                 return str(tabs[0]["webSocketDebuggerUrl"])
-        time.sleep(0.1)
+        time.sleep(0.03)
     raise AssertionError("Chromium did not start")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,8 +180,8 @@ def _curvature(
             moved = taper_frames(
                 frames, valid, state.offset_px, own_mean=kinds == 3, expected=tapered.expected
             )
-            scores.append([_score(state, one, kinds)[0] @ together for one in (tapered, moved)])
-        bent[..., axis] = (np.array(scores[0]) - np.array(scores[1])) / (2.0 * _STEP_PX)
+            scores.append(_gradients(state, (tapered, moved), kinds) @ together)
+        bent[..., axis] = (scores[0] - scores[1]) / (2.0 * _STEP_PX)
     state.offset_px = offset_px
     return Curvature(together.T @ information @ together, *bent)
 
@@ -196,36 +197,56 @@ def _fit_spectrum(state: _State, tapered: Tapered, passes: int, *, whole: bool) 
             break
 
 
-def _score(state: _State, tapered: Tapered, kinds: int) -> tuple[Array, Array]:
-    """Return the gradient of the log likelihood by the shifts and its Fisher information.
+def _slopes(state: _State, kinds: int) -> Iterator[tuple[slice, Array, Array]]:
+    """Yield a part of the frequencies, S^-1 there, and v [frequency parameter frame].
 
     dS / dp = e_k v^T + conj(v) e_k^T touches one row and one column of S only:
     v = sum_m P_m q_m a_m[k] conj(a_m), q = -2 pi i (f + m) for a shift, 1 for the log gain.
     """
     spectrum, frequencies = state.spectrum, state.spectrum.frequencies
-    count = len(state.offset_px)
-    frame = np.repeat(np.arange(count), kinds)
-    every = np.arange(kinds * count)
-    score = np.zeros(kinds * count)
-    information = np.zeros((kinds * count, kinds * count))
+    count, whole_power = len(state.offset_px), state.spectrum.power
     for part in frequencies.parts(count, kinds):
         steering = spectrum.steering(part, state.offset_px, np.exp(state.log_gain))
-        power = spectrum.power[part]
+        power = whole_power[part]
         inverse = np.linalg.inv(spectrum.covariance(power, steering))
-        seen = (inverse @ tapered.spectra[part][..., None])[..., 0]
         turns = frequencies.turns(part)[..., :kinds]
         by_kind = np.empty((len(power), count, kinds, count), np.complex128)
         for kind in range(kinds):
             weighted = (power * turns[..., kind])[..., None] * steering
             by_kind[:, :, kind] = np.swapaxes(weighted, 1, 2) @ np.conj(steering)
-        v = by_kind.reshape(len(power), kinds * count, count)
-        v_inverse = v @ inverse
+        yield part, inverse, by_kind.reshape(len(power), kinds * count, count)
+
+
+def _gradients(state: _State, tapered: tuple[Tapered, ...], kinds: int) -> Array:
+    """Return the gradient [taper parameter] of the log likelihood alone, for several tapers."""
+    frame = np.repeat(np.arange(len(state.offset_px)), kinds)
+    found = np.zeros((len(tapered), len(frame)))
+    for part, inverted, v in _slopes(state, kinds):
+        weight = 2.0 * state.spectrum.frequencies.weight[part]
+        own = np.sum(v * np.swapaxes(inverted, 1, 2)[:, frame], axis=-1)
+        for number, one in enumerate(tapered):
+            seen = (inverted @ one.spectra[part][..., None])[..., 0]
+            slope = np.conj(seen)[:, frame] * (v @ seen[..., None])[..., 0]
+            found[number] += weight @ np.real(slope - own)
+    return found
+
+
+def _score(state: _State, tapered: Tapered, kinds: int) -> tuple[Array, Array]:
+    """Return the gradient of the log likelihood by the shifts and its Fisher information."""
+    count = len(state.offset_px)
+    frame = np.repeat(np.arange(count), kinds)
+    every = np.arange(kinds * count)
+    score = np.zeros(kinds * count)
+    information = np.zeros((kinds * count, kinds * count))
+    for part, inverted, v in _slopes(state, kinds):
+        seen = (inverted @ tapered.spectra[part][..., None])[..., 0]
+        v_inverse = v @ inverted
         slope = np.conj(seen)[:, frame] * (v @ seen[..., None])[..., 0]
-        weight = 2.0 * frequencies.weight[part]
+        weight = 2.0 * state.spectrum.frequencies.weight[part]
         score += weight @ np.real(slope - v_inverse[:, every, frame])
         crossed = v_inverse[:, :, frame]
         mixed = v_inverse @ np.conj(np.swapaxes(v, 1, 2))
         square = crossed * np.swapaxes(crossed, 1, 2)
-        square += mixed * np.swapaxes(inverse[:, frame][:, :, frame], 1, 2)
+        square += mixed * np.swapaxes(inverted[:, frame][:, :, frame], 1, 2)
         information += np.tensordot(weight, np.real(square), 1)
     return score, 0.5 * (information + information.T)

@@ -147,12 +147,19 @@ class Spectrum:
         return np.asarray(np.log(lowest**2 + at.down**2 + at.right**2))
 
     def steering(self, part: slice, offset_px: Shifts, gain: Array) -> Array:
-        """Return a_m [frequency alias frame], what an alias looks like in each frame."""
+        """Return a_m [frequency alias frame], what an alias looks like in each frame.
+
+        All frequencies have the same aliases, so that exp(f + m) = exp(f) exp(m): an exponential
+        takes many times as long as a product.
+        """
         at = self.frequencies
-        turn = (
-            at.down[part][..., None] * offset_px[:, 0] + at.right[part][..., None] * offset_px[:, 1]
-        )
-        return np.asarray(gain * np.exp(-2j * np.pi * turn))
+        middle = at.down.shape[1] // 2  # where the alias is 0
+        base = np.stack([at.down[part, middle], at.right[part, middle]], axis=-1)
+        alias = np.stack([at.down[0], at.right[0]], axis=-1)
+        alias = np.rint(alias - alias[middle])
+        of_base = np.exp(-2j * np.pi * (base @ offset_px.T))
+        of_alias = gain * np.exp(-2j * np.pi * (alias @ offset_px.T))
+        return np.asarray(of_base[:, None] * of_alias)
 
     def covariance(self, power: Array, steering: Array) -> Array:
         """Return S [frequency frame frame] = sum P a a^H + sigma^2 I."""
