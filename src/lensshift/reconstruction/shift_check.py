@@ -21,6 +21,7 @@ from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.noise import usual_size
+from lensshift.reconstruction.quick_shifts import found_shifts, found_turns, low_passed
 
 Array = NDArray[Any]
 Shifts = NDArray[np.float64]
@@ -35,17 +36,11 @@ FOLDS, CONFIRMING_FOLDS = 4, 2
 STIFFNESS, ITERATIONS, BLUR_PX, SCALE = 0.03, 15, 0.3, 2
 # Errors count up to this many robust deviations, or this part of the spread of the scene.
 CLIP_SIGMAS, CLIP_CONTRAST = 5.0, 0.5
-# A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
-LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
-INNER = np.s_[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
-# Directions whose gradients have a smaller part than this of the power of the others tell nothing.
-LEAST_TOLD = 0.03
 # Readings whose shifts differ by less from those given are the same.
 SAME_PX = 0.02
-# Frames whose borders seem to move by less against their middle are not asked how they turn.
-LEAST_TURN_PX = 0.15
-# Fewer frames fit a picture however they turn.
-LEAST_TURNING = 4
+# Fewer frames fit a picture however they turn; and in each quarter of it turning has to predict
+# better by so many standard errors.
+LEAST_TURNING, LEAST_QUARTER_T = 4, 2.0
 # Frames that tell the given shifts to such errors, small beside the shifts, object to nothing.
 AGREED_PX, AGREED_SHARE = 0.1, 0.25
 # How much worse the given shifts have to predict: for a closer look, to name a mistake, and where
@@ -151,7 +146,7 @@ def doubtful_shifts(
     objection: Doubt | None = None
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
     for one in (np.where(seen, values, 0.0), _alike(values, seen)):
-        trial, smooth = _Trial(one, seen, given, seed), _low_passed(one, seen)
+        trial, smooth = _Trial(one, seen, given, seed), low_passed(one, seen)
         if smooth is None:
             return None
         objection = _doubt(trial, smooth, scale) or (None if upright else _turn(trial, smooth))
@@ -162,7 +157,7 @@ def doubtful_shifts(
 
 def _doubt(trial: _Trial, smooth: Array, scale: int) -> Doubt | None:
     given = trial.given_px
-    found = _found_shifts(smooth, given)
+    found = found_shifts(smooth, given)
     apart_px = found - given
     span_px = float(np.ptp(given, axis=0).max())
     if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * span_px or AGREED_PX):
@@ -189,12 +184,24 @@ def _doubt(trial: _Trial, smooth: Array, scale: int) -> Doubt | None:
 
 
 def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
-    """Return the doubt that frames turn or grow as well, if that predicts them better."""
-    turned = _found_turns(smooth, trial.given_px)
+    """Return the doubt that frames turn or grow as well, if that predicts them better.
+
+    Better than other shifts alone, and in all quarters of the picture: what moves does so in some.
+    """
+    turned = found_turns(smooth, trial.given_px)
     if turned is None:
         return None
-    ratio, sure = trial.compare(turned, CONFIRMING_FOLDS)
-    return Doubt("frames that turn", ratio) if sure >= LEAST_T and ratio >= NAMED else None
+    found_px = found_shifts(smooth, trial.given_px)
+    shifted = _Trial(trial.values, trial.seen, found_px, trial.seed)
+    ratios = []
+    for other in (trial, shifted):
+        ratio, sure = other.compare(turned, CONFIRMING_FOLDS)
+        if sure < LEAST_T or ratio < NAMED:
+            return None
+        ratios.append(ratio)
+    if min(shifted.sure_by_quarter(turned, CONFIRMING_FOLDS)) < LEAST_QUARTER_T:
+        return None
+    return Doubt("frames that turn", ratios[0])
 
 
 class _Trial:
@@ -203,6 +210,7 @@ class _Trial:
     def __init__(self, values: Array, seen: Mask, given_px: Shifts, seed: int) -> None:
         rng = np.random.default_rng(seed)
         self.values, self.seen, self.given_px = values.astype(np.float32), seen, given_px
+        self.seed = seed
         self.fold = rng.integers(0, FOLDS, values.shape)
         self.noise = rng.standard_normal(values.shape, np.float32)
         self.cache: dict[tuple[bytes, int, bool], Array] = {}
@@ -230,6 +238,16 @@ class _Trial:
             two = two * max(1.0, float(np.nanmean(noise[0]) / np.nanmean(noise[1])))
         sure = (one.mean() - two.mean()) / max(float(np.std(one - two)), 1e-300)
         return float(one.mean() / max(two.mean(), 1e-300)), float(sure * np.sqrt(one.size))
+
+    def sure_by_quarter(self, other_px: Shifts, folds: int) -> list[float]:
+        """Return the difference of the errors in standard errors, in quarters of the picture."""
+        apart = self._errors(self.given_px, folds) - self._errors(other_px, folds)
+        halves = [np.array_split(side, 2, axis=3) for side in np.array_split(apart, 2, axis=2)]
+        found = []
+        for part in (quarter for side in halves for quarter in side):
+            one = part[np.isfinite(part)]
+            found.append(float(one.mean() / max(np.std(one), 1e-300) * np.sqrt(one.size)))
+        return found
 
     def _errors(self, offset_px: Shifts, folds: int, *, noise: bool = False) -> Array:
         """Return |error| [fold frame row col] at the pixels held out, NaN elsewhere."""
@@ -272,86 +290,6 @@ def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str,
         ("the order of the frames", given_px[linear_sum_assignment(apart)[1]]),
         ("shifts that were not told" if untold else NO_MISTAKE, found_px),
     ]
-
-
-def _found_turns(smooth: Array, given_px: Shifts) -> Array | None:
-    """Return the shift [frame row col 2] of every pixel, of frames that turn, grow or shear.
-
-    None if they hardly do.
-    """
-    from scipy.ndimage import map_coordinates
-
-    at = np.indices(smooth.shape[1:], np.float64)
-    half = (np.array(smooth.shape[1:]) - 1) / 2
-    row, col = at / half[:, None, None] - 1.0
-    terms = np.stack([np.ones_like(row), row, col])
-    place = np.zeros((len(smooth), 2, 3))
-    place[..., 0] = given_px
-    moved = _moved(smooth, given_px)
-    for number in range(FINDING_ROUNDS):
-        if number:
-            field = np.einsum("kit,thw->kihw", place, terms)
-            moved = np.stack([
-                map_coordinates(frame, at + by, mode="mirror", prefilter=False)
-                for frame, by in zip(smooth, field, strict=True)
-            ])  # fmt: skip
-        common = moved.mean(axis=0)
-        known = (np.stack(np.gradient(common))[:, None] * terms)[INNER].reshape(6, -1)
-        told = np.linalg.pinv(known @ known.T, rcond=LEAST_TOLD, hermitian=True)
-        step = (common - moved)[INNER].reshape(len(smooth), -1) @ known.T @ told
-        step = np.clip(step - step.mean(axis=0), -1.0, 1.0).reshape(place.shape)
-        if number == 0 and np.abs(step[..., 1:]).sum(axis=2).max() < LEAST_TURN_PX:
-            return None
-        place = place + step
-        if np.abs(step).max() < FOUND_PX:
-            break
-    return np.asarray(np.einsum("kit,thw->khwi", place, terms))
-
-
-def _low_passed(values: Array, seen: Mask) -> Array | None:
-    """Return the splines of frames without what is finer than their pixels.
-
-    None where less is left than of white noise: the frames show little but aliases, which move in
-    any direction.
-    """
-    from scipy.ndimage import gaussian_filter, spline_filter
-
-    width = (0, LOW_PASS_PX, LOW_PASS_PX)
-    smooth = gaussian_filter(values, width)
-    smooth /= np.maximum(gaussian_filter(seen.astype(np.float64), width), 1e-3)
-    if np.mean(smooth**2) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * np.mean(values**2):
-        return None
-    return np.stack([spline_filter(frame) for frame in smooth])
-
-
-def _moved(smooth: Array, offset_px: Shifts) -> Array:
-    """Return the frames where they would be without these shifts."""
-    from scipy.ndimage import shift
-
-    pairs = zip(smooth, -offset_px, strict=True)
-    return np.stack([shift(frame, by, mode="mirror", prefilter=False) for frame, by in pairs])
-
-
-def _found_shifts(smooth: Array, given_px: Shifts) -> Shifts:
-    """Return the shifts [frame 2] about their mean as the frames tell them.
-
-    Along edges that all run one way nothing tells the shift: there it is the given one.
-    """
-    offset_px = given_px.copy()
-    told = np.eye(2)
-    for _ in range(FINDING_ROUNDS):
-        moved = _moved(smooth, offset_px)
-        common = moved.mean(axis=0)
-        slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
-        size, direction = np.linalg.eigh(slope.T @ slope)
-        told = direction * (size > LEAST_TOLD * size[1]) @ direction.T
-        inverse = direction / np.maximum(size, LEAST_TOLD * size[1] + 1e-300) @ direction.T
-        rest = (common - moved)[INNER].reshape(len(smooth), -1)
-        step = np.clip(rest @ slope @ inverse @ told, -1.0, 1.0)
-        offset_px += step - step.mean(axis=0)
-        if np.abs(step).max() < FOUND_PX:
-            break
-    return np.asarray(given_px + (offset_px - given_px) @ told)
 
 
 def _alike(values: Array, seen: Mask) -> Array:

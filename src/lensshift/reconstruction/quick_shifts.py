@@ -1,0 +1,100 @@
+"""Shifts and turns of frames as they tell them themselves at a glance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Shifts = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
+LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
+INNER = np.s_[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+# Directions whose gradients have a smaller part than this of the power of the others tell nothing.
+LEAST_TOLD = 0.03
+# Frames whose borders seem to move by less against their middle are not asked how they turn.
+LEAST_TURN_PX = 0.15
+
+
+def low_passed(values: Array, seen: Mask) -> Array | None:
+    """Return the splines of frames [frame row col] without what is finer than their pixels.
+
+    None where less is left than of white noise: the frames show little but aliases, which move in
+    any direction.
+    """
+    from scipy.ndimage import gaussian_filter, spline_filter
+
+    width = (0, LOW_PASS_PX, LOW_PASS_PX)
+    smooth = gaussian_filter(values, width)
+    smooth /= np.maximum(gaussian_filter(seen.astype(np.float64), width), 1e-3)
+    if np.mean(smooth**2) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * np.mean(values**2):
+        return None
+    return np.stack([spline_filter(frame) for frame in smooth])
+
+
+def found_shifts(smooth: Array, given_px: Shifts) -> Shifts:
+    """Return the shifts [frame 2] about their mean as the frames tell them.
+
+    Along edges that all run one way nothing tells the shift: there it is the given one.
+    """
+    offset_px = given_px.copy()
+    told = np.eye(2)
+    for _ in range(FINDING_ROUNDS):
+        moved = _moved(smooth, offset_px)
+        common = moved.mean(axis=0)
+        slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
+        size, direction = np.linalg.eigh(slope.T @ slope)
+        told = direction * (size > LEAST_TOLD * size[1]) @ direction.T
+        inverse = direction / np.maximum(size, LEAST_TOLD * size[1] + 1e-300) @ direction.T
+        rest = (common - moved)[INNER].reshape(len(smooth), -1)
+        step = np.clip(rest @ slope @ inverse @ told, -1.0, 1.0)
+        offset_px += step - step.mean(axis=0)
+        if np.abs(step).max() < FOUND_PX:
+            break
+    return np.asarray(given_px + (offset_px - given_px) @ told)
+
+
+def found_turns(smooth: Array, given_px: Shifts) -> Array | None:
+    """Return the shift [frame row col 2] of every pixel, of frames that turn, grow or shear.
+
+    None if they hardly do.
+    """
+    from scipy.ndimage import map_coordinates
+
+    at = np.indices(smooth.shape[1:], np.float64)
+    half = (np.array(smooth.shape[1:]) - 1) / 2
+    row, col = at / half[:, None, None] - 1.0
+    terms = np.stack([np.ones_like(row), row, col])
+    place = np.zeros((len(smooth), 2, 3))
+    place[..., 0] = given_px
+    moved = _moved(smooth, given_px)
+    for number in range(FINDING_ROUNDS):
+        if number:
+            field = np.einsum("kit,thw->kihw", place, terms)
+            moved = np.stack([
+                map_coordinates(frame, at + by, mode="mirror", prefilter=False)
+                for frame, by in zip(smooth, field, strict=True)
+            ])  # fmt: skip
+        common = moved.mean(axis=0)
+        known = (np.stack(np.gradient(common))[:, None] * terms)[INNER].reshape(6, -1)
+        told = np.linalg.pinv(known @ known.T, rcond=LEAST_TOLD, hermitian=True)
+        step = (common - moved)[INNER].reshape(len(smooth), -1) @ known.T @ told
+        step = np.clip(step - step.mean(axis=0), -1.0, 1.0).reshape(place.shape)
+        if number == 0 and np.abs(step[..., 1:]).sum(axis=2).max() < LEAST_TURN_PX:
+            return None
+        place = place + step
+        if np.abs(step).max() < FOUND_PX:
+            break
+    return np.asarray(np.einsum("kit,thw->khwi", place, terms))
+
+
+def _moved(smooth: Array, offset_px: Shifts) -> Array:
+    """Return the frames where they would be without these shifts."""
+    from scipy.ndimage import shift
+
+    pairs = zip(smooth, -offset_px, strict=True)
+    return np.stack([shift(frame, by, mode="mirror", prefilter=False) for frame, by in pairs])
