@@ -90,7 +90,7 @@ def affine_motion(frames: Array, valid: Mask, start_px: Shifts, *, reference: in
     for seen, known in finer:
         fit = alternate(seen, known, 2 * fit.place_px, reference, ROUNDS)
     own = np.einsum("kii->ki", fit.own).reshape(fit.place_px.shape)[..., 0]
-    half = (np.array(frames.shape[1:]) - 1) / 2
+    half = np.maximum((np.array(frames.shape[1:]) - 1) / 2, 0.5)
     return AffineFit(
         fit.place_px[..., 0], fit.place_px[..., 1:] / half, np.sqrt(own + own[reference]),
         fit.noise, fit.settled,
