@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import lru_cache
-from threading import Lock
+from threading import current_thread, main_thread
 
 from threadpoolctl import ThreadpoolController
-
-_users, _limit, _counting = 0, ExitStack(), Lock()
 
 
 @lru_cache
@@ -19,19 +17,13 @@ def _libraries() -> ThreadpoolController:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Do linear algebra with one thread meanwhile, also in other threads of this process.
+    """Do linear algebra with one thread meanwhile, if this is the main thread of the process.
 
-    Over matrices of some hundred numbers a side several threads only wait for one another.
+    Over matrices of some hundred numbers a side several threads only wait for one another. OpenBLAS
+    does not always heed other threads than the main one, which could not give its threads back.
     """
-    global _users
-    with _counting:  # the last to leave gives the threads back, whoever came first
-        if not _users:
-            _limit.enter_context(_libraries().limit(limits=1, user_api="blas"))
-        _users += 1
-    try:
+    if current_thread() is not main_thread():
         yield
-    finally:
-        with _counting:
-            _users -= 1
-            if not _users:
-                _limit.close()
+        return
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
