@@ -206,3 +206,5 @@ def test_frames_that_turn_are_told_by_register_and_info(tmp_path: Path) -> None:
     assert sharp["channels"]["amplitude"]["status"] != "the frames contradict the picture"
     refused = call("reconstruct", target, "--motion", "affine", "-o", tmp_path / "again.nc")
     assert (refused.exit_code, "unknown shifts" in refused.stderr) == (1, True)
+    windows = call("reconstruct", target, "--window", "2", "--motion", "affine")
+    assert windows.exit_code == 2

@@ -22,6 +22,7 @@ from lensshift.reconstruction.misfit import (
     OUTLIER_SQUARE,
     SURE,
     fits,
+    slopes_of,
     some_pixels,
 )
 
@@ -53,9 +54,7 @@ def moments_px2(
         return {}
     used = np.isfinite(sigma)
     rest = np.where(used, y - A.forward(single(image)), 0.0)
-    slopes = scale * np.stack(
-        [A.forward(np.ascontiguousarray(g)) for g in np.gradient(single(image))]
-    )
+    slopes, _ = slopes_of(A, single(image), scale)
     variance = np.where(used, sigma, 1.0) ** 2 + ALLOWED_SHIFT_PX**2 * np.sum(slopes**2, axis=0)
     terms = np.concatenate([_curvatures(A, image, scale), slopes])
     terms, on, r, variance = (some_pixels(v) for v in (terms.swapaxes(0, 1), used, rest, variance))
