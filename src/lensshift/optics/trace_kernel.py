@@ -118,6 +118,43 @@ def _out_of(m: Array, b: int, e: int, v: _Vector) -> _Vector:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _enter(
+    m: Array, vertices: Array, b: int, e: int, p: _Vector, d: _Vector
+) -> tuple[_Vector, _Vector]:
+    """Return point and direction in the axes of an element."""
+    v = _vector(vertices[b, e])
+    return _into(m, b, e, (p[0] - v[0], p[1] - v[1], p[2] - v[2])), _into(m, b, e, d)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leave(
+    m: Array, vertices: Array, b: int, e: int, p: _Vector, d: _Vector
+) -> tuple[_Vector, _Vector]:
+    """Return point and direction in the axes of the lens."""
+    p, v = _out_of(m, b, e, p), _vector(vertices[b, e])
+    return (p[0] + v[0], p[1] + v[1], p[2] + v[2]), _out_of(m, b, e, d)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _along(p: _Vector, d: _Vector, t: float) -> _Vector:
+    return p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
+
+
+# Inlined, or the trace takes 1.25 times as long.
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _cross(
+    p: _Vector, d: _Vector, s: int, depth: Array, curvature: Array, conic: Array, asphere: Array,
+    terms: Array, radial: Array, radial_terms: Array,
+) -> tuple[_Vector, float, float]:  # fmt: skip
+    """Return where a ray meets a surface, how far that is, and the slope there, NaN if nowhere."""
+    shape = curvature[s], conic[s], asphere, s, terms[s], radial, radial_terms[s]
+    t = (depth[s] - p[2]) / d[2]
+    t += _meet(_along(p, d, t), d, *shape)
+    p = _along(p, d, t)
+    return p, t, _slope(p[0] * p[0] + p[1] * p[1], *shape)[1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def trace_kernel(
     origin: Array, direction: Array, path: Array, status: Array, failed_at: Array,
     heights: Array, crossings: Array, vertices: Array, rotations: Array, index: Array,
@@ -153,30 +190,21 @@ def trace_kernel(
             for s in range(surfaces):
                 e = element[s]
                 if s == 0 or element[s - 1] != e:
-                    v = (vertices[b, e, 0], vertices[b, e, 1], vertices[b, e, 2])
-                    p = _into(rotations, b, e, (p[0] - v[0], p[1] - v[1], p[2] - v[2]))
-                    d = _into(rotations, b, e, d)
-                t = (depth[s] - p[2]) / d[2]
-                at = (p[0] + t * d[0], p[1] + t * d[1], 0.0)
-                t += _meet(
-                    at, d, curvature[s], conic[s], asphere, s, terms[s], radial, radial_terms[s]
+                    p, d = _enter(rotations, vertices, b, e, p, d)
+                p, t, slope = _cross(
+                    p, d, s, depth, curvature, conic, asphere, terms, radial, radial_terms
                 )
-                p = (p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2])
                 length += before * t
-                square = p[0] * p[0] + p[1] * p[1]
-                slope = _slope(
-                    square, curvature[s], conic[s], asphere, s, terms[s], radial, radial_terms[s]
-                )[1]
                 if np.isnan(slope):
                     status[b, r], failed_at[b, r] = MISSED, s
                     break
-                height = np.sqrt(square) / semi_diameter[s]
+                height = np.sqrt(p[0] * p[0] + p[1] * p[1]) / semi_diameter[s]
                 if heights.shape[2]:
                     heights[b, r, s] = height
                 if crossings.shape[2]:
-                    v = _out_of(rotations, b, e, p)
+                    met = _leave(rotations, vertices, b, e, p, d)[0]
                     for i in range(3):
-                        crossings[b, r, s, i] = v[i] + vertices[b, e, i]
+                        crossings[b, r, s, i] = met[i]
                 if height > 1.0 and status[b, r] == PASSED:
                     status[b, r], failed_at[b, r] = VIGNETTED, s
                 if mirror[s]:
@@ -189,9 +217,7 @@ def trace_kernel(
                     break
                 before = index[b, s]
                 if s == surfaces - 1 or element[s + 1] != e:
-                    p, d = _out_of(rotations, b, e, p), _out_of(rotations, b, e, d)
-                    v = (vertices[b, e, 0], vertices[b, e, 1], vertices[b, e, 2])
-                    p = (p[0] + v[0], p[1] + v[1], p[2] + v[2])
+                    p, d = _leave(rotations, vertices, b, e, p, d)
             t = (plane[b] - p[2]) / d[2]
             if status[b, r] == MISSED or status[b, r] == REFLECTED:
                 t = np.nan
