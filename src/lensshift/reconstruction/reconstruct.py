@@ -153,14 +153,9 @@ def reconstruct(
         doubt, request = _doubted(part, shifts, scale, request)
     seen: dict[str, Any] = {"blur": blur, "shift_field": field, "noise_sigma": noise_sigma,
                             "pixel_variance": variance}  # fmt: skip
-    flying, found = None, dict[str, Estimate]()
-    if choice.channel == "phasor":
-        phasor = reconstruct_phasor(
-            burst, used, scale, name, request, photometric=photometric, **seen
-        )
-        found = {"amplitude": phasor.amplitude, "distance": phasor.distance_m}
-        flying = phasor.flying
-    found |= _apart(burst, part, choice.channel, scale, used, chosen, request, photometric, seen)
+    found, flying = _estimates(
+        burst, part, choice.channel, scale, used, chosen, request, photometric, seen
+    )
     found = _objected(found, doubt)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
@@ -168,7 +163,7 @@ def reconstruct(
     )  # fmt: skip
 
 
-def _apart(
+def _estimates(
     burst: Burst,
     part: Burst,
     channel: str,
@@ -178,8 +173,13 @@ def _apart(
     request: Request,
     photometric: bool,
     seen: dict[str, Any],
-) -> dict[str, Estimate]:
-    """Reconstruct channels each on its own."""
+) -> tuple[dict[str, Estimate], Array | None]:
+    """Reconstruct both channels from phasors, with what flies, or each on its own."""
+    if channel == "phasor":
+        both = reconstruct_phasor(
+            burst, used, scale, chosen.name, request, photometric=photometric, **seen
+        )
+        return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found = {}
     for key, values in _channels(part, channel).items():
         problem = make_problem(
@@ -190,7 +190,7 @@ def _apart(
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
         found[key] = _solve(burst, problem, used, chosen, request, photometric, seen["shift_field"])
-    return found
+    return found, None
 
 
 def _doubted(
