@@ -48,6 +48,12 @@ def test_level_and_contrast_mean_nothing(a, b):
     if a > 0:
         assert np.abs((other.image - b) / a - plain.image).max() < 0.01 * plain.std.min()
         np.testing.assert_allclose(other.std / a, plain.std, rtol=1e-3)
+        assert plain.held
+        for here, there in zip(plain.held, other.held, strict=True):
+            for before, scaled in ((here.v, there.v), (here.past, there.past)):
+                rounding = np.spacing(np.float32(np.abs(scaled).max())) / a  # they are kept single
+                off = np.abs((scaled - b) / a - before).max()
+                assert off < 0.01 * plain.std.min() + rounding
     else:  # nothing forces a negative to mirror its positive, but training showed both
         assert np.sqrt(np.mean((((other.image - b) / a - plain.image) / plain.std) ** 2)) < 1
 

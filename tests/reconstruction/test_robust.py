@@ -54,5 +54,33 @@ def test_losses_are_touched_from_above(name: str, seed: int) -> None:
     r, s = 0.1 * rng.standard_t(2, (2, 3, 7, 9))
     weight = rng.random(r.shape)
     belief = loss.believe(r, weight, weight)
-    above = loss.cost(r, weight, belief) + np.sum(belief.weight * (s**2 - r**2))
-    assert loss.cost(s, weight, belief) <= above + 1e-12
+    for one in np.eye(r.size).reshape(-1, *r.shape):  # in each pixel: the sum would hide a jump
+        above = loss.cost(r, one * weight, belief) + np.sum(one * belief.weight * (s**2 - r**2))
+        assert loss.cost(s, one * weight, belief) <= above + 1e-12
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_weights_are_the_slope_of_the_loss(name: str) -> None:
+    """d rho / d r = 2 w r, by differences of the cost of single pixels."""
+    loss, rng, step = LOSSES[name](), np.random.default_rng(3), 1e-6
+    r = 0.1 * rng.standard_t(2, (2, 5, 7))
+    weight = rng.random(r.shape)
+    belief = loss.believe(r, weight, weight)
+    slope = [
+        loss.cost(r + one, weight, belief) - loss.cost(r - one, weight, belief)
+        for one in step * np.eye(r.size).reshape(-1, *r.shape)
+    ]
+    found = np.reshape(slope, r.shape) / (2 * step)
+    np.testing.assert_allclose(found, 2 * belief.weight * r, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_a_pixel_that_fits_is_believed_as_far_as_it_counts_and_none_more_than_wholly(
+    name: str,
+) -> None:
+    weight = np.random.default_rng(3).choice([0.0, 0.4, 1.0, 3.0], (2, 5, 7))
+    residual = 0.1 * np.random.default_rng(4).standard_t(2, weight.shape)
+    residual[0] = 0.0
+    confidence = LOSSES[name]().believe(residual, weight, weight).confidence
+    np.testing.assert_allclose(confidence[0], np.minimum(weight[0], 1.0))
+    assert np.all(confidence[1] <= np.minimum(weight[1], 1.0))
