@@ -67,11 +67,12 @@ def find_regions(image: Image) -> list[Region]:
     """
     rows, cols = image.shape
     whole = Region(0, rows, 0, cols)
-    if not np.any(np.isfinite(image)):
+    valid = np.isfinite(image)
+    if not valid.any():
         raise ValueError("expected an edge, got an image without a valid pixel")
     if _share(image, whole, 0.0) > _WHOLE_SHARE:
         return [whole]
-    filled = np.where(np.isfinite(image), image, np.nanmedian(image))
+    filled = image if valid.all() else np.where(valid, image, np.nanmedian(image))
     gradient = [ndimage.gaussian_filter1d(filled, _SMOOTHING_PX, axis=k, order=1) for k in (0, 1)]
     for k in (0, 1):
         gradient[k] = ndimage.gaussian_filter1d(gradient[k], _SMOOTHING_PX, axis=1 - k)
@@ -120,15 +121,17 @@ def _noise_of(image: Image) -> float:
 
 def _share(image: Image, region: Region, noise: float, normal_rad: float | None = None) -> float:
     """Return the share of the variance, but for that of the noise, that one step explains."""
-    row, col = np.nonzero(np.isfinite(image[region.slices]))
-    values = image[region.slices][row, col]
-    every = max(1, values.size // _MOST_PIXELS)
-    if values.size <= 16:
+    cut = image[region.slices]
+    known = np.flatnonzero(np.isfinite(cut))
+    if known.size <= 16:
         return 0.0
-    x_px, y_px = col[::every].astype(np.float64), row[::every].astype(np.float64)
-    variance = float(np.var(values[::every]))
+    known = known[:: max(1, known.size // _MOST_PIXELS)]
+    row, col = np.divmod(known, cut.shape[1])
+    values = cut[row, col]
+    x_px, y_px = col.astype(np.float64), row.astype(np.float64)
+    variance = float(np.var(values))
     rest = max(variance - noise**2, 0.0)
-    share = explained_share(x_px, y_px, values[::every], normal_rad)
+    share = explained_share(x_px, y_px, values, normal_rad)
     return share * variance / rest if rest > 0.1 * noise**2 else 0.0
 
 
@@ -163,11 +166,13 @@ def _split(
     chord = np.interp(lines, [lines[0], lines[-1]], [places[0], places[-1]])
     away_px = np.abs(places - chord)
     worst = int(np.argmax(away_px))
-    bend = np.polyfit(lines, places, 2)
-    smooth = np.std(places - np.polyval(bend, lines)) < _STRAIGHT_PX
-    if away_px[worst] <= _CORNER_AWAY_PX or smooth:
+    if away_px[worst] <= _CORNER_AWAY_PX or _off_bend_px(lines, places) < _STRAIGHT_PX:
         return [(lines, places)]
     return _split(lines[: worst + 1], places[: worst + 1]) + _split(lines[worst:], places[worst:])
+
+
+def _off_bend_px(lines: NDArray[np.intp], places: NDArray[np.intp]) -> float:
+    return float(np.std(places - np.polyval(np.polyfit(lines, places, 2), lines)))
 
 
 def _around(
