@@ -55,7 +55,7 @@ def main() -> None:
     ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     ask.add_argument("folder", type=Path, help="with mdsp_text.npz and the like")
     ask.add_argument("--only", nargs="+", choices=FRAMES, default=list(FRAMES))
-    ask.add_argument("--motion", choices=get_args(Motion), default="shift", help="of the frames")
+    ask.add_argument("--motion", choices=get_args(Motion), default="auto", help="of the frames")
     given = ask.parse_args()
     warnings.simplefilter("ignore")
     sys.stdout.write(f"{'frames':24s}" + "".join(f"{m:>10s}" for m in METHODS) + "  auto says\n")

@@ -99,13 +99,38 @@ def test_large_frames_come_to_it_from_coarse_ones() -> None:
 @pytest.mark.parametrize("seed", [5, 6, 7])
 def test_frames_that_turn_are_named_and_others_are_not(seed: int) -> None:
     offset_px, affine = motion(6, seed, 0.6)
-    with pytest.warns(QualityWarning, match=r"degrees in turn.*motion=\"affine\""):
-        register(Burst.from_arrays(taken(offset_px, affine, 0.05, seed)))
+    turned = Burst.from_arrays(taken(offset_px, affine, 0.05, seed))
+    with pytest.warns(QualityWarning, match=r"degrees in turn.*motion=\"shift\""):
+        found = register(turned)
+    assert found.affine is not None
+    assert corner_px(found.affine - affine, SHAPE) < 0.04
     still = taken(offset_px, 0 * affine, 0.05, seed)
     assert turning(still, np.ones(still.shape, np.bool_), offset_px) is None
     with warnings.catch_warnings():
         warnings.simplefilter("error", QualityWarning)
-        register(Burst.from_arrays(still))
+        assert register(Burst.from_arrays(still)).affine is None
+        assert register(turned, motion="shift").affine is None
+
+
+def square(top: Frames, left: Frames, side: float) -> Frames:
+    """Return which share of each pixel a square covers [frame row col]."""
+    along = []
+    for start, size in zip((top, left), SHAPE, strict=True):
+        pixel = np.arange(size) - start[:, None]
+        along.append(np.clip(np.minimum(pixel + 1, side) - np.maximum(pixel, 0), 0, 1))
+    return along[0][:, :, None] * along[1][:, None, :]
+
+
+@pytest.mark.parametrize("seed", [12, 13])
+def test_a_square_that_moves_beside_one_that_does_not_turns_no_frame(seed: int) -> None:
+    """Six numbers a frame would explain both, but only the moved one gains by it."""
+    offset_px, _ = motion(9, seed, 0.0)
+    way_px = np.linspace(0, 0.8, 9)
+    still = square(4.3 + offset_px[:, 0], 5.2 + offset_px[:, 1], 9.0)
+    moved = square(18.1 + offset_px[:, 0], 22.6 + offset_px[:, 1] + way_px, 7.0)
+    noise = np.random.default_rng(seed).normal(scale=0.01, size=still.shape)
+    frames = 1 + still + moved + noise
+    assert turning(frames, np.ones(frames.shape, np.bool_), offset_px) is None
 
 
 def test_the_picture_and_frames_left_out_follow_the_motion() -> None:
@@ -149,7 +174,7 @@ def test_what_cannot_be_is_refused() -> None:
         register(burst.select([0, 1, 2]), motion="affine")
     with pytest.raises(ValueError, match='method "auto" with motion "affine"'):
         register(burst, method="phase", motion="affine")
-    with pytest.raises(ValueError, match="motion among shift, affine"):
+    with pytest.raises(ValueError, match="motion among auto, shift, affine"):
         register(burst, motion="turn")  # type: ignore[arg-type]
     with pytest.raises(DataError, match="affine"):
         Burst.from_arrays(burst.amplitude, offset_px=offset_px, affine=affine[:3])

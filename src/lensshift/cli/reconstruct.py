@@ -45,7 +45,6 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     Examples:
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
       lensshift reconstruct stack.tif                       # finds the shifts itself
-      lensshift reconstruct handheld.tif --motion affine    # and how the camera turned
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
       lensshift reconstruct burst.nc --lens-field field.nc  # of `lensshift lens field`
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
@@ -89,7 +88,7 @@ def _located(
     lens_field, calibration = asked.lens_field, asked.calibration
     if burst.offset_source == "unknown" and calibration is None:
         burst = with_shifts(current, burst, asked.motion)
-    elif asked.motion != "shift":
+    elif asked.motion != "auto":
         raise ValueError("--motion is for unknown shifts; lensshift register finds others anew")
     if calibration is not None:
         from lensshift.io.calibration_file import load_calibration

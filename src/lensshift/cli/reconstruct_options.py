@@ -62,8 +62,10 @@ class ReconstructOptions:
     non_negative: bool = option(False, "Forbid negative values.")
     photometric: bool = option(False, "Estimate gain and offset of each frame.")
     seed: int = option(0, "Seed of whatever is random.", min=0)
-    motion: Literal["shift", "affine"] = option(
-        "shift", "Of frames whose shifts are not known; affine: they also turn and grow."
+    motion: Literal["auto", "shift", "affine"] = option(
+        "auto",
+        "Of frames whose shifts are not known; affine: they also turn and grow; auto: if they "
+        "show it; shift: never.",
     )
     lens_field: Path | None = option(
         None, "From `lensshift lens field`: how shift and blur vary over the sensor."

@@ -52,7 +52,7 @@ def is_recording(asked: ReconstructOptions) -> bool:
         return False
     names = ("frames", "lens_field", "calibration", "export")
     told = [f"--{name.replace('_', '-')}" for name in names if getattr(asked, name)]
-    told += ["--motion"] * (asked.motion != "shift")
+    told += ["--motion"] * (asked.motion != "auto")
     told += ["options of image stacks (convert it first)"] * (asked.stack != StackOptions())
     told += ["options of points (convert the sequence)"] * (asked.points != PointOptions())
     if told:

@@ -13,6 +13,7 @@ from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst
+    from lensshift.registration.register import Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +23,8 @@ class RegisterOptions:
     burst: BurstArgument
     out: Path | None = option(None, "Burst file; default: BURST_registered.nc beside it.", "-o")
     method: Literal["auto", "gradient", "phase"] = option("auto", "How the shifts are found.")
-    motion: Literal["shift", "affine"] = option(
-        "shift", "affine: frames may also turn, grow and shear."
+    motion: Literal["auto", "shift", "affine"] = option(
+        "auto", "affine: frames also turn, grow and shear; auto: if they show it; shift: never."
     )
     channel: Literal["amplitude", "distance"] = option(
         "amplitude", "What the shifts are found from."
@@ -60,7 +61,7 @@ def register(current: Session, asked: RegisterOptions) -> None:
     current.wrote(target)
 
 
-def with_shifts(current: Session, burst: Burst, motion: Literal["shift", "affine"]) -> Burst:
+def with_shifts(current: Session, burst: Burst, motion: Motion) -> Burst:
     """Return a burst of unknown shifts with those that its frames tell, and say them."""
     from lensshift.registration import register as find_shifts
 

@@ -46,7 +46,7 @@ def shift_error(window: Burst) -> dict[str, float]:
     begin_s = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)  # sigma_px says it
-        found = register(window)
+        found = register(window, motion="shift")
     error_px = found.offset_px - window.offset_px
     error_px = error_px - error_px.mean(axis=0)
     sigma_px = np.zeros(1) if found.offset_sigma_px is None else found.offset_sigma_px[1:]

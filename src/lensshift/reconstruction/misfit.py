@@ -171,7 +171,7 @@ class Misfit:
         return (
             f"something moved at rows {rows.start} .. {rows.stop - 1}, columns {cols.start} .. "
             f"{cols.stop - 1} of the frames{shown} (if nothing moved, check offset_px, "
-            "psf_sigma_px and whether the camera turned: register with motion affine)"
+            "psf_sigma_px and whether the camera turned: register finds it)"
         )
 
 

@@ -64,7 +64,7 @@ CURES: Mapping[str, str] = {
     "shifts that did not happen": "the frames lie at one place: check whether the lens moved",
     "shifts that were not told": "let `lensshift.register` find offset_px: the frames lie apart",
     "the order of the frames": "bring the frames into the order of offset_px",
-    "frames that turn": "let `lensshift.register` find it with motion affine",
+    "frames that turn": "let `lensshift.register` find shifts and turns",
     "no simple mistake": "check offset_px, or let `lensshift.register` find it",
 }
 NO_MISTAKE = "no simple mistake"

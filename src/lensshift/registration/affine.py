@@ -6,16 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from lensshift.core.arrays import Array
 from lensshift.registration.picture import (
-    BETTER,
     LEAST_FRAMES,
+    Fit,
     Mask,
     Places,
     Shifts,
     alternate,
-    prediction_error,
+    predicted,
     step_from,
 )
 
@@ -24,6 +25,8 @@ COARSE_PX = 64
 ROUNDS = 30
 # Frames whose corners move by less against their middle are as good as shifted.
 LEAST_CORNER_PX = 0.1
+# Frames turn if those that only shift would predict each other so much worse by chance once in:
+CHANCE = 0.01
 
 
 class AffineFit(NamedTuple):
@@ -100,7 +103,9 @@ def affine_motion(frames: Array, valid: Mask, start_px: Shifts, *, reference: in
 def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -> AffineFit | None:
     """Return how frames turn against each other, if that tells more of them than shifts do.
 
-    It has to leave less noise, and to predict half of the frames from the other half better.
+    Quarters of frames that are predicted from every other frame have to gain by it, by more than
+    chance and four more numbers a frame explain: the quarter of the sensor that gains most left
+    out, since what moves is somewhere.
     """
     if len(frames) < LEAST_FRAMES:
         return None
@@ -113,11 +118,24 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
         return None
     shifted = alternate(seen, known, px[..., None], reference)
     turned = alternate(seen, known, _padded(shifted.place_px), reference, ROUNDS)
-    errors = [prediction_error(seen, known, one.place_px)[0] for one in (turned, shifted)]
-    if turned.noise > BETTER * shifted.noise or errors[0] > BETTER * errors[1]:
+    gain = np.subtract(*(_quarter_errors(seen, known, fit) for fit in (shifted, turned)))
+    elsewhere = np.delete(gain, np.argmax(gain.mean(axis=0)), axis=1)
+    error = np.std(elsewhere, ddof=1) / np.sqrt(elsewhere.size)
+    if elsewhere.mean() <= stdtrit(elsewhere.size - 1, 1 - CHANCE) * error:
         return None
     found = affine_motion(frames, valid, offset_px, reference=reference)
     return found if corner_px(found.affine, frames.shape[1:]) > LEAST_CORNER_PX else None
+
+
+def _quarter_errors(frames: Array, valid: Mask, fit: Fit) -> NDArray[np.float64]:
+    """Return the error of prediction [frame quarter], without what numbers fitted take from it."""
+    error, weight, _ = predicted(frames, valid, fit.place_px)
+    row, col = (size // 2 for size in frames.shape[1:])
+    parts = [np.s_[:, r, c] for r in (np.s_[:row], np.s_[row:]) for c in (np.s_[:col], np.s_[col:])]
+    means = [np.sum((error * weight)[part], axis=(1, 2))
+             / np.maximum(np.sum(weight[part], axis=(1, 2)), 1.0) for part in parts]  # fmt: skip
+    fitted = fit.place_px[0].size / np.maximum(weight.sum(axis=(1, 2)), fit.place_px[0].size + 1)
+    return np.asarray(np.stack(means, axis=1) / np.sqrt(1 - fitted)[:, None])
 
 
 def _padded(place_px: Places) -> Places:

@@ -136,18 +136,24 @@ def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[floa
     ----------
     place_px : [frame 2] shifts, or [frame 2 term] as in `Fit`
     """
+    error, weight, steps = predicted(frames, valid, place_px)
+    return float(np.sum(error * weight) / max(float(np.sum(weight)), 1.0)), steps
+
+
+def predicted(frames: Array, valid: Mask, place_px: Places) -> tuple[Array, Array, Shifts]:
+    """Return size and weight of the error of each pixel [frame row col], and steps [frame 2]."""
     frames = frames - frames[valid].mean()
     place_px = place_px.reshape(len(frames), 2, -1)
     steps = np.zeros((len(frames), 2))
-    total, half = 0.0, np.arange(len(frames)) % 2 == 0
+    error, weights = np.zeros(frames.shape), np.zeros(frames.shape)
+    half = np.arange(len(frames)) % 2 == 0
     for known in (half, ~half):
         model, y, weight = _model(frames[known], valid[known], place_px[known])
         image = smooth_fit(model.operator, y, weight, STIFFNESS, FIRST_ITERATIONS)
         model, y, weight = _model(frames[~known], valid[~known], place_px[~known])
         steps[~known] = _step(model.operator, image, y, weight)[0][..., 0]
-        rest = np.abs(y - model.operator.forward(image))
-        total += float(np.sum(rest * weight) / max(float(np.sum(weight)), 1.0))
-    return total / 2, steps
+        error[~known], weights[~known] = np.abs(y - model.operator.forward(image)), weight
+    return error, weights, steps
 
 
 def _model(frames: Array, valid: Mask, place_px: Places) -> tuple[ForwardModel, Array, Array]:

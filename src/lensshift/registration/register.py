@@ -23,7 +23,7 @@ from lensshift.registration.picture import LEAST_FRAMES, UNKNOWN_PX, better_shif
 
 Shifts = NDArray[np.float64]
 Method = Literal["auto", "gradient", "phase"]
-Motion = Literal["shift", "affine"]
+Motion = Literal["auto", "shift", "affine"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
 Channel = Literal["amplitude", "distance"]
 Run = Callable[..., ShiftFit]
@@ -46,7 +46,7 @@ def register(
     method: Method = "auto",
     reference: int = 0,
     channel: Channel = "amplitude",
-    motion: Motion = "shift",
+    motion: Motion = "auto",
     photometric: bool = False,
     use_given: bool = False,
 ) -> Burst:
@@ -63,8 +63,9 @@ def register(
     reference : number of the frame whose offset is kept; the others are relative to it, and so
         are the standard errors, which are 0 there. Where no offset is known, their mean is 0
     channel : "amplitude" (complex phasors are used whole) or "distance"
-    motion : "shift", or "affine": frames also turn, grow and shear against the reference, which
-        `reconstruct` then allows for (method "auto", four frames and more)
+    motion : "affine": frames also turn, grow and shear against the reference, which `reconstruct`
+        then allows for (method "auto", four frames and more); "auto": if they show that they do;
+        "shift": never
     photometric : whether frames may differ by a factor and an additive constant
     use_given : whether the burst's own offsets count as measurements with `offset_sigma_px`
         (method "auto" only)
@@ -83,7 +84,7 @@ def register(
     -----
     QualityWarning
         If a shift has a standard error above 0.05 px or may be another one (scenes that repeat,
-        without planned offsets), the frames turn or grow and nobody asked for it, or the search
+        without planned offsets), the frames turn or grow though nobody said so, or the search
         did not settle.
     """
     expect_burst(burst)
@@ -146,20 +147,21 @@ def frames_of(burst: Burst, channel: str) -> Array:
 def _turned(
     fit: ShiftFit, frames: Array, valid: NDArray[np.bool_], motion: Motion, reference: int
 ) -> tuple[ShiftFit, NDArray[np.float64] | None]:
-    """Return the fit and how frames turn if that is asked for; else warn if they do."""
-    if motion == "shift":
-        # Along a single edge frames may lie anywhere, and then turn as they like.
-        blind = np.any(fit.sigma_px > UNKNOWN_PX)
-        found = None if blind else turning(frames, valid, fit.offset_px, reference)
-        if found is not None:
-            warnings.warn(
-                f"the frames do not only shift but differ {found.said(frames.shape[1:])}: "
-                'motion="affine" of register (--motion affine) allows for it',
-                QualityWarning,
-                stacklevel=3,
-            )
+    """Return the fit and how frames turn, if that is asked for or they show it."""
+    # Along a single edge frames may lie anywhere, and then turn as they like.
+    if motion == "shift" or (motion == "auto" and np.any(fit.sigma_px > UNKNOWN_PX)):
         return fit, None
-    found = affine_motion(frames, valid, fit.offset_px, reference=reference)
+    find = turning if motion == "auto" else affine_motion
+    found = find(frames, valid, fit.offset_px, reference=reference)
+    if found is None:
+        return fit, None
+    if motion == "auto":
+        warnings.warn(
+            f"the frames do not only shift but differ {found.said(frames.shape[1:])}, which is "
+            'allowed for: motion="shift" of register (--motion shift) would not',
+            QualityWarning,
+            stacklevel=3,
+        )
     own = np.diag(found.sigma_px.ravel() ** 2)
     own[2 * reference : 2 * reference + 2] = 0.0
     fit = replace(
@@ -173,7 +175,7 @@ def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bo
     if method not in METHODS:
         raise ValueError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
     if motion not in get_args(Motion):
-        raise ValueError(f"expected a motion among shift, affine, got {motion!r}")
+        raise ValueError(f"expected a motion among {', '.join(get_args(Motion))}, got {motion!r}")
     if motion == "affine" and method != "auto":
         raise ValueError(f'expected method "auto" with motion "affine", got {method!r}')
     if motion == "affine" and burst.frame_count < LEAST_FRAMES:

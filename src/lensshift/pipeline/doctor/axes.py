@@ -130,7 +130,7 @@ def nudge(stage: Stage, camera: Camera, calibration: Calibration, settings: Acqu
     )
     with warnings.catch_warnings():  # a poor one shows in its standard errors
         warnings.simplefilter("ignore", QualityWarning)
-        seen = register(burst)
+        seen = register(burst, motion="shift")
     read_mm = np.array([one.stage_mm for one in shots])
     return _axes(np.asarray(seen.offset_px), np.asarray(seen.offset_sigma_px), read_mm)
 
