@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from lensshift import Burst, load_burst, load_image_stack, reconstruct, register, save_burst
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.export import export_burst
+from lensshift.reconstruction.shift_check import doubtful_shifts
 from lensshift.registration.affine import affine_motion, corner_px, turning, turns_of
 
 FINE = 6
@@ -148,6 +150,22 @@ def test_the_picture_and_frames_left_out_follow_the_motion() -> None:
         rest = np.stack([estimate.predict(k) - burst.amplitude[k] for k in (1, 3, 5, 7)])
         errors.append(np.std(rest[:, 4:-4, 4:-4]))
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_frames_that_turn_as_told_are_not_doubted() -> None:
+    """The part that is looked at lies beside the middle: shifts by a turn grow with their unit."""
+    rng = np.random.default_rng(4)
+    scene = 20 * ndimage.gaussian_filter(rng.normal(size=(60, 72)), 1.0)
+    angle_deg = np.array([0, 0.6, -0.8, 0.4, -0.3, 0.7])
+    turned = [ndimage.rotate(scene, one, reshape=False, order=3) for one in angle_deg]
+    frames = np.array(turned)[:, 6:-6, 6:-6] + rng.normal(scale=0.05, size=(6, 48, 60))
+    affine = np.deg2rad(angle_deg)[:, None, None] * np.array([[0.0, -1.0], [1.0, 0.0]])
+    field = Burst.from_arrays(frames, offset_px=np.zeros((6, 2)), affine=affine).shift_field
+    assert field is not None
+    assert doubtful_shifts(frames, field.offset_px) is None
+    doubt = doubtful_shifts(frames, np.zeros((6, 2)))
+    assert doubt is not None
+    assert doubt.mistake in ("frames that turn", "shifts that were not told")
 
 
 def test_it_is_stored_and_goes_with_its_frames(tmp_path: Path) -> None:

@@ -137,16 +137,16 @@ def doubtful_shifts(
     """
     values = np.abs(np.asarray(frames))
     seen = np.ones(values.shape, np.bool_) if valid is None else np.asarray(valid, np.bool_)
-    values, seen, given = _part(values, seen, np.asarray(offset_px, np.float64))
+    values, seen, given, about = _part(values, seen, np.asarray(offset_px, np.float64))
     if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
         return None
     values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)
     seen = seen & ~_lone(np.where(seen, values, 0.0))
-    upright = len(values) < LEAST_TURNING or np.ndim(offset_px) == 4
+    upright = len(values) < LEAST_TURNING or about is not None
     objection: Doubt | None = None
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
     for one in (np.where(seen, values, 0.0), _alike(values, seen)):
-        trial, smooth = _Trial(one, seen, given, seed), low_passed(one, seen)
+        trial, smooth = _Trial(one, seen, given, about, seed), low_passed(one, seen)
         if smooth is None:
             return None
         objection = _doubt(trial, smooth, scale) or (None if upright else _turn(trial, smooth))
@@ -192,7 +192,7 @@ def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
     if turned is None:
         return None
     found_px = found_shifts(smooth, trial.given_px)
-    shifted = _Trial(trial.values, trial.seen, found_px, trial.seed)
+    shifted = _Trial(trial.values, trial.seen, found_px, None, trial.seed)
     ratios = []
     for other in (trial, shifted):
         ratio, sure = other.compare(turned, CONFIRMING_FOLDS)
@@ -207,10 +207,12 @@ def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
 class _Trial:
     """Fits to a part of the pixels, and how well they predict the others."""
 
-    def __init__(self, values: Array, seen: Mask, given_px: Shifts, seed: int) -> None:
+    def __init__(
+        self, values: Array, seen: Mask, given_px: Shifts, about_px: Array | None, seed: int
+    ) -> None:
         rng = np.random.default_rng(seed)
         self.values, self.seen, self.given_px = values.astype(np.float32), seen, given_px
-        self.seed = seed
+        self.about_px, self.seed = about_px, seed
         self.fold = rng.integers(0, FOLDS, values.shape)
         self.noise = rng.standard_normal(values.shape, np.float32)
         self.cache: dict[tuple[bytes, int, bool], Array] = {}
@@ -257,6 +259,8 @@ class _Trial:
         key = (offset_px.tobytes(), fold, noise)
         if key not in self.cache:
             y = self.noise if noise else self.values
+            if self.about_px is not None:
+                offset_px = offset_px[:, None, None] + self.about_px
             kind = "shift_field_px" if offset_px.ndim == 4 else "offset_px"
             model = forward_model(
                 y.shape[1:], SCALE, **{kind: offset_px}, blur=GaussianBlur(BLUR_PX)
@@ -315,8 +319,11 @@ def _lone(values: Array) -> Mask:
     return np.asarray(np.abs(apart) > CLIP_SIGMAS * usual)
 
 
-def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Shifts]:
-    """Return the busiest square of some frames, and their shifts about the mean."""
+def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Shifts, Array | None]:
+    """Return the busiest square of some frames, and their shifts about the mean.
+
+    And by how much [frame row col 2] the pixels' own shifts differ from those, if any do.
+    """
     from scipy.ndimage import uniform_filter
 
     count = len(values)
@@ -331,7 +338,10 @@ def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Sh
         for at, size in zip(middle, first.shape, strict=True)
     )
     window = tuple(slice(start, start + MOST_PX) for start in starts)
+    about_px, offset_px = None, offset_px[some]
     if offset_px.ndim == 4:
-        offset_px = offset_px[:, *window].mean(axis=(1, 2))
-    offset_px = offset_px[some] - offset_px[some].mean(axis=0)
-    return values[some][:, *window].astype(np.float64), seen[some][:, *window], offset_px
+        field_px = offset_px[:, *window]
+        offset_px = field_px.mean(axis=(1, 2))
+        about_px = field_px - offset_px[:, None, None]
+    offset_px = offset_px - offset_px.mean(axis=0)
+    return values[some][:, *window].astype(np.float64), seen[some][:, *window], offset_px, about_px
