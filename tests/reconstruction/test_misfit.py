@@ -15,7 +15,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Status
 from lensshift.forward.model import forward_model
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
-from lensshift.reconstruction.misfit import find_misfit
+from lensshift.reconstruction.misfit import find_misfit, told_shifts
 from lensshift.reconstruction.reconstruct import reconstruct
 
 SHAPE = (21, 26)
@@ -156,3 +156,18 @@ def test_a_response_that_is_too_wide_is_named_with_one_that_fits(seed: int) -> N
     assert width is not None
     assert float(width.group(1)) == pytest.approx(12**-0.5, abs=0.1)
     assert warned(burst, psf_sigma_px=0.29) == []
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_along_a_single_edge_no_shift_is_told(seed: int) -> None:
+    """Across it one frame lies off by half a pixel; along it all lie anywhere."""
+    rng = np.random.default_rng(seed)
+    turn = rng.uniform(0, np.pi)
+    along, across = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    covariance = np.tile(np.outer(along, along) + 0.01**2 * np.outer(across, across), (7, 1, 1))
+    found_px = rng.normal(size=(7, 1)) * along + 0.01 * rng.normal(size=(7, 1)) * across
+    found_px[4] += 0.5 * across
+    shifts, error = told_shifts(found_px, covariance)
+    np.testing.assert_allclose(shifts[4], 0.5 * across, atol=0.04)
+    assert error[4] == pytest.approx(0.01)
+    assert not np.any(np.delete(shifts, 4, axis=0))

@@ -67,6 +67,22 @@ def test_moments_of_a_plane_wave_are_those_of_its_contrast() -> None:
     assert np.std((sharp - model.predict(wave))[3]) < 0.15 * np.std((y - model.predict(wave))[3])
 
 
+def test_a_frame_that_lies_elsewhere_is_as_sharp_as_the_others() -> None:
+    """To second order a shift by d looks like one with second moments d d^T."""
+    row, col = np.mgrid[:54, :66] / 2.0
+    model = forward_model(SHAPE, 2, np.array([[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5], [0.25, 0]]))
+
+    def seen(down_px: float, right_px: float) -> NDArray[np.float64]:
+        waves = ((0.03, 0.05, 0.3), (0.06, -0.02, 1.0), (0.01, 0.06, 2.0))
+        angles = [a * (row - down_px) + b * (col - right_px) for a, b, _ in waves]
+        pairs = zip(angles, waves, strict=True)
+        return np.sum([np.cos(2 * np.pi * at + phase) for at, (_, _, phase) in pairs], axis=0)
+
+    y = model.predict(seen(0, 0))
+    y[3] = model.predict(seen(0.8, -0.7))[3]
+    assert moments_px2(model.operator, seen(0, 0), y, np.full(y.shape, 1e-3), 2) == {}
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_frame_that_shook_is_named_and_costs_little(seed: int) -> None:
     moved = {2: (3.0, 0.0), 5: (0.0, 2.6)}

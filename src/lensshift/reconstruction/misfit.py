@@ -315,6 +315,20 @@ def fits(terms: Array, variance: Array, r: Array, on: Mask) -> tuple[Array, Arra
     return (covariance @ (weighed @ r[..., None]).real)[..., 0], covariance
 
 
+def told_shifts(found_px: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return by how much [frame 2] frames lie off the usual one, and the error [frame] of that.
+
+    Along directions in which they surely do: along a single edge nothing tells a shift.
+    """
+    _, along = np.linalg.eigh(covariance.sum(axis=0))
+    own = found_px @ along
+    own = own - np.median(own, axis=0)
+    error = np.sqrt(np.einsum("ia,kij,ja->ka", along, covariance, along))
+    sure = np.abs(own) > SURE * error
+    shifts = np.where(sure, own, 0.0) @ along.T
+    return shifts, np.linalg.norm(np.where(sure, error, 0.0), axis=1)
+
+
 def _middle(values: Array, on: Mask) -> Array:
     """Return the median [frame] of values [frame pixel] where to look."""
     ordered = np.sort(np.where(on, values, np.inf), axis=-1)
@@ -355,18 +369,18 @@ def _elsewhere(
     """Return how far frames lie from where they should, and whether most of the picture says so.
 
     The residuals of a frame that lies elsewhere go with its slopes; where these are large it has to
-    contradict. Outliers count as far as they are like the others.
+    contradict. Outliers count as far as they are like the others. Directions in which a shift is
+    not told, as along a single edge, are left out.
     """
     wider = variance * np.maximum(np.abs(r) ** 2 / variance / OUTLIER_SQUARE, 1.0)
     on = some_pixels(used)
     enough = on.sum(axis=-1) >= WINDOW_PX**2
     known = some_pixels(slopes.swapaxes(0, 1))
     found, covariance = fits(known, some_pixels(wider), some_pixels(r), on)
-    shifts = np.where(enough[:, None], -found, 0.0)
-    error = np.where(enough, np.sqrt(np.trace(covariance, axis1=1, axis2=2)), np.inf)
+    shifts, error = told_shifts(np.where(enough[:, None], -found, 0.0), covariance)
     off_px, everywhere = {}, True
-    for k, (down, right) in enumerate(shifts - np.median(shifts, axis=0)):
-        if np.hypot(down, right) - SURE * error[k] < LEAST_OFF_PX:
+    for k, (down, right) in enumerate(shifts):
+        if not enough[k] or np.hypot(down, right) - SURE * error[k] < LEAST_OFF_PX:
             continue
         shown = np.abs(down * slopes[0, k] + right * slopes[1, k]) ** 2 / variance[k]
         telling = used[k] & (uniform_filter(np.minimum(shown, MOST_SQUARE), WINDOW_PX) > limit)

@@ -4,8 +4,9 @@ What widens the response of frame k by second moments C_k shows, to first order,
 
     y_k = A_k x + sum over i, j of C_k,ij / 2  A_k d_i d_j x
 
-so its residual goes with the second derivatives of the picture, as that of a wrong shift goes with
-the first. What all frames share is the picture's.
+so its residual goes with the second derivatives of the picture, as that of a wrong shift d goes
+with the first; and with the second as if C_k were d d^T, which is taken off. What all frames share
+is the picture's.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from lensshift.reconstruction.misfit import (
     fits,
     slopes_of,
     some_pixels,
+    told_shifts,
 )
 
 Array = NDArray[Any]
@@ -63,7 +65,9 @@ def moments_px2(
         odd = np.maximum(left**2 / variance / OUTLIER_SQUARE, 1.0)
         found, covariance = fits(terms, variance * odd, r, on)
         left = r - (found[:, None] @ terms)[:, 0]
-    own = (found - np.median(found, axis=0))[:, :3]
+    off_px, _ = told_shifts(found[:, 3:], covariance[:, 3:, 3:])
+    down, right = off_px.T
+    own = (found - np.median(found, axis=0))[:, :3] - np.stack([down**2, down * right, right**2], 1)
     error = np.sqrt(np.einsum("kii->ki", covariance))[:, :3]
     sure = np.abs(own) > SURE * error
     if not np.any((sure & (own > LEAST_PX2))[:, [0, 2]]):  # nothing makes a frame sharper
