@@ -131,7 +131,10 @@ def test_centre_with_noise_and_uneven_light(row: float, col: float, cycles: int,
     error = result.mtf.modulation - blurred_amplitude(result.radius_mm, cycles, 1.0)
     assert result.mtf.std is not None
     assert np.all(np.abs(error) < 0.006 + 5 * result.mtf.std)
-    assert np.sqrt(np.mean(error**2)) < 0.006
+    assert np.sqrt(np.mean((error / result.mtf.std) ** 2)) < 1.3
+    sure = result.mtf.std < 0.01  # not the innermost ring or two, which few pixels see
+    assert np.count_nonzero(sure) > 0.9 * len(error)
+    assert np.sqrt(np.mean(error[sure] ** 2)) < 0.006
 
 
 def test_exact_star_on_oblong_pixels() -> None:
