@@ -250,7 +250,7 @@ def _frame_of(values: ArrayLike) -> Frame:
 def _burst_of(template: Burst, places: list[int], frames: list[Frame]) -> Burst:
     """Return the frames of some places as a burst."""
     having = [one.distance_m for one in frames if one.distance_m is not None]
-    part = template.select(places)
+    part = template if len(places) == template.frame_count else template.select(places)
     return replace(
         part,
         amplitude=np.stack([one.amplitude for one in frames]),
