@@ -65,9 +65,8 @@ class FramePredictor:
     def _at(self, offset_px: NDArray[np.float64]) -> Array:
         """Return the frame at an offset (row, col); the spot is the mean of those of all frames."""
         if self.spot_px2 is None or offset_px.shape != (2,):
-            return forward_model(self.lr_shape, self.scale, blur=self.blur).frame(offset_px)(
-                self.image
-            )
+            model = forward_model(self.lr_shape, self.scale, offset_px[None], blur=self.blur)
+            return np.asarray(model.predict(self.image)[0])
         model = forward_model(
             self.lr_shape, self.scale,
             shift_field_px=np.broadcast_to(offset_px, (1, *self.lr_shape, 2)),

@@ -212,7 +212,7 @@ class Chain:
             spread: Picture = self.A.adjoint(self.weight * self.A.forward(p))
             return spread + START_STIFFNESS * _stiffness(self.on.xp, p)
 
-        return chebyshev(apply, b, x, density + 8 * START_STIFFNESS, lowest, START_STEPS)
+        return chebyshev(apply, b - apply(x), x, density + 8 * START_STIFFNESS, lowest, START_STEPS)
 
     def _data_step(
         self, x: Picture, robust: Single, mass: Single, k: Single, lowest: float, steps: int
@@ -222,8 +222,11 @@ class Chain:
             spread += k * p
             return spread
 
-        b = self.A.adjoint(robust * self.y) + k * x
-        return chebyshev(apply, b, x, mass + k, lowest, steps)
+        if steps == 0:
+            return x
+        # The prior has its least at x: there the frames alone pull.
+        pull = self.A.adjoint(robust * (self.y - self.A.forward(x)))
+        return chebyshev(apply, pull, x, mass + k, lowest, steps)
 
 
 def _total(xp: Any, values: Any) -> Any:
@@ -233,29 +236,27 @@ def _total(xp: Any, values: Any) -> Any:
 
 def chebyshev(
     apply: Callable[[Picture], Picture],
-    b: Picture,
+    r: Picture,
     x: Picture,
     diagonal: Single,
     lowest: float,
     steps: int,
 ) -> Picture:
-    """Return x after some Chebyshev steps on apply(x) = b.
+    """Return x after some Chebyshev steps on apply(x) = b; r is b - apply(x), and overwritten.
 
     The eigenvalues of apply over `diagonal` are at most 1 (rows of A sum to 1); those below
     `lowest` are left to x. There is no inner product over the picture, so what one region holds
     cannot touch another. Source: Saad, Iterative Methods for Sparse Linear Systems, 12.3.
     """
-    if steps == 0:
-        return x
     middle, half = (1 + lowest) / 2, (1 - lowest) / 2
-    rho = half / middle
-    r = b - apply(x)
-    d = r / (diagonal * middle)
+    rho, scaled = half / middle, 1 / (diagonal * middle)
+    d = scaled * r
     x = x + d
     for _ in range(steps - 1):
         r -= apply(d)
         following = 1 / (2 * middle / half - rho)
-        d = (following * rho) * d + (2 * following / half) * r / diagonal
+        d *= following * rho
+        d += (2 * following * middle / half) * (scaled * r)
         rho = following
         x += d
     return x

@@ -47,13 +47,19 @@ class Network:
 
     def __call__(self, seen: Sequence[Single], facts: Single) -> Single:
         """Return [row col out] for parts [row col ...] of what is seen, and facts of the burst."""
-        gains = np.split(1 + facts @ self.facts + self.gain_offset, 2)
         x = with_margin(seen)
-        for number, weight in enumerate(self.points):
-            if number in (1, 2):  # the gain of a layer rides on the weights of the next
-                weight = weight * gains[number - 1][:, None]
+        for number, weight in enumerate(_modulated(self, facts.tobytes())):
             x = convolved(x, weight, seen[0].shape[:2], last=number + 1 == len(self.points))
         return x
+
+
+@lru_cache(maxsize=16)  # a stream asks for the same again and again
+def _modulated(network: Network, facts: bytes) -> tuple[Single, ...]:
+    """Return the layers as `convolved` takes them, each with the gain of the one before."""
+    told = np.frombuffer(facts, np.float32)
+    gains = np.split(1 + told @ network.facts + network.gain_offset, 2)
+    first, second, third, *others = network.points
+    return first, second * gains[0][:, None], third * gains[1][:, None], *others
 
 
 def fold(xp: Any, pictures: list[Any]) -> Any:

@@ -237,7 +237,7 @@ def _in_tiles(
     """Return the solution of bursts in units of their noise, on their own axis."""
     used = np.isfinite(sigma)
     relative = np.where(used, sigma, 1.0).astype(np.float32)
-    weight = np.where(used, relative**-2, 0).astype(np.float32)
+    weight = used / np.square(relative)
     facts = _facts(blur_px * model.scale, model.scale, y.shape[1])
     turn, shape = turn_of(model.mean_offset_px), (len(y), *model.hr_shape)
     image = np.empty(shape, np.complex128 if y.dtype.kind == "c" else np.float64)

@@ -18,7 +18,7 @@ from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.learned.method import LEAST_SIGMA, mean_hr_px, noise_of, solved
 from lensshift.reconstruction.method import Request
-from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
+from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.pooling import pooled_phase
@@ -145,9 +145,9 @@ def _one_frequency(
         found = _learned(problem, sigma, request)
     else:
         found = _linear(replace(problem, noise_sigma=float(sigma[seen].min())), method, request)
-    frames = settle_turns(frames, typical * problem.intensity)
-    phase_rad = nearest_turns(np.angle(found.image), frames, seen, problem.offset_px, scale)
-    _warn_of_turns(polar_frames(part), frames, seen)
+    settled = settle_turns(frames, typical * problem.intensity)
+    phase_rad = nearest_turns(np.angle(found.image), settled, seen, problem.offset_px, scale)
+    _warn_of_turns(frames, settled, seen)
     estimate = replace(
         found,
         noise_sigma=typical,
@@ -195,7 +195,7 @@ def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> 
     spread = np.stack([AMPLITUDE_STD_SCALE * std[0], of_phase_rad])
     return replace(
         found,
-        image=amplitude * np.exp(1j * phase_rad),
+        image=from_polar(amplitude, phase_rad),
         uncertainty=spread if request.std else None,
     )
 
@@ -215,6 +215,8 @@ def _linear(problem: Problem, method: str, request: Request) -> Estimate:
 
 
 def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.bool_]) -> None:
+    if settled is frames:
+        return
     turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
     if turned > TURNED_LIMIT:
         warnings.warn(
@@ -278,11 +280,9 @@ def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray
     distance_m : [row col]
     noise_m : standard deviation of the distances, sigma, one number or [row col]
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
     image_m = np.asarray(distance_m, np.float64)
     sigma_m = np.broadcast_to(np.asarray(noise_m, np.float64), image_m.shape)
-    near_m, far_m = minimum_filter(image_m, 3), maximum_filter(image_m, 3)
+    near_m, far_m = _of_nine(np.minimum, image_m), _of_nine(np.maximum, image_m)
     large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, FLYING_STEP * np.abs(near_m))
     flying = large & _between(image_m, near_m, far_m)
     for axis in (0, 1):
@@ -298,6 +298,17 @@ def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray
         between = _between(c, np.minimum(before, after), np.maximum(before, after))
         np.moveaxis(flying, axis, 0)[2:-2] |= off & between
     return flying
+
+
+def _of_nine(pick: np.ufunc, image: Array) -> Array:
+    """Return what is picked of each pixel and its neighbours."""
+    for axis in (0, 1):
+        before, found = np.moveaxis(image, axis, 0), image.copy()
+        to = np.moveaxis(found, axis, 0)
+        pick(to[1:], before[:-1], out=to[1:])
+        pick(to[:-1], before[1:], out=to[:-1])
+        image = found
+    return image
 
 
 def _between(image: Array, low: Array, high: Array) -> NDArray[np.bool_]:

@@ -92,7 +92,15 @@ class PolarFrames:
     @property
     def phasor(self) -> NDArray[np.complex128]:
         """A exp(i phi), [frame row col]."""
-        return np.asarray(self.amplitude * np.exp(1j * self.phase_rad))
+        return from_polar(self.amplitude, self.phase_rad)
+
+
+def from_polar(amplitude: Array, phase_rad: Array) -> NDArray[np.complex128]:
+    """Return A exp(i phi); of the two parts, it costs half as much."""
+    phasor = np.empty(np.shape(phase_rad), np.complex128)
+    np.multiply(amplitude, np.cos(phase_rad), out=phasor.real)
+    np.multiply(amplitude, np.sin(phase_rad), out=phasor.imag)
+    return phasor
 
 
 def polar_frames(burst: Burst) -> PolarFrames:
@@ -126,7 +134,7 @@ def polar_frames(burst: Burst) -> PolarFrames:
     if modulation_hz is not None:
         range_m = unambiguous_range_m(modulation_hz)
         if seen_m.min() >= 0 and seen_m.max() <= range_m:
-            phasor = amplitude * np.exp(1j * distance_to_phase(distance_m, modulation_hz))
+            phasor = from_polar(amplitude, distance_to_phase(distance_m, modulation_hz))
             return _from_complex(phasor, modulation_hz)
         scale = PhaseScale(modulation_hz, float(np.median(seen_m)), False, "burst")
     else:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lensshift.core.threads import bands, core_count, on_threads
+
 Array = NDArray[Any]
 
 REACH_HR_PX = 6  # with 8 surfaces are 5 % smoother and edges as good, for twice the time
+WORTH_THREADS = 2**14  # pixels: below, waking a thread takes as long as the work
 
 
 def pooled_phase(
@@ -51,7 +55,17 @@ def pooled_phase(
     total, own = 0.5 / s2, np.full_like(s2, 0.5)
     moved, spread = np.zeros_like(s2), np.zeros_like(s2)
     amplitude = np.abs(image).astype(np.float32)
-    _pool(phase.astype(np.float32), amplitude, t2, s2, total, own, moved, spread)
+    guesses, sums = (phase.astype(np.float32), amplitude, t2, s2), (total, own, moved, spread)
+
+    def pool(first: int, end: int) -> None:
+        top, bottom = max(first - REACH_HR_PX, 0), min(end + REACH_HR_PX, len(phase))
+        part = [one[top:bottom].copy() for one in sums]
+        _pool(*(one[top:bottom] for one in guesses), *part)
+        for one, found in zip(sums, part, strict=True):
+            one[first:end] = found[first - top : end - top]
+
+    cores = core_count() if phase.size >= WORTH_THREADS else 1
+    on_threads([partial(pool, *band) for band in bands(len(phase), cores)])
     off, pixels = moved / total, 2.0 * s2 * total
     left = 1.0 - np.square(shared_rad) / s2 * pixels / (pixels + shared_hr_px)
     variance = left * np.maximum(own / total, spread / total - off**2)
