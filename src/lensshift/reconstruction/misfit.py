@@ -16,7 +16,6 @@ from scipy.ndimage import find_objects, label, maximum, maximum_filter, uniform_
 
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import LinearOperator, single
-from lensshift.reconstruction.windows import mean_around
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -244,7 +243,8 @@ def slopes_of(A: LinearOperator, image: Array, scale: int) -> tuple[Array, Array
 
 def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
     """Return the mean [frame row col] around each pixel; those not seen count as `missing`."""
-    return missing + mean_around((values - missing) * seen, side_px)
+    rest = uniform_filter((values - missing) * seen, (1, side_px, side_px), mode="constant")
+    return np.asarray(missing + rest)
 
 
 def _excess_noise(q: Array, used: Mask) -> Array:
@@ -268,7 +268,7 @@ def _excess_noise(q: Array, used: Mask) -> Array:
 def _limit(q: Array, used: Mask) -> float:
     """Return how large the mean square in a window has to be, with outliers that stand alone."""
     far = (q > OUTLIER_SQUARE).astype(np.float64)
-    alone = far * (mean_around(far, 3) < 1.5 / 9)
+    alone = far * (uniform_filter(far, (1, 3, 3), mode="constant") < 1.5 / 9)
     share = min(float(alone[used].mean()), 0.1)
     rate = share / (1 - share) ** 8  # their eight neighbours are none
     spread = np.sqrt((2 + rate * (MOST_SQUARE - 1) ** 2) / WINDOW_PX**2)
@@ -281,7 +281,7 @@ def _chi_square(
     """Return chi-square of each HR pixel, and the size of what chance does not explain of it."""
     touching = A.adjoint(seen)
     lit = np.maximum(touching, 1e-9)
-    around, count = (mean_around(v, 3) for v in (chi, seen))
+    around, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi, seen))
     pooled, samples = A.adjoint(around), np.maximum(A.adjoint(count), 1e-9)
     ones = np.maximum(A.adjoint(np.ones_like(seen)), 1e-9)
     number = 9 * len(seen) * parts * samples / ones

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Frame, Reconstruction
@@ -16,7 +17,6 @@ from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.windows import mean_around
 
 Array = NDArray[Any]
 Pace = Literal["auto", "live", "refined"]
@@ -171,8 +171,8 @@ class Stream:
             np.where(one.valid, np.abs(one.amplitude) - np.abs(expected), 0.0) ** 2
             for one in (frame, self._frames[at])
         )
-        variance = variance + mean_around(last, 3, mirrored=True)
-        around = mean_around(seen / np.maximum(variance, 1e-30), 3, mirrored=True)
+        variance = variance + uniform_filter(last, 3)
+        around = uniform_filter(seen / np.maximum(variance, 1e-30), 3)
         inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
         return _Seen(float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner])))
 

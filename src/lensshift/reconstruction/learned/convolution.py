@@ -44,28 +44,21 @@ def with_margin(parts: Sequence[Single]) -> Single:
 
     Parameters
     ----------
-    parts : [row col channel], or up to three axes that stand for the channel
+    parts : [row col channel], or any number of axes that stand for the channel
     """
     rows, cols = parts[0].shape[:2]
     sizes = [math.prod(part.shape[2:]) for part in parts]
     out = np.zeros((_tiles(rows) * TILE + 2, TILE, _tiles(cols) + 1, sum(sizes)), np.float32)
-    for first, part in zip(np.cumsum([0, *sizes]), parts, strict=False):
-        _lay_out(part.reshape(rows, cols, -1, *part.shape[3:], *(1,) * (5 - part.ndim)), first, out)
+    for first, size, part in zip(np.cumsum([0, *sizes]), sizes, parts, strict=False):
+        for phase in range(TILE):
+            of_phase = part[:, (phase - 1) % TILE :: TILE]
+            tile = 1 if phase == 0 else 0
+            to = out[1 : rows + 1, phase, tile : tile + of_phase.shape[1], first : first + size]
+            to.reshape(of_phase.shape)[...] = of_phase
     out[:, 0, 0] = out[:, 1, 0]
     out[:, (cols + 1) % TILE, (cols + 1) // TILE] = out[:, cols % TILE, cols // TILE]
     out[0], out[rows + 1] = out[1], out[rows]
     return out
-
-
-@njit(cache=True, nogil=True)
-def _lay_out(part: Single, first: int, out: Single) -> None:
-    """Write a part [row col a b c] to where `with_margin` wants it, from channel `first` on."""
-    rows, cols, a, b, c = part.shape
-    for row in range(rows):
-        for i, j, k in np.ndindex(a, b, c):
-            channel = first + (i * b + j) * c + k
-            for col in range(cols):
-                out[row + 1, (col + 1) % 4, (col + 1) // 4, channel] = part[row, col, i, j, k]
 
 
 def _tiles(size: int) -> int:

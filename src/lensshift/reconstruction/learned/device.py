@@ -96,8 +96,7 @@ class DeviceKernels:
     def _summed(self, values: Array, size_px: int) -> Array:
         """Return the sum over neighbours along the last axis."""
         half, count = size_px // 2, values.shape[-1]
-        shape = (*values.shape[:-1], count + 2 * half)
-        wide = self.xp.zeros(shape, dtype=values.dtype, device=self.device)
+        wide = self._zeros(*values.shape[:-1], count + 2 * half)
         wide[..., half : half + count] = values
         total = wide[..., :count]
         for n in range(1, size_px):

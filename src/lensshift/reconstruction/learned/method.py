@@ -23,7 +23,6 @@ from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
 from lensshift.reconstruction.problem import Problem, blur_width_px
 from lensshift.reconstruction.sharpness import as_sharp_as_most, moments_px2, told
-from lensshift.reconstruction.windows import gaussian_around
 
 Array = NDArray[Any]
 
@@ -306,13 +305,15 @@ def with_means_of(
     weight : [frame row col] inverse variance, 0 where a pixel is not believed
     low_hr_px : width of the low pass
     """
+    from scipy.ndimage import gaussian_filter
+
     y, weight = single(y), single(weight)
-    known = gaussian_around(A.adjoint(weight), low_hr_px)
+    known = gaussian_filter(A.adjoint(weight), low_hr_px)
     least = 1e-9 * float(known.max())
     seen, known = known > least, np.maximum(known, least)
     for _ in range(2):
         rest = A.adjoint(weight * (y - A.forward(single(image))))
-        image = image + gaussian_around(rest, low_hr_px) / known
+        image = image + gaussian_filter(rest, low_hr_px) / known
     of_noise = OF_TWO_PASSES / (4 * math.pi * low_hr_px**2)
     return np.asarray(image), np.where(seen, np.sqrt(of_noise / known), 0.0)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.reconstruction.learned.chain import Picture, Single, State
+from lensshift.reconstruction.learned.kernels import Kernels
 from lensshift.reconstruction.learned.network import Network, fold, unfold
 
 # Of the form that the weights were trained in (training/phasor_network.py); not to be tuned.
@@ -63,9 +64,8 @@ class PhasorPrior:
         """Return x, the standard deviation of a component, and all channels of stage t."""
         v, noise, xp = state.v, state.noise, state.on.xp
         a: Single = xp.sqrt(v.real**2 + v.imag**2 + noise * noise)
-        share = state.on.mean_around(xp.ones_like(noise), AROUND_HR_PX)  # less at the border
-        apart = v - state.on.mean_around(v, AROUND_HR_PX) / share
-        square = state.on.mean_around(apart.real**2 + apart.imag**2, AROUND_HR_PX) / share
+        apart = v - (_local_mean(state.on, v.real) + 1j * _local_mean(state.on, v.imag))
+        square = _local_mean(state.on, apart.real**2 + apart.imag**2)
         d: Single = xp.sqrt(square + noise * noise)
         seen = [
             *_parts(apart / d), *_parts((v - state.past) / d), *_parts(8 * state.gradient / d),
@@ -121,3 +121,10 @@ def _parts(z: Picture) -> tuple[Single, Single]:
 def _log(channels: Single, state: State) -> Single:
     log: Single = state.on.xp.clip(_drawn(channels, state), -LOG_LIMIT, LOG_LIMIT)
     return log
+
+
+def _local_mean(on: Kernels, a: Single) -> Single:
+    """Return the mean over a window, of what there is of it at the border."""
+    share = on.mean_around(on.xp.ones_like(a), AROUND_HR_PX)
+    mean: Single = on.mean_around(a, AROUND_HR_PX) / share
+    return mean
