@@ -15,7 +15,8 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Status
 from lensshift.forward.model import forward_model
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
-from lensshift.reconstruction.misfit import find_misfit, told_shifts
+from lensshift.reconstruction.displacement import displaced, told_shifts
+from lensshift.reconstruction.misfit import find_misfit
 from lensshift.reconstruction.reconstruct import reconstruct
 
 SHAPE = (21, 26)
@@ -105,9 +106,10 @@ def test_the_number_of_a_frame_is_that_in_the_burst() -> None:
     assert "frame 6 does" in warned(burst_of(seen.y, told), frames=(0, 2, 3, 5, 6))[0]
 
 
+@pytest.mark.parametrize("by_px", [1.0, 3.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_what_moves_is_named_and_shown_as_in_the_first_frame(seed: int) -> None:
-    y, truth, place = moving(seed, 3.0)
+def test_what_moves_is_named_and_shown_as_in_the_first_frame(seed: int, by_px: float) -> None:
+    y, truth, place = moving(seed, by_px)
     burst = burst_of(y)
     with pytest.warns(QualityWarning, match="something moved at rows"):
         result = reconstruct(burst).amplitude
@@ -171,3 +173,41 @@ def test_along_a_single_edge_no_shift_is_told(seed: int) -> None:
     np.testing.assert_allclose(shifts[4], 0.5 * across, atol=0.04)
     assert error[4] == pytest.approx(0.01)
     assert not np.any(np.delete(shifts, 4, axis=0))
+
+
+@pytest.mark.parametrize("kind", [1.0, np.exp(0.8j)])
+def test_what_lies_elsewhere_shows_before_its_residuals_are_large(kind: complex) -> None:
+    rng = np.random.default_rng(9)
+    slopes = kind * rng.standard_normal((2, 3, 15, 23))
+    variance, seen = np.full((3, 15, 23), 1.0), np.ones((3, 15, 23))
+    off_px = np.zeros((2, 3, 15, 23))
+    off_px[:, 1, :, 12:] = np.array([0.5, -0.3])[:, None, None]
+    noise = rng.standard_normal((3, 15, 23)) * kind
+    moved = np.sum(off_px * slopes, axis=0)
+    assert np.mean(np.abs(moved[1, :, 12:]) ** 2) < 0.5  # half of the noise, chi-square 1.5
+    strong = displaced(30.0 * moved + noise, 30.0 * slopes, variance, seen)
+    assert strong[1, 2:-2, 14:-2].min() > 1.0
+    assert strong[1, :, :10].max() < 1.0
+    assert strong[::2].max() < 1.0
+    # The same shift of slopes that noise hides is no evidence.
+    weak = displaced(0.3 * moved + noise, 0.3 * slopes, variance, seen)
+    assert weak.max() < 1.0
+
+
+def test_where_something_lies_elsewhere_does_not_depend_on_the_axes() -> None:
+    rng = np.random.default_rng(10)
+    slopes, r = rng.standard_normal((2, 2, 9, 14)), rng.standard_normal((2, 9, 14))
+    variance, seen = rng.uniform(0.5, 2.0, r.shape), (rng.random(r.shape) < 0.8).astype(float)
+    doubt = displaced(r, slopes, variance, seen)
+    over = [v.swapaxes(-1, -2) for v in (r, slopes[::-1], variance, seen)]
+    np.testing.assert_allclose(displaced(*over), doubt.swapaxes(-1, -2), rtol=1e-9)
+    turn = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+    turned = np.tensordot(turn, slopes, 1)
+    np.testing.assert_allclose(displaced(r, turned, variance, seen).max(), doubt.max(), rtol=1e-9)
+
+
+def test_outliers_lie_nowhere_else() -> None:
+    rng = np.random.default_rng(11)
+    slopes, r = 20 * rng.standard_normal((2, 4, 15, 15)), rng.standard_normal((4, 15, 15))
+    r[rng.random(r.shape) < 0.05] = 500.0
+    assert displaced(r, slopes, np.ones(r.shape), np.ones(r.shape)).max() < 1.0

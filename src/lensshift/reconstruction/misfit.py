@@ -16,18 +16,26 @@ from scipy.ndimage import find_objects, label, maximum, maximum_filter, uniform_
 
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import LinearOperator, single
+from lensshift.reconstruction.displacement import (
+    ALLOWED_SHIFT_PX,
+    MOST_SQUARE,
+    OUTLIER_SQUARE,
+    TELLING_SHARE,
+    WINDOW_PX,
+    around,
+    displaced,
+    elsewhere,
+    fits,
+    middle,
+    slopes_of,
+    some_pixels,
+)
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 # Neighbours of a pixel along rows and columns of its frame.
 ALONG = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
-# Pixels that are judged together, along a side: so few tell apart what moved and what did not.
-WINDOW_PX = 5
-# Errors like those of a shift by this are no contradiction: at an edge, a square pixel and the
-# Gaussian of its width differ as by 0.06 px, shifts are told to 0.05 px or so, and detail finer
-# than the grid adds to it (with 0.08 a right burst of fine bars and one of real frames warned).
-ALLOWED_SHIFT_PX = 0.1
 # Frames contradict where what is left is twice the noise and what such shifts explain; so it was
 # in 1 of 240 right bursts. Lone outliers raise that limit, by so many of their deviations.
 LIMIT, LIMIT_SIGMAS = 4.0, 8.0
@@ -35,26 +43,21 @@ LIMIT, LIMIT_SIGMAS = 4.0, 8.0
 # of what contradicts around it nothing is believed: all up to the first, none from the second of
 # the doubts on. Less may be an error of the model, and a picture of one frame alone loses more than
 # that costs, of real frames up to twofold. Chosen on 30 random bursts with a part that moved; on 60
-# others what moved is as good as where all that contradicts is taken for movement.
+# others what moved is as good as where all that contradicts is taken for movement. What surely lies
+# elsewhere (`displaced`) is movement and no such error.
 MOVED_DOUBT, MOVED_BELIEF, OTHER_BELIEF = 3.5, (0.5, 0.8), (1.0, 2.5)
-# Pixels beyond 3 sigma are outliers; beyond 5 they count no more, one of them proves nothing.
-OUTLIER_SQUARE, MOST_SQUARE = 9.0, 25.0
 # Blocks in which most pixels tell of noise that is larger than told.
 BLOCK_PX = 6
 # What is left besides the light is at least this part of the noise, which other light inflates.
 LEAST_REST = 0.25
-# A frame is somewhere else if it contradicts in so much of what would show it.
-LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE, ALONE_SHARE = 0.2, 0.5, 0.25, 0.25
+# One frame contradicts alone if no other does in so much of where it does.
+ALONE_SHARE = 0.25
 # A frame with so much more noise than the best is not the one that says what was where.
 UNSURE = 1.1
 # What all frames contradict by at least this part of the most is no movement.
 ALIKE = 0.5
-# So many pixels tell a mean of all to 1 %.
-MOST_PIXELS = 10_000
 # Standard errors that chi-square has to be larger than 1 by before it counts against `std`.
 SIGNIFICANT = 3.0
-# And that a shift has to differ by (`shift_check.LEAST_T` is as sure).
-SURE = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,13 +210,16 @@ def find_misfit(
     inner = seen.copy()  # border pixels see what lies beside the picture
     inner[:, [0, -1]] = inner[:, :, [0, -1]] = 0.0
     doubt, against = (
-        _around(np.minimum(v, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit for v in (q, told)
+        around(np.minimum(v, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit for v in (q, told)
     )
-    off_px, everywhere = _elsewhere(r, slopes, variance * parts, used, doubt, limit)
+    moved = displaced(r, slopes, variance * parts, inner)
+    moved *= moved > 1.0  # less is no evidence
+    doubt, against = np.maximum(doubt, moved), np.maximum(against, MOVED_DOUBT * moved)
+    off_px, everywhere = elsewhere(r, slopes, variance * parts, used, doubt, limit)
     terms = [np.ones_like(r), predicted - predicted.mean(), *slopes]
     brightness, light = _brightness(r, np.stack(terms, axis=1), variance * parts, used, doubt)
     rest = np.abs(r - np.einsum("kt,tkhw->khw", light, np.stack(terms[:2]))) ** 2 / parts
-    unlit = _around(np.minimum(rest / variance, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit
+    unlit = around(np.minimum(rest / variance, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit
     lone = None if off_px or brightness >= 1.0 else _lone_frame(doubt)
     if lone is not None:  # by more than its slopes can tell
         off_px, everywhere = {lone: (np.nan, np.nan)}, True
@@ -231,37 +237,22 @@ def find_misfit(
     )
 
 
-def slopes_of(A: LinearOperator, image: Array, scale: int) -> tuple[Array, Array]:
-    """Return slopes [axis frame row col] of the frames, and their mean square around each pixel.
-
-    By an LR pixel; times the square of the error of a shift, the second is what that error leaves.
-    """
-    slopes = np.stack([scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)])
-    square = np.sum(np.abs(slopes) ** 2, axis=0)
-    return slopes, _around(square, np.ones_like(square), 3, 0.0)
-
-
-def _around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
-    """Return the mean [frame row col] around each pixel; those not seen count as `missing`."""
-    rest = uniform_filter((values - missing) * seen, (1, side_px, side_px), mode="constant")
-    return np.asarray(missing + rest)
-
-
 def _excess_noise(q: Array, used: Mask) -> Array:
     """Return [row col] by how much more than told most frames vary around each pixel, at least 1.
 
-    The median of a block of all frames: noise that is told too small, as where light makes it
-    larger, and detail finer than the grid. What moves contradicts in fewer pixels.
+    The median of a block of the frame where it is least: noise that is told too small, as where
+    light makes it larger, and detail finer than the grid. What moves is somewhere in some frame.
     """
     rows, cols = q.shape[1:]
     tall, wide = -(-rows // BLOCK_PX), -(-cols // BLOCK_PX)
     room = ((0, 0), (0, tall * BLOCK_PX - rows), (0, wide * BLOCK_PX - cols))
     known = np.pad(np.where(used, q, np.nan), room, constant_values=np.nan)
-    blocks = known.reshape(len(q), tall, BLOCK_PX, wide, BLOCK_PX).transpose(1, 3, 0, 2, 4)
-    ordered = np.sort(blocks.reshape(tall, wide, -1), axis=-1)  # NaN last
+    blocks = known.reshape(len(q), tall, BLOCK_PX, wide, BLOCK_PX).transpose(0, 1, 3, 2, 4)
+    ordered = np.sort(blocks.reshape(len(q), tall, wide, -1), axis=-1)  # NaN last
     last = np.maximum(np.isfinite(ordered).sum(axis=-1, keepdims=True) - 1, 0)
-    middle = np.nan_to_num(np.take_along_axis(ordered, last // 2, axis=-1)[..., 0])
-    excess = np.maximum(maximum_filter(middle, 3) / MEDIAN_SIZE**2, 1.0)
+    typical = np.take_along_axis(ordered, last // 2, axis=-1)[..., 0]
+    typical = np.nan_to_num(np.fmin.reduce(typical, axis=0))
+    excess = np.maximum(maximum_filter(typical, 3) / MEDIAN_SIZE**2, 1.0)
     return np.repeat(np.repeat(excess, BLOCK_PX, 0), BLOCK_PX, 1)[:rows, :cols]
 
 
@@ -281,8 +272,8 @@ def _chi_square(
     """Return chi-square of each HR pixel, and the size of what chance does not explain of it."""
     touching = A.adjoint(seen)
     lit = np.maximum(touching, 1e-9)
-    around, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi, seen))
-    pooled, samples = A.adjoint(around), np.maximum(A.adjoint(count), 1e-9)
+    nearby, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi, seen))
+    pooled, samples = A.adjoint(nearby), np.maximum(A.adjoint(count), 1e-9)
     ones = np.maximum(A.adjoint(np.ones_like(seen)), 1e-9)
     number = 9 * len(seen) * parts * samples / ones
     chance = 1.0 + SIGNIFICANT * np.sqrt(2.0 / np.maximum(number, 1.0))
@@ -291,48 +282,6 @@ def _chi_square(
         np.where(touching > 1e-9, A.adjoint(chi) / lit, 1.0),
         np.sqrt(excess * A.adjoint(noise) / lit),
     )
-
-
-def some_pixels(values: Array) -> Array:
-    """Return pixels [... pixel] of pictures [... row col], spread over all where they are many."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return flat[..., :: max(1, flat.shape[-1] // MOST_PIXELS) | 1]
-
-
-def fits(terms: Array, variance: Array, r: Array, on: Mask) -> tuple[Array, Array]:
-    """Return the weighted least-squares coefficients [frame term] and their covariance.
-
-    Parameters
-    ----------
-    terms : [frame term pixel]
-    variance, r, on : [frame pixel], on: where to look
-    """
-    weighed = terms.conj() * (on / variance)[:, None]
-    values, vectors = np.linalg.eigh((weighed @ terms.swapaxes(1, 2)).real)
-    told = values > 1e-9 * values[:, -1:]
-    inverse = told / np.where(told, values, 1.0)
-    covariance = (vectors * inverse[:, None]) @ vectors.swapaxes(1, 2)
-    return (covariance @ (weighed @ r[..., None]).real)[..., 0], covariance
-
-
-def told_shifts(found_px: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return by how much [frame 2] frames lie off the usual one, and the error [frame] of that.
-
-    Along directions in which they surely do: along a single edge nothing tells a shift.
-    """
-    _, along = np.linalg.eigh(covariance.sum(axis=0))
-    own = found_px @ along
-    own = own - np.median(own, axis=0)
-    error = np.sqrt(np.einsum("ia,kij,ja->ka", along, covariance, along))
-    sure = np.abs(own) > SURE * error
-    shifts = np.where(sure, own, 0.0) @ along.T
-    return shifts, np.linalg.norm(np.where(sure, error, 0.0), axis=1)
-
-
-def _middle(values: Array, on: Mask) -> Array:
-    """Return the median [frame] of values [frame pixel] where to look."""
-    ordered = np.sort(np.where(on, values, np.inf), axis=-1)
-    return np.take_along_axis(ordered, on.sum(axis=-1, keepdims=True) // 2, axis=-1)
 
 
 def _brightness(
@@ -353,41 +302,14 @@ def _brightness(
     on, r, terms, variance, doubt = (
         v[enough] for v in (on, *(some_pixels(v) for v in (r, terms, variance, doubt)))
     )
-    odd = np.maximum(doubt / np.maximum(_middle(doubt, on), 1e-12), 1.0)
+    odd = np.maximum(doubt / np.maximum(middle(doubt, on), 1e-12), 1.0)
     fit = fits(terms, variance * odd**2, r, on)[0][:, None]
-    rest = _middle(np.abs(r - (fit @ terms)[:, 0]), on) / MEDIAN_SIZE
-    rest = np.maximum(rest, LEAST_REST * np.sqrt(_middle(variance, on)))[:, 0]
+    rest = middle(np.abs(r - (fit @ terms)[:, 0]), on) / MEDIAN_SIZE
+    rest = np.maximum(rest, LEAST_REST * np.sqrt(middle(variance, on)))[:, 0]
     own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
     found[enough] = own[:, 0]
     light = np.abs((own @ terms[:, :2])[:, 0]) ** 2
     return float(np.max(np.sqrt(np.mean(light, axis=-1, where=on)) / rest)), found
-
-
-def _elsewhere(
-    r: Array, slopes: Array, variance: Array, used: Mask, doubt: Array, limit: float
-) -> tuple[dict[int, tuple[float, float]], bool]:
-    """Return how far frames lie from where they should, and whether most of the picture says so.
-
-    The residuals of a frame that lies elsewhere go with its slopes; where these are large it has to
-    contradict. Outliers count as far as they are like the others. Directions in which a shift is
-    not told, as along a single edge, are left out.
-    """
-    wider = variance * np.maximum(np.abs(r) ** 2 / variance / OUTLIER_SQUARE, 1.0)
-    on = some_pixels(used)
-    enough = on.sum(axis=-1) >= WINDOW_PX**2
-    known = some_pixels(slopes.swapaxes(0, 1))
-    found, covariance = fits(known, some_pixels(wider), some_pixels(r), on)
-    shifts, error = told_shifts(np.where(enough[:, None], -found, 0.0), covariance)
-    off_px, everywhere = {}, True
-    for k, (down, right) in enumerate(shifts):
-        if not enough[k] or np.hypot(down, right) - SURE * error[k] < LEAST_OFF_PX:
-            continue
-        shown = np.abs(down * slopes[0, k] + right * slopes[1, k]) ** 2 / variance[k]
-        telling = used[k] & (uniform_filter(np.minimum(shown, MOST_SQUARE), WINDOW_PX) > limit)
-        if not telling.any() or np.mean(doubt[k][telling] > 1.0) >= LEAST_SHARE:
-            off_px[k] = (float(down), float(right))
-            everywhere &= float(telling[used[k]].mean()) > TELLING_SHARE
-    return off_px, everywhere
 
 
 def _lone_frame(doubt: Array) -> int | None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.forward.operator import LinearOperator, single
-from lensshift.reconstruction.misfit import (
+from lensshift.reconstruction.displacement import (
     ALLOWED_SHIFT_PX,
     OUTLIER_SQUARE,
     SURE,

@@ -16,8 +16,8 @@ import numpy as np
 
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import single
+from lensshift.reconstruction.displacement import slopes_of
 from lensshift.reconstruction.learned.solver import Asked, Solution
-from lensshift.reconstruction.misfit import slopes_of
 
 # A square pixel and the Gaussian of its width differ at an edge as by this error of a shift: frames
 # that are off by no more refute no noise (`misfit.ALLOWED_SHIFT_PX`).
