@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
+from pixel_camera import edge_scene, photograph
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Status
@@ -97,6 +98,22 @@ def test_a_frame_that_lies_elsewhere_is_named(seed: int) -> None:
     texts = warned(burst_of(seen.y, told))
     assert len(texts) == 1
     assert "frame 2 does not fit" in texts[0]
+
+
+@pytest.mark.parametrize("across_px", [-0.9, 0.5, 0.9])
+@pytest.mark.parametrize("snr", [50.0, 200.0])
+def test_a_frame_that_lies_elsewhere_is_named_where_there_is_one_edge(
+    snr: float, across_px: float
+) -> None:
+    rng = np.random.default_rng(12)
+    offset = rng.uniform(-0.5, 0.5, (6, 2))
+    y = photograph(edge_scene, SHAPE, offset)
+    y += rng.normal(0.0, 0.8 / snr, y.shape)
+    told = offset.copy()
+    told[4, 1] += across_px
+    texts = warned(burst_of(y, told))
+    assert len(texts) == 1
+    assert texts[0].startswith("frame 4 does not fit")
 
 
 def test_the_number_of_a_frame_is_that_in_the_burst() -> None:

@@ -29,6 +29,8 @@ LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE = 0.2, 0.5, 0.25
 SURE = 5.0
 # So many pixels tell a mean of all to 1 %.
 MOST_PIXELS = 10_000
+# Steps in which pixels that are off for another reason come to count less.
+REWEIGHTED = 4
 # Of nothing, a shift is not known.
 LEAST_KNOWN = 1e-9
 
@@ -116,6 +118,16 @@ def fits(terms: Array, variance: Array, r: Array, on: Mask) -> tuple[Array, Arra
     return (covariance @ (weighed @ r[..., None]).real)[..., 0], covariance
 
 
+def reweighted(terms: Array, variance: Array, r: Array, on: Mask) -> tuple[Array, Array]:
+    """Do what `fits` does; pixels that are off by more for another reason count less each time."""
+    left = r
+    for _ in range(REWEIGHTED):
+        odd = np.maximum(np.abs(left) ** 2 / variance / OUTLIER_SQUARE, 1.0)
+        found, covariance = fits(terms, variance * odd, r, on)
+        left = r - (found[:, None] @ terms)[:, 0]
+    return found, covariance
+
+
 def told_shifts(found_px: Array, covariance: Array) -> tuple[Array, Array]:
     """Return by how much [frame 2] frames lie off the usual one, and the error [frame] of that.
 
@@ -139,11 +151,10 @@ def elsewhere(
     contradict. Outliers count as far as they are like the others. Directions in which a shift is
     not told, as along a single edge, are left out.
     """
-    wider = variance * np.maximum(np.abs(r) ** 2 / variance / OUTLIER_SQUARE, 1.0)
     on = some_pixels(used)
     enough = on.sum(axis=-1) >= WINDOW_PX**2
     known = some_pixels(slopes.swapaxes(0, 1))
-    found, covariance = fits(known, some_pixels(wider), some_pixels(r), on)
+    found, covariance = reweighted(known, some_pixels(variance), some_pixels(r), on)
     shifts, error = told_shifts(np.where(enough[:, None], -found, 0.0), covariance)
     off_px, everywhere = {}, True
     for k, (down, right) in enumerate(shifts):

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import (
     ALLOWED_SHIFT_PX,
-    OUTLIER_SQUARE,
     SURE,
-    fits,
+    reweighted,
     slopes_of,
     some_pixels,
     told_shifts,
@@ -31,8 +30,6 @@ from lensshift.reconstruction.displacement import (
 Array = NDArray[Any]
 # Frames of which most are alike, so that one can be told from them.
 LEAST_FRAMES = 4
-# Pixels that are off by more for another reason count less from step to step.
-REWEIGHTED = 4
 # A response that is wider by half a pixel of shaking counts (standard deviation); errors of the
 # model may look like less (0.3 px in 1 of 200 right bursts).
 LEAST_PX2 = 0.5**2
@@ -60,11 +57,7 @@ def moments_px2(
     variance = np.where(used, sigma, 1.0) ** 2 + ALLOWED_SHIFT_PX**2 * np.sum(slopes**2, axis=0)
     terms = np.concatenate([_curvatures(A, image, scale), slopes])
     terms, on, r, variance = (some_pixels(v) for v in (terms.swapaxes(0, 1), used, rest, variance))
-    left = r
-    for _ in range(REWEIGHTED):
-        odd = np.maximum(left**2 / variance / OUTLIER_SQUARE, 1.0)
-        found, covariance = fits(terms, variance * odd, r, on)
-        left = r - (found[:, None] @ terms)[:, 0]
+    found, covariance = reweighted(terms, variance, r, on)
     off_px, _ = told_shifts(found[:, 3:], covariance[:, 3:, 3:])
     down, right = off_px.T
     own = (found - np.median(found, axis=0))[:, :3] - np.stack([down**2, down * right, right**2], 1)
