@@ -90,6 +90,40 @@ def test_a_doubtful_turn_is_part_of_the_std(share: float) -> None:
     assert std_m[3, 3] == pytest.approx(turn_m * np.sqrt(share), rel=0.01)
 
 
+TRIPLE_HZ = (100e6, 80e6, 60e6)
+
+
+@pytest.mark.parametrize("hz", [(100e6,), PAIR_HZ, TRIPLE_HZ])
+def test_phases_that_contradict_each_other_widen_the_std(hz: tuple[float, ...]) -> None:
+    per_m = distance_to_phase(1.0, 1.0) * np.array(hz)
+    no_shift = np.linalg.svd(per_m[None])[2][1:].sum(axis=0)  # errors that no distance explains
+    for chi_square in (0.5, 20.0) if len(hz) > 1 else (0.0,):
+        error_rad = 1e-3 * np.sqrt(chi_square) * no_shift / max(np.linalg.norm(no_shift), 1e-12)
+        phase_rad = np.tile((per_m * 1.3 + error_rad)[:, None, None], (1, 5, 7))
+        found_m, std_m = common_distance(Tones(hz, phase_rad, np.full(phase_rad.shape, 1e-3)))
+        np.testing.assert_allclose(found_m, 1.3, rtol=1e-9)
+        times = np.sqrt(max(chi_square / max(len(hz) - 1, 1), 1.0))
+        np.testing.assert_allclose(std_m, times * 1e-3 / np.linalg.norm(per_m), rtol=1e-6)
+
+
+def test_a_pixel_that_takes_the_turn_of_its_neighbours_contradicts_itself() -> None:
+    """Of a wall, with phases nearer to a turn that no surface around is in."""
+    per_m, distance_m = distance_to_phase(1.0, 1.0) * np.array(TRIPLE_HZ), 3.1
+    turn_m = 2 * np.pi / per_m[0]
+    nearer_rad = per_m * turn_m - 2 * np.pi * np.rint(per_m * turn_m / (2 * np.pi))
+    nearer_rad = nearer_rad - per_m * (nearer_rad @ per_m) / (per_m @ per_m)  # no distance explains
+    phase_rad = np.tile((per_m * distance_m)[:, None, None], (1, 7, 8))
+    std_rad = np.full(phase_rad.shape, 1e-3)
+    phase_rad[:, 3, 4] += 0.7 * nearer_rad
+    std_rad[:, 3, 4] = 0.1
+    tones = Tones(TRIPLE_HZ, phase_rad, std_rad)
+    assert abs(tones.alone()[0][3, 4] - distance_m) > 0.5 * turn_m
+    found_m, std_m = common_distance(tones)
+    np.testing.assert_allclose(found_m, distance_m, rtol=1e-9)
+    left = np.linalg.norm(0.7 * nearer_rad) / 0.1
+    assert std_m[3, 4] == pytest.approx(left / np.sqrt(2) * 0.1 / np.linalg.norm(per_m))
+
+
 @pytest.mark.parametrize("hz", [PAIR_HZ, (20e6, 100e6), (80e6, 60e6), (15e6,)])
 def test_a_wall_is_where_it_is(hz: tuple[float, ...]) -> None:
     result = reconstruct(wall(hz))
