@@ -106,7 +106,7 @@ def tests_of(path: Path, *, near: bool) -> list[str]:
         told = re.compile("|".join(rf"\b{re.escape(module)}\b(?!\.)" for module in modules))
         return sorted(file for file in among if told.search(file.read_text()))
 
-    first = naming(files)
+    first = naming(files) or naming((ROOT / "tests").rglob("test_*.py"))
     if not first:
         using = naming((ROOT / "src" / "lensshift").rglob("*.py"))
         modules = {".".join(user.relative_to(ROOT / "src").with_suffix("").parts) for user in using}
