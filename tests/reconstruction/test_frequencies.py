@@ -56,6 +56,16 @@ def test_the_distance_of_exact_phases(distance_m: float, hz: tuple[float, ...], 
     assert np.all(sure)
 
 
+@given(st.floats(0.0, 7.0), st.floats(0.01, 7.0))
+def test_the_turns_asked_are_those_between_two_distances(low_m: float, more_m: float) -> None:
+    tones, high_m = Tones(PAIR_HZ, *np.zeros((2, 2, 1))), min(low_m + more_m, 7.4)
+    turns = tones.turns(low_m, high_m)
+    for distance_m in np.linspace(low_m, high_m - 1e-4, 50):
+        assert int(distance_m / tones.turn_m) in turns
+    assert len(turns) <= (high_m - low_m) / tones.turn_m + 2
+    assert tones.turns() == range(5)  # 20 MHz have one turn
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_dark_pixels_ask_their_neighbours_for_the_turn(seed: int) -> None:
     rng = np.random.default_rng(seed)
