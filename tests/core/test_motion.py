@@ -90,6 +90,7 @@ def test_a_plan_is_compared_with_one_of_its_frames(reference: int | None) -> Non
 def test_a_stage_map_has_two_axes_in_every_pixel() -> None:
     over_the_sensor = np.tile(np.eye(2), (5, 7, 1, 1))
     kept = StageMap(np.eye(2), over_the_sensor)
+    assert kept.sigma_px == 0.0
     assert kept.field_px_per_mm is not None
     assert not kept.field_px_per_mm.flags.writeable
     for px_per_mm in (np.zeros((2, 3)), np.full((2, 2), np.nan)):

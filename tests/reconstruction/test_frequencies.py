@@ -63,7 +63,7 @@ def test_the_turns_asked_are_those_between_two_distances(low_m: float, more_m: f
     for distance_m in np.linspace(low_m, high_m - 1e-4, 50):
         assert int(distance_m / tones.turn_m) in turns
     assert len(turns) <= (high_m - low_m) / tones.turn_m + 2
-    assert tones.turns() == range(5)  # 20 MHz have one turn
+    assert Tones((200e6, 20e6), *np.zeros((2, 2, 1))).turns() == range(10)  # 20 MHz have one turn
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -116,9 +116,12 @@ def test_phases_that_contradict_each_other_widen_the_std(hz: tuple[float, ...]) 
         np.testing.assert_allclose(std_m, times * 1e-3 / np.linalg.norm(per_m), rtol=1e-6)
 
 
-def test_a_pixel_that_takes_the_turn_of_its_neighbours_contradicts_itself() -> None:
+@pytest.mark.parametrize("distance_m", [3.1, 4.3])  # early and late in a turn
+def test_a_pixel_that_takes_the_turn_of_its_neighbours_contradicts_itself(
+    distance_m: float,
+) -> None:
     """Of a wall, with phases nearer to a turn that no surface around is in."""
-    per_m, distance_m = distance_to_phase(1.0, 1.0) * np.array(TRIPLE_HZ), 3.1
+    per_m = distance_to_phase(1.0, 1.0) * np.array(TRIPLE_HZ)
     turn_m = 2 * np.pi / per_m[0]
     nearer_rad = per_m * turn_m - 2 * np.pi * np.rint(per_m * turn_m / (2 * np.pi))
     nearer_rad = nearer_rad - per_m * (nearer_rad @ per_m) / (per_m @ per_m)  # no distance explains
