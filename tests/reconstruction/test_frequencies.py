@@ -117,24 +117,27 @@ def test_phases_that_contradict_each_other_widen_the_std(hz: tuple[float, ...]) 
 
 
 @pytest.mark.parametrize("distance_m", [3.1, 4.3])  # early and late in a turn
-def test_a_pixel_that_takes_the_turn_of_its_neighbours_contradicts_itself(
-    distance_m: float,
+@pytest.mark.parametrize(("towards", "apart"), [(0.0, 2.0), (0.7, 6.0)])
+def test_a_pixel_that_takes_the_turn_of_its_neighbours_may_contradict_itself(
+    distance_m: float, towards: float, apart: float
 ) -> None:
-    """Of a wall, with phases nearer to a turn that no surface around is in."""
+    """Of a wall, with phases on the way to a turn, so many sigma away, of no surface around."""
     per_m = distance_to_phase(1.0, 1.0) * np.array(TRIPLE_HZ)
     turn_m = 2 * np.pi / per_m[0]
     nearer_rad = per_m * turn_m - 2 * np.pi * np.rint(per_m * turn_m / (2 * np.pi))
     nearer_rad = nearer_rad - per_m * (nearer_rad @ per_m) / (per_m @ per_m)  # no distance explains
     phase_rad = np.tile((per_m * distance_m)[:, None, None], (1, 7, 8))
     std_rad = np.full(phase_rad.shape, 1e-3)
-    phase_rad[:, 3, 4] += 0.7 * nearer_rad
-    std_rad[:, 3, 4] = 0.1
+    phase_rad[:, 3, 4] += towards * nearer_rad
+    std_rad[:, 3, 4] = np.linalg.norm(nearer_rad) / apart
     tones = Tones(TRIPLE_HZ, phase_rad, std_rad)
-    assert abs(tones.alone()[0][3, 4] - distance_m) > 0.5 * turn_m
+    alone_m, _, sure = tones.alone()
+    assert (abs(alone_m[3, 4] - distance_m) > 0.5 * turn_m) == (towards > 0.5)
+    assert sure.sum() == sure.size - (not towards)
     found_m, std_m = common_distance(tones)
     np.testing.assert_allclose(found_m, distance_m, rtol=1e-9)
-    left = np.linalg.norm(0.7 * nearer_rad) / 0.1
-    assert std_m[3, 4] == pytest.approx(left / np.sqrt(2) * 0.1 / np.linalg.norm(per_m))
+    times = max(towards * apart / np.sqrt(2), 1.0)
+    assert std_m[3, 4] == pytest.approx(times * std_rad[0, 3, 4] / np.linalg.norm(per_m))
 
 
 @pytest.mark.parametrize("hz", [PAIR_HZ, (20e6, 100e6), (80e6, 60e6), (15e6,)])
