@@ -62,8 +62,10 @@ class Mutant:
 
 
 def mutants_of(path: Path) -> Iterator[Mutant]:
-    """Yield all changes of one file, each within a line."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    """Yield all changes of one file, each within a line and with no bracket of a pair."""
+    source = path.read_text()
+    rows = [row.encode() for row in source.splitlines()]
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.BinOp | ast.BoolOp | ast.Compare):
             parts = (
                 (node.left, node.op, node.right) if isinstance(node, ast.BinOp)
@@ -73,23 +75,15 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
             before, operator, after = parts
             if type(operator) in SWAPS and before.end_lineno == after.lineno:
                 start, end = before.end_col_offset or 0, after.col_offset
-                row = path.read_text().splitlines()[after.lineno - 1].encode()[start:end].decode()
-                if not set(row) & set("()"):
+                if not set(rows[after.lineno - 1][start:end]) & set(b"()"):
                     yield Mutant(path, after.lineno, start, end, f" {SWAPS[type(operator)]} ")
         elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
             place = (node.lineno, node.col_offset, node.end_col_offset or 0)
             yield Mutant(path, *place, repr(node.value + 1))
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            yield Mutant(path, node.lineno, node.col_offset, node.operand.col_offset, "")
-
-
-def is_python(mutant: Mutant) -> bool:
-    """Return whether there is anything to test: a sign before a comma is none."""
-    try:
-        ast.parse(mutant.of(mutant.path.read_text()))
-    except SyntaxError:
-        return False
-    return True
+            start, end = node.col_offset, node.operand.col_offset
+            if not set(rows[node.lineno - 1][start:end]) & set(b"()"):
+                yield Mutant(path, node.lineno, start, end, "")
 
 
 def tests_of(path: Path, *, near: bool) -> list[str]:
@@ -106,7 +100,7 @@ def tests_of(path: Path, *, near: bool) -> list[str]:
         told = re.compile("|".join(rf"\b{re.escape(module)}\b(?!\.)" for module in modules))
         return sorted(file for file in among if told.search(file.read_text()))
 
-    first = naming(files)
+    first = naming(files) or naming((ROOT / "tests").rglob("test_*.py"))
     if not first:
         using = naming((ROOT / "src" / "lensshift").rglob("*.py"))
         modules = {".".join(user.relative_to(ROOT / "src").with_suffix("").parts) for user in using}
@@ -148,7 +142,7 @@ def main() -> None:
     given = ask.parse_args()
     files = [path for name in TESTS for path in (ROOT / "src/lensshift" / name).rglob("*.py")]
     files = [path for path in files if given.only in str(path.relative_to(ROOT / "src"))]
-    everything = [one for path in sorted(files) for one in mutants_of(path) if is_python(one)]
+    everything = [one for path in sorted(files) for one in mutants_of(path)]
     sample = random.Random(given.seed).sample(everything, min(given.count, len(everything)))
     dead = 0
     with tempfile.TemporaryDirectory() as folder:

@@ -103,6 +103,17 @@ def test_aperture_is_on_average_as_wide_as_pixel_box_spot_and_hr_pixel(fill, sig
     assert variance.mean() == pytest.approx(claimed, rel=2e-3)
 
 
+@pytest.mark.parametrize("spot_px2", [-0.05, 0.0, 0.11, 3.0])
+def test_spots_add_in_variance_and_none_is_sharper_than_a_point(spot_px2):
+    position = 200 + (np.arange(512) + 0.5) / 512
+    for blur in (GaussianBlur(0.6), ApertureBlur(0.8, 0.6), ApertureBlur(0.8, 0.1)):
+        there, more = (moments(*b.taps(position, 2, 401), position)[1].mean()
+                       for b in (blur, blur.widened(spot_px2)))  # fmt: skip
+        own_px2 = blur.sigma_px**2 if isinstance(blur, GaussianBlur) else blur.optics_sigma_px**2
+        grown = max(spot_px2, -own_px2)
+        assert more - there == pytest.approx(4 * grown, rel=5e-3, abs=1e-9)
+
+
 @given(blur=blurs, scale=st.integers(1, 4), size=st.integers(1, 12), position=st.floats(-6, 18))
 @settings(deadline=None, max_examples=40, derandomize=True)
 def test_taps_equal_quadrature_and_optimisation_anywhere(blur, scale, size, position):

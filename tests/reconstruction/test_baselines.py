@@ -273,6 +273,24 @@ def test_more_noise_is_sharpened_less() -> None:
     assert rough[0] > rough[1] > rough[2]
 
 
+@pytest.mark.parametrize("components", [1, 2])
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.2])
+@pytest.mark.parametrize(("sigma_px", "period_px"), [(0.6, 6), (1.0, 10)])
+def test_a_wave_is_sharpened_as_the_wiener_filter_says(
+    sigma_px: float, period_px: int, noise: float, components: int
+) -> None:
+    """Mirrored as it goes on, and of a whole number of periods with its margins."""
+    phase = 2 * np.pi / period_px
+    wave = np.tile(0.7 * np.cos(phase * (np.arange(3.0 * period_px) + 0.5))[:, None], 17)
+    psf, laplacian = np.exp(-((sigma_px * phase) ** 2) / 2), 2 - 2 * np.cos(phase)
+    rough = np.mean((laplacian * wave) ** 2) * (1 if components == 1 else (1 + 4) / 2)
+    detail = max(rough - (4**2 + 4) * noise**2, 0.05 * rough)
+    gain = psf / (psf**2 + (1e-3 + noise**2 / detail) * laplacian**2)
+    for frame in (wave * (1, 1 + 2j)[components - 1], wave.T * (-1, 2 - 1j)[components - 1]):
+        found = deconvolution(frame, None, (0.0, 0.0), 1, sigma_px, noise).image
+        np.testing.assert_allclose(found, gain * frame, atol=1e-3)
+
+
 def test_frame_noise_sees_noise_and_not_ramps() -> None:
     rng = np.random.default_rng(16)
     frame = np.add.outer(0.1 * np.arange(60.0), 0.2 * np.arange(80.0))

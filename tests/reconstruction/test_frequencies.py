@@ -56,6 +56,16 @@ def test_the_distance_of_exact_phases(distance_m: float, hz: tuple[float, ...], 
     assert np.all(sure)
 
 
+@given(st.floats(0.0, 7.0), st.floats(0.01, 7.0))
+def test_the_turns_asked_are_those_between_two_distances(low_m: float, more_m: float) -> None:
+    tones, high_m = Tones(PAIR_HZ, *np.zeros((2, 2, 1))), min(low_m + more_m, 7.4)
+    turns = tones.turns(low_m, high_m)
+    for distance_m in np.linspace(low_m, high_m - 1e-4, 50):
+        assert int(distance_m / tones.turn_m) in turns
+    assert len(turns) <= (high_m - low_m) / tones.turn_m + 2
+    assert Tones((200e6, 20e6), *np.zeros((2, 2, 1))).turns() == range(10)  # 20 MHz have one turn
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_dark_pixels_ask_their_neighbours_for_the_turn(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -88,6 +98,46 @@ def test_a_doubtful_turn_is_part_of_the_std(share: float) -> None:
     found_m, std_m = common_distance(Tones(PAIR_HZ, phase_rad, std_rad))
     np.testing.assert_allclose(found_m, distance_m, atol=1e-5)
     assert std_m[3, 3] == pytest.approx(turn_m * np.sqrt(share), rel=0.01)
+
+
+TRIPLE_HZ = (100e6, 80e6, 60e6)
+
+
+@pytest.mark.parametrize("hz", [(100e6,), PAIR_HZ, TRIPLE_HZ])
+def test_phases_that_contradict_each_other_widen_the_std(hz: tuple[float, ...]) -> None:
+    per_m = distance_to_phase(1.0, 1.0) * np.array(hz)
+    no_shift = np.linalg.svd(per_m[None])[2][1:].sum(axis=0)  # errors that no distance explains
+    for chi_square in (0.5, 20.0) if len(hz) > 1 else (0.0,):
+        error_rad = 1e-3 * np.sqrt(chi_square) * no_shift / max(np.linalg.norm(no_shift), 1e-12)
+        phase_rad = np.tile((per_m * 1.3 + error_rad)[:, None, None], (1, 5, 7))
+        found_m, std_m = common_distance(Tones(hz, phase_rad, np.full(phase_rad.shape, 1e-3)))
+        np.testing.assert_allclose(found_m, 1.3, rtol=1e-9)
+        times = np.sqrt(max(chi_square / max(len(hz) - 1, 1), 1.0))
+        np.testing.assert_allclose(std_m, times * 1e-3 / np.linalg.norm(per_m), rtol=1e-6)
+
+
+@pytest.mark.parametrize("distance_m", [3.1, 4.3])  # early and late in a turn
+@pytest.mark.parametrize(("towards", "apart"), [(0.0, 2.0), (0.7, 6.0)])
+def test_a_pixel_that_takes_the_turn_of_its_neighbours_may_contradict_itself(
+    distance_m: float, towards: float, apart: float
+) -> None:
+    """Of a wall, with phases on the way to a turn, so many sigma away, of no surface around."""
+    per_m = distance_to_phase(1.0, 1.0) * np.array(TRIPLE_HZ)
+    turn_m = 2 * np.pi / per_m[0]
+    nearer_rad = per_m * turn_m - 2 * np.pi * np.rint(per_m * turn_m / (2 * np.pi))
+    nearer_rad = nearer_rad - per_m * (nearer_rad @ per_m) / (per_m @ per_m)  # no distance explains
+    phase_rad = np.tile((per_m * distance_m)[:, None, None], (1, 7, 8))
+    std_rad = np.full(phase_rad.shape, 1e-3)
+    phase_rad[:, 3, 4] += towards * nearer_rad
+    std_rad[:, 3, 4] = np.linalg.norm(nearer_rad) / apart
+    tones = Tones(TRIPLE_HZ, phase_rad, std_rad)
+    alone_m, _, sure = tones.alone()
+    assert (abs(alone_m[3, 4] - distance_m) > 0.5 * turn_m) == (towards > 0.5)
+    assert sure.sum() == sure.size - (not towards)
+    found_m, std_m = common_distance(tones)
+    np.testing.assert_allclose(found_m, distance_m, rtol=1e-9)
+    times = max(towards * apart / np.sqrt(2), 1.0)
+    assert std_m[3, 4] == pytest.approx(times * std_rad[0, 3, 4] / np.linalg.norm(per_m))
 
 
 @pytest.mark.parametrize("hz", [PAIR_HZ, (20e6, 100e6), (80e6, 60e6), (15e6,)])

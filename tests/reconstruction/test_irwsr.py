@@ -136,6 +136,15 @@ def irwsr(model: ForwardModel, y: NDArray, weight: NDArray, **settings: Any) -> 
     )
 
 
+def test_starts_at_the_mean_where_no_frame_sees_anything() -> None:
+    model = forward_model((9, 14), 2, SQUARE_PX)
+    weight = np.ones((len(SQUARE_PX), 9, 14), np.float32)
+    weight[:, 2:7, 5:11] = 0.0
+    y = np.full(weight.shape, 0.7, np.float32)
+    start = Irwsr()._start(Problem(y, weight, model, 1.0, 0.3, None), y, weight)
+    np.testing.assert_allclose(start, 0.7, rtol=1e-5)
+
+
 @pytest.mark.parametrize("offset_px", [SQUARE_PX, IRREGULAR_PX])
 def test_ignores_a_biased_frame_and_reports_it(offset_px: NDArray) -> None:
     model = forward_model((20, 30), 2, offset_px)

@@ -105,6 +105,25 @@ def test_tiles_are_not_seen(monkeypatch):
     np.testing.assert_allclose(parts.weight, whole.weight, atol=0.01)
 
 
+def test_the_facts_of_an_interlaced_burst_of_square_pixels_are_none():
+    """What networks are told besides pictures is how a burst differs from the usual one."""
+    np.testing.assert_allclose(solver._facts(0.6, 2, 4), [0.0, 0.0, 0.0, 0.5], atol=1e-7)
+    ninth = solver._facts(1.6, 4, 144)  # nine samples of each HR pixel
+    np.testing.assert_allclose(ninth, [1.0, 1.0, np.log(3), 0.1], rtol=1e-6)
+
+
+@given(st.tuples(st.integers(1, 1500), st.integers(1, 1500)), st.integers(1, 5))
+def test_tiles_fill_a_picture_and_none_is_large(shape, scale):
+    filled = np.zeros(shape, int)
+    for part, inner in solver._tiles(shape, scale):
+        filled[inner] += 1
+        for seen, own, size in zip(part, inner, shape, strict=True):
+            assert seen.stop - seen.start <= np.ceil((640 + 2 * 32) / scale) + 1
+            assert seen.start == 0 or own.start - seen.start >= 32 / scale
+            assert seen.stop == size or seen.stop - own.stop >= 32 / scale
+    assert np.all(filled == 1)
+
+
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_what_one_half_holds_does_not_cost_the_other(order):
     rng = np.random.default_rng(8)

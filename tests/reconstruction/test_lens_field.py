@@ -27,6 +27,27 @@ def curved_field(growth_px2: float = 0.16) -> LensField:
     return LensField(Grid(SHAPE, (0.1, 0.1)), shift, spot, (0.2, 0.2), lens="curved")
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_correction_is_of_degree_two_along_each_axis(seed: int) -> None:
+    """And adds its share of the shift of the middle to that of each pixel."""
+    field, states_mm = curved_field(), np.array([[0.1, -0.15], [0.02, 0.2]])
+    row, col = (np.linspace(-1, 1, n)[:, None] ** np.arange(5) for n in SHAPE)
+    rng = np.random.default_rng(seed)
+    smooth = np.einsum(
+        "ri,cj,ijpq->rcpq", row[:, :3], col[:, :3], rng.standard_normal((3, 3, 2, 2))
+    )
+    before, after = (f.at(states_mm).offset_px for f in (field, field.corrected(0.05 * smooth)))
+    middle_px = states_mm @ field.px_per_unit.T
+    np.testing.assert_allclose(
+        after - before, 0.05 * np.einsum("rcpq,kq->krcp", smooth, middle_px), atol=1e-8
+    )
+    rough = np.einsum("r,c->rc", row[:, 4], col[:, 3])[..., None, None] * np.eye(2)
+    for axis, basis in enumerate((row[:, :3], col[:, :3])):
+        fit = basis @ np.linalg.pinv(basis)
+        rough = rough - np.moveaxis(np.tensordot(fit, rough, (1, axis)), 0, axis)
+    np.testing.assert_allclose(field.corrected(rough).at(states_mm).offset_px, before, atol=1e-9)
+
+
 def waves(seed: int, highest_cpp: float) -> np.ndarray:
     """Return waves [wave 4]: cycles per pixel along row and col, phase, size."""
     rng = np.random.default_rng(seed)

@@ -84,6 +84,33 @@ def test_the_map_is_large_where_a_frame_is_off_and_one_elsewhere() -> None:
     assert found.weight(of_phasors=False)[:, :5].mean() > 0.99
 
 
+def against_black(y: np.ndarray) -> np.ndarray:
+    """Return how much frames contradict a black picture, in which no shift shows."""
+    model = forward_model(y.shape[1:], 2, square(2)[: len(y)])
+    return find_misfit(model.operator, np.zeros(model.hr_shape), y, np.ones(y.shape), 2).against
+
+
+@pytest.mark.parametrize("kind", [1.0, 1.0 + 1.0j])
+def test_twice_the_noise_in_a_window_contradicts(kind: complex) -> None:
+    y = np.zeros((4, *SHAPE))
+    y[1, 8:13, 9:14] = 2.0
+    against = against_black(kind * y)
+    assert against[1, 10, 11] == pytest.approx(1.0)
+    assert against[1, 10, 10] == against[1, 9, 11] == pytest.approx(0.8)
+    assert not against[[0, 2, 3], 3:-3, 3:-3].any()
+    y[1, 8:13, 9:14] = 100.0  # as large as can be, and nothing that stands alone
+    assert against_black(kind * y)[1, 10, 11] == pytest.approx(25 / 4)
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02])
+def test_windows_of_lone_outliers_are_eight_deviations_from_contradicting(share: float) -> None:
+    rng = np.random.default_rng(12)
+    y = np.clip(rng.standard_normal((4, 160, 210)), -3.0, 3.0)
+    y[rng.random(y.shape) < share] = 1000.0
+    inner = against_black(y)[:, 3:-3, 3:-3]
+    assert 1.0 - inner.mean() == pytest.approx(8.0 * inner.std(), rel=0.02)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_right_bursts_raise_no_alarm(seed: int) -> None:
     seen = mosaic_burst(400 + seed, SHAPE, snr=(20.0, 60.0, 200.0)[seed % 3])

@@ -50,6 +50,18 @@ def test_cross_validation_is_neither_far_too_soft_nor_too_stiff(
     assert found > by_weight[-1] + 3.0
 
 
+@pytest.mark.parametrize("exponent", [-5.7, -4.45, -2.0, -1.4, -0.37, 0.0])
+def test_cross_validation_ends_within_half_a_ninth_of_a_decade(
+    A: LinearOperator, exponent: float
+) -> None:
+    def solve(value: float, weight: np.ndarray) -> np.ndarray:
+        return np.full(A.in_shape, 0.1 + abs(np.log10(value) - exponent))
+
+    black = np.zeros((4, *SHAPE))
+    chosen = cross_validate(solve, A, black, black + 1.0, 0)
+    assert abs(np.log10(chosen) - exponent) <= 1 / 18 + 1e-6
+
+
 def test_cross_validation_follows_the_seed_alone(A: LinearOperator, y: np.ndarray) -> None:
     solve, ones = _solver(A, y), np.ones(y.shape)
     assert cross_validate(solve, A, y, ones, 3) == cross_validate(solve, A, y, ones, 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import threading
@@ -27,7 +28,7 @@ class Ending:
     def __init__(self, *, at_once: bool, meanwhile: str) -> None:
         self.at_once = at_once
         self.number = 0
-        self._since_s = 0.0
+        self._since_s = -math.inf
         self._meanwhile = meanwhile
         self._told = False
 
@@ -39,7 +40,7 @@ class Ending:
             os.write(2, f"{self._meanwhile}\n".encode())  # print is not safe within a signal
         now_s = time.monotonic()
         # Python swallows what is raised while it happens to clean up an object: not twice.
-        lost = not self.number or now_s - self._since_s > _SWALLOWED_S
+        lost = now_s - self._since_s > _SWALLOWED_S
         if again or (self.at_once and lost):
             self.number, self._since_s = number, now_s
             raise self.error()

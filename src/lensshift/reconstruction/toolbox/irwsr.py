@@ -157,7 +157,6 @@ class _State:
 def _start(data: ToolboxData, settings: ToolboxSettings) -> _State:
     """Return the temporal median with uniform weights; the system follows with its level."""
     image = temporal_median(data.frames, data.usable, data.offset_px)
-    directions = (2 * settings.window + 1) ** 2 - 1
     empty = sparse.csr_array((0, 0))
     return _State(
         x=image.ravel(),
@@ -165,7 +164,7 @@ def _start(data: ToolboxData, settings: ToolboxSettings) -> _State:
         forward=empty,
         adjoint=empty,
         confidence=data.confidence.ravel(),
-        sparsity_weights=np.ones(directions * image.size),
+        sparsity_weights=np.ones(1),  # stretched to its level
         prior_weight=settings.prior_weight,
         cv_values=_CV_VALUES if settings.prior_weight is None else 1,
     )

@@ -70,8 +70,7 @@ def temporal_median(
         stack[k] = np.where(moved > 0, moved, np.inf)
     stack.sort(axis=0)
     count = np.isfinite(stack).sum(axis=0)
-    low = np.take_along_axis(stack, np.maximum((count - 1) // 2, 0)[None], axis=0)[0]
-    high = np.take_along_axis(stack, np.minimum(count // 2, len(stack) - 1)[None], axis=0)[0]
+    low, high = np.take_along_axis(stack, np.stack([(count - 1) // 2, count // 2]), axis=0)
     return np.where(count > 0, 0.5 * (low + high), 0.0)
 
 
