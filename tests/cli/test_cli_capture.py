@@ -289,11 +289,9 @@ def test_rig_files_that_describe_none(tmp_path: Path, text: str, message: str) -
 
 def test_a_rig_takes_its_travel_from_a_lens_field(tmp_path: Path) -> None:
     lens = load_lens("petzval_b")
-    fields = {
-        "own": lens_field(lens, Grid((16, 64), (0.155, 0.155))),
-        "other": lens_field(lens, Grid((16, 64), (0.1, 0.155))),
-    }
-    for name, field in fields.items():
+    own = lens_field(lens, Grid((16, 64), (0.155, 0.155)))
+    other = replace(own, grid=Grid((16, 64), (0.1, 0.155)))
+    for name, field in (("own", own), ("other", other)):
         save_lens_field(field, tmp_path / f"{name}.nc")
     file = tmp_path / "rig.toml"
     camera = "[camera]\nport = 0\npitch_mm = 0.155\n"
@@ -301,7 +299,6 @@ def test_a_rig_takes_its_travel_from_a_lens_field(tmp_path: Path) -> None:
         file.write_text(f"{camera}[calibration]\nlens_field = '{name}.nc'\n")
         with pytest.raises(DataError, match=message):  # the first is right but for the stage
             open_rig(file)
-    own = fields["own"]
     nominal = nominal_calibration(own.px_per_unit, optics=own.optics)
     mm = decenter_for_shift(lens, 0, [0.1, -0.2], own.grid)
     np.testing.assert_allclose(nominal.offset_px(nominal.rest_mm + mm), [0.1, -0.2], atol=1e-4)

@@ -86,21 +86,12 @@ def test_field_is_for_bursts_of_its_lens(call: Call, tmp_path: Path, pattern: st
     np.testing.assert_allclose(field_px, true_px, atol=2e-3)
     usual = "reconstruct", burst, "--method", "bicubic", "--lens-field", out
     assert call(*usual).exit_code == 0
-    for other, cure in (
-        ()
-        if pattern == "3x3"
-        else (
-            (("petzval_a", "--burst", burst), "make it from that lens"),
-            (("petzval_b", "--burst", burst, "--element", 2), "make it with --element 1"),
-            (("petzval_b", "--sensor", "9x5"), "make it with --pitch-mm 0.3,0.3"),
-            (("petzval_b", "--pitch-mm", "0.3", "--sensor", "7x5"), "make it with --sensor 9x5"),
-        )
-    ):
-        assert call("lens", "field", *other, "-o", out).exit_code == 0
-        refused = call(*usual)
-        assert refused.exit_code == 1
-        assert "field.nc: " in refused.output
-        assert cure in " ".join(refused.output.split())
+    other = "field", "petzval_b", "--burst", burst, "--element", 2
+    assert call("lens", *other, "-o", out).exit_code == 0
+    refused = call(*usual)
+    assert refused.exit_code == 1
+    assert "field.nc: " in refused.output
+    assert "make it with --element 1" in " ".join(refused.output.split())
 
 
 def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:

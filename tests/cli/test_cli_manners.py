@@ -1,7 +1,6 @@
 """What people expect of a command line: completion, full help, a list of methods, patience."""
 
 import json
-import os
 import subprocess
 import sys
 import threading
@@ -10,27 +9,19 @@ from dataclasses import fields
 
 import pytest
 from stand_in import Call
+from typer.testing import CliRunner
 
 from lensshift.cli import session
+from lensshift.cli.app import app
 from lensshift.reconstruction.methods import METHODS
 from lensshift.reconstruction.reconstruct import reconstruct
 
-MODULE = [sys.executable, "-m", "lensshift"]
 
-
-def ended(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*MODULE, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | environment,
-    )
-
-
-def test_the_package_is_a_command() -> None:
-    assert ended("--version").stdout.startswith("lensshift 0.")
-    assert "--install-completion" in ended("--help").stdout
+def test_the_package_is_a_command(call: Call) -> None:
+    module = [sys.executable, "-m", "lensshift", "--version"]
+    done = subprocess.run(module, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("lensshift 0.")
+    assert "--install-completion" in call("--help").stdout
 
 
 @pytest.mark.parametrize(
@@ -38,11 +29,9 @@ def test_the_package_is_a_command() -> None:
     [("lensshift rec", {"reconstruct"}), ("lensshift reconstruct --method ti", {"tikhonov"})],
 )
 def test_the_shell_is_told_how_a_word_goes_on(words: str, offered: set[str]) -> None:
-    told = ended(
-        _LENSSHIFT_COMPLETE="complete_bash",
-        COMP_WORDS=words,
-        COMP_CWORD=str(len(words.split()) - 1),
-    )
+    asked = {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    asked["_LENSSHIFT_COMPLETE"] = "complete_bash"
+    told = CliRunner().invoke(app, [], prog_name="lensshift", env=asked)
     assert set(told.stdout.split()) == offered
 
 

@@ -70,15 +70,16 @@ def test_options_change_the_camera(call: Call, small: Path, tmp_path: Path) -> N
         assert done.exit_code == 0, done.output
         return load_burst(out)
 
-    plain, ideal = taken(), taken("--ideal", "--pattern", "still")
-    assert plain.frame_count == 4
-    assert ideal.frame_count == 1
-    again = taken("--ideal", "--pattern", "still", "--seed", 9, "--shift-error-px", 0)
-    exact = taken("--ideal", "--pattern", "still", "--shift-error-px", 0)
+    still = "--pattern", "still"
+    assert taken().frame_count == 4
+    assert taken(*still).frame_count == 1
+    again = taken("--ideal", *still, "--seed", 9, "--shift-error-px", 0)
+    exact = taken("--ideal", *still, "--shift-error-px", 0)
     np.testing.assert_array_equal(again.amplitude, exact.amplitude)
-    assert taken("--ambient-klx", 80).meta["ambient"]["illuminance_klx"] == 80
-    assert taken("--lens", "petzval_a", "--element", 2).meta["optics"]["element"] == 1
-    assert taken("--lens", "petzval_a", "--element", 0).meta["optics"]["element"] is None
+    assert taken("--ambient-klx", 80, *still).meta["ambient"]["illuminance_klx"] == 80
+    for element, told in ((2, 1), (0, None)):
+        lens = "--lens", "petzval_a", "--element", element
+        assert taken(*lens, *still).meta["optics"]["element"] == told
 
 
 @pytest.mark.parametrize(

@@ -164,9 +164,9 @@ def test_it_fits_on_a_phone_and_on_a_wall(page: Page, burst: Burst, tmp_path: Pa
             page.dark(dark)
             colour: Any = "getComputedStyle(document.body).backgroundColor.match(/\\d+/)[0]"
             page.until(f"{colour} < 60" if dark else f"{colour} > 200")
-            for width, height in SIZES:
-                page.size(width, height)
-                page.until(f"innerWidth === {width}")
-                assert page.value("document.documentElement.scrollWidth") <= width
-                boxes = "[...document.querySelectorAll('section')].map(one => one.clientHeight)"
-                assert min(page.value(boxes)) > 150
+        for width, height in SIZES:
+            page.size(width, height)
+            page.until(f"innerWidth === {width}")
+            assert page.value("document.documentElement.scrollWidth") <= width
+            boxes = "[...document.querySelectorAll('section')].map(one => one.clientHeight)"
+            assert min(page.value(boxes)) > 150

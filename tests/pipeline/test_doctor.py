@@ -11,6 +11,7 @@ from collections import namedtuple
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ import serial
 from typer.testing import CliRunner
 
 import lensshift.capture.emulators.o3m as o3m_emulator
+import lensshift.capture.emulators.rig as rig_emulator
 from lensshift.camera import camera_preset
 from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
@@ -34,6 +36,14 @@ from lensshift.scene import Plane, Scene
 
 NOMINAL = 0.25 / 0.0444
 QUICK = RigSettings(speed=20.0, rate_hz=40.0, px_per_mm=NOMINAL * np.eye(2))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def scenes_are_cast_once() -> Iterator[None]:
+    """Most rigs stand before the same boxes, and a camera that runs does not change."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rig_emulator, "RunningCamera", cache(rig_emulator.RunningCamera))
+        yield
 
 
 @contextmanager
