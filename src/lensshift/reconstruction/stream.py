@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
@@ -22,8 +23,8 @@ Array = NDArray[Any]
 Pace = Literal["auto", "live", "refined"]
 
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts
-# explain (`misfit.LIMIT` and `misfit.ALLOWED_SHIFT_PX` are those of a solved burst).
-CONTRADICTS, ALLOWED_SHIFT_PX, MOST = 4.0, 0.1, 0.5
+# explain (`misfit.LIMIT` is that of a solved burst).
+CONTRADICTS, MOST = 4.0, 0.5
 # With more than this part of the pixels something moves: half-done pictures show where it was.
 RESTS = 0.01
 # A frame was taken elsewhere on the plan if there it leaves less than this part of the squares.

@@ -20,7 +20,7 @@ from lensshift.reconstruction.displacement import slopes_of
 from lensshift.reconstruction.learned.solver import Asked, Solution
 
 # A square pixel and the Gaussian of its width differ at an edge as by this error of a shift: frames
-# that are off by no more refute no noise (`misfit.ALLOWED_SHIFT_PX`).
+# that are off by no more refute no noise (`displacement.ALLOWED_SHIFT_PX`).
 ALIKE_PX = 0.06
 # The noise times an eighth (of less a picture hardly changes), and powers of 2 up to as much as
 # explains most pixels, 4 at least; what is between two of them makes hardly a difference.
