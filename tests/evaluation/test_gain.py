@@ -95,14 +95,16 @@ def test_different_edges_are_doubted_with_their_angles() -> None:
         resolution_gain(upright, slanted)
 
 
+def lying(at_px: float, region: Region) -> EdgeResult:
+    return replace(edge((17, 33), 0.8), region=region, position_px=Interval(at_px))
+
+
 def test_edges_are_paired_by_their_place() -> None:
-    one = edge((17, 33), 0.8)
-    here, there = (
-        replace(one, region=region) for region in (Region(0, 10, 0, 20), Region(0, 10, 40, 60))
-    )
-    fine = [replace(one, region=Region(0, 20, 82, 118)), replace(one, region=Region(0, 20, 2, 40))]
+    here, there = lying(12.0, Region(0, 10, 0, 20)), lying(51.5, Region(0, 10, 40, 60))
+    # What lies beside an edge is cut off elsewhere in another image.
+    fine = [lying(103.6, Region(0, 20, 90, 150)), lying(24.4, Region(0, 20, 2, 40))]
     pairs = pair_edges(fine, [here, there], 2)
-    assert [(a.region.col_start, b.region.col_start) for a, b in pairs] == [(2, 0), (82, 40)]
-    assert pair_edges([replace(one, region=Region(0, 20, 200, 240))], [here], 2) == []
+    assert [(a.region.col_start, b.region.col_start) for a, b in pairs] == [(2, 0), (90, 40)]
+    assert pair_edges([lying(30.0, Region(0, 20, 2, 40))], [here], 2) == []
     spoiled = [replace(fine[0], usable=False), *fine[1:]]
     assert [one.region.col_start for one, _ in pair_edges(spoiled, [here, there], 2)] == [2]
