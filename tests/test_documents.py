@@ -153,12 +153,13 @@ def test_messages_that_are_explained_exist() -> None:
 
 
 def place_of(document: Path, tmp_path: Path) -> dict[str, str]:
-    """Make `lensshift` a command in a folder, with what README assumes; return the environment."""
+    """Make the commands of a page in a folder, with what README assumes; return the environment."""
     programs = tmp_path / "programs"
     programs.mkdir()
-    shim = programs / "lensshift"
-    shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m lensshift "$@"\n', encoding="utf-8")
-    shim.chmod(0o755)
+    for name, options in (("lensshift", "-m lensshift "), ("python", "")):
+        shim = programs / name
+        shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" {options}"$@"\n', encoding="utf-8")
+        shim.chmod(0o755)
     folder = tmp_path / "work"
     folder.mkdir()
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__*"))
