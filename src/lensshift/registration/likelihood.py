@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from lensshift.core.arrays import Array
 from lensshift.registration.curvature import Curvature, inverse
 from lensshift.registration.spectrum import Frequencies, Spectrum, first_spectrum
-from lensshift.registration.taper import Tapered, taper_frames
+from lensshift.registration.taper import Tapered, quiet_flank_px, taper_frames
 
 Shifts = NDArray[np.float64]
 
@@ -91,7 +92,9 @@ def likely_shifts(
     Source: Whittle (1953); Gaussian Fisher scoring as in Kay, Estimation Theory (1993) ch. 3.
     """
     frequencies = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c")
-    tapered = taper_frames(frames, valid, start_px, own_mean=photometric)
+    flank_px = quiet_flank_px(frames, valid, start_px, own_mean=photometric)
+    taper = partial(taper_frames, frames, valid, own_mean=photometric, flank_px=flank_px)
+    tapered = taper(start_px)
     state = _State(
         start_px.copy(), np.zeros(len(frames)), first_spectrum(frequencies, tapered.spectra)
     )
@@ -100,14 +103,12 @@ def likely_shifts(
     freed, converged, step = 0, False, np.zeros((len(frames), kinds))
     curvature: Curvature | None = None
     for iteration in range(max_iterations):
-        tapered = taper_frames(
-            frames, valid, state.offset_px, own_mean=photometric, expected=tapered.expected
-        )
+        tapered = taper(state.offset_px, expected=tapered.expected)
         passes = _SPECTRUM_PASSES if iteration == 0 else 1
         _fit_spectrum(state, tapered, passes, whole=freed == 0)
         score, information = _score(state, tapered, kinds)
         if freed == _FREE_ROUNDS and curvature is None:
-            curvature = _curvature(frames, valid, state, tapered, kinds, reference)
+            curvature = _curvature(taper, state, tapered, kinds, reference)
         before, step = step, np.zeros((len(frames), kinds))
         change, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
         step.ravel()[free] = change
@@ -130,7 +131,7 @@ def likely_shifts(
             break
         tapered = tapered.with_expected(state.spectrum, state.offset_px, np.exp(state.log_gain))
     if curvature is None:
-        curvature = _curvature(frames, valid, state, tapered, kinds, reference)
+        curvature = _curvature(taper, state, tapered, kinds, reference)
         _, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
     return _fit_of(state, spread * tapered.inflation, reference, converged=converged)
 
@@ -163,10 +164,10 @@ def _newton(
 
 
 def _curvature(
-    frames: Array, valid: NDArray[np.bool_], state: _State, tapered: Tapered, kinds: int, at: int
+    taper: Callable[..., Tapered], state: _State, tapered: Tapered, kinds: int, at: int
 ) -> Curvature:
     """Return the curvature by a common shift of all frames but the reference, number `at`."""
-    count = len(frames)
+    count = len(state.offset_px)
     others = np.tile(np.eye(kinds, 2), (count, 1, 1))
     others[at] = 0.0
     together = others.reshape(-1, 2)
@@ -177,9 +178,7 @@ def _curvature(
         scores = []
         for sign in (-1.0, 1.0):
             state.offset_px = offset_px + sign * _STEP_PX * others[:, :2, axis]
-            moved = taper_frames(
-                frames, valid, state.offset_px, own_mean=kinds == 3, expected=tapered.expected
-            )
+            moved = taper(state.offset_px, expected=tapered.expected)
             scores.append(_gradients(state, (tapered, moved), kinds) @ together)
         bent[..., axis] = (scores[0] - scores[1]) / (2.0 * _STEP_PX)
     state.offset_px = offset_px

@@ -15,9 +15,14 @@ if TYPE_CHECKING:
 
 Shifts = NDArray[np.float64]
 
-# Share of the common length over which the taper rises at each end: enough that borders leak
-# little, and short enough that 16 rows keep their weight.
-TAPER_SHARE = 0.25
+# Share of the common length over which a whole taper rises at each end: nothing rises slower that
+# leaves a plateau as long as its flanks.
+WHOLE_SHARE = 0.25
+# A flank is as short as borders let it be, since all that it covers is lost: light that leaks from
+# low frequencies falls with the square of its length. Two pixels have no spectrum of their own.
+SHORTEST_FLANK_PX = 2.0
+_FINE_CPP = 1 / 3  # frequencies in which a leak shows first, as scenes have least power there
+_LEAK_SIGMAS = 3.0
 LEAST_COMMON_PX = 4.0  # less has no spectrum
 
 
@@ -61,6 +66,7 @@ def taper_frames(
     *,
     own_mean: bool,
     expected: Array | None = None,
+    flank_px: float = np.inf,
 ) -> Tapered:
     """Taper the frames where the scene is, not where the pixels are, and transform them.
 
@@ -74,6 +80,7 @@ def taper_frames(
     frames, valid : [frame row col]
     own_mean : whether each frame has its own mean taken off, or all the same
     expected : [frame row col] tapered values for invalid pixels; by default 0, the mean
+    flank_px : over which the window rises at each end, at most a quarter of the common length
 
     Raises
     ------
@@ -82,8 +89,8 @@ def taper_frames(
     """
     rows, cols = frames.shape[1:]
     window = (
-        _axis_window(rows, offset_px[:, 0])[:, :, None]
-        * _axis_window(cols, offset_px[:, 1])[:, None, :]
+        _axis_window(rows, offset_px[:, 0], flank_px)[:, :, None]
+        * _axis_window(cols, offset_px[:, 1], flank_px)[:, None, :]
     )
     used = window * valid
     total, weight = (used * np.where(valid, frames, 0)).sum(axis=(1, 2)), used.sum(axis=(1, 2))
@@ -103,7 +110,41 @@ def taper_frames(
     return Tapered(spectra, window, scale, expected, float(inflation) / max(share, 1e-12))
 
 
-def _axis_window(size: int, offset_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def quiet_flank_px(
+    frames: Array, valid: NDArray[np.bool_], offset_px: Shifts, *, own_mean: bool
+) -> float:
+    """Return the shortest flank that leaks nothing, of 2, 3, 4.5 ... px up to a whole taper.
+
+    What a shorter flank adds to the finest frequencies, beyond a third of a cycle per pixel, is
+    no more than chance: within 3 standard errors of the mean power that a whole taper leaves.
+
+    Parameters
+    ----------
+    frames, valid : [frame row col]
+    offset_px : [frame 2]
+    own_mean : as in `taper_frames`
+    """
+    rows, cols = frames.shape[1:]
+    col_cpp = np.fft.fftfreq(cols) if frames.dtype.kind == "c" else np.fft.rfftfreq(cols)
+    fine = np.maximum(np.abs(np.fft.fftfreq(rows))[:, None], np.abs(col_cpp)).ravel()[1:]
+
+    def fine_power(flank_px: float) -> tuple[float, float]:
+        tapered = taper_frames(frames, valid, offset_px, own_mean=own_mean, flank_px=flank_px)
+        power = np.abs(tapered.spectra[fine > _FINE_CPP]) ** 2
+        inflation = max(tapered.inflation, 1.0)
+        return float(power.mean()), float(inflation / power.size)
+
+    power, variance = fine_power(np.inf)
+    flank_px = SHORTEST_FLANK_PX
+    while flank_px < WHOLE_SHARE * min(rows, cols):
+        short, of_short = fine_power(flank_px)
+        if short <= power * (1.0 + _LEAK_SIGMAS * float(np.sqrt(variance + of_short))):
+            return flank_px
+        flank_px *= 1.5
+    return np.inf
+
+
+def _axis_window(size: int, offset_px: NDArray[np.float64], flank_px: float) -> NDArray[np.float64]:
     """Return the taper [frame size] of one axis."""
     low_px, high_px = float((-0.5 - offset_px).max()), float((size - 0.5 - offset_px).min())
     if high_px - low_px < LEAST_COMMON_PX:
@@ -113,5 +154,5 @@ def _axis_window(size: int, offset_px: NDArray[np.float64]) -> NDArray[np.float6
         )
     place_px = np.arange(size) - offset_px[:, None]
     inside_px = np.minimum(place_px - low_px, high_px - place_px)
-    rise = np.clip(inside_px / (TAPER_SHARE * (high_px - low_px)), 0.0, 1.0)
+    rise = np.clip(inside_px / min(flank_px, WHOLE_SHARE * (high_px - low_px)), 0.0, 1.0)
     return np.asarray(np.sin(0.5 * np.pi * rise) ** 2)
