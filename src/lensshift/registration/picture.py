@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from lensshift.core.arrays import Array
 from lensshift.core.gaussian import MEDIAN_SIZE
@@ -38,6 +39,7 @@ LEAST_FRAMES, LEAST_PREDICTING = 4, 6
 # Shifts are refuted by others that predict so much better, as a belief in noise is
 # (`reconstruction.learned.belief`): in 96 simulated bursts none that erred more did.
 BETTER = 0.97
+CHANCE = 0.05  # that a wrong one gains in prediction, frame by frame
 
 
 class Fit(NamedTuple):
@@ -50,11 +52,14 @@ class Fit(NamedTuple):
 
 
 def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> ShiftFit:
-    """Return shifts through the picture, if they predict frames better than the fit does.
+    """Return shifts through the picture, if they refute the fit and predict frames better.
 
-    Else the fit, its errors widened by what the two disagree beyond theirs,
+    Else the fit. The two disagree, and the errors are widened, by what is beyond theirs,
 
         excess^2 = mean over frames (d - d')^2 - sigma^2 - sigma'^2
+
+    Frames in general have to gain, by more than chance (t test): of frames that nearly all lie at
+    one place, one that does not is predicted best too near to them, by a picture that is smooth.
 
     Parameters
     ----------
@@ -64,17 +69,27 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
     if len(frames) < LEAST_FRAMES:
         return fit
     other = picture_shifts(frames, valid, fit.offset_px, reference=reference)
+    better = False
     if len(frames) >= LEAST_PREDICTING:
         error, _ = prediction_error(frames, valid, fit.offset_px)
         other_error, apart_px = prediction_error(frames, valid, other.offset_px)
         # Half of the frames disagree with the other half by twice the variance of all.
         variance = np.mean((apart_px - np.median(apart_px, axis=0)) ** 2, axis=0)
         other = _widened(other, variance, reference)
-        if other_error < BETTER * error:
-            return _where_known(replace(other, gain=fit.gain), fit)
+        better = _refuted(error, other_error)
     square = (fit.offset_px - other.offset_px) ** 2 - fit.sigma_px**2 - other.sigma_px**2
     excess = np.maximum(np.delete(square, reference, axis=0).mean(axis=0), 0.0)
+    if better:
+        return _where_known(replace(other, gain=fit.gain), fit)
     return _widened(fit, excess, reference)
+
+
+def _refuted(error: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Return whether errors of prediction [frame] are more than others, and not by chance."""
+    gain = error - other
+    chance = float(np.std(gain, ddof=1) / np.sqrt(gain.size))
+    least = max((1.0 - BETTER) * error.mean(), stdtrit(gain.size - 1, 1.0 - CHANCE) * chance)
+    return bool(gain.mean() > least)
 
 
 def _where_known(other: ShiftFit, fit: ShiftFit) -> ShiftFit:
@@ -127,8 +142,10 @@ def picture_shifts(frames: Array, valid: Mask, start_px: Shifts, *, reference: i
     return replace(found, covariance_px2=found.covariance_px2 * factor**2)
 
 
-def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[float, Shifts]:
-    """Return the mean error of frames that are predicted from every other one.
+def prediction_error(
+    frames: Array, valid: Mask, place_px: Places
+) -> tuple[NDArray[np.float64], Shifts]:
+    """Return the mean error [frame] of frames that are predicted from every other one.
 
     And by how much [frame 2] their shifts seem to be off in these pictures.
 
@@ -137,7 +154,8 @@ def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[floa
     place_px : [frame 2] shifts, or [frame 2 term] as in `Fit`
     """
     error, weight, steps = predicted(frames, valid, place_px)
-    return float(np.sum(error * weight) / max(float(np.sum(weight)), 1.0)), steps
+    within = (1, 2)
+    return np.sum(error * weight, within) / np.maximum(np.sum(weight, within), 1.0), steps
 
 
 def predicted(frames: Array, valid: Mask, place_px: Places) -> tuple[Array, Array, Shifts]:
