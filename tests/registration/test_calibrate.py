@@ -1,6 +1,7 @@
 """What a scan says of a rig whose faults are known."""
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rig import Rig
 
+from lensshift.capture.emulators.rig import EmulatedWorld, RigSettings
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid
@@ -19,6 +21,7 @@ from lensshift.core.types import Burst
 from lensshift.io.calibration_file import load_calibration, save_calibration
 from lensshift.registration import calibration_scan_mm, fit_scan
 from lensshift.registration.calibrate import ScanFit
+from lensshift.scene import Plane, Rectangle, Scene
 
 RIG = Rig(bending=1.0)
 HALF_SPAN_MM = 0.1
@@ -241,3 +244,30 @@ def test_a_scan_leaves_a_lens_field_as_it_is_that_is_right() -> None:
     near = replace(designed, shift_px=0.2 * designed.shift_px)
     with pytest.raises(DataError, match="make it with --reach-px"):
         fit_scan(found.burst, registered=True, lens_field=near)
+
+
+def test_a_bright_card_across_the_sensor_does_not_make_the_map_its_own() -> None:
+    """Shifts too small by two thirds fit it as well, where frames are tapered as they move."""
+    wall = Plane(centre_m=(0.0, 0.0, 5.0), reflectance=0.3)
+    tall = Rectangle(
+        centre_m=(0.04, 0.0, 3.0), size_m=(0.3, 0.3), turn_rad=(0.0, 0.0, 0.02), reflectance=0.9
+    )
+    small = Rectangle(
+        centre_m=(-0.25, 0.01, 3.0), size_m=(0.12, 0.09), turn_rad=(0.0, 0.0, 0.4), reflectance=0.6
+    )
+    settings = RigSettings(scene=Scene((wall, tall, small)), px_per_mm=5.6 * np.eye(2))
+    world = EmulatedWorld(settings, None)
+    asked = calibration_scan_mm(settings.rest_mm, 0.3, steps=3)
+    offset_px = [world.offset_px(place)[None] for place in asked]
+    frames = [world.running.frame(one, world._rng).amplitude for one in offset_px]
+    planned_px = 5.6 * (asked - settings.rest_mm)
+    burst = Burst.from_arrays(
+        np.stack(frames), offset_px=planned_px, pitch_mm=0.155, stage_mm=asked
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)  # rows tell little, which may be said
+        found = fit_scan(burst).calibration
+    wrong = found.stage_map.px_per_mm - settings.px_per_mm
+    assert found.px_per_mm_sigma is not None
+    assert np.all(np.abs(wrong) < 0.1)
+    assert np.all(np.abs(wrong) < 3 * found.px_per_mm_sigma)

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
 from lensshift.registration.field import fit_field
-from lensshift.registration.likelihood import ShiftFit, likely_shifts
+from lensshift.registration.likelihood import likely_shifts
 from lensshift.registration.phase import phase_shifts
+from lensshift.registration.picture import alternate, prediction_error
 from lensshift.registration.register import filled, frames_of, with_given
 
 HUBER_SIGMAS = 1.345  # keeps 95 % of the efficiency where errors are normal
@@ -175,13 +176,9 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
     """Return the scan with registered offsets and their covariance [2 frame, 2 frame]."""
     frames = frames_of(burst, "amplitude")
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
-    phase_px = phase_shifts(filled(frames, valid), 0)
-    fits: list[ShiftFit] = []
-    for start_px in _starts(burst, phase_px):
-        fits.append(likely_shifts(frames, valid, start_px, photometric=photometric))
-        if _unexplained_px(burst, fits[-1].offset_px) < BUDGET_PX:
-            break
-    found = min(fits, key=lambda fit: _unexplained_px(burst, fit.offset_px))
+    whole = filled(frames, valid)
+    starts = _starts(burst, phase_shifts(whole, 0))
+    found = likely_shifts(frames, valid, _best_of(starts, whole, valid), photometric=photometric)
     # Where the frames tell nothing, a shift is known to be some pixels at most.
     found = with_given(found, burst.offset_px - burst.offset_px[0], None, said=False)
     burst = replace(
@@ -193,8 +190,21 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
     return burst, found.covariance_px2
 
 
+def _best_of(starts: list[Floats], frames: Array, valid: NDArray[np.bool_]) -> Floats:
+    """Return the start from which a picture is found that predicts the frames best.
+
+    What stage and play explain is no measure: shifts that are all too small by half fit them as
+    well, with as little noise, where a bright area reaches across the sensor.
+    """
+    level, size = (part(frames, axis=(1, 2), keepdims=True) for part in (np.mean, np.std))
+    alike = (frames - level) / np.maximum(size, 1e-300)
+    ends = [alternate(alike, valid, one[..., None], 0).place_px[..., 0] for one in starts]
+    errors = [prediction_error(alike, valid, end)[0].mean() for end in ends]
+    return ends[int(np.argmin(errors))]
+
+
 def _starts(burst: Burst, phase_px: Floats) -> list[Floats]:
-    """Return where registration may begin, relative to the first frame, the best first.
+    """Return where registration may begin, relative to the first frame.
 
     Phase correlation of each frame is rough where content is aliased; what stage and play make of
     all of them is not. The map that planned the scan may be mirrored, or wrong by a tenth.
@@ -206,13 +216,6 @@ def _starts(burst: Burst, phase_px: Floats) -> list[Floats]:
     if np.any(burst.offset_px):
         starts.insert(1, burst.offset_px - burst.offset_px[0])
     return starts
-
-
-def _unexplained_px(burst: Burst, offset_px: Floats) -> float:
-    """Return the rms of what stage and play do not explain of offsets."""
-    design = _stage_and_play(burst)
-    left = offset_px - design @ (np.linalg.pinv(design) @ offset_px)
-    return float(np.sqrt(np.mean(left**2)))
 
 
 def _stage_and_play(burst: Burst) -> Floats:
