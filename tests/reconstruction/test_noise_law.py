@@ -42,6 +42,18 @@ def test_even_noise_is_found_and_has_hardly_a_slope(scene, sigma: float, seed: i
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("turn_rad", [0.0, 0.4, 2.2])
+def test_a_still_component_of_phasors_takes_no_part_for_the_whole(
+    turn_rad: float, seed: int
+) -> None:
+    """Distances in centimetres leave no noise across the light, wherever that points."""
+    y = photograph(edge_scene, SHAPE, SQUARE_PX) + 0.01 * _white(seed)
+    law = _law(y * np.exp(1j * turn_rad))
+    # One component varies more from block to block than the mean of two, and low ones tell.
+    assert law.sigma == pytest.approx(0.01 / np.sqrt(2), rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("a", [0.0, 1e-4])
 def test_the_noise_of_photons_grows_with_the_light(a: float, seed: int) -> None:
     clean = photograph(smooth_scene, SHAPE, SQUARE_PX)

@@ -119,16 +119,19 @@ def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> Nois
     offset = np.round(offset_px[some] - offset_px[some[0]], 6)  # what rounding adds is no new case
     used = _windows(weight[some] > 0)
     seen = _windows(y[some])
-    parts = [seen.real, seen.imag] if y.dtype.kind == "c" else [seen]
-    level = 0.0 if y.dtype.kind == "c" else float(np.median(seen[used]))
+    components = 2 if y.dtype.kind == "c" else 1
+    parts = [seen.real, seen.imag][:components]
+    level = 0.0 if components == 2 else float(np.median(seen[used]))
     values = np.concatenate([np.where(used, part - level, 0.0) for part in parts])
     lit = np.concatenate([np.where(used, np.abs(seen) if len(parts) > 1 else seen - level, 0.0)
                           for _ in parts])  # fmt: skip
     used = np.concatenate([used for _ in parts])
     unit = float(np.sqrt(np.mean(values**2))) or 1.0
-    filters = _filters(offset.tobytes(), len(some), used.shape[-2:], round(float(blur_px), 3))
+    filters = _filters(
+        offset.tobytes(), len(some), used.shape[-2:], round(float(blur_px), 3), components
+    )
     values, lit = (part.astype(np.float32) / np.float32(unit) for part in (values, lit))
-    energy, light = _blocks(values, used, filters, lit)
+    energy, light = _blocks(values, used, filters, lit, components)
     return _fitted(energy, light, filters.energy).scaled(unit, level)
 
 
@@ -171,7 +174,9 @@ def _windows(values: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _filters(offset_bytes: bytes, count: int, shape: tuple[int, int], blur_px: float) -> _Filters:
+def _filters(
+    offset_bytes: bytes, count: int, shape: tuple[int, int], blur_px: float, components: int
+) -> _Filters:
     offset_px = np.frombuffer(offset_bytes).reshape(count, 2)
     padded = _padded_shape(shape)
     row = np.fft.fftfreq(padded[0])[:, None, None, None]
@@ -200,8 +205,9 @@ def _filters(offset_bytes: bytes, count: int, shape: tuple[int, int], blur_px: f
         np.sqrt(own).astype(np.float32),
         np.empty(0),
     )
-    white = np.random.default_rng(0).standard_normal((WINDOWS**2, count, *shape), np.float32)
-    energy, _ = _blocks(white, np.ones(white.shape, np.bool_), filters, white)
+    windows = WINDOWS**2 // components * components
+    white = np.random.default_rng(0).standard_normal((windows, count, *shape), np.float32)
+    energy, _ = _blocks(white, np.ones(white.shape, np.bool_), filters, white, components)
     return replace(filters, energy=energy)
 
 
@@ -232,14 +238,18 @@ def _continued(values: Array, pad: int, axis: int) -> Array:
     return np.moveaxis(np.concatenate(parts), 0, axis)
 
 
-def _blocks(values: Array, used: Mask, filters: _Filters, lit: Array) -> tuple[Array, Array]:
+def _blocks(
+    values: Array, used: Mask, filters: _Filters, lit: Array, components: int
+) -> tuple[Array, Array]:
     """Return mean squares [fit block] of the residuals and the light [block].
 
-    Pixels that are not used or stand out are replaced by what the others tell of them.
+    Pixels that are not used or stand out are replaced by what the others tell of them. A block is
+    one of all components: that of a phasor across the light may be quantised until it is still.
 
     Parameters
     ----------
-    lit : [window frame row col] light
+    values : [component window, frame row col]
+    lit : [component window, frame row col] light
     """
     judged = used & ~_outliers(values, used, filters)
     if not judged.all():
@@ -249,9 +259,14 @@ def _blocks(values: Array, used: Mask, filters: _Filters, lit: Array) -> tuple[A
     cut = tuple(slice(min(BORDER_PX, (n - 1) // 2), n - min(BORDER_PX, (n - 1) // 2))
                 for n in values.shape[-2:])  # fmt: skip
     inner[..., cut[0], cut[1]] = judged[..., cut[0], cut[1]]
-    share = _sampled(inner.mean(axis=1))
-    energy = _sampled(np.mean(rest**2 * inner, axis=2))
-    light = _sampled(np.mean(lit * inner, axis=1))
+    share, energy, light = (
+        part.reshape(*part.shape[:-3], components, -1, *part.shape[-2:]).mean(axis=-4)
+        for part in (
+            _sampled(inner.mean(axis=1)),
+            _sampled(np.mean(rest**2 * inner, axis=2)),
+            _sampled(np.mean(lit * inner, axis=1)),
+        )
+    )
     full = share > 1 / 3 if (share > 1 / 3).any() else share > 0
     return energy[:, full] / share[full], light[full] / share[full]
 
