@@ -181,6 +181,9 @@ def _estimates(
         )
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found = {}
+    if burst.distance_m is not None:
+        # An amplitude of two distances is no mean of theirs, and seems sharper than pixels are.
+        request = replace(request, told_blur_px=None)
     for key, values in _channels(part, channel).items():
         problem = make_problem(
             part, values, scale, even_noise=key != "distance", keep_outside=chosen.keep_outside,
