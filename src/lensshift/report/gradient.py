@@ -78,7 +78,8 @@ def gradient_figure(
     figure = new_figure(9.0, 3.9)
     profiles, slopes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     for number, one in enumerate(measured):
-        _draw_profiles(profiles, one, colour_of(number), length)
+        limits = _draw_profiles(profiles, one, colour_of(number), length)
+        _draw_limits(profiles, limits, named=number == 0)
         _draw_slopes(slopes, one, colour_of(number))
     reach_mm = _SHOWN_WIDTHS * max(float(one.gradient.width_mm.max()) for one in measured)
     profiles.set_xlim(-reach_mm, reach_mm)
@@ -93,8 +94,8 @@ def gradient_figure(
     return figure
 
 
-def _draw_profiles(axes: Axes, measured: MeasuredLines, colour: str, length: str) -> None:
-    """Draw all lines in a pale colour, the middle one strongly, with its limits."""
+def _draw_profiles(axes: Axes, measured: MeasuredLines, colour: str, length: str) -> ProfileEdge:
+    """Draw all lines in a pale colour, the middle one strongly; return its edge."""
     lines, edges = measured.lines, measured.gradient.lines
     place_mm = np.arange(lines.shape[1]) * measured.step_mm
     for values, edge in zip(lines, edges, strict=True):
@@ -110,14 +111,16 @@ def _draw_profiles(axes: Axes, measured: MeasuredLines, colour: str, length: str
     how: dict[str, Any] = {"linewidth": 3.0, "markersize": 6.0, "markeredgecolor": "white"}
     limits = [edge.low_limit, edge.high_limit]
     axes.plot(ends_mm, limits, "o-", color=colour, label=label, **how)
-    _draw_limits(axes, edge)
+    return edge
 
 
-def _draw_limits(axes: Axes, edge: ProfileEdge) -> None:
+def _draw_limits(axes: Axes, edge: ProfileEdge, *, named: bool) -> None:
     step = edge.high - edge.low
     for limit, plateau in ((edge.low_limit, edge.low), (edge.high_limit, edge.high)):
         axes.axhline(plateau, color=LIGHT, linewidth=0.9, zorder=1.0)
         axes.axhline(limit, color=GREY, linewidth=0.9, linestyle="--", zorder=1.0)
+        if not named:  # the same shares for all, at levels that may be alike
+            continue
         share = 100.0 * (limit - edge.low) / step
         away_pt, va = (2.0, "bottom") if plateau == edge.low else (-2.0, "top")
         note(

@@ -103,12 +103,14 @@ def _draw_yield(axes: Axes, found: ToleranceResult, limit: float) -> None:
 def _draw_histogram(axes: Axes, values: NDArray[np.float64], label: str) -> None:
     bins = int(np.clip(values.size // _BUILDS_A_BIN, 5, _MOST_BINS))
     axes.hist(values, bins=bins, color=BLUE, alpha=0.75, edgecolor="white", linewidth=0.4)
+    axes.locator_params(axis="x", nbins=5)
     axes.set(xlabel=label, ylabel="builds")
 
 
 def _draw_table(axes: Axes, rows: Sequence[Sensitivity]) -> None:
     names = [f"{row.kind}, {row.element + 1} {row.name}" for row in rows]
-    axes.barh(names, [row.mtf_loss for row in rows], color=BLUE, height=0.65)
+    axes.barh(range(len(rows)), [row.mtf_loss for row in rows], color=BLUE, height=0.65)
+    axes.set_yticks(range(len(rows)), names)
     for place, row in enumerate(rows):
         text = f"{row.mtf_loss:.3g}, shift {row.shift_error_px:.2g} px"
         at = (max(row.mtf_loss, 0.0), place)

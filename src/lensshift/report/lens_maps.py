@@ -213,7 +213,7 @@ def spots_figure(
     ):
         for axes in (wide, close):
             _draw_spots(axes, both, airy_um, pixel_um, ring)
-            axes.set_xlabel("column (um)")
+            axes.set(xlabel="column (um)", ylabel="row (um)")
         together_um = np.concatenate(both)
         wide_um = max(0.6 * float(pixel_um.max()), float(np.abs(together_um).max()))
         low_um, high_um = np.quantile(together_um, (1.0 - _MOST, _MOST), axis=0)
@@ -229,8 +229,6 @@ def spots_figure(
         radii = f"{1e3 * rest.rms_radius_mm:.1f}, {1e3 * moved.rms_radius_mm:.1f} um rms"
         wide.set_title(f"{row_deg:.1f}/{col_deg:.1f} degrees\n{radii}")
         close.set_title(f"{wide_um / close_um:.2g} times as large")
-    for axes in panels[:, 0]:
-        axes.set_ylabel("row (um)")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=4, markerscale=4.0)
     return figure
