@@ -1,22 +1,10 @@
 import numpy as np
 import pytest
 
-from lensshift.forward import bands, sampling
+from lensshift.forward import sampling
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.forward.warp import field_positions, frame_positions
-
-PARTS = ("split_line", "merge_line", "sample_frame", "spread_frame")
-KERNELS = ("forward_separable", "adjoint_separable", "forward_field", "adjoint_field")
-COMPILED = {name: getattr(sampling, name) for name in (*PARTS, *KERNELS)}
-
-
-def interpreted(name, *arguments):
-    """Run a kernel, and all that it calls, as plain Python, line by line."""
-    with pytest.MonkeyPatch.context() as patch:
-        for each, kernel in COMPILED.items():
-            patch.setattr(sampling, each, kernel.py_func)
-        getattr(sampling, name)(*arguments)
 
 
 @pytest.mark.parametrize("shape", [(3, 1), (1, 2), (3, 5), (5, 9)])
@@ -32,20 +20,20 @@ def test_compiled_kernels_equal_the_python_that_they_are_written_in(scale, shape
         ("field", field_positions(field, scale)),
     ):
         taps = (*blur.taps(positions[0], scale, hr[0]), *blur.taps(positions[1], scale, hr[1]))
-        if kind == "separable":
-            taps = (*taps, sampling.regular_runs(*taps[2:]))
         for name, values, like in ((f"forward_{kind}", x, y), (f"adjoint_{kind}", y, x)):
-            fast, slow = np.full((2, *like.shape), np.nan)
-            COMPILED[name](values, *taps, fast)
-            interpreted(name, values, *taps, slow)
+            kernel, fast, slow = getattr(sampling, name), *np.full((2, *like.shape), np.nan)
+            last = ()
+            if kind == "separable":
+                last = (sampling.regular_runs(*taps[2:], scale), 0, like.shape[-2])
+            kernel(values, *taps, *last, fast)
+            kernel.py_func(values, *taps, *last, slow)
             np.testing.assert_allclose(fast, slow, atol=1e-13)
 
 
 def test_the_run_of_equal_taps_leaves_out_the_borders():
     _, col_at = frame_positions((4, 20), [[0.0, 0.1]], 2)
     start, weight = GaussianBlur(0.3).taps(col_at, 2, 40)
-    begin, end, stride = sampling.regular_runs(start, weight)[0]
-    assert stride == 2
+    begin, end = sampling.regular_runs(start, weight, 2)[0]
     assert 1 <= begin <= 2
     assert 17 <= end <= 19
     assert (weight[0, begin:end] == weight[0, begin]).all()
@@ -60,8 +48,8 @@ def test_bands_on_several_cores_are_the_same_to_the_last_bit(kind, rng, monkeypa
     if kind is np.complex64:
         x, y = x * np.complex64(1 + 2j), y * np.complex64(2 - 1j)
     expected = A.forward(x), A.adjoint(y)
-    monkeypatch.setattr(bands, "WORTH_THREADS", 1)
+    monkeypatch.setattr(sampling, "WORTH_THREADS", 1)
     for cores in (2, 3, 5):
-        monkeypatch.setattr(bands, "core_count", lambda cores=cores: cores)
+        monkeypatch.setattr(sampling, "core_count", lambda cores=cores: cores)
         np.testing.assert_array_equal(A.forward(x), expected[0])
         np.testing.assert_array_equal(A.adjoint(y), expected[1])

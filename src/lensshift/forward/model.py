@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array
 from lensshift.core.grid import hr_to_lr
-from lensshift.forward.bands import adjoint_banded, forward_banded
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
 from lensshift.forward.operator import LinearOperator, by_parts
 from lensshift.forward.sampling import (
     adjoint_field,
+    adjoint_separable,
     forward_field,
+    forward_separable,
+    in_bands,
     regular_runs,
 )
 from lensshift.forward.smooth_field import adjoint_smooth, forward_smooth, smooth_field
@@ -227,9 +229,9 @@ def _taps(
 ) -> Taps:
     if spot_px2 is not None:
         taps = varying_taps(blur, at, spot_px2[..., axis], scale, size)
-        return _read_only(Taps(at, *taps, np.empty((0, 3), np.int64)))
+        return _read_only(Taps(at, *taps, np.empty((0, 2), np.int64)))
     if at.ndim > 2:
-        return _read_only(Taps(at, *blur.taps(at, scale, size), np.empty((0, 3), np.int64)))
+        return _read_only(Taps(at, *blur.taps(at, scale, size), np.empty((0, 2), np.int64)))
     return _taps_of_shifts(blur, at.tobytes(), at.shape, scale, size)
 
 
@@ -240,7 +242,7 @@ def _taps_of_shifts(
 ) -> Taps:
     at = np.frombuffer(at_bytes, np.float64).reshape(shape)
     start, weight = blur.taps(at, scale, size)
-    return _read_only(Taps(at, start, weight, regular_runs(start, weight)))
+    return _read_only(Taps(at, start, weight, regular_runs(start, weight, scale)))
 
 
 def _read_only(taps: Taps) -> Taps:
@@ -295,7 +297,8 @@ def _kernels(
 ) -> tuple[Any, Any, tuple[Starts, ...], tuple[Array, ...]]:
     """Return kernel, adjoint, and what they take besides the taps: places, and further weights."""
     if rows.start.ndim < 3:
-        return forward_banded, adjoint_banded, (cols.run,), ()
+        take, spread = (partial(in_bands, k) for k in (forward_separable, adjoint_separable))
+        return take, spread, (cols.run,), ()
     smooth = smooth_field(rows.start, row_weight, cols.start, cols.weight, stride)
     if smooth is None:
         return forward_field, adjoint_field, (), ()

@@ -7,139 +7,52 @@ them: tap t of a pixel lies on HR index start + t, inside the image.
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
+from lensshift.core.threads import bands, core_count, on_threads
 
 Starts = NDArray[np.int64]
 
+WORTH_THREADS = 2**16  # pixels of frames or image: below, waking a thread takes as long as the work
 # Only the contraction of a * b + c is allowed to differ from strict arithmetic.
 _FAST = {"contract"}
 
 
-def regular_runs(start: Starts, weight: Array) -> NDArray[np.int64]:
-    """Return [frame 3] begin, end and stride of the run of equal taps around the middle pixel.
+def regular_runs(start: Starts, weight: Array, stride: int) -> NDArray[np.int64]:
+    """Return [frame 2] begin and end of the run of taps, equal and a stride apart, in the middle.
 
     Parameters
     ----------
     start, weight : [frame pixel] and [frame pixel T]
     """
-    count = start.shape[1]
-    middle = count // 2
-    if count == 1:
-        return np.tile([middle, middle, 1], (len(start), 1))
-    step = np.diff(start, axis=1)
-    stride = step[:, middle - 1 : middle]
-    same = (step == stride) & (stride > 0)
+    middle = start.shape[1] // 2
+    same = np.diff(start, axis=1) == stride
     same &= (weight[:, 1:] == weight[:, :-1]).all(axis=2)
     # The pixels beyond the first place before, and behind, the middle where the taps change.
     before = np.cumprod(same[:, :middle][:, ::-1], axis=1).sum(axis=1)
     behind = np.cumprod(same[:, middle:], axis=1).sum(axis=1)
-    found = np.stack([middle - before, middle + 1 + behind, stride[:, 0]], axis=1)
-    return np.asarray(np.where(stride > 0, found, [middle, middle, 1]), np.int64)
+    return np.stack([middle - before, middle + 1 + behind], axis=1).astype(np.int64)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def split_line(line: Array, stride: int, count: int, planes: Array) -> None:
-    """Put every stride-th sample into a plane of its own, so that the column pass is contiguous.
+def in_bands(kernel: Any, values: Array, *taps_and_out: Array) -> None:
+    """Run a separable kernel, on a large picture with a band of rows on each core.
 
-    Two is spelt out because a loop vectorises only if its stride is a constant, and the copy is a
-    loop because numba takes seconds to compile the assignment of a slice.
+    Every number is computed from the same numbers in the same order: pictures do not depend on the
+    cores.
     """
-    for phase in range(min(stride, count)):
-        source, plane = line[phase:], planes[phase]
-        if stride == 2:
-            for j in range((count - phase + 1) // 2):
-                plane[j] = source[2 * j]
-        else:
-            for j in range((count - phase + stride - 1) // stride):
-                plane[j] = source[stride * j]
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def merge_line(planes: Array, stride: int, count: int, line: Array) -> None:
-    """Undo `split_line`: add the planes to every stride-th sample of the line."""
-    for phase in range(min(stride, count)):
-        target, plane = line[phase:], planes[phase]
-        if stride == 2:
-            for j in range((count - phase + 1) // 2):
-                target[2 * j] += plane[j]
-        else:
-            for j in range((count - phase + stride - 1) // stride):
-                target[stride * j] += plane[j]
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def sample_frame(
-    x: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, run: Starts,
-    out: Array,
-) -> None:  # fmt: skip
-    """Take the taps of one frame: row taps into a line, then column taps from the line."""
-    width = x.shape[1]
-    count, taps = weight.shape
-    begin, end, stride = run[0], run[1], run[2]
-    line, planes = np.empty(width, x.dtype), np.empty((stride, width // stride + 1), x.dtype)
-    for u in range(row_start.size):
-        top = row_start[u]
-        source, factor = x[top], row_weight[u, 0]
-        for j in range(width):
-            line[j] = factor * source[j]
-        for s in range(1, row_weight.shape[1]):
-            source, factor = x[top + s], row_weight[u, s]
-            for j in range(width):
-                line[j] += factor * source[j]
-        target = out[u]
-        for v in range(count):
-            target[v] = 0
-        if end > begin:
-            split_line(line[start[begin] :], stride, (end - begin - 1) * stride + taps, planes)
-            inner = target[begin:end]
-            for t in range(taps):
-                part, factor = planes[t % stride, t // stride :], weight[begin, t]
-                for j in range(end - begin):
-                    inner[j] += factor * part[j]
-        for first, last in ((0, begin), (end, count)):
-            for v in range(first, last):
-                for t in range(taps):
-                    target[v] += weight[v, t] * line[start[v] + t]
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def spread_frame(
-    y: Array, row_start: Starts, row_weight: Array, start: Starts, weight: Array, run: Starts,
-    out: Array,
-) -> None:  # fmt: skip
-    """Add one frame, spread over its taps, to the HR image; the adjoint of `sample_frame`.
-
-    Of rows of the image that are not there, as beside a band of it, nothing is written.
-    """
-    width = out.shape[1]
-    count, taps = weight.shape
-    begin, end, stride = run[0], run[1], run[2]
-    line, planes = np.empty(width, out.dtype), np.empty((stride, width // stride + 1), out.dtype)
-    for u in range(row_start.size):
-        source = y[u]
-        for j in range(width):
-            line[j] = 0
-        if end > begin:
-            planes[:] = 0
-            inner = source[begin:end]
-            for t in range(taps):
-                part, factor = planes[t % stride, t // stride :], weight[begin, t]
-                for j in range(end - begin):
-                    part[j] += factor * inner[j]
-            merge_line(planes, stride, (end - begin - 1) * stride + taps, line[start[begin] :])
-        for first, last in ((0, begin), (end, count)):
-            for v in range(first, last):
-                for t in range(taps):
-                    line[start[v] + t] += weight[v, t] * source[v]
-        top = row_start[u]
-        for s in range(max(0, -top), min(row_weight.shape[1], len(out) - top)):
-            target, factor = out[top + s], row_weight[u, s]
-            for j in range(width):
-                target[j] += factor * line[j]
+    *taps, out = taps_and_out
+    rows = out.shape[-2]
+    if max(values.size, out.size) < WORTH_THREADS or core_count() < 2:
+        kernel(values, *taps, 0, rows, out)
+    else:
+        cut = bands(rows, core_count())
+        on_threads([partial(kernel, values, *taps, *band, out) for band in cut])
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -150,21 +63,60 @@ def forward_separable(
     col_start: Starts,
     col_weight: Array,
     col_run: Starts,
+    first: int,
+    last: int,
     out: Array,
 ) -> None:
     """Sample the HR image, y[k,u,v] = sum_st row_weight[k,u,s] col_weight[k,v,t] x[..+s, ..+t].
 
+    Row taps go into a line, column taps are taken from the line, its every stride-th sample in a
+    part of its own, so that both passes are contiguous.
+
     Parameters
     ----------
-    x : [row col] HR image
+    x : [row col] HR image, its columns a multiple of those of a frame
     row_start, row_weight : [frame row] and [frame row S], the weights of the precision of x
     col_start, col_weight, col_run : [frame col], [frame col T], and as from `regular_runs`
+    first, last : LR rows from and to which `out` is written
     out : [frame row col], overwritten
     """
-    for k in range(out.shape[0]):
-        sample_frame(
-            x, row_start[k], row_weight[k], col_start[k], col_weight[k], col_run[k], out[k]
-        )
+    # Unsigned, so that no index is tested for counting from the end.
+    frames, count = np.uintp(out.shape[0]), np.uintp(out.shape[2])
+    row_taps, col_taps = np.uintp(row_weight.shape[2]), np.uintp(col_weight.shape[2])
+    width = np.uintp(x.shape[1])
+    stride = width // count
+    line, parts = np.empty(x.shape[1], x.dtype), np.empty(x.shape[1], x.dtype)
+    for k in range(frames):
+        begin = np.uintp(col_run[k, 0])
+        inside = np.uintp(col_run[k, 1]) - begin
+        for u in range(np.uintp(first), np.uintp(last)):
+            row, factor = np.uintp(row_start[k, u]), row_weight[k, u, 0]
+            for j in range(width):
+                line[j] = factor * x[row, j]
+            for s in range(np.uintp(1), row_taps):
+                factor = row_weight[k, u, s]
+                for j in range(width):
+                    line[j] += factor * x[row + s, j]
+            if stride == 2:  # spelt out, because a loop vectorises only if its stride is a constant
+                for j in range(count):
+                    parts[j], parts[count + j] = line[2 * j], line[2 * j + 1]
+            else:
+                for phase in range(stride):
+                    for j in range(count):
+                        parts[phase * count + j] = line[stride * j + phase]
+            for v in range(count):
+                out[k, u, v] = 0
+            for t in range(col_taps):
+                at, factor = np.uintp(col_start[k, begin]) + t, col_weight[k, begin, t]
+                part = at % stride * count + at // stride
+                for j in range(inside):
+                    out[k, u, begin + j] += factor * parts[part + j]
+            for n in range(count - inside):
+                pixel = np.uintp(n if n < begin else n + inside)
+                for t in range(col_taps):
+                    out[k, u, pixel] += (
+                        col_weight[k, pixel, t] * line[np.uintp(col_start[k, pixel]) + t]
+                    )
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -175,6 +127,8 @@ def adjoint_separable(
     col_start: Starts,
     col_weight: Array,
     col_run: Starts,
+    first: int,
+    last: int,
     out: Array,
 ) -> None:
     """Spread LR pixels over the HR image; the exact adjoint of `forward_separable`.
@@ -183,13 +137,46 @@ def adjoint_separable(
     ----------
     y : [frame row col]
     row_start, row_weight, col_start, col_weight, col_run : as in `forward_separable`
+    first, last : HR rows from and to which `out` is written
     out : [row col] HR image, overwritten
     """
-    out[:] = 0
-    for k in range(y.shape[0]):
-        spread_frame(
-            y[k], row_start[k], row_weight[k], col_start[k], col_weight[k], col_run[k], out
-        )
+    frames, count, taps = np.uintp(y.shape[0]), np.uintp(y.shape[2]), np.uintp(col_weight.shape[2])
+    width = np.uintp(out.shape[1])
+    stride = width // count
+    line, parts = np.empty(out.shape[1], y.dtype), np.empty(out.shape[1], y.dtype)
+    for i in range(np.uintp(first), np.uintp(last)):
+        for j in range(width):
+            out[i, j] = 0
+    for k in range(frames):
+        begin = np.uintp(col_run[k, 0])
+        inside = np.uintp(col_run[k, 1]) - begin
+        for u in range(y.shape[1]):
+            top = row_start[k, u]
+            lower, upper = max(first, top), min(last, top + row_weight.shape[2])
+            if lower >= upper:
+                continue
+            for j in range(width):
+                parts[j] = 0
+            for t in range(taps):
+                at, factor = np.uintp(col_start[k, begin]) + t, col_weight[k, begin, t]
+                part = at % stride * count + at // stride
+                for j in range(inside):
+                    parts[part + j] += factor * y[k, u, begin + j]
+            if stride == 2:
+                for j in range(count):
+                    line[2 * j], line[2 * j + 1] = parts[j], parts[count + j]
+            else:
+                for phase in range(stride):
+                    for j in range(count):
+                        line[stride * j + phase] = parts[phase * count + j]
+            for n in range(count - inside):
+                v = np.uintp(n if n < begin else n + inside)
+                for t in range(taps):
+                    line[np.uintp(col_start[k, v]) + t] += col_weight[k, v, t] * y[k, u, v]
+            for i in range(np.uintp(lower), np.uintp(upper)):
+                factor = row_weight[k, u, i - np.uintp(top)]
+                for j in range(width):
+                    out[i, j] += factor * line[j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)

@@ -14,7 +14,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
-from lensshift.forward.sampling import merge_line, split_line
 
 Starts = NDArray[np.int64]
 
@@ -198,8 +197,10 @@ def adjoint_smooth(
                             out[row_start[k, u, v] + s, col_start[k, u, v] + t] += (
                                 col_weight[k, u, v, t] * share
                             )
-    for i in range(height):
-        merge_line(planes[:, i, _MOST_SPARE:], stride, width, out[i])
+    for i in range(np.uintp(height)):
+        for phase in range(np.uintp(stride)):
+            for j in range(np.uintp(cols)):
+                out[i, np.uintp(stride) * j + phase] += planes[phase, i, np.uintp(_MOST_SPARE) + j]
 
 
 @njit(cache=True, nogil=True)
@@ -212,6 +213,8 @@ def _length(width: int, cols_by_tap: Array, stride: int) -> int:
 def _planes_of(x: Array, stride: int, length: int) -> Array:
     """Return [stride row sample], every stride-th column of the image in a plane of its own."""
     planes = np.zeros((stride, x.shape[0], length), x.dtype)
-    for i in range(x.shape[0]):
-        split_line(x[i], stride, x.shape[1], planes[:, i, _MOST_SPARE:])
+    for i in range(np.uintp(x.shape[0])):
+        for phase in range(np.uintp(stride)):
+            for j in range(np.uintp(x.shape[1] // stride)):
+                planes[phase, i, np.uintp(_MOST_SPARE) + j] = x[i, np.uintp(stride) * j + phase]
     return planes
