@@ -86,19 +86,26 @@ def convolved(x: Single, weight: Single, shape: tuple[int, int], *, last: bool) 
     step = min(rows, max(1, STRIP // tiles))
     margin = 0 if last else 1
     out = np.empty((rows * TILE + 2 * margin, TILE, tiles + margin, outputs), np.float32)
-    flat, lines_of_x = out.reshape(len(out), -1), x.reshape(len(x), -1)
+    flat, whole = out.reshape(-1), x.reshape(-1)
     least: Any = np.float32(-np.inf if last else 0.0)
 
     def convolve(first: int, end: int) -> None:
         strip = np.empty((POINTS**2, step * tiles, channels), np.float32)
         product = np.empty((POINTS**2, step * tiles, outputs), np.float32)
-        lines = np.empty((POINTS**2, tiles * max(channels, outputs)), np.float32)
+        line = tiles * max(channels, outputs)
+        lines = np.empty(POINTS**2 * line, np.float32)
         for top in range(first * step, min(end * step, rows), step):
             count = min(step, rows - top)
-            _take(lines_of_x, channels, top, count, lines, strip.reshape(POINTS**2, -1))
+            _take(
+                whole, x[0].size, channels, top, count, lines, line,
+                strip.reshape(-1), strip[0].size,
+            )  # fmt: skip
             part = slice(None), slice(count * tiles)
             np.matmul(strip[part], weight, out=product[part])
-            _put(product.reshape(POINTS**2, -1), outputs, top, count, margin, least, lines, flat)
+            _put(
+                product.reshape(-1), product[0].size, outputs, top, count, margin, least, lines,
+                line, flat, out[0].size,
+            )  # fmt: skip
 
     strips = -(-rows // step)
     cores = core_count() if strips >= WORTH_THREADS else 1
@@ -112,88 +119,89 @@ def convolved(x: Single, weight: Single, shape: tuple[int, int], *, last: bool) 
     return out
 
 
+# The kernels take flat arrays and places in them: arrays cut from arrays compile for twice as long.
+# Places are unsigned where they are used, else each is tested for counting from the end.
+
+
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _points(a: Single, b: Single, c: Single, d: Single, e: Single, f: Single,
-            p: Single, q: Single, r: Single, u: Single, v: Single, w: Single) -> None:  # fmt: skip
-    """Write the six combinations p .. w of six neighbours a .. f."""
+def _points(x: Single, at: tuple[int, ...], y: Single, first: int, apart: int, count: int) -> None:
+    """Write the six combinations of six neighbours, `count` of each, to places so far apart."""
     four, two = np.float32(4), np.float32(2)  # with other numbers it would be double precision
-    for n in range(len(p)):
-        even, odd = e[n] - four * c[n], d[n] - four * b[n]
-        near, far = e[n] - c[n], two * (d[n] - b[n])
-        p[n] = four * (a[n] - c[n]) + near
-        q[n] = even + odd
-        r[n] = even - odd
-        u[n] = near + far
-        v[n] = near - far
-        w[n] = four * (b[n] - d[n]) + (f[n] - d[n])
+    a, b, c = np.uintp(at[0]), np.uintp(at[1]), np.uintp(at[2])
+    d, e, f = np.uintp(at[3]), np.uintp(at[4]), np.uintp(at[5])
+    p, q, r = np.uintp(first), np.uintp(first + apart), np.uintp(first + 2 * apart)
+    u, v = np.uintp(first + 3 * apart), np.uintp(first + 4 * apart)
+    w = np.uintp(first + 5 * apart)
+    for n in range(np.uintp(count)):
+        even, odd = x[e + n] - four * x[c + n], x[d + n] - four * x[b + n]
+        near, far = x[e + n] - x[c + n], two * (x[d + n] - x[b + n])
+        y[p + n] = four * (x[a + n] - x[c + n]) + near
+        y[q + n] = even + odd
+        y[r + n] = even - odd
+        y[u + n] = near + far
+        y[v + n] = near - far
+        y[w + n] = four * (x[b + n] - x[d + n]) + (x[f + n] - x[d + n])
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _outputs(p: Single, q: Single, r: Single, u: Single, v: Single, w: Single, least: np.float32,
-             a: Single, b: Single, c: Single, d: Single) -> None:  # fmt: skip
-    """Write the four outputs a .. d of six products p .. w, none below `least`."""
+def _outputs(x: Single, first: int, apart: int, least: np.float32,
+             y: Single, to: tuple[int, ...], count: int) -> None:  # fmt: skip
+    """Write the four outputs of six products so far apart, none below `least`."""
     four, two = np.float32(4), np.float32(2)
-    for n in range(len(p)):
-        near, odd = q[n] + r[n], q[n] - r[n]
-        far, double = u[n] + v[n], two * (u[n] - v[n])
-        a[n] = max(p[n] + near + far, least)
-        b[n] = max(odd + double, least)
-        c[n] = max(near + four * far, least)
-        d[n] = max(odd + four * double + w[n], least)
+    p, q, r = np.uintp(first), np.uintp(first + apart), np.uintp(first + 2 * apart)
+    u, v = np.uintp(first + 3 * apart), np.uintp(first + 4 * apart)
+    w = np.uintp(first + 5 * apart)
+    a, b, c, d = np.uintp(to[0]), np.uintp(to[1]), np.uintp(to[2]), np.uintp(to[3])
+    for n in range(np.uintp(count)):
+        near, odd = x[q + n] + x[r + n], x[q + n] - x[r + n]
+        far, double = x[u + n] + x[v + n], two * (x[u + n] - x[v + n])
+        y[a + n] = max(x[p + n] + near + far, least)
+        y[b + n] = max(odd + double, least)
+        y[c + n] = max(near + four * far, least)
+        y[d + n] = max(odd + four * double + x[w + n], least)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _take(x: Single, channels: int, top: int, count: int, lines: Single, strip: Single) -> None:
+def _take(x: Single, row_size: int, channels: int, top: int, count: int, lines: Single,
+          line: int, strip: Single, point: int) -> None:  # fmt: skip
     """Write the combinations of tiles: along the columns into six lines a row, then along rows."""
-    plane = x.shape[1] // 4
+    plane = row_size // 4
     width = plane - channels
     for row in range(4 * count + 2):
-        y, line = x[4 * top + row], row % 6 * 6  # a tile shares two rows with the one before
-        right, last = channels, plane + channels
-        _points(
-            y[:width], y[plane : plane + width], y[2 * plane : 2 * plane + width],
-            y[3 * plane : 3 * plane + width], y[right : right + width], y[last : last + width],
-            lines[line, :width], lines[line + 1, :width], lines[line + 2, :width],
-            lines[line + 3, :width], lines[line + 4, :width], lines[line + 5, :width],
+        y = row_size * (4 * top + row)
+        neighbours = (
+            y, y + plane, y + 2 * plane, y + 3 * plane, y + channels, y + plane + channels
         )  # fmt: skip
+        # A tile shares two rows with the one before.
+        _points(x, neighbours, lines, row % 6 * 6 * line, line, width)
         first = row - 5
         if first % 4 != 0 or first < 0:
             continue
-        s, e = first // 4 * width, (first // 4 + 1) * width
+        to = first // 4 * width
         one, two, three = first % 6 * 6, (first + 1) % 6 * 6, (first + 2) % 6 * 6
         four, five, six = (first + 3) % 6 * 6, (first + 4) % 6 * 6, (first + 5) % 6 * 6
         for k in range(6):
-            _points(
-                lines[one + k, :width], lines[two + k, :width], lines[three + k, :width],
-                lines[four + k, :width], lines[five + k, :width], lines[six + k, :width],
-                strip[k, s:e], strip[6 + k, s:e], strip[12 + k, s:e],
-                strip[18 + k, s:e], strip[24 + k, s:e], strip[30 + k, s:e],
+            neighbours = (
+                (one + k) * line, (two + k) * line, (three + k) * line,
+                (four + k) * line, (five + k) * line, (six + k) * line,
             )  # fmt: skip
+            _points(lines, neighbours, strip, k * point + to, 6 * point, width)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _put(product: Single, outputs: int, top: int, count: int, margin: int, least: np.float32,
-         lines: Single, out: Single) -> None:  # fmt: skip
+def _put(product: Single, point: int, outputs: int, top: int, count: int, margin: int,
+         least: np.float32, lines: Single, line: int, out: Single,
+         row_size: int) -> None:  # fmt: skip
     """Write the outputs of tiles: along the rows into four lines a column, then along columns."""
-    plane = out.shape[1] // 4
-    width, low = plane - margin * outputs, np.float32(-np.inf)
-    # A margin of one moves every column on by a phase, the fourth into the next tile.
-    one, two, three = margin * plane, (1 + margin) * plane, (2 + margin) * plane
-    four = outputs if margin == 1 else 3 * plane
+    plane, low = row_size // 4, np.float32(-np.inf)
+    width = plane - margin * outputs
     for tile in range(count):
-        s, e = tile * width, (tile + 1) * width
         for k in range(6):
-            _outputs(
-                product[k, s:e], product[6 + k, s:e], product[12 + k, s:e],
-                product[18 + k, s:e], product[24 + k, s:e], product[30 + k, s:e], low,
-                lines[k, :width], lines[6 + k, :width], lines[12 + k, :width],
-                lines[18 + k, :width],
-            )  # fmt: skip
+            to = k * line, (6 + k) * line, (12 + k) * line, (18 + k) * line
+            _outputs(product, k * point + tile * width, 6 * point, low, lines, to, width)
         for row in range(4):
-            to, k = out[margin + 4 * (top + tile) + row], 6 * row
-            _outputs(
-                lines[k, :width], lines[k + 1, :width], lines[k + 2, :width],
-                lines[k + 3, :width], lines[k + 4, :width], lines[k + 5, :width], least,
-                to[one : one + width], to[two : two + width], to[three : three + width],
-                to[four : four + width],
-            )  # fmt: skip
+            at = row_size * (margin + 4 * (top + tile) + row)
+            # A margin of one moves every column on by a phase, the fourth into the next tile.
+            one = at + margin * plane
+            to = one, one + plane, one + 2 * plane, at + (outputs if margin == 1 else 3 * plane)
+            _outputs(lines, 6 * row * line, line, least, out, to, width)
