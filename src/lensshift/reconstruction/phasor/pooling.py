@@ -88,35 +88,31 @@ def _pool(
     w, off = np.empty(cols, np.float32), np.empty(cols, np.float32)
     for down in range(REACH_HR_PX + 1):
         for right in range(-REACH_HR_PX if down else 1, REACH_HR_PX + 1):
-            first, n = max(0, -right), cols - abs(right)
-            for i in range(rows - down):
-                here, there = slice(first, first + n), slice(first + right, first + right + n)
-                p, q = phase[i, here], phase[i + down, there]
-                a, b = amplitude[i, here], amplitude[i + down, there]
-                s_p, s_q = s2[i, here], s2[i + down, there]
-                t_p, t_q = t2[i, here], t2[i + down, there]
+            # Unsigned, so that no index is tested for counting from the end.
+            here, there = np.uintp(max(0, -right)), np.uintp(max(0, right))
+            n = np.uintp(max(0, cols - abs(right)))
+            for above in range(rows - down):
+                i, i_2 = np.uintp(above), np.uintp(above + down)
                 for j in range(n):
-                    apart = q[j] - p[j]
+                    p, q = here + j, there + j
+                    apart = phase[i_2, q] - phase[i, p]
                     apart -= turn if apart > half else -turn if apart < -half else zero
-                    differ = b[j] - a[j]
-                    known = one / (s_p[j] + s_q[j])
-                    x = apart * apart * known + differ * differ / (t_p[j] + t_q[j])
+                    differ = amplitude[i_2, q] - amplitude[i, p]
+                    known = one / (s2[i, p] + s2[i_2, q])
+                    x = apart * apart * known + differ * differ / (t2[i, p] + t2[i_2, q])
                     e = max(one - x * step, zero)
                     for _ in range(6):
                         e *= e
                     w[j], off[j] = e * known, apart
-                sum_w, sum_s = total[i, here], own[i, here]
-                sum_off, sum_2 = moved[i, here], spread[i, here]
                 for j in range(n):
-                    sum_w[j] += w[j]
-                    sum_s[j] += w[j] * s_q[j]
-                    sum_off[j] += w[j] * off[j]
-                    sum_2[j] += w[j] * off[j] * off[j]
-                i_2 = i + down
-                sum_w, sum_s = total[i_2, there], own[i_2, there]
-                sum_off, sum_2 = moved[i_2, there], spread[i_2, there]
+                    p, q = here + j, there + j
+                    total[i, p] += w[j]
+                    own[i, p] += w[j] * s2[i_2, q]
+                    moved[i, p] += w[j] * off[j]
+                    spread[i, p] += w[j] * off[j] * off[j]
                 for j in range(n):
-                    sum_w[j] += w[j]
-                    sum_s[j] += w[j] * s_p[j]
-                    sum_off[j] -= w[j] * off[j]
-                    sum_2[j] += w[j] * off[j] * off[j]
+                    p, q = here + j, there + j
+                    total[i_2, q] += w[j]
+                    own[i_2, q] += w[j] * s2[i, p]
+                    moved[i_2, q] -= w[j] * off[j]
+                    spread[i_2, q] += w[j] * off[j] * off[j]
