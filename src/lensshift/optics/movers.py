@@ -22,6 +22,7 @@ from lensshift.optics.which import (
     DIAGONALS,
     Mover,
     cross_talk_px,
+    diagonals_that_differ,
     edge_fields,
     edge_mtf,
     judged_lpmm,
@@ -197,7 +198,10 @@ def _row(one: _Turning, grid: Grid, shift_px: float, frequency_lpmm: float) -> M
     wanted = shift_px * DIAGONALS
     shift = shifts(states)
     centred = edge_mtf(lens, fields, frequency_lpmm, still)
-    moved = np.stack([edge_mtf(a, fields, frequency_lpmm, b) for a, b in map(one.look, states[:4])])
+    # Wedges that turn as the mirror image would are not the mirror image: one is before the other.
+    different = 4 if one.kind == "wedges" else diagonals_that_differ(lens)
+    looks = map(one.look, states[:different])
+    moved = np.stack([edge_mtf(a, fields, frequency_lpmm, b) for a, b in looks])
     return Mover(
         element=one.element,
         name=one.name,

@@ -174,17 +174,21 @@ def moved_mtf(
     ----------
     moves_mm : [move 2] (row, col), in the order of `DIAGONALS`
     """
+    return np.stack(
+        [
+            edge_mtf(lens, fields_tan, frequency_lpmm, moving(lens, element, move), band)
+            for move in moves_mm[: diagonals_that_differ(lens)]
+        ]
+    )
+
+
+def diagonals_that_differ(lens: Lens) -> int:
+    """Return 4, or 1 for a symmetric lens: it does for each diagonal what it does for the first."""
     leans = (
         (*one.decenter_mm, *one.tilt_rad, *(t for s in one.surfaces for t in s.tilt_rad))
         for one in lens.elements
     )
-    moves = moves_mm if any(value for values in leans for value in values) else moves_mm[:1]
-    return np.stack(
-        [
-            edge_mtf(lens, fields_tan, frequency_lpmm, moving(lens, element, move), band)
-            for move in moves
-        ]
-    )
+    return 4 if any(value for values in leans for value in values) else 1
 
 
 def least_mtf(
