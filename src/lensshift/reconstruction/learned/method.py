@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
-from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
+from lensshift.reconstruction.learned.phasors import finished
+from lensshift.reconstruction.learned.solver import Asked, Solution, Texture, solve_together
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
@@ -41,9 +41,6 @@ EVEN_SHIFT_PX = 0.05
 # What calibrated actuators leave, LR pixels: taken for granted of every phasor burst, as it was in
 # training. Beside a surface twenty times as bright it is more than the noise.
 USUAL_SHIFT_ERROR_PX = 0.02
-# Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each. The noise of white
-# frames through 2 g - g * g, g a Gaussian of width s, is this over 4 pi s^2.
-LOW_PASS_PX, OF_TWO_PASSES = 1.5, 11 / 6
 # Nearer than this, LR pixels, samples lie on the pixels of a grid; the finest that there is; and
 # how much around a doubted part is looked at, the reach of the solver.
 NODE_PX, MOST_SCALE, AROUND_PX = 0.05, 8, 16
@@ -103,7 +100,7 @@ def solved(
 
     memory = request.memory
     kept = _recalled(problem, memory)
-    held, rested = (kept.held, kept.misfit) if kept else (None, None)
+    held = kept.held if kept else None
 
     # Of the pixel: the networks have seen few responses that are much wider.
     pixel_px = blur_width_px(problem.model.blur)
@@ -112,7 +109,7 @@ def solved(
     asked = Asked(problem.model, problem.y, noise, pixel_px, on_stage, held, general)
 
     def run(asked: Asked) -> tuple[Solution, Misfit]:
-        return _solved_once(problem, asked, request, rested)
+        return _solved_once(problem, asked, request, kept)
 
     found, misfit = run(asked)
     shaken: dict[int, Array] = {}
@@ -135,8 +132,9 @@ def solved(
         found, left = run(replace(asked, sigma=weighed))
     if memory is not None:
         still = None if wrong or left.curable or left.lit else left
-        age = kept.age + 1 if kept and rested else 1
-        memory.keep(Kept(found.held, still, age).moved(problem.unit, problem.level))
+        age = kept.age + 1 if kept and kept.misfit else 1
+        step = Kept(found.held, found.texture, still, age)
+        memory.keep(step.moved(problem.unit, problem.level))
     estimate = Estimate(
         image=found.image,
         objective=tuple(objective),
@@ -181,12 +179,14 @@ class Kept:
     Parameters
     ----------
     held : half-done pictures
+    texture : of phasors
     misfit : that of the picture if nothing contradicts it: frames of a scene that rests are held
         against the picture when they come (`Stream`), so that it need not be found after each
     age : steps since it was found
     """
 
     held: tuple[Held, ...]
+    texture: Texture | None
     misfit: Misfit | None
     age: int
 
@@ -195,7 +195,11 @@ class Kept:
         misfit = self.misfit
         if misfit is not None:
             misfit = replace(misfit, unexplained=misfit.unexplained * abs(factor))
-        return Kept(tuple(one.moved(factor, level) for one in self.held), misfit, self.age)
+        held = tuple(one.moved(factor, level) for one in self.held)
+        texture = self.texture
+        if texture is not None:
+            texture = replace(texture, std=texture.std * abs(factor))
+        return Kept(held, texture, misfit, self.age)
 
 
 def _recalled(problem: Problem, memory: Memory | None) -> Kept | None:
@@ -214,19 +218,17 @@ def _picture(asked: Asked, request: Request) -> Solution:
 
 
 def _solved_once(
-    problem: Problem, asked: Asked, request: Request, rested: Misfit | None = None
+    problem: Problem, asked: Asked, request: Request, kept: Kept | None = None
 ) -> tuple[Solution, Misfit]:
     """Return picture and misfit; that of a picture that rests is known already."""
     A, noise = problem.model.operator, asked.sigma
     found = _picture(asked, request)
     if asked.of_phasors:
-        weight = found.weight / np.where(np.isfinite(noise), noise, np.inf) ** 2
-        low_hr_px = LOW_PASS_PX * problem.scale
-        image, of_means = with_means_of(A, found.image, asked.y, weight, low_hr_px)
-        std = np.stack([*np.hypot(found.std[:2], of_means), of_means])
-        found = replace(found, image=image, std=std)
-    if rested is not None:
-        return found, rested
+        solve = partial(_picture, request=request)
+        texture = kept.texture if kept and kept.misfit else None
+        found = finished(asked, found, problem.scale, solve, texture)
+    if kept is not None and kept.misfit is not None:
+        return found, kept.misfit
     return found, find_misfit(A, found.image, asked.y, noise, problem.scale)
 
 
@@ -287,40 +289,6 @@ def _seen_otherwise(
         if not again.curable:
             return replace(misfit, doubt=np.minimum(misfit.doubt, 1.0))
     return misfit
-
-
-def with_means_of(
-    A: LinearOperator, image: Array, y: Array, weight: Array, low_hr_px: float
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Return phasors whose local means agree with the frames, and the std that those leave.
-
-        x <- x + G A^T W (y - A x) / G A^T W 1,   twice;   G a Gaussian low pass of width s
-        std^2 = 11/6 / (4 pi s^2  G A^T W 1)
-
-    The prior has the last word of a phasor, and draws a dark surface a little to the bright ones
-    around it. Over many pixels the frames know better, whatever the errors of the shifts.
-
-    Parameters
-    ----------
-    weight : [frame row col] inverse variance, 0 where a pixel is not believed
-    low_hr_px : width of the low pass
-    """
-    from scipy.ndimage import gaussian_filter
-
-    y, weight = single(y), single(weight)
-    known = gaussian_filter(A.adjoint(weight), low_hr_px)
-    least = 1e-9 * float(known.max())
-    seen, known = known > least, np.maximum(known, least)
-    for _ in range(2):
-        rest = A.adjoint(weight * (y - A.forward(single(image))))
-        image = image + gaussian_filter(rest, low_hr_px) / known
-    of_noise = OF_TWO_PASSES / (4 * math.pi * low_hr_px**2)
-    return np.asarray(image), np.where(seen, np.sqrt(of_noise / known), 0.0)
-
-
-def mean_hr_px(scale: int) -> float:
-    """Return how many HR pixels of white noise a mean of `with_means_of` is as good as."""
-    return 4 * math.pi * (LOW_PASS_PX * scale) ** 2 / OF_TWO_PASSES
 
 
 def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[np.float64]:

@@ -41,6 +41,20 @@ OnStage = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Texture:
+    """What was found of the amplitudes of phasors.
+
+    Parameters
+    ----------
+    ratio : [row col] of the amplitudes to those that the weights for phasors drew
+    std : [row col] of them, in the units of the frames
+    """
+
+    ratio: NDArray[np.float64]
+    std: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """What the solver found, in the units of the frames.
 
@@ -53,6 +67,7 @@ class Solution:
     change : rms change of the picture in the last stage over the std of what it began with; inside
         this module all of these have an axis [burst] in front
     held : of each tile, what another burst of the same shifts and scene can begin with
+    texture : of phasors, what `with_texture` found
     """
 
     image: NDArray[np.inexact[Any]]
@@ -60,6 +75,7 @@ class Solution:
     weight: Single
     change: Any
     held: tuple[Held, ...] = ()
+    texture: Texture | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,8 @@ from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
-from lensshift.reconstruction.learned.method import LEAST_SIGMA, mean_hr_px, noise_of, solved
+from lensshift.reconstruction.learned.method import LEAST_SIGMA, noise_of, solved
+from lensshift.reconstruction.learned.phasors import mean_hr_px
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
