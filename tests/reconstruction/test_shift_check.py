@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 
+from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.shift_check import doubtful_shifts
+from lensshift.scene import slanted_edge_card
 
 SHAPE = (24, 30)
 RNG = np.random.default_rng(2)
@@ -157,3 +159,15 @@ def test_a_part_of_a_large_sensor_tells_with_shift_fields_and_phasors_too() -> N
     burst = make_burst(np.abs(y), -SQUARE_PX, modulation_hz=15e6, distance_m=np.full(y.shape, 3.0))
     with pytest.warns(QualityWarning, match="their sign: negate offset_px"):
         reconstruct(burst, channel="phasor", std=False, shift_field=ShiftField(field))
+
+
+@pytest.mark.parametrize("seed", [4, 6])
+def test_an_edge_seen_at_thirds_of_a_pixel_is_where_it_is_said_to_be(seed: int) -> None:
+    """On a grid of halves its frames are predicted best by shifts of half the size."""
+    taken = simulate_tof(
+        slanted_edge_card(), camera_preset("o3m151"), named_pattern_px("3x3"), seed=seed
+    )
+    burst = taken.burst
+    assert doubtful_shifts(burst.amplitude, burst.offset_px, valid=burst.valid) is None
+    for wrong in (-1, 2):
+        assert doubtful_shifts(burst.amplitude, wrong * burst.offset_px, valid=burst.valid)

@@ -7,6 +7,7 @@ neighbours from the other frames predict them best.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ LEAST_PX, LEAST_HELD_OUT = 8, 50
 # Of each trial the pixels of one fold, drawn at random, are held out.
 FOLDS, CONFIRMING_FOLDS = 4, 2
 # A smooth fit of little stiffness follows the scene; what it assumes of the blur hardly matters.
-STIFFNESS, ITERATIONS, BLUR_PX, SCALE = 0.03, 15, 0.3, 2
+STIFFNESS, ITERATIONS, BLUR_PX, LEAST_SCALE = 0.03, 15, 0.3, 2
 # Errors count up to this many robust deviations, or this part of the spread of the scene.
 CLIP_SIGMAS, CLIP_CONTRAST = 5.0, 0.5
 # Readings whose shifts differ by less from those given are the same.
@@ -262,8 +263,10 @@ class _Trial:
             if self.about_px is not None:
                 offset_px = offset_px[:, None, None] + self.about_px
             kind = "shift_field_px" if offset_px.ndim == 4 else "offset_px"
+            # What so many frames may show; thirds of a pixel are coarse steps on a grid of halves.
+            scale = max(LEAST_SCALE, math.isqrt(len(y)))
             model = forward_model(
-                y.shape[1:], SCALE, **{kind: offset_px}, blur=GaussianBlur(BLUR_PX)
+                y.shape[1:], scale, **{kind: offset_px}, blur=GaussianBlur(BLUR_PX)
             )
             usable = self.seen & model.inside
             held = usable & (self.fold == fold)
