@@ -52,9 +52,9 @@ class Fit(NamedTuple):
 
 
 def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> ShiftFit:
-    """Return shifts through the picture, if they refute the fit and predict frames better.
+    """Return shifts through the picture, if they predict frames better than the fit does.
 
-    Else the fit. The two disagree, and the errors are widened, by what is beyond theirs,
+    Else the fit, its errors widened by what the two disagree beyond theirs,
 
         excess^2 = mean over frames (d - d')^2 - sigma^2 - sigma'^2
 
@@ -69,18 +69,16 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
     if len(frames) < LEAST_FRAMES:
         return fit
     other = picture_shifts(frames, valid, fit.offset_px, reference=reference)
-    better = False
     if len(frames) >= LEAST_PREDICTING:
         error, _ = prediction_error(frames, valid, fit.offset_px)
         other_error, apart_px = prediction_error(frames, valid, other.offset_px)
         # Half of the frames disagree with the other half by twice the variance of all.
         variance = np.mean((apart_px - np.median(apart_px, axis=0)) ** 2, axis=0)
         other = _widened(other, variance, reference)
-        better = _refuted(error, other_error)
+        if _refuted(error, other_error):
+            return _where_known(replace(other, gain=fit.gain), fit)
     square = (fit.offset_px - other.offset_px) ** 2 - fit.sigma_px**2 - other.sigma_px**2
     excess = np.maximum(np.delete(square, reference, axis=0).mean(axis=0), 0.0)
-    if better:
-        return _where_known(replace(other, gain=fit.gain), fit)
     return _widened(fit, excess, reference)
 
 
