@@ -101,16 +101,12 @@ def solved(
     memory = request.memory
     kept = _recalled(problem, memory)
     held = kept.held if kept else None
-
     # Of the pixel: the networks have seen few responses that are much wider.
     pixel_px = blur_width_px(problem.model.blur)
     # Distances are no light that pixels average, on which those of the square were trained.
     general = not problem.even_noise
     asked = Asked(problem.model, problem.y, noise, pixel_px, on_stage, held, general)
-
-    def run(asked: Asked) -> tuple[Solution, Misfit]:
-        return _solved_once(problem, asked, request, kept)
-
+    run = partial(_solved_once, problem, request, kept)
     found, misfit = run(asked)
     shaken: dict[int, Array] = {}
     if memory is None and not general and not asked.of_phasors:
@@ -125,15 +121,11 @@ def solved(
         # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
         wrong = None
     if sharper is None and misfit.curable and not request.shifts_doubted:
-        believed = misfit.weight(of_phasors=problem.y.dtype.kind == "c")
-        weighed = np.where(
-            believed > LEAST_WEIGHT, noise / np.sqrt(np.maximum(believed, LEAST_WEIGHT)), np.inf
-        )
+        weighed = _weighed(noise, misfit.weight(of_phasors=asked.of_phasors))
         found, left = run(replace(asked, sigma=weighed))
     if memory is not None:
         still = None if wrong or left.curable or left.lit else left
-        age = kept.age + 1 if kept and kept.misfit else 1
-        step = Kept(found.held, found.texture, still, age)
+        step = Kept(found.held, found.texture, still, kept.next_age if kept else 1)
         memory.keep(step.moved(problem.unit, problem.level))
     estimate = Estimate(
         image=found.image,
@@ -147,6 +139,12 @@ def solved(
     sizes = std if std.ndim == 2 else std[:2]
     sizes[...] = np.hypot(sizes, left.unexplained)
     return _judged(estimate, wrong, used, request), std
+
+
+def _weighed(noise: NDArray[np.float64], believed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the noise of pixels of which so much is believed, infinite of those left out."""
+    least = np.maximum(believed, LEAST_WEIGHT)
+    return np.where(believed > LEAST_WEIGHT, noise / np.sqrt(least), np.inf)
 
 
 def _sharper_than_told(
@@ -190,6 +188,11 @@ class Kept:
     misfit: Misfit | None
     age: int
 
+    @property
+    def next_age(self) -> int:
+        """That of a step which this misfit was good for, else 1."""
+        return self.age + 1 if self.misfit else 1
+
     def moved(self, factor: complex | float, level: complex | float) -> Kept:
         """Return it in the units of frames times a factor plus a level."""
         misfit = self.misfit
@@ -218,7 +221,7 @@ def _picture(asked: Asked, request: Request) -> Solution:
 
 
 def _solved_once(
-    problem: Problem, asked: Asked, request: Request, kept: Kept | None = None
+    problem: Problem, request: Request, kept: Kept | None, asked: Asked
 ) -> tuple[Solution, Misfit]:
     """Return picture and misfit; that of a picture that rests is known already."""
     A, noise = problem.model.operator, asked.sigma
@@ -285,7 +288,7 @@ def _seen_otherwise(
         part = replace(problem, model=other, y=np.ascontiguousarray(problem.y[:, rows, cols]))
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
         asked = Asked(other, part.y, sigma, blur_width_px(other.blur))
-        _, again = _solved_once(part, asked, request)
+        _, again = _solved_once(part, request, None, asked)
         if not again.curable:
             return replace(misfit, doubt=np.minimum(misfit.doubt, 1.0))
     return misfit
