@@ -178,6 +178,19 @@ def test_lone_outliers_are_nothing_that_moved() -> None:
     assert not any("moved" in text for text in warned(burst_of(y)))
 
 
+@pytest.mark.parametrize("seed", [31, 32])
+def test_lone_outliers_hardly_widen_std(seed: int) -> None:
+    burst = mosaic_burst(seed, SHAPE, snr=60.0)
+    rng = np.random.default_rng(seed)
+    wild = np.zeros(burst.y.shape, bool)
+    wild[:, 2:-2:6, 2:-2:6] = rng.random((4, 3, 4)) < 0.4  # 2 %, none beside another
+    shown = np.where(wild, 1.5, burst.y)
+    found, usual = (reconstruct(burst_of(y)).amplitude for y in (shown, burst.y))
+    size = np.abs(found.image - burst.truth) / found.std
+    assert np.mean(size < 2) > 0.9
+    assert np.sqrt(np.mean(found.std**2)) < 1.5 * np.sqrt(np.mean(usual.std**2))
+
+
 def test_misfit_widens_std_and_travels_with_the_result(tmp_path: Path) -> None:
     seen = mosaic_burst(43, SHAPE)
     right = reconstruct(burst_of(seen.y), noise_sigma=SIGMA)

@@ -206,7 +206,8 @@ def find_misfit(
     excess = _excess_noise(told, used)
     variance *= excess
     q = told / excess
-    limit = _limit(q, used)
+    alone = _alone(q)
+    limit = _limit(alone, used)
     inner = seen.copy()  # border pixels see what lies beside the picture
     inner[:, [0, -1]] = inner[:, :, [0, -1]] = 0.0
     doubt, against = (
@@ -229,7 +230,9 @@ def find_misfit(
     if np.count_nonzero(doubt > 1.0) < WINDOW_PX:  # what contradicts does so in all that see it
         doubt = np.minimum(doubt, 1.0)
     more = bool(np.count_nonzero((unlit > 1.0) & (doubt > 1.0)) >= WINDOW_PX)
-    chi_square, unexplained = _chi_square(A, square / noise * seen, noise * seen, seen, parts)
+    chi, lit = square / noise * seen, A.adjoint(seen)
+    chi_square = np.where(lit > 1e-9, A.adjoint(chi) / np.maximum(lit, 1e-9), 1.0)
+    unexplained = _unexplained(A, chi, noise, seen * ~alone, parts)
     usual = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
     unsure = frozenset(np.flatnonzero(usual > UNSURE * usual.min()).tolist())
     return Misfit(
@@ -256,32 +259,31 @@ def _excess_noise(q: Array, used: Mask) -> Array:
     return np.repeat(np.repeat(excess, BLOCK_PX, 0), BLOCK_PX, 1)[:rows, :cols]
 
 
-def _limit(q: Array, used: Mask) -> float:
+def _alone(q: Array) -> Mask:
+    """Tell outliers that stand alone: pixels of a camera, none of which the scene knows."""
+    far = q > OUTLIER_SQUARE
+    return far & (uniform_filter(far.astype(np.float64), (1, 3, 3), mode="constant") < 1.5 / 9)
+
+
+def _limit(alone: Mask, used: Mask) -> float:
     """Return how large the mean square in a window has to be, with outliers that stand alone."""
-    far = (q > OUTLIER_SQUARE).astype(np.float64)
-    alone = far * (uniform_filter(far, (1, 3, 3), mode="constant") < 1.5 / 9)
     share = min(float(alone[used].mean()), 0.1)
     rate = share / (1 - share) ** 8  # their eight neighbours are none
     spread = np.sqrt((2 + rate * (MOST_SQUARE - 1) ** 2) / WINDOW_PX**2)
     return max(LIMIT, 1 + rate * (MOST_SQUARE - 1) + LIMIT_SIGMAS * float(spread))
 
 
-def _chi_square(
+def _unexplained(
     A: LinearOperator, chi: Array, noise: Array, seen: Array, parts: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return chi-square of each HR pixel, and the size of what chance does not explain of it."""
-    touching = A.adjoint(seen)
-    lit = np.maximum(touching, 1e-9)
-    nearby, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi, seen))
+) -> NDArray[np.float64]:
+    """Return [row col] the size of what chance does not explain of chi-square, where seen."""
+    nearby, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi * seen, seen))
     pooled, samples = A.adjoint(nearby), np.maximum(A.adjoint(count), 1e-9)
     ones = np.maximum(A.adjoint(np.ones_like(seen)), 1e-9)
     number = 9 * len(seen) * parts * samples / ones
     chance = 1.0 + SIGNIFICANT * np.sqrt(2.0 / np.maximum(number, 1.0))
     excess = np.maximum(pooled / samples / chance - 1.0, 0.0)
-    return (
-        np.where(touching > 1e-9, A.adjoint(chi) / lit, 1.0),
-        np.sqrt(excess * A.adjoint(noise) / lit),
-    )
+    return np.sqrt(excess * A.adjoint(noise * seen) / np.maximum(A.adjoint(seen), 1e-9))
 
 
 def _brightness(
