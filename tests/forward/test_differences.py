@@ -12,6 +12,7 @@ from lensshift.forward.differences import (
     add_weighted_laplacian,
     differences,
     half_plane,
+    laplacian,
 )
 
 SHAPES = [(7, 5), (4, 9), (1, 6), (6, 1), (1, 1), (2, 2)]
@@ -83,6 +84,10 @@ def test_all_kernels_equal_a_sparse_matrix(
     add_weighted_laplacian(x, a, directions, out)
     expected = D.T @ (a.ravel() * (D @ x.ravel()))
     np.testing.assert_allclose((out - start).ravel(), expected, **close(dtype))
+
+    length = np.repeat(np.hypot(*directions.T), x.size)
+    expected = D.T @ ((D @ x.ravel()) / length)
+    np.testing.assert_allclose(laplacian(x, directions).ravel(), expected, **close(dtype))
 
     diagonal = np.zeros(shape, a.dtype)
     add_laplacian_diagonal(a, directions, diagonal)

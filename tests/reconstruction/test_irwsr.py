@@ -11,16 +11,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.evaluation import psnr_db
-from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.blur import ApertureBlur, GaussianBlur
 from lensshift.forward.differences import differences
 from lensshift.forward.model import ForwardModel, forward_model
-from lensshift.reconstruction.classical import Irwsr
+from lensshift.reconstruction.classical import Irwsr, L1Btv, MaximumPosterior
 from lensshift.reconstruction.losses import Confidences
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.priors import BilateralTotalVariation
-from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.problem import Problem, blur_width_px, make_blur, without_lens
 from lensshift.reconstruction.quantiles import median_3x3, weighted_mad, weighted_median
 
 SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
@@ -136,6 +137,25 @@ def irwsr(model: ForwardModel, y: NDArray, weight: NDArray, **settings: Any) -> 
     )
 
 
+def test_a_response_is_as_wide_as_told_and_of_the_aperture_that_is_told() -> None:
+    """A square pixel has 1 / sqrt(12) px; behind optics the variances add up."""
+    assert make_blur(None, None) == GaussianBlur(0.3)
+    assert make_blur(0.42, None) == GaussianBlur(0.42)
+    assert make_blur(None, 0.8) == ApertureBlur(0.8, 0.0)
+    assert make_blur(0.2, 0.8) == ApertureBlur(0.8, 0.2)
+    for sigma, fill in ((0.0, 1.0), (0.2, 0.5)):
+        width = blur_width_px(make_blur(sigma, fill))
+        assert width**2 == pytest.approx(fill**2 / 12 + sigma**2)
+    assert blur_width_px(without_lens(ApertureBlur(0.6, 0.5))) == pytest.approx(0.6 / 12**0.5)
+    assert without_lens(GaussianBlur(0.5)).sigma_px == pytest.approx(12**-0.5)
+    assert without_lens(GaussianBlur(0.1)) == GaussianBlur(0.1)
+    with pytest.warns(QualityWarning, match="nothing between the pixels"):
+        make_blur(1.01, None)
+    for wrong in (-0.1, 10.1, float("nan")):
+        with pytest.raises(ValueError, match="expected 0 to 10 LR pixels"):
+            make_blur(wrong, None)
+
+
 def test_starts_at_the_mean_where_no_frame_sees_anything() -> None:
     model = forward_model((9, 14), 2, SQUARE_PX)
     weight = np.ones((len(SQUARE_PX), 9, 14), np.float32)
@@ -168,6 +188,16 @@ def test_ignores_a_biased_frame_and_reports_it(offset_px: NDArray) -> None:
     assert tuple(value for _, value in steps) == found.objective
     assert [t for t, _ in steps] == list(range(1, len(steps) + 1))
     assert found.status in (Status.CONVERGED, Status.MAX_ITERATIONS)
+
+
+@pytest.mark.parametrize("method", [Irwsr, L1Btv, MaximumPosterior])
+def test_methods_that_compare_brightness_take_real_frames_and_refuse_phasors(method: type) -> None:
+    model = forward_model((8, 9), 2, SQUARE_PX)
+    problem = Problem(np.full((4, 8, 9), 0.4), np.ones((4, 8, 9)), model, 1.0, 0.3, None)
+    one = method(prior_weight=0.01, iterations=1)
+    np.testing.assert_allclose(one(problem, Request(std=False)).image, 0.4, atol=1e-3)
+    with pytest.raises(ValueError, match=f"{one.name} expects real frames"):
+        one(replace(problem, y=problem.y + 0j), Request(std=False))
 
 
 def test_stops_when_nothing_moves_and_keeps_its_start() -> None:

@@ -10,9 +10,15 @@ from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import NEIGHBOURS, solve_penalised
 from lensshift.forward.model import forward_model
 from lensshift.forward.operator import LinearOperator
-from lensshift.reconstruction.priors import BilateralTotalVariation, SparseDifferences
+from lensshift.reconstruction.losses import Squares
+from lensshift.reconstruction.priors import (
+    BilateralTotalVariation,
+    Prior,
+    SparseDifferences,
+    TotalVariation,
+)
 from lensshift.reconstruction.selection import cross_validate, prior_share
-from lensshift.reconstruction.solver import MaximumAPosteriori
+from lensshift.reconstruction.solver import MaximumAPosteriori, Reweighted
 
 SHAPE = (14, 18)
 
@@ -62,6 +68,26 @@ def test_cross_validation_ends_within_half_a_ninth_of_a_decade(
     assert abs(np.log10(chosen) - exponent) <= 1 / 18 + 1e-6
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("away", [0.78, 0.67, 0.55])
+def test_cross_validation_finds_the_best_ninth_beyond_the_best_decade(
+    A: LinearOperator, away: float, sign: int
+) -> None:
+    """Where the error rises steeply on one side, the nearest decade is not the best."""
+
+    def score(exponent: float) -> float:
+        beyond = sign * (exponent + 3) - away
+        return 0.1 + max(4 * beyond, -beyond)
+
+    def solve(value: float, weight: np.ndarray) -> np.ndarray:
+        return np.full(A.in_shape, score(np.log10(value)))
+
+    black = np.zeros((4, *SHAPE))
+    chosen = cross_validate(solve, A, black, black + 1.0, 0)
+    best = min(score(-3 + ninth / 9) for ninth in range(-9, 10))
+    assert score(np.log10(chosen)) == pytest.approx(best, abs=1e-4)
+
+
 def test_cross_validation_follows_the_seed_alone(A: LinearOperator, y: np.ndarray) -> None:
     solve, ones = _solver(A, y), np.ones(y.shape)
     assert cross_validate(solve, A, y, ones, 3) == cross_validate(solve, A, y, ones, 3)
@@ -101,6 +127,18 @@ def test_the_weight_from_noise_is_the_scale_of_the_prior() -> None:
         once, twice = (MaximumAPosteriori(0.01)(prior, scale * x) for scale in (1.0, 2.0))
         assert once == pytest.approx(0.01 * x.size / (p * prior.value(x)))
         assert once / twice == pytest.approx(2.0**p, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("prior", [TotalVariation(0.05), SparseDifferences(2.0)])
+def test_the_weight_of_a_picture_is_the_one_that_the_picture_asks_for(
+    A: LinearOperator, prior: Prior, seed: int
+) -> None:
+    y = photograph(edge_scene, SHAPE, SQUARE_PX)
+    y += 0.02 * np.random.default_rng(seed).standard_normal(y.shape)
+    rule = MaximumAPosteriori(0.45 * 2 * 0.02**2)
+    found = Reweighted(Squares(), prior, rule, 0.02, inner_iterations=20)(A, y, np.ones(y.shape))
+    assert found.prior_weight == pytest.approx(rule(prior, found.image), rel=0.02)
 
 
 def test_a_wider_blur_hides_more_of_the_differences() -> None:

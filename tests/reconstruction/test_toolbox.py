@@ -101,6 +101,17 @@ def _check_log(
         np.testing.assert_allclose(values, expected[f"{method}_{stored}"], rtol=1e-9)
 
 
+@pytest.mark.parametrize("count", range(1, 8))
+def test_frames_of_one_place_start_at_the_median_of_what_is_seen(count: int) -> None:
+    rng = np.random.default_rng(count)
+    frames, usable = rng.uniform(0.1, 1.0, (count, 7, 10)), rng.random((count, 7, 10)) > 0.2
+    frames[rng.random(frames.shape) < 0.1] = 0.0  # the toolbox takes them for unseen
+    usable[:, 2, 3] = False
+    found = temporal_median(frames, usable, np.zeros((count, 2)))
+    seen = np.ma.masked_array(frames, ~usable | (frames == 0.0))
+    np.testing.assert_allclose(found, np.ma.median(seen, axis=0).filled(0.0), rtol=1e-12)
+
+
 def test_quarter_pixel_square_is_one_small_convolution() -> None:
     rows, cols = 5, 8
     x = np.random.default_rng(1).random((2 * rows, 2 * cols))
