@@ -140,6 +140,25 @@ def test_a_pixel_that_takes_the_turn_of_its_neighbours_may_contradict_itself(
     assert std_m[3, 4] == pytest.approx(times * std_rad[0, 3, 4] / np.linalg.norm(per_m))
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("turns", [-1, 1, 3])
+def test_a_lone_pixel_is_never_beyond_the_surfaces_around_it(turns: int, seed: int) -> None:
+    """However sure it is of its turn."""
+    hz, rng = (300e6, 20e6), np.random.default_rng(seed)
+    tones = Tones(hz, *np.zeros((2, 2, 1)))
+    distance_m = np.where(np.arange(14) < 6, 2.0, 2.1) * np.ones((9, 1))
+    at = (int(rng.integers(2, 7)), int(rng.integers(3, 11)))
+    distance_m[at] += turns * tones.turn_m
+    phase_rad = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None] * distance_m
+    lone = Tones(hz, phase_rad, np.full(phase_rad.shape, 1e-3))
+    assert lone.alone()[2].all()
+    np.testing.assert_allclose(lone.alone()[0], distance_m, atol=1e-9)
+    found_m, std_m = common_distance(lone)
+    distance_m[at] -= turns * tones.turn_m
+    np.testing.assert_allclose(found_m, distance_m, atol=0.05 * tones.turn_m)
+    assert std_m[at] == std_m.max() > abs(found_m[at] - distance_m[at])
+
+
 @pytest.mark.parametrize("hz", [PAIR_HZ, (20e6, 100e6), (80e6, 60e6), (15e6,)])
 def test_a_wall_is_where_it_is(hz: tuple[float, ...]) -> None:
     result = reconstruct(wall(hz))

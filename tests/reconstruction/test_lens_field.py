@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import LensField
 from lensshift.core.pattern import named_pattern_px
@@ -46,6 +47,29 @@ def test_a_correction_is_of_degree_two_along_each_axis(seed: int) -> None:
         fit = basis @ np.linalg.pinv(basis)
         rough = rough - np.moveaxis(np.tensordot(fit, rough, (1, axis)), 0, axis)
     np.testing.assert_allclose(field.corrected(rough).at(states_mm).offset_px, before, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_middle_moves_about_rest_by_the_slopes_of_all_terms(seed: int) -> None:
+    """Of T_0 to T_3 the values at rest are 1, 0, -1, 0 and the slopes 0, 1, 0, -3."""
+    reach, rest, rise = np.array([0.2, 0.5]), np.array([1, 0, -1, 0]), np.array([0, 1, 0, -3])
+    shift = np.random.default_rng(seed).standard_normal((1, 1, 4, 4, 2))
+    field = LensField(Grid(SHAPE, (0.1, 0.1)), shift, np.zeros((1, 1, 1, 1, 2)), tuple(reach))
+    slopes = [np.einsum("a,b,abp->p", *both, shift[0, 0]) for both in ((rise, rest), (rest, rise))]
+    np.testing.assert_allclose(field.px_per_unit, np.stack(slopes, axis=-1) / reach, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["shift_px", "spot_px2"])
+@pytest.mark.parametrize(
+    "values",
+    [np.ones((3, 3, 2, 2)), np.ones((3, 3, 2, 2, 3)), np.ones((3, 0, 2, 2, 2)),
+     np.full((1, 2, 1, 3, 2), np.nan)],
+    ids=lambda values: str(values.shape),
+)  # fmt: skip
+def test_coefficients_that_are_none_are_refused(name: str, values: np.ndarray) -> None:
+    with pytest.raises(DataError, match="expected") as refused:
+        replace(curved_field(), **{name: values})
+    assert refused.value.field == name
 
 
 def waves(seed: int, highest_cpp: float) -> np.ndarray:

@@ -12,8 +12,9 @@ from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField
+from lensshift.reconstruction import shift_check
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.shift_check import doubtful_shifts
+from lensshift.reconstruction.shift_check import CURES, _readings, doubtful_shifts
 from lensshift.scene import slanted_edge_card
 
 SHAPE = (24, 30)
@@ -116,6 +117,63 @@ def test_a_wrong_reading_of_the_shifts_is_named(
     assert caught[0].filename == __file__
     with pytest.raises(AssertionError, match=mistake):
         raise AssertionError(texts[0])
+
+
+@pytest.mark.parametrize("scale", [2, 3])
+@pytest.mark.parametrize(
+    ("mistake", "wrong"),
+    [
+        ("their sign", lambda d, scale: -d),
+        ("the sign of the rows", lambda d, scale: d * [-1, 1]),
+        ("the sign of the columns", lambda d, scale: d * [1, -1]),
+        ("rows and columns swapped", lambda d, scale: d[:, ::-1]),
+        ("rows and columns swapped, and a sign", lambda d, scale: -d[:, ::-1]),
+        ("rows and columns swapped, and a sign", lambda d, scale: d[:, ::-1] * [-1, 1]),
+        ("rows and columns swapped, and a sign", lambda d, scale: d[:, ::-1] * [1, -1]),
+        ("their unit (HR pixels)", lambda d, scale: scale * d),
+        ("their unit (too small)", lambda d, scale: d / scale),
+        ("the order of the frames", lambda d, scale: d[[2, 0, 1, 4, 3, 6, 5]]),
+        ("shifts that were not told", lambda d, scale: 0 * d),
+        ("no simple mistake", lambda d, scale: d + np.outer([0, 1, 0, 0, 0, 0, 0], [0.3, -0.2])),
+    ],
+)
+def test_of_each_mistake_there_is_a_reading_without_it(
+    mistake: str, wrong: Callable[[Array, int], Array], scale: int
+) -> None:
+    given = np.array(wrong(SCATTERED_PX, scale))
+    readings = _readings(given, SCATTERED_PX, scale)
+    assert {name for name, _ in readings} <= set(CURES)
+    right = [name for name, d in readings if np.allclose(d, SCATTERED_PX, atol=1e-9)]
+    assert mistake in right
+    still = [d for name, d in readings if name == "shifts that did not happen"]
+    np.testing.assert_array_equal(still, np.zeros((1, 7, 2)))
+
+
+@pytest.mark.parametrize("scene", [_boxes, _weave])
+@pytest.mark.parametrize("times", [0.5, 2.0])
+def test_another_unit_is_named_even_if_the_frames_tell_no_shifts(
+    monkeypatch: pytest.MonkeyPatch, scene: Callable[..., Array], times: float
+) -> None:
+    rng = np.random.default_rng(1)
+    monkeypatch.setattr(
+        shift_check, "found_shifts", lambda _, given: given + rng.uniform(-1.5, 1.5, given.shape)
+    )
+    doubt = doubtful_shifts(_frames(scene, SQUARE_PX, SIGMA), times * SQUARE_PX)
+    assert doubt is not None
+    assert doubt.mistake.startswith("their unit")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("off", "said"), [(2, None), (4, "no simple mistake")])
+def test_a_quarter_of_the_frames_lies_elsewhere_before_all_shifts_are_doubted(
+    off: int, said: str | None, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    offset_px, turn = rng.uniform(-0.7, 0.7, (9, 2)), rng.uniform(0, 2 * np.pi, off)
+    told_px = offset_px.copy()
+    told_px[:off] += 0.6 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    doubt = doubtful_shifts(_frames(_weave, offset_px, SIGMA, seed), told_px)
+    assert (doubt and doubt.mistake) == said
 
 
 @pytest.mark.parametrize("scene", [_boxes, _weave, _upright, edge_scene, _even])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from lensshift.core.types import Frame
 from lensshift.core.units import distance_to_phase
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
+from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.learned import method
+from lensshift.reconstruction.stream import Stream
 
 SHAPE, SCALE = (21, 26), 2
 SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)])
@@ -182,6 +185,27 @@ def test_frames_with_holes_and_distances_and_a_burst_as_plan():
     assert found.distance_m is not None
     error_m = found.distance_m.image[INNER] - 3
     assert np.sqrt(np.mean(error_m**2)) < 0.5 * np.std(distance_m)
+
+
+@pytest.mark.parametrize(("shape", "inside"), [((3, 14), 3), ((9, 12), 6)])
+@pytest.mark.parametrize("slope", [0.0, 1.0])
+def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope):
+    """Beyond four variances in the mean of nine; along a slope some of a shift is allowed."""
+    noise = 0.02
+    expected = slope * np.arange(shape[1]) + np.zeros(shape)
+    template = lensshift.Burst.from_arrays(np.zeros((4, *shape)), offset_px=SQUARE_PX, pitch_mm=0.1)
+    one, valid = Stream(template, SCALE, "auto", {}), np.ones(shape, bool)
+    picture = SimpleNamespace(predict=lambda offset_px: expected, noise_sigma=noise)
+    one._result = SimpleNamespace(amplitude=picture)
+    one._frames[2] = Frame(expected, None, valid, 0.0)
+    least = 6 * np.hypot(noise, ALLOWED_SHIFT_PX * slope)
+    for size, contradict in ((0.99 * least, 0), (1.01 * least, inside)):
+        y = expected.copy()
+        y[1, 6] += size
+        y[0, 9] -= 0.5 * least
+        seen = one._seen(Frame(y, None, valid, 0.0), 2)
+        assert seen.share == pytest.approx(contradict / ((shape[0] - 2) * (shape[1] - 2)))
+        assert seen.squares == pytest.approx(size**2)
 
 
 @pytest.mark.parametrize(

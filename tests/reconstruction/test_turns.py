@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from lensshift import Burst, reconstruct
 from lensshift.core.errors import QualityWarning
 from lensshift.core.units import unambiguous_range_m
-from lensshift.reconstruction.phasor.frames import polar_frames
-from lensshift.reconstruction.phasor.turns import settle_turns
+from lensshift.reconstruction.phasor.frames import PhaseScale, PolarFrames, polar_frames
+from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 
 Array = NDArray[np.float64]
 SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
@@ -72,6 +72,26 @@ def test_phases_within_half_a_turn_stay_as_they_are() -> None:
     burst, _, _ = slipping_burst(0.0)
     frames = polar_frames(burst)
     assert settle_turns(frames, SIGMA) is frames
+
+
+@pytest.mark.parametrize("move_px", [(0, 0), (2, -1), (-1, 3)])
+@pytest.mark.parametrize("scale", [1, 2, 3])
+def test_a_picture_takes_the_turns_that_the_frames_show_at_its_place(
+    scale: int, move_px: tuple[int, int]
+) -> None:
+    """Content that a frame shows further down and right belongs further up and left."""
+    rng = np.random.default_rng(scale)
+    shape = (17, 22)
+    turns = np.kron(rng.integers(-1, 4, (3, 4)), np.ones((6, 6)))[: shape[0], : shape[1]]
+    within_rad = rng.uniform(-1, 1, shape)  # of neighbours too: a vote is for a turn alone
+    phase_rad = np.roll(within_rad + 2 * np.pi * turns, move_px, (0, 1))[None]
+    frames = PolarFrames(np.ones(phase_rad.shape), phase_rad, PhaseScale(30e6, "told", 0.0, False))
+    seen = np.kron(within_rad, np.ones((scale, scale)))
+    used = np.ones(phase_rad.shape, bool)
+    found = nearest_turns(seen, frames, used, np.array([move_px], float), scale)
+    expected = np.kron(within_rad + 2 * np.pi * turns, np.ones((scale, scale)))
+    inner = (slice(3 * scale, -3 * scale),) * 2
+    np.testing.assert_allclose(found[inner], expected[inner], atol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
