@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
+from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, phasor_mosaic, square
 
 from lensshift import Burst, ShiftField, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.learned import convolution, network, solver
+from lensshift.reconstruction.learned import convolution, kernels, network, priors, solver
+from lensshift.reconstruction.learned.chain import State
+from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.learned.method import auto, noise_of
+from lensshift.reconstruction.learned.solver import Asked
 from lensshift.reconstruction.learned.turn import Turn
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.problem import make_problem
@@ -56,6 +59,17 @@ def test_level_and_contrast_mean_nothing(a, b):
                 assert off < 0.01 * plain.std.min() + rounding
     else:  # nothing forces a negative to mirror its positive, but training showed both
         assert np.sqrt(np.mean((((other.image - b) / a - plain.image) / plain.std) ** 2)) < 1
+
+
+@pytest.mark.parametrize("turn_rad", [0.9, -2.5])
+def test_turned_phasors_give_the_turned_picture(turn_rad):
+    burst, turn = phasor_mosaic(3, (13, 18)), np.exp(1j * turn_rad)
+    model = forward_model((13, 18), 2, burst.offset_px, blur=GaussianBlur(BOX_PX))
+    asked = [Asked(model, z * burst.y, np.full(burst.y.shape, burst.sigma), BOX_PX)
+             for z in (1.0, turn)]  # fmt: skip
+    plain, turned = solver.solve_together(asked)
+    np.testing.assert_allclose(turned.image / turn, plain.image, atol=0.01 * burst.sigma)
+    np.testing.assert_allclose(turned.std, plain.std, rtol=1e-2, atol=1e-3)
 
 
 def test_the_same_burst_gives_the_same_picture():
@@ -274,6 +288,40 @@ def test_given_variances_are_the_noise(seed):
     np.testing.assert_allclose(told * problem.intensity, np.sqrt(variance), rtol=1e-6)
 
 
+@pytest.mark.parametrize(("unit", "level"), [(3.0, 0.0), (0.2, 290.0), (40.0, -7.0)])
+def test_noise_that_is_remembered_is_that_of_the_burst_in_any_unit(unit, level):
+    """A stream takes level and contrast anew at each step; the light of the scene stays."""
+    light = np.broadcast_to(np.linspace(1.0, 5.0, 57), (4, 43, 57))
+    y = light + 0.05 * np.sqrt(light) * np.random.default_rng(2).standard_normal(light.shape)
+    problem, memory = _problem(y), Memory()
+    told = noise_of(problem, memory).scaled(problem.intensity, problem.level)
+    memory.begin(quick=True)
+    other = replace(problem, y=(y - level) / unit, intensity=unit, level=level)
+    recalled = noise_of(other, memory).variance((light - level) / unit) * unit**2
+    assert told.b > 0
+    np.testing.assert_allclose(recalled, told.variance(light), rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_distances_count_as_the_square_of_the_light_that_brought_them(seed):
+    rng = np.random.default_rng(seed)
+    y, light = rng.standard_normal((4, 7, 11)), rng.lognormal(0, 2, (4, 7, 11))
+    light[:, 2, 3] = 0.0
+    problem = _problem(y)
+    weight = rng.uniform(0.2, 1.0, y.shape) * (rng.random(y.shape) > 0.1)
+    found = replace(problem, weight=weight).with_brightness(-light)  # signs mean nothing
+    share = np.minimum(light / np.median(light[weight > 0]), 1.0)
+    np.testing.assert_allclose(found.weight, weight * np.maximum(share**2, 1e-4))
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7, -2.0])
+def test_a_problem_says_what_one_stands_for(turn_rad):
+    rng = np.random.default_rng(1)
+    frames = rng.standard_normal((4, 7, 10)) + 1j * rng.standard_normal((4, 7, 10))
+    problem = replace(_problem(frames), phase_rad=turn_rad)
+    np.testing.assert_allclose(problem.y * problem.unit, frames * np.exp(1j * turn_rad))
+
+
 @pytest.mark.parametrize(("spread_px", "constant"), [(0.01, False), (0.2, True)])
 def test_shifts_that_differ_over_the_sensor_leave_one_number_for_the_noise(spread_px, constant):
     """The law of the noise knows one shift a frame; with others it would take the scene for it."""
@@ -382,6 +430,71 @@ def test_a_damaged_file_of_weights_is_refused(monkeypatch):
     with pytest.raises(OSError, match="install lensshift again"):
         network.learned_weights("phasor")
     network.learned_weights.cache_clear()
+
+
+def _shown_and_answered(monkeypatch, prior, channels, kind):
+    """Return a random state, what a prior shows its network of it, and what the prior answers."""
+    rng, shape, shown = np.random.default_rng(channels), (1, 7, 11), []
+    drawn = rng.standard_normal((1, 4, 6, channels))
+    drawn[0, :2, :3] *= 20.0  # beyond what a logarithm may be
+    pictures = rng.standard_normal((3, *shape))
+    if kind is complex:
+        pictures = pictures + 1j * rng.standard_normal(pictures.shape)
+    sizes = np.exp(rng.standard_normal((3, *shape)))
+    sizes[0, 0, 2, 3] = 0.0  # a misfit of none
+    state = State(*pictures, *sizes, Turn(False, False, False), kernels.COMPILED)
+
+    def applied(network, seen, state, before, first, facts):
+        shown.extend(seen)
+        return drawn
+
+    monkeypatch.setattr(priors, "_applied", applied)
+    numbers = {"floor": np.array([-1.0, 0.5])}
+    one = prior((None, None), numbers)
+    x, s, _ = one.improve(0, state, np.zeros(4, np.float32), None)
+    # Four channels are a block of 2 x 2 pixels.
+    blocks = drawn.reshape(1, 4, 6, -1, 2, 2).transpose(3, 0, 1, 4, 2, 5)
+    drawn_hr = blocks.reshape(-1, 1, 8, 12)[:, :, :7, :11]
+    return state, shown, (x, s, one.spread(drawn, state)), drawn_hr
+
+
+def test_a_prior_of_brightness_adds_to_the_picture_what_its_network_says(monkeypatch):
+    state, shown, (x, s, spread), said = _shown_and_answered(
+        monkeypatch, priors.BrightnessPrior, 12, float
+    )
+    expected = [state.v, state.v - state.past, 8 * state.gradient, 2 * state.misfit,
+                state.noise, state.trusted]  # fmt: skip
+    np.testing.assert_allclose(shown, expected)
+    np.testing.assert_allclose(x, state.v + said[0])
+    np.testing.assert_allclose(s, np.abs(said[1]) + np.exp(-1.0) * state.noise)
+    np.testing.assert_allclose(spread[:, 0], np.abs(said[2]) + np.exp(0.5) * state.noise)
+
+
+def test_a_prior_of_phasors_sees_and_answers_in_units_of_the_light_and_of_the_noise(monkeypatch):
+    """What differs around in units of how much it does, sizes as logarithms."""
+    state, shown, (x, s, spread), said = _shown_and_answered(
+        monkeypatch, priors.PhasorPrior, 24, complex
+    )
+    v, noise = state.v, state.noise
+
+    def around(picture):
+        found = np.empty_like(picture)
+        for i, j in np.ndindex(7, 11):
+            found[0, i, j] = picture[0, max(i - 4, 0) : i + 5, max(j - 4, 0) : j + 5].mean()
+        return found
+
+    a, d = np.hypot(np.abs(v), noise), np.hypot(np.sqrt(around(np.abs(v - around(v)) ** 2)), noise)
+    parts = [(v - around(v)) / d, (v - state.past) / d, 8 * state.gradient / d, v / a]
+    expected = [
+        *(one for z in parts for one in (z.real, z.imag)), np.log(a / noise) / 3,
+        np.log(d / noise) / 3, np.log(np.maximum(state.misfit, 1e-6)), noise / state.trusted,
+    ]  # fmt: skip
+    np.testing.assert_allclose(shown, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(x, v + np.minimum(a, d) * (said[0] + 1j * said[1]))
+    s_along, along, across = (noise * np.exp(np.clip(said[n], -12, 12)) for n in (2, 3, 4))
+    np.testing.assert_allclose(s, s_along)
+    both = 0.95 * np.tanh(said[5])
+    np.testing.assert_allclose(spread, np.stack([along, across, both], axis=1))
 
 
 def _trained(name):

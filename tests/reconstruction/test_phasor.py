@@ -18,6 +18,7 @@ from lensshift.core.units import (
     unambiguous_range_m,
 )
 from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
+from lensshift.reconstruction.phasor.channel import NO_PHASE_RAD
 from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.phasor.noise import relative_variance
 
@@ -164,6 +165,21 @@ def test_std_covers_the_errors_of_flat_parts() -> None:
         pull = (estimate.image - true)[flat] / estimate.std[flat]
         assert np.mean(np.abs(pull) < 2) >= 0.9
         assert np.sqrt(np.mean(pull**2)) > 0.3  # flat parts are easier than what std is learned on
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov"])
+@pytest.mark.parametrize("dark", [0.1, 0.3])
+def test_the_std_of_a_distance_grows_as_the_light_falls(method: str, dark: float) -> None:
+    sigma, rng = 0.002, np.random.default_rng(3)
+    cols = np.arange(SHAPE[1]) - OFFSETS[:, 1, None, None] + np.zeros((SHAPE[0], 1))
+    light = dark ** np.clip((cols - 4.5) / 8, 0, 1)
+    noise = sigma * (rng.standard_normal(light.shape) + 1j * rng.standard_normal(light.shape))
+    burst = burst_of(light * np.exp(1j * distance_to_phase(3.0, F_HZ)) + noise)
+    found = reconstruct(burst, method=method, channel="phasor").distance_m
+    left, right = np.s_[5:-5, 2:7], np.s_[5:-5, -7:-2]
+    assert np.median(found.std[right]) == pytest.approx(np.median(found.std[left]) / dark, rel=0.5)
+    assert np.std(found.image[right]) < 1.5 * np.median(found.std[right])
+    assert found.std.max() <= NO_PHASE_RAD / distance_to_phase(1.0, F_HZ)
 
 
 def test_an_outlier_is_not_believed() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from lensshift.reconstruction.phasor import pooling
 from lensshift.reconstruction.phasor.pooling import pooled_phase
 
 Picture = NDArray[np.float64]
@@ -92,6 +93,20 @@ def test_the_sums_as_they_are_written(shape: tuple[int, int]) -> None:
         variance *= 1 - (m[i, j] / s[i, j]) ** 2 * n / (n + each)
         assert found[i, j] == pytest.approx(phi[i, j] + moved, abs=1e-4)
         assert std[i, j] == pytest.approx(np.sqrt(variance), rel=1e-3)
+
+
+@pytest.mark.parametrize("cores", [2, 5])
+def test_the_picture_does_not_depend_on_the_cores(
+    monkeypatch: pytest.MonkeyPatch, cores: int
+) -> None:
+    rng = np.random.default_rng(cores)
+    noise = rng.uniform(0.05, 0.3, SHAPE)
+    image = drawn(cores, rng.uniform(-1, 1, SHAPE), np.ones(SHAPE), noise)
+    alone = pooled(image, noise)
+    monkeypatch.setattr(pooling, "WORTH_THREADS", 1)
+    monkeypatch.setattr(pooling, "core_count", lambda: cores)
+    for one, other in zip(pooled(image, noise), alone, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
 
 
 @given(st.integers(0, 2**20), st.floats(-3, 3), st.floats(1e-3, 1e3))

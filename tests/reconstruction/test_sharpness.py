@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,10 @@ from lensshift.core.errors import QualityWarning
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned.belief import refuted
+from lensshift.reconstruction.learned.method import _as_they_fit
 from lensshift.reconstruction.learned.solver import Asked, solve_together
+from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.misfit import find_misfit
 from lensshift.reconstruction.sharpness import as_sharp_as_most, moments_px2
 
 SHAPE = (27, 33)
@@ -98,6 +102,20 @@ def test_a_frame_that_shook_is_named_and_costs_little(seed: int) -> None:
     truth = shaken_burst(seed, {}).truth
     loss, least = (np.sqrt(np.mean((x - truth)[inner] ** 2)) for x in (image, still))
     assert loss < 1.25 * least
+
+
+@pytest.mark.parametrize(("doubt", "expected"), [(0.99, []), (1.01, [2])])
+def test_frames_are_compared_in_sharpness_as_soon_as_they_contradict(
+    doubt: float, expected: list[int]
+) -> None:
+    seen = shaken_burst(1, {2: (3.0, 0.0)})
+    model = forward_model(SHAPE, 2, seen.offset_px, blur=GaussianBlur(WIDTH_PX))
+    asked = Asked(model, seen.y, np.full(seen.y.shape, seen.sigma), WIDTH_PX)
+    found = solve_together([asked])[0]
+    misfit = find_misfit(model.operator, found.image, seen.y, asked.sigma, 2)
+    misfit = replace(misfit, doubt=np.full(seen.y.shape, doubt), off_px={}, brightness=0.0)
+    shaken = _as_they_fit(asked, found, misfit, lambda _: (found, misfit), Request())[-1]
+    assert list(shaken) == expected
 
 
 def test_few_frames_tell_of_no_other_and_outliers_are_no_shaking() -> None:

@@ -13,7 +13,12 @@ from lensshift import reconstruct
 from lensshift.core.units import distance_to_phase
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.learned.phasors import with_texture
+from lensshift.reconstruction.learned.phasors import (
+    LOW_PASS_PX,
+    mean_hr_px,
+    with_means_of,
+    with_texture,
+)
 from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
 
 SHAPE, INSIDE = (25, 38), (slice(5, -5), slice(5, -5))
@@ -63,6 +68,26 @@ def test_the_frames_say_which_picture_is_right(spoilt: bool) -> None:
     np.testing.assert_allclose(found.image.real[INSIDE], right.image[INSIDE], atol=0.02)
     assert found.texture is not None
     np.testing.assert_allclose(found.texture.ratio * first, found.image.real, atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [2, 3])
+def test_means_of_a_picture_are_those_of_the_frames_with_the_noise_of_so_many(scale: int) -> None:
+    """A picture that is off by a slow wave, where no frame is."""
+    rng, shape, sigma = np.random.default_rng(scale), (60, 75), 0.05
+    line = (np.arange(scale) - (scale - 1) / 2) / scale
+    offset_px = np.array([(a, b) for a in line for b in line])
+    A = forward_model(shape, scale, offset_px, blur=GaussianBlur(0.25)).operator
+    true = np.full(A.in_shape, 0.8 * np.exp(0.7j))
+    noise = rng.standard_normal((2, *A.out_shape))
+    y, weight = A(true) + sigma * (noise[0] + 1j * noise[1]), np.full(A.out_shape, sigma**-2)
+    off = 0.3 * np.exp(1j * np.arange(A.in_shape[1]) / (20 * scale)) + np.zeros(A.in_shape)
+    image, std = with_means_of(A, true + off, y, weight, LOW_PASS_PX * scale)
+    inner = np.s_[6 * scale : -6 * scale, 6 * scale : -6 * scale]
+    error = (image - true)[inner]
+    for part in (error.real, error.imag):
+        assert np.sqrt(np.mean(part**2)) == pytest.approx(np.median(std[inner]), rel=0.25)
+    expected = sigma / np.sqrt(mean_hr_px(scale) * len(offset_px) / scale**2)
+    np.testing.assert_allclose(std[inner], expected, rtol=0.05)
 
 
 def test_two_pictures_that_fit_alike_count_as_they_are_sure_and_tell_their_difference() -> None:
