@@ -80,6 +80,12 @@ def test_penalised_fit_equals_a_direct_sparse_solve(A: LinearOperator) -> None:
         A, y, weight, coefficients, np.zeros(A.in_shape), 500, tolerance=1e-12
     )  # fmt: skip
     np.testing.assert_allclose(found, expected, atol=1e-8)
+    start = rng.standard_normal(A.in_shape)
+    for residual in (None, y - A.forward(start)):  # what it leaves, told or found
+        found = solve_penalised(
+            A, y, weight, coefficients, start, 500, tolerance=1e-12, residual=residual
+        )
+        np.testing.assert_allclose(found, expected, atol=1e-8)
 
 
 def test_mean_column_square_is_near_the_mean_of_the_diagonal() -> None:

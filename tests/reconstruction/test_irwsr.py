@@ -219,9 +219,18 @@ def test_gain_of_the_model_counts() -> None:
 
 
 def test_says_what_is_wrong() -> None:
-    for wrong in ({"prior_weight": -1.0}, {"window": 0}, {"alpha": 0.0}, {"sparsity": 2.0}):
+    either = ({"prior_weight": -1.0}, {"window": 0}, {"alpha": 0.0}, {"alpha": 1.01})
+    for wrong in (*either, {"sparsity": 0.0}, {"sparsity": 1.01}, {"iterations": 0}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             Irwsr(**wrong)
+    for wrong in (*either, {"iterations": 0}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            L1Btv(**wrong)
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            MaximumPosterior(prior="btv", **wrong)
+    with pytest.raises(ValueError, match="threshold"):
+        MaximumPosterior(prior="huber", threshold=0.0)
+    assert L1Btv(alpha=1.0).alpha == Irwsr(alpha=1.0, sparsity=1.0).sparsity == 1.0
 
 
 @pytest.mark.parametrize("name", BEST_DB)

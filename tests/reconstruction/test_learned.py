@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, phasor_mosaic, square
 
 from lensshift import Burst, ShiftField, reconstruct
+from lensshift.core.types import Status
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.learned import convolution, kernels, network, priors, solver
+from lensshift.reconstruction.learned import convolution, kernels, method, network, priors, solver
 from lensshift.reconstruction.learned.chain import State
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.learned.method import auto, noise_of
+from lensshift.reconstruction.learned.method import auto, noise_of, status_of
 from lensshift.reconstruction.learned.solver import Asked
 from lensshift.reconstruction.learned.turn import Turn
 from lensshift.reconstruction.method import Request
@@ -320,6 +321,36 @@ def test_a_problem_says_what_one_stands_for(turn_rad):
     frames = rng.standard_normal((4, 7, 10)) + 1j * rng.standard_normal((4, 7, 10))
     problem = replace(_problem(frames), phase_rad=turn_rad)
     np.testing.assert_allclose(problem.y * problem.unit, frames * np.exp(1j * turn_rad))
+
+
+@pytest.mark.parametrize("phasors", [False, True])
+def test_what_chance_does_not_explain_widens_the_std_but_not_that_of_the_means(
+    monkeypatch, phasors
+):
+    """They are of the frames alone, whatever the picture is wrong by."""
+    burst = phasor_mosaic(5, (13, 18)) if phasors else mosaic_burst(5, (13, 18))
+    find, found, more = method.find_misfit, [], 0.3 + np.arange(36) / 9
+    for unexplained in (0.0, more):
+        monkeypatch.setattr(
+            method, "find_misfit",
+            lambda *given, u=unexplained: replace(find(*given), unexplained=u + np.zeros((26, 36))),
+        )  # fmt: skip
+        problem = _problem(burst.y)
+        noise = np.full(burst.y.shape, burst.sigma / problem.intensity)
+        found.append(method.solved(problem, noise, Request())[1])
+    plain, wider = found
+    sizes = np.s_[:2] if phasors else np.s_[:]
+    np.testing.assert_allclose(wider[sizes] ** 2 - plain[sizes] ** 2, more**2 + 0 * plain[sizes])
+    if phasors:
+        np.testing.assert_array_equal(wider[2], plain[2])
+
+
+def test_a_picture_has_converged_if_the_last_stage_moved_it_by_less_than_its_error_bar():
+    one = solver.Solution(np.ones((5, 7)), np.ones((5, 7)), np.ones((1, 5, 7)), 0.99)
+    assert status_of(one) is Status.CONVERGED
+    assert status_of(replace(one, change=1.01)) is Status.COMPLETE
+    image = np.where(np.arange(7) == 3, np.nan, one.image)
+    assert status_of(replace(one, image=image)) is Status.NOT_FINITE
 
 
 @pytest.mark.parametrize(("spread_px", "constant"), [(0.01, False), (0.2, True)])

@@ -59,6 +59,27 @@ def test_the_middle_moves_about_rest_by_the_slopes_of_all_terms(seed: int) -> No
     np.testing.assert_allclose(field.px_per_unit, np.stack(slopes, axis=-1) / reach, rtol=1e-5)
 
 
+@pytest.mark.parametrize(("element", "other", "said"), [(0, 2, 3), (2, 0, 1), (1, None, 0)])
+def test_a_burst_of_another_element_is_refused_with_its_number_from_1(
+    element: int, other: int | None, said: int
+) -> None:
+    field = replace(curved_field(), element=element)
+    frames, optics = np.ones((4, *SHAPE)), {"lens": "curved", "element": other}
+    burst = Burst.from_arrays(frames, offset_px=SQUARE, pitch_mm=0.1, meta={"optics": optics})
+    with pytest.raises(DataError, match=f"--element {said}$") as refused:
+        field.of(burst)
+    assert f"element {element + 1}" in str(refused.value)
+    assert field.of(replace(burst, meta={"optics": field.optics})) is not None
+
+
+@pytest.mark.parametrize(("most_px", "reach"), [(1.31, "1.4"), (2.0, "2"), (3.07, "3.1")])
+def test_shifts_beyond_a_field_are_refused_with_the_reach_that_holds_them(
+    most_px: float, reach: str
+) -> None:
+    with pytest.raises(DataError, match=f"frame 1 .*--reach-px {reach}$"):
+        curved_field().states([[0.2, -0.9], [0.3, -most_px]])
+
+
 @pytest.mark.parametrize("name", ["shift_px", "spot_px2"])
 @pytest.mark.parametrize(
     "values",

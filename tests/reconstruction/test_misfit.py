@@ -18,7 +18,7 @@ from lensshift.forward.model import forward_model
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
 from lensshift.reconstruction import blur_check
 from lensshift.reconstruction.displacement import displaced, told_shifts
-from lensshift.reconstruction.misfit import find_misfit
+from lensshift.reconstruction.misfit import _unexplained, find_misfit
 from lensshift.reconstruction.reconstruct import reconstruct
 
 SHAPE = (21, 26)
@@ -110,6 +110,59 @@ def test_windows_of_lone_outliers_are_eight_deviations_from_contradicting(share:
     y[rng.random(y.shape) < share] = 1000.0
     inner = against_black(y)[:, 3:-3, 3:-3]
     assert 1.0 - inner.mean() == pytest.approx(8.0 * inner.std(), rel=0.02)
+
+
+@pytest.mark.parametrize("kind", [1.0, 1.0 + 1.0j])
+def test_what_all_frames_contradict_by_half_or_more_is_no_movement(kind: complex) -> None:
+    """Detail finer than the grid looks so."""
+    model, ones = forward_model(SHAPE, 2, square(2)), np.ones((4, *SHAPE))
+    for least, doubted in ((0.45, 1.5), (0.55, 1.0)):
+        y = np.zeros((4, *SHAPE))
+        share = np.array([least, 1.0, least, 0.8])
+        y[:, 10:15, 10:15] = 2.0 * np.sqrt(1.5 * share)[:, None, None]
+        y[1, 5:10, 15:20] = 2.0 * np.sqrt(2.0)  # of this frame alone
+        found = find_misfit(model.operator, np.zeros(model.hr_shape), kind * y, ones, 2)
+        assert found.doubt[1, 12, 12] == pytest.approx(doubted)
+        assert found.doubt[1, 7, 17] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("parts", [1.0, 2.0])
+def test_three_standard_errors_of_a_mean_of_nine_pixels_of_all_frames_are_chance(
+    parts: float,
+) -> None:
+    """The mean of n squares of white noise has the variance 2 / n."""
+    model, sigma = forward_model((21, 26), 2, square(2)), 0.02
+    seen, error = np.ones((4, 21, 26), np.float32), np.sqrt(2 / (9 * 4 * parts))
+    for errors in (2.9, 4.0, 9.0):
+        chi = seen * np.float32(1 + errors * error)
+        found = _unexplained(model.operator, chi, seen * sigma**2, seen, parts)
+        beyond = max((1 + errors * error) / (1 + 3 * error) - 1, 0.0)
+        np.testing.assert_allclose(found[6:-6, 6:-6], sigma * np.sqrt(beyond), rtol=1e-3)
+
+
+@pytest.mark.parametrize("of_phasors", [False, True])
+@pytest.mark.parametrize(("off_px", "moved"), [(0.36, False), (0.39, True)])
+def test_what_surrounds_an_error_of_a_shift_is_believed_less_if_it_is_movement(
+    off_px: float, moved: bool, of_phasors: bool
+) -> None:
+    """Shifts of 0.1 px are allowed, four times their square contradicts, and 0.37 px is movement.
+
+    Belief falls from doubts of a half to 0.8 beside movement and in phasors, else from 1 to 2.5.
+    """
+    model = forward_model(SHAPE, 2, square(2))
+    black, ones = np.zeros((4, *SHAPE)), np.ones((4, *SHAPE))
+    found = find_misfit(model.operator, np.zeros(model.hr_shape), black, ones, 2)
+    against = 0.05 * ones
+    around = np.array([0.4, 0.55, 0.65, 0.75, 0.9, 1.3, 1.75, 2.2, 2.6])
+    against[2, 5, 3:12], against[2, 5, 12] = around, (off_px / 0.1) ** 2 / 4
+    against[3, 5, 3:12] = around  # of another frame, beside nothing
+    weight = replace(found, against=against).weight(of_phasors)
+    beside = np.interp(around, (0.5, 0.8), (1.0, 0.0))
+    alone = np.interp(around, (1.0, 2.5), (1.0, 0.0))
+    np.testing.assert_allclose(weight[2, 5, 3:12], beside if moved or of_phasors else alone)
+    np.testing.assert_allclose(weight[3, 5, 3:12], beside if of_phasors else alone)
+    assert weight[2, 5, 12] == 0.0
+    assert np.all(weight[:2] == 1.0)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -223,6 +223,21 @@ def test_the_border_says_nothing_where_there_is_a_middle(shape: tuple[int, int])
     np.testing.assert_allclose(_blocks(flat, used, filters, light, 1)[1], 2.0)
 
 
+def test_blocks_of_which_a_third_or_less_is_used_count_only_if_there_are_no_others() -> None:
+    shape = (21, 30)
+    filters = _filters(SQUARE_PX.tobytes(), 4, shape, 0.3, 1)
+    row, col = np.indices(shape)
+    used = np.zeros((1, 4, *shape), bool)
+    used[0, 0] = True
+    used[0, 1] = (row % 3 > 0) & (col % 3 == 0)  # with those 11 of 36
+    few, light = used.copy(), np.where(used, 9.0, 2.0)
+    used[..., 15:] = True
+    flat = np.zeros(used.shape, np.float32)
+    light[..., 15:] = 2.0
+    np.testing.assert_allclose(_blocks(flat, used, filters, light, 1)[1], 2.0)
+    np.testing.assert_allclose(_blocks(flat, few, filters, 9.0 * few, 1)[1], np.full(70, 9.0))
+
+
 @pytest.mark.parametrize("shape", [(5, 8), (2, 7), (1, 4), (9, 3), (10, 12)])
 def test_blocks_of_three_lie_side_by_side_within_the_frame(shape: tuple[int, int]) -> None:
     values = np.random.default_rng(3).standard_normal((2, *shape))

@@ -136,6 +136,27 @@ def test_invalid_pixels_change_nothing(method: str, garbage: float) -> None:
     assert np.all(np.isfinite(found[0]))
 
 
+@pytest.mark.parametrize("kind", ["complex", "polar", "beyond the range"])
+def test_frames_are_dark_where_they_are_not_valid(kind: str) -> None:
+    burst = card_burst(0.01)
+    valid = np.random.default_rng(3).random(burst.amplitude.shape) > 0.1
+    amplitude, distance_m = burst.amplitude, np.asarray(burst.distance_m)
+    if kind == "complex":
+        burst = Burst.from_arrays(
+            amplitude * np.exp(1j * distance_to_phase(distance_m, F_HZ)), offset_px=OFFSETS,
+            pitch_mm=0.1, modulation_hz=F_HZ, valid=valid,
+        )  # fmt: skip
+    else:
+        more_m = 0.0 if kind == "polar" else RANGE_M
+        burst = replace(burst, valid=valid, distance_m=distance_m + more_m)
+    found = polar_frames(burst)
+    np.testing.assert_array_equal(found.amplitude[~valid], 0.0)
+    np.testing.assert_array_equal(found.phase_rad[~valid], 0.0)
+    np.testing.assert_allclose(found.amplitude[valid], amplitude[valid])
+    off_m = (found.scale.distance_m(found.phase_rad) - distance_m)[valid]
+    np.testing.assert_allclose(off_m, 0.0 if kind != "beyond the range" else RANGE_M, atol=1e-9)
+
+
 def near_card_edge(distance_m: Array) -> NDArray[np.bool_]:
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -204,6 +225,23 @@ def test_flying_pixels_lie_between_two_surfaces() -> None:
     expected[2:5, 4] = True
     np.testing.assert_array_equal(flying_pixels(image_m), expected)
     assert not flying_pixels(image_m, noise_m=0.4).any()
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_pixel_within_the_noise_of_one_side_of_a_step_does_not_fly(
+    backwards: bool, turned: bool
+) -> None:
+    """It is compared with what two pixels on a side go on to: 2 b - a, of sqrt(6) sigma."""
+    sigma_m, step_m = 0.01, 0.19  # less than 5 % of the distance
+    allowed_m = 3 * np.sqrt(6) * sigma_m
+    for off_m, expected in ((allowed_m - 0.001, False), (allowed_m + 0.001, True)):
+        image_m = np.full((7, 9), 4.0) + 0.001 * np.arange(7)[:, None]
+        image_m[:, 5:] += step_m
+        image_m[3, 4] += off_m
+        image_m = image_m[:, ::-1] if backwards else image_m
+        found = flying_pixels(image_m.T if turned else image_m, noise_m=sigma_m)
+        assert np.any(found) == expected
 
 
 def test_small_steps_have_flying_pixels_too_and_slanted_walls_none() -> None:

@@ -9,6 +9,7 @@ from pixel_camera import SQUARE_PX, edge_scene, photograph
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.photometry import estimate_photometry
+from lensshift.reconstruction.problem import Problem
 
 SHAPE = (20, 24)
 GAIN = np.array([1.1, 0.95, 1.0, 0.97])
@@ -40,6 +41,19 @@ def test_gain_and_bias_line_the_frames_up(A, outliers: float) -> None:
     for level in (0.2, 0.8):
         brought_back = (GAIN * level + BIAS - bias) / gain
         assert np.ptp(brought_back) < 0.01
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_frames_brought_back_are_as_noisy_as_their_gain_is_small(seed: int) -> None:
+    """Divided by it, the variance grows as 1 / gain^2; brighter ones are not believed more."""
+    rng = np.random.default_rng(seed)
+    scene, weight = rng.random((4, *SHAPE)), rng.random((4, *SHAPE)) * (rng.random(SHAPE) > 0.1)
+    y = GAIN[:, None, None] * scene + BIAS[:, None, None]
+    model = forward_model(SHAPE, 2, SQUARE_PX)
+    found = Problem(y, weight, model, 1.0, 0.3, None).with_photometry(GAIN, BIAS)
+    np.testing.assert_allclose(found.y, np.where(weight > 0, scene, 0.0), atol=1e-12)
+    variance = 1 / np.minimum(GAIN, 1.0) ** 2
+    np.testing.assert_allclose(found.weight, weight / variance[:, None, None])
 
 
 def test_equal_frames_keep_gain_one_and_bias_zero(A) -> None:

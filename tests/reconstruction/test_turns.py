@@ -85,7 +85,7 @@ def test_a_picture_takes_the_turns_that_the_frames_show_at_its_place(
     turns = np.kron(rng.integers(-1, 4, (3, 4)), np.ones((6, 6)))[: shape[0], : shape[1]]
     within_rad = rng.uniform(-1, 1, shape)  # of neighbours too: a vote is for a turn alone
     phase_rad = np.roll(within_rad + 2 * np.pi * turns, move_px, (0, 1))[None]
-    frames = PolarFrames(np.ones(phase_rad.shape), phase_rad, PhaseScale(30e6, "told", 0.0, False))
+    frames = PolarFrames(np.ones(phase_rad.shape), phase_rad, PhaseScale(30e6, 0.0, False, "burst"))
     seen = np.kron(within_rad, np.ones((scale, scale)))
     used = np.ones(phase_rad.shape, bool)
     found = nearest_turns(seen, frames, used, np.array([move_px], float), scale)
