@@ -187,17 +187,34 @@ def test_frames_with_holes_and_distances_and_a_burst_as_plan():
     assert np.sqrt(np.mean(error_m**2)) < 0.5 * np.std(distance_m)
 
 
+def stream_that_expects(expected, noise):
+    """Return a stream whose picture predicts that frame, as the last one of place 2 was."""
+    template = lensshift.Burst.from_arrays(
+        np.zeros((4, *expected.shape)), offset_px=SQUARE_PX, pitch_mm=0.1
+    )
+    one = Stream(template, SCALE, "auto", {})
+    picture = SimpleNamespace(predict=lambda offset_px: expected, noise_sigma=noise)
+    one._result = SimpleNamespace(amplitude=picture)
+    one._frames[2] = Frame(expected, None, np.ones(expected.shape, bool), 0.0)
+    return one
+
+
+@pytest.mark.parametrize(("shape", "counted"), [((1, 9), 9), ((14, 2), 28), ((3, 9), 7)])
+def test_narrow_frames_count_as_a_whole_and_others_without_their_border(shape, counted):
+    one, valid = stream_that_expects(np.ones(shape), 0.02), np.ones(shape, bool)
+    for size, share in ((0.0, 0.0), (0.5, 1.0)):
+        seen = one._seen(Frame(np.full(shape, 1.0 + size), None, valid, 0.0), 2)
+        assert seen.share == share
+        assert seen.squares == pytest.approx(counted * size**2)
+
+
 @pytest.mark.parametrize(("shape", "inside"), [((3, 14), 3), ((9, 12), 6)])
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope):
     """Beyond four variances in the mean of nine; along a slope some of a shift is allowed."""
     noise = 0.02
     expected = slope * np.arange(shape[1]) + np.zeros(shape)
-    template = lensshift.Burst.from_arrays(np.zeros((4, *shape)), offset_px=SQUARE_PX, pitch_mm=0.1)
-    one, valid = Stream(template, SCALE, "auto", {}), np.ones(shape, bool)
-    picture = SimpleNamespace(predict=lambda offset_px: expected, noise_sigma=noise)
-    one._result = SimpleNamespace(amplitude=picture)
-    one._frames[2] = Frame(expected, None, valid, 0.0)
+    one, valid = stream_that_expects(expected, noise), np.ones(shape, bool)
     least = 6 * np.hypot(noise, ALLOWED_SHIFT_PX * slope)
     for size, contradict in ((0.99 * least, 0), (1.01 * least, inside)):
         y = expected.copy()
