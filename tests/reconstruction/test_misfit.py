@@ -16,7 +16,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Status
 from lensshift.forward.model import forward_model
 from lensshift.io.result_file import load_reconstruction, save_reconstruction
-from lensshift.reconstruction import blur_check
+from lensshift.reconstruction.blur_check import ALLOWED_SHIFT_PX, _misfit
 from lensshift.reconstruction.displacement import displaced, told_shifts
 from lensshift.reconstruction.misfit import _unexplained, find_misfit
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -298,12 +298,12 @@ def test_residuals_of_noise_are_one_in_units_of_all_that_is_allowed(
     rng, shape = np.random.default_rng(3), (48, 61)
     model = forward_model(shape, 2, square(2))
     image = slope * np.arange(122) / 2.0 + np.zeros((96, 1))
-    allowed = np.sqrt(SIGMA**2 + (blur_check.ALLOWED_SHIFT_PX * slope) ** 2 + other**2)
+    allowed = np.sqrt(SIGMA**2 + (ALLOWED_SHIFT_PX * slope) ** 2 + other**2)
     y = model.operator(image) + allowed * rng.standard_normal((4, *shape))
     sigma = np.full(y.shape, SIGMA)
     y[1, 20:30, 5:40], sigma[1, 20:30, 5:40] = 1e3, np.inf
     told = {} if other == 0.0 else {"shape": np.full(y.shape, other)}
-    assert blur_check._misfit(model, image, y, sigma, **told) == pytest.approx(1.0, abs=0.05)
+    assert _misfit(model, image, y, sigma, **told) == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
