@@ -345,6 +345,19 @@ def test_what_chance_does_not_explain_widens_the_std_but_not_that_of_the_means(
         np.testing.assert_array_equal(wider[2], plain[2])
 
 
+@pytest.mark.parametrize("kind", [1.0, np.exp(0.7j)])
+def test_an_error_of_a_shift_is_noise_where_the_frame_is_steep(kind):
+    """Of phasors it is half in each component, and 0.02 px of it is usual."""
+    row, col = np.mgrid[:7, :10]
+    y = kind * np.tile(0.3 * row - 0.2 * col, (4, 1, 1))
+    problem = replace(_problem(y), y=y, shift_error_px=np.array([0.0, 0.1, 0.3, 0.0]))
+    sigma = np.random.default_rng(1).uniform(0.01, 0.02, y.shape)
+    found = method.with_shift_errors(sigma, problem)
+    usual, parts = (0.02, 2) if kind != 1.0 else (0.0, 1)
+    error_px2 = np.array([0.0, 0.1, 0.3, 0.0])[:, None, None] ** 2 + usual**2
+    np.testing.assert_allclose(found**2, sigma**2 + error_px2 * (0.3**2 + 0.2**2) / parts)
+
+
 def test_a_picture_has_converged_if_the_last_stage_moved_it_by_less_than_its_error_bar():
     one = solver.Solution(np.ones((5, 7)), np.ones((5, 7)), np.ones((1, 5, 7)), 0.99)
     assert status_of(one) is Status.CONVERGED

@@ -59,6 +59,15 @@ def test_invalid_pixels_do_not_count() -> None:
     assert other.sigma == noise.sigma
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_is_found_where_each_block_has_few_pixels_that_count(seed: int) -> None:
+    y = 0.5 + 0.02 * _white((4, *SHAPE), seed)
+    weight = np.zeros(y.shape)
+    weight[:, ::2, ::2] = 1.0  # a quarter
+    noise = estimate_noise(_operator(SQUARE_PX), y, weight)
+    assert noise.sigma == pytest.approx(0.02, rel=0.15)
+
+
 def test_noise_of_phasors_is_per_component() -> None:
     clean = photograph(smooth_scene, SHAPE, SQUARE_PX) * np.exp(0.6j)
     y = clean + 0.02 * (_white(clean.shape) + 1j * _white(clean.shape, 1))

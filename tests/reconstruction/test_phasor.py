@@ -397,6 +397,19 @@ def test_noise_that_grows_with_the_light_is_noticed(slope: float) -> None:
     np.testing.assert_array_equal(small, 1.0)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_of_photons_alone_has_no_level(seed: int) -> None:
+    """Light of all sizes, evenly: half of the pixels of a bin are darker than its place."""
+    rng = np.random.default_rng(seed)
+    amplitude = np.broadcast_to(np.linspace(0.0, 1.0, 161), (4, 83, 161))
+    noise = rng.standard_normal((2, *amplitude.shape))
+    phasor = (amplitude + 1e-3 * np.sqrt(amplitude) * (noise[0] + 1j * noise[1])) * np.exp(0.7j)
+    found = relative_variance(phasor, np.ones(amplitude.shape))
+    slope, level = np.polyfit(amplitude.ravel(), found.ravel(), 1)
+    assert slope == pytest.approx(2.0, rel=1e-3)
+    assert abs(level) < 1e-3
+
+
 def test_frames_of_another_brightness_raise_a_warning() -> None:
     """Phasors that contradict each other were averaged without a word."""
     burst = card_burst(0.004)
