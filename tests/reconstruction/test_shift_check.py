@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy.stats
 from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 
 from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
@@ -14,7 +15,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField
 from lensshift.reconstruction import shift_check
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.shift_check import CURES, _readings, doubtful_shifts
+from lensshift.reconstruction.shift_check import CURES, _readings, _Trial, doubtful_shifts
 from lensshift.scene import slanted_edge_card
 
 SHAPE = (24, 30)
@@ -161,6 +162,31 @@ def test_another_unit_is_named_even_if_the_frames_tell_no_shifts(
     doubt = doubtful_shifts(_frames(scene, SQUARE_PX, SIGMA), times * SQUARE_PX)
     assert doubt is not None
     assert doubt.mistake.startswith("their unit")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("worse", [0.9, 1.0, 1.3])
+def test_a_reading_is_as_sure_as_a_paired_t_test_says(
+    monkeypatch: pytest.MonkeyPatch, worse: float, seed: int
+) -> None:
+    """Errors of the same pixels go together; those that only one reading predicts do not count."""
+    rng = np.random.default_rng(seed)
+    size = rng.uniform(0.1, 0.3, (2, 4, 9, 14))
+    one, two = (size * times + 0.02 * rng.random(size.shape) for times in (worse, 1.0))
+    one[:, 0, 2] = two[:, 1, :, 3] = np.nan
+    both = np.isfinite(one) & np.isfinite(two)
+    seen = np.ones((4, 9, 14))
+    trial = _Trial(seen, seen > 0, SQUARE_PX, None, seed)
+    errors = {SQUARE_PX.tobytes(): one, (-SQUARE_PX).tobytes(): two}
+
+    def told(offset_px: Array, folds: int, *, noise: bool = False) -> Array:
+        return 1 + 0 * size if noise else errors[offset_px.tobytes()]
+
+    monkeypatch.setattr(trial, "_errors", told)
+    ratio, sure = trial.compare(-SQUARE_PX, 2)
+    assert ratio == pytest.approx(one[both].mean() / two[both].mean())
+    expected = scipy.stats.ttest_rel(one[both], two[both]).statistic
+    assert sure == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
