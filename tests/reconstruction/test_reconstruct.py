@@ -68,6 +68,31 @@ def test_every_method_runs_on_a_small_odd_burst(method: str) -> None:
     assert method_summary(method)
 
 
+@pytest.mark.parametrize("method", sorted({*method_names()} - {"drizzle", "irwsr-toolbox"}))
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_line_of_pixels_is_a_burst_like_any_other(method: str, scale: int) -> None:
+    line = photograph(lambda row, col: 0.5 + 0.3 * np.sin(0.4 * col) + 0 * row, (1, 23), SQUARE_PX)
+    told = _weight(method)
+    lying, standing = (
+        _image(make_burst(y, offset_px=offset), method, scale=scale, **told)
+        for y, offset in ((line, SQUARE_PX), (line.swapaxes(1, 2), SQUARE_PX[:, ::-1]))
+    )
+    assert lying.shape == (scale, 23 * scale)
+    np.testing.assert_allclose(standing, lying.T, atol=0.025 if method == "irwsr" else 1e-3)
+    middle = 0.5 + 0.3 * np.sin(0.4 * ((np.arange(23 * scale) + 0.5) / scale - 0.5))
+    assert np.max(np.abs(lying.mean(axis=0) - middle)[scale:-scale]) < 0.1
+
+
+def test_drizzle_refuses_a_line_of_pixels() -> None:
+    with pytest.raises(ValueError, match="2 x 2 pixels or more"):
+        reconstruct(make_burst(np.ones((4, 1, 9))), 2, "drizzle")
+
+
+def test_frames_in_half_precision_are_read_as_they_are() -> None:
+    y = _noisy().astype(np.float16)
+    np.testing.assert_array_equal(_image(make_burst(y)), _image(make_burst(y.astype(np.float32))))
+
+
 @pytest.mark.parametrize("method", method_names())
 def test_no_method_touches_the_burst(method: str) -> None:
     burst = make_burst(_noisy())

@@ -21,7 +21,8 @@ def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
         raise DataError(f"expected at least one pixel, got shape {frames.shape}", field=name)
     if shape is not None and frames.shape != shape:
         raise DataError(f"expected shape {shape} like amplitude, got {frames.shape}", field=name)
-    return frames
+    # Half precision is a format of files: SciPy filters none.
+    return frames.astype(np.float32) if frames.dtype == np.float16 else frames
 
 
 def unmasked(*arrays: ArrayLike | None) -> NDArray[np.bool_] | None:

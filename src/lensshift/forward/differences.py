@@ -21,6 +21,18 @@ Directions = NDArray[np.int64]
 Part = tuple[slice, ...]
 
 
+def image_slopes(image: Array) -> tuple[Array, Array]:
+    """Return how an image [row col] changes by a pixel along rows and columns.
+
+    Along an axis of one pixel, as of a line of pixels, it does not.
+    """
+    row, col = (
+        np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros_like(image)
+        for axis in (0, 1)
+    )
+    return row, col
+
+
 @lru_cache(maxsize=16)
 def half_plane(window: int) -> Directions:
     """Return one direction (row, col) of each pair within `window` HR pixels, rows downwards.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
+from lensshift.forward.differences import image_slopes
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.forward.operator import single
 from lensshift.reconstruction.learned.solver import solve
@@ -105,9 +106,9 @@ def _misfit(
     sigma^2 + e^2 |grad A x|^2 + shape^2,   e what shifts may be off by
     """
     A, used = model.operator, np.isfinite(sigma)
-    slopes = [model.scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)]
+    steep = [model.scale * A.forward(np.ascontiguousarray(g)) for g in image_slopes(image)]
     variance = np.where(used, sigma, 1.0) ** 2 + shape**2
-    variance = variance + ALLOWED_SHIFT_PX**2 * sum(g * g for g in slopes)
+    variance = variance + ALLOWED_SHIFT_PX**2 * sum(g * g for g in steep)
     inner = (slice(None), slice(RING_PX, -RING_PX), slice(RING_PX, -RING_PX))
     square = ((y - A.forward(image)) ** 2 / variance)[inner][used[inner]]
     return float(np.mean(np.minimum(square, MOST_SQUARE))) if square.size else 0.0

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.gaussian import MEDIAN_SIZE
+from lensshift.forward.differences import image_slopes
 from lensshift.forward.operator import LinearOperator
 
 Array = NDArray[Any]
@@ -40,9 +41,9 @@ def slopes_of(A: LinearOperator, image: Array, scale: int) -> tuple[Array, Array
 
     By an LR pixel; times the square of the error of a shift, the second is what that error leaves.
     """
-    slopes = np.stack([scale * A.forward(np.ascontiguousarray(g)) for g in np.gradient(image)])
-    square = np.sum(np.abs(slopes) ** 2, axis=0)
-    return slopes, around(square, np.ones_like(square), 3, 0.0)
+    of_frames = np.stack([scale * A.forward(np.ascontiguousarray(g)) for g in image_slopes(image)])
+    square = np.sum(np.abs(of_frames) ** 2, axis=0)
+    return of_frames, around(square, np.ones_like(square), 3, 0.0)
 
 
 def displaced(r: Array, slopes: Array, variance: Array, seen: Array) -> Array:

@@ -154,7 +154,7 @@ def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
         residual, kept = np.concatenate([residual.real, residual.imag]), np.concatenate([kept] * 2)
     rows, cols = residual.shape[1:]
     side = min(BLOCK_PX, max(3, min(rows, cols) // 3), rows, cols)
-    step = max(side // 2, int(np.sqrt(rows * cols / MOST_BLOCKS)))
+    step = max(1, side // 2, int(np.sqrt(rows * cols / MOST_BLOCKS)))
     sizes = np.where(kept, np.abs(residual), np.nan)
     blocks = np.lib.stride_tricks.sliding_window_view(sizes, (side, side), (1, 2))
     blocks = np.moveaxis(blocks[:, ::step, ::step], 0, 2).reshape(-1, len(sizes) * side * side)

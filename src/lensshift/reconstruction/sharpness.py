@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.forward.differences import image_slopes
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import (
     ALLOWED_SHIFT_PX,
@@ -98,6 +99,7 @@ def told(moments: Mapping[int, Array], frames: Sequence[int]) -> str:
 
 def _curvatures(A: LinearOperator, image: Array, scale: int) -> Array:
     """Return half of d_r d_r x, twice half of d_r d_c x and half of d_c d_c x in the frames."""
-    down, right = np.gradient(image)
-    second = np.gradient(down)[0] / 2, np.gradient(down)[1], np.gradient(right)[1] / 2
+    down, right = image_slopes(image)
+    (down_down, down_right), (_, right_right) = image_slopes(down), image_slopes(right)
+    second = down_down / 2, down_right, right_right / 2
     return np.stack([scale**2 * A.forward(np.ascontiguousarray(single(part))) for part in second])

@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.forward.differences import image_slopes
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method
@@ -165,9 +166,10 @@ class Stream:
         if estimate is None:  # a stream of distances alone
             return _Seen(0.0, 0.0)
         expected = estimate.predict(self._template.offset_px[at])
-        slopes = np.gradient(expected) if min(expected.shape) > 1 else [np.zeros_like(expected)]
         noise = estimate.noise_sigma or 0.0
-        variance = noise**2 + ALLOWED_SHIFT_PX**2 * sum(np.abs(s) ** 2 for s in slopes)
+        variance = noise**2 + ALLOWED_SHIFT_PX**2 * sum(
+            np.abs(s) ** 2 for s in image_slopes(expected)
+        )
         seen, last = (
             np.where(one.valid, np.abs(one.amplitude) - np.abs(expected), 0.0) ** 2
             for one in (frame, self._frames[at])

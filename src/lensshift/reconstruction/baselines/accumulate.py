@@ -96,6 +96,8 @@ def drizzle_frames(
     values, share, offset = check_frames(frames, weight, offset_px, scale)
     if not 0 < pixfrac <= 1:
         raise ValueError(f"expected a pixfrac in (0, 1], got {pixfrac}")
+    if min(values.shape[1:]) < 2:
+        raise ValueError(f"drizzle expects frames of 2 x 2 pixels or more, got {values.shape[1:]}")
     if kernel not in ("square", "point"):
         raise ValueError(f"expected kernel 'square' or 'point', got {kernel!r}")
     parts = [values.real, values.imag] if np.iscomplexobj(values) else [values]
