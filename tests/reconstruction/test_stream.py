@@ -118,6 +118,22 @@ def test_another_scene_is_noticed_and_shown_within_a_round():
     assert error(found[-1], after) < 1.1 * error(alone[-1], after)
 
 
+def test_a_lens_that_rests_streams_as_well():
+    before, after = scene(33).truth, scene(34).truth
+    rng, at = np.random.default_rng(5), np.zeros((1, 2))
+    one = lensshift.stream(at, SCALE, shape=SHAPE)
+    for truth, events in ((before, [None, None]), (after, ["scene changed", None])):
+        y = clean_frames(truth, at)[0]
+        for event in events:
+            noisy = y + 0.02 * rng.standard_normal(SHAPE)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", QualityWarning)
+                found = one.step(noisy)
+            assert found.settings["event"] == event
+            alone = lensshift.stream(at, SCALE, shape=SHAPE).step(noisy)
+            assert error(found, truth) < 1.1 * error(alone, truth)
+
+
 def test_lost_frames_are_noticed():
     truth, rng = scene(41).truth, np.random.default_rng(6)
     clean, one = clean_frames(truth), camera()
@@ -234,6 +250,7 @@ def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope
         (lambda: camera(method="magic"), "magic"),
         (lambda: camera().step(np.ones((3, 4))), r"\(21, 26\)"),
         (lambda: camera().step(np.ones(5)), "row col"),
+        (lambda: camera().step(np.full(SHAPE, "dark")), "numbers"),
         (lambda: camera().step(np.ones(SHAPE), place=4), "place"),
     ],
 )

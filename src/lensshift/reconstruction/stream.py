@@ -146,7 +146,7 @@ class Stream:
         seen = self._seen(frame, at)
         if seen.share <= RESTS:
             return at, None, True
-        if place is None and len(self._frames) == count:
+        if place is None and len(self._frames) == count > 1:
             others = {k: self._seen(frame, k) for k in range(count) if k != at}
             best = min(others, key=lambda k: others[k].squares)
             if others[best].squares < BETTER_PLACE * seen.squares:
@@ -245,8 +245,10 @@ def stream(
 
 def _frame_of(values: ArrayLike) -> Frame:
     amplitude = np.asarray(values)
-    if amplitude.ndim != 2:
-        raise ValueError(f"expected a frame [row col], got shape {amplitude.shape}")
+    if amplitude.ndim != 2 or amplitude.dtype.kind not in "uifc":
+        raise ValueError(
+            f"expected numbers [row col], got {amplitude.dtype} of shape {amplitude.shape}"
+        )
     return Frame(amplitude, None, np.isfinite(amplitude), float("nan"))
 
 
