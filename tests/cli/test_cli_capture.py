@@ -222,6 +222,7 @@ def test_ports_are_listed(call: Call) -> None:
         (("RIG", "--plan", "round"), "expected a plan of square"),
         (("RIG", "--continuous", "--resume"), "goes with neither"),
         (("RIG", "--resume", "--restart"), "not both"),
+        (("RIG", "-o", "burst.tif"), "a burst is a netCDF file"),
     ],
 )
 def test_wrong_use(call: Call, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:

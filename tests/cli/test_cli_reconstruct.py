@@ -159,6 +159,7 @@ def test_image_stack_with_offsets(call: Call, fake: FakeReconstruct, tmp_path: P
         (["--fill-factor", "1.5"], "Invalid value for '--fill-factor'"),
         (["--export", "sharp.jpg"], "expected a name that ends in .tif"),
         (["-o", "sharp.png"], "the result is a netCDF file"),
+        (["-o", "sharp.npy"], "the result is a netCDF file"),
         (["--pitch-mm", "0.1"], "says itself where its frames lie"),
         (["--pitch-mm", "wide"], "expected a pitch like 0.1 or 0.1,0.2, got 'wide'"),
         (["--pitch-mm", "1,2,3"], "expected a pitch like"),

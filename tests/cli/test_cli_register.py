@@ -116,6 +116,14 @@ def test_register_as_json(burst_file: Path) -> None:
     assert said["files"] == [str(target)]
 
 
+def test_a_burst_is_not_written_under_the_name_of_a_stack(burst_file: Path) -> None:
+    target = burst_file.with_name("r.npy")
+    done = call("register", burst_file, "-o", target)
+    assert done.exit_code == 2
+    assert "a burst is a netCDF file" in done.output
+    assert not target.exists()
+
+
 def test_nothing_is_overwritten(burst_file: Path) -> None:
     for verb in ("register", "calibrate"):
         done = call(verb, burst_file, "-o", burst_file)

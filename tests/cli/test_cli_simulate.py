@@ -87,7 +87,7 @@ def test_options_change_the_camera(call: Call, small: Path, tmp_path: Path) -> N
     [
         (["moon"], 1, "expected a scene file or one of four_boxes"),
         (["four_boxes", "--camera", "phone"], 1, "expected a camera of o3m151"),
-        (["four_boxes", "-o", "burst.tif"], 2, "ends in .nc"),
+        (["four_boxes", "-o", "burst.tif"], 2, "netCDF file"),
         (["four_boxes", "--phases", "raw.nc"], 2, "end in .npz"),
         (["four_boxes", "--lens", "petzval_a", "--element", "9"], 1, "element"),
         (["four_boxes", "--pattern", "star"], 2, "square"),

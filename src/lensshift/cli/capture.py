@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
+from lensshift.cli.inputs import check_netcdf
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.errors import DataError, printable
@@ -105,6 +106,7 @@ def _nothing_to_do(current: Session, asked: CaptureOptions, plan: ShiftPlan | No
     from lensshift.capture.journal import check_target, finished
 
     out = asked.out
+    check_netcdf(out, "a burst")
     if asked.continuous:
         _refuse_earlier(out)
         return False

@@ -150,6 +150,12 @@ def check_files(inputs: Iterable[Path | None], outputs: Sequence[Path]) -> None:
         writable_target(path)
 
 
+def check_netcdf(path: Path, what: str, cure: str = "") -> None:
+    """Refuse a name that promises another format than the one that is written."""
+    if path.suffix.lower() != ".nc" and not path.is_dir():  # of which others say what is wrong
+        raise typer.BadParameter(f"{path}: {what} is a netCDF file (.nc){cure}")
+
+
 def beside(source: Path, ending: str) -> Path:
     """Return a name beside a file or folder: its own with another ending."""
     whole = source.resolve()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli import optics, outputs
-from lensshift.cli.inputs import PatternOption, check_files
+from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import option, verb
 
@@ -60,8 +60,7 @@ def field(current: Session, asked: FieldOptions) -> None:
 
     out, reach_px = asked.out, asked.reach_px
     if out is not None:
-        if out.suffix.lower() != ".nc":
-            raise typer.BadParameter(f"expected a lens field that ends in .nc, got {out}")
+        check_netcdf(out, "a lens field")
         check_files((asked.burst, Path(asked.lens)), [out])
     outputs.check([], asked.to.csv, asked.to.plot)
     wanted_px = named_pattern_px(asked.pattern)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import beside, check_files, load_input_burst
+from lensshift.cli.inputs import beside, check_files, check_netcdf, load_input_burst
 from lensshift.cli.method_options import check_method, parse_frames, parse_options, parse_weight
 from lensshift.cli.points import CLOUD_SUFFIXES, refuse_points
 from lensshift.cli.reconstruct_options import ReconstructOptions
@@ -214,10 +214,8 @@ def _points(result: Reconstruction) -> PointCloud | None:
 def _plan(asked: ReconstructOptions) -> list[Path]:
     """Decide all names, and complain before the work rather than after it."""
     result, exports = asked.out or beside(asked.burst, f"_x{asked.scale}.nc"), asked.export or []
-    if result.suffix.lower() in EXPORT_SUFFIXES:
-        raise typer.BadParameter(
-            f"{result}: the result is a netCDF file (.nc); use --export for {result.suffix}"
-        )
+    other = result.suffix.lower() in EXPORT_SUFFIXES
+    check_netcdf(result, "the result", f"; use --export for {result.suffix}" if other else "")
     for path in exports:
         if path.suffix.lower() not in EXPORT_SUFFIXES:
             raise typer.BadParameter(

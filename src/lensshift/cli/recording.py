@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli.inputs import StackOptions, refuse_overwriting
+from lensshift.cli.inputs import StackOptions, check_netcdf, refuse_overwriting
 from lensshift.cli.points import PointOptions
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option
@@ -71,8 +71,7 @@ def reconstruct_windows(
 
     source, split = asked.burst, asked.split
     target = asked.out or source.with_name(f"{source.stem}_x{asked.scale}_windows.nc")
-    if target.suffix.lower() != ".nc":
-        raise typer.BadParameter(f"{target}: a sequence is a netCDF file (.nc)")
+    check_netcdf(target, "a sequence")
     refuse_overwriting((source,), (target,))
     if target.exists():
         raise typer.BadParameter(f"{target} exists; choose another name or remove it")

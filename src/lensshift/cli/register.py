@@ -7,7 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from lensshift.cli.inputs import BurstArgument, StackOptions, beside, check_files, load_input_burst
+from lensshift.cli.inputs import (
+    BurstArgument,
+    StackOptions,
+    beside,
+    check_files,
+    check_netcdf,
+    load_input_burst,
+)
 from lensshift.cli.session import Session, Waiting, picked
 from lensshift.cli.verbs import option, verb
 
@@ -50,6 +57,7 @@ def register(current: Session, asked: RegisterOptions) -> None:
     from lensshift.registration import register as find_shifts
 
     target = asked.out or beside(asked.burst, "_registered.nc")
+    check_netcdf(target, "a burst")
     check_files((asked.burst, asked.stack.offsets), (target,))
     found = find_shifts(
         load_input_burst(asked.burst, asked.stack, to_register=True),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import PatternOption, check_files
+from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
@@ -86,8 +86,7 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
 def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
     """Complain before the work about names that cannot be written."""
     out, phases = asked.out, asked.phases
-    if out.suffix.lower() != ".nc":
-        raise typer.BadParameter(f"expected a burst file that ends in .nc, got {out}")
+    check_netcdf(out, "a burst")
     if phases is not None and phases.suffix.lower() != ".npz":
         raise typer.BadParameter(f"expected phases that end in .npz, got {phases}")
     files = [path for path in (out, truth_file, phases) if path is not None]
