@@ -94,6 +94,20 @@ def test_a_wrong_option_of_a_method_is_named(
     assert fake.calls == []
 
 
+@pytest.mark.parametrize(
+    ("second_px", "said"),
+    [((0.0, 0.0), True), ((3.0, -0.96), True), ((0.0, 0.5), False), ((2.1, 1.0), False)],
+)
+def test_frames_at_one_place_of_a_pixel_are_said_to_add_little(
+    call: Call, fake: FakeReconstruct, tmp_path: Path, second_px: tuple[float, float], said: bool
+) -> None:
+    np.save(tmp_path / "stack.npy", np.arange(70.0).reshape(2, 5, 7))
+    (tmp_path / "shifts.csv").write_text(f"row,col\n0,0\n{second_px[0]},{second_px[1]}\n")
+    done = call("reconstruct", tmp_path / "stack.npy", "--offsets", tmp_path / "shifts.csv")
+    assert done.exit_code == 0, done.output
+    assert ("tell no more than one of them" in done.stderr) is said
+
+
 def test_json_is_all_there_is_on_stdout(
     call: Call, fake: FakeReconstruct, burst_file: Path
 ) -> None:

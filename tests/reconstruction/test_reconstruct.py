@@ -88,9 +88,12 @@ def test_drizzle_refuses_a_line_of_pixels() -> None:
         reconstruct(make_burst(np.ones((4, 1, 9))), 2, "drizzle")
 
 
-def test_frames_in_half_precision_are_read_as_they_are() -> None:
-    y = _noisy().astype(np.float16)
-    np.testing.assert_array_equal(_image(make_burst(y)), _image(make_burst(y.astype(np.float32))))
+@pytest.mark.parametrize(
+    ("odd", "usual"), [(np.float16, np.float32), (np.longdouble, np.float64), (">f2", np.float32)]
+)
+def test_frames_of_odd_precision_are_read_as_they_are(odd: str, usual: str) -> None:
+    y = _noisy().astype(odd)
+    np.testing.assert_array_equal(_image(make_burst(y)), _image(make_burst(y.astype(usual))))
 
 
 @pytest.mark.parametrize("method", method_names())

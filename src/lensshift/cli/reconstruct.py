@@ -144,9 +144,8 @@ def _reconstruct(
     rows, cols = burst.grid.shape
     source, points, count = asked.burst, asked.points, burst.frame_count
     current.say(f"{source}: {count} frames of {rows} x {cols} px, offsets {burst.offset_source}")
-    if count == 1:
-        current.warn("one frame tells no more than its pixels: frames at other shifts do",
-                     QualityWarning, "", 0)  # fmt: skip
+    if (little := _adds_little(burst)) and not settings.keys() & {"shift_field", "lens_field"}:
+        current.warn(little, QualityWarning, "", 0)
     start_s = time.perf_counter()
     with closing(Progress(f"reconstructing with {settings['method']}", preparing=True)) as progress:
         try:
@@ -179,6 +178,24 @@ def _reconstruct(
         "flying_share": None if result.flying is None else float(result.flying.mean()),
         "settings": dict(result.settings),
     }
+
+
+def _adds_little(burst: Burst) -> str:
+    """Say why frames tell no more than one of them; nothing if they do."""
+    if burst.frame_count == 1:
+        return "one frame tells no more than its pixels: frames at other shifts do"
+    import numpy as np
+
+    from lensshift.registration.register import POOR_SIGMA_PX
+
+    moved_px = burst.offset_px - burst.offset_px[0]
+    apart_px = float(np.abs(moved_px - np.round(moved_px)).max())  # whole pixels show the same
+    if apart_px > POOR_SIGMA_PX or burst.shift_field is not None:
+        return ""
+    return (
+        f"the {burst.frame_count} frames lie within {apart_px:.2g} px of whole pixels: they tell "
+        "no more than one of them with less noise; frames at other shifts do"
+    )
 
 
 def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], path: Path) -> None:

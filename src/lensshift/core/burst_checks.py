@@ -9,6 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
 
+# What SciPy filters in place of half and extended precision, which are formats of files.
+_COMMON: dict[np.dtype[Any], type[np.generic]] = {
+    np.dtype(np.float16): np.float32,
+    np.dtype(np.longdouble): np.float64,
+    np.dtype(np.clongdouble): np.complex128,
+}
+
 
 def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
     """Return images [frame row col] of numbers, of this shape if one is given."""
@@ -21,8 +28,8 @@ def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
         raise DataError(f"expected at least one pixel, got shape {frames.shape}", field=name)
     if shape is not None and frames.shape != shape:
         raise DataError(f"expected shape {shape} like amplitude, got {frames.shape}", field=name)
-    # Half precision is a format of files: SciPy filters none.
-    return frames.astype(np.float32) if frames.dtype == np.float16 else frames
+    native = frames.dtype.newbyteorder("=")
+    return frames.astype(_COMMON.get(native, frames.dtype), copy=False)
 
 
 def unmasked(*arrays: ArrayLike | None) -> NDArray[np.bool_] | None:
