@@ -11,13 +11,17 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ive
 
 from lensshift.core.errors import QualityWarning
-from lensshift.evaluation.limits import gaussian_mtf, pixel_aperture_mtf
+from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.siemens import siemens_star_mtf
 
 LEVELS = (0.1, 0.9)  # mean 0.5, contrast 0.8
 SIGMA = 0.5
 SHAPE, CENTER, CYCLES = (121, 141), (61.7, 70.2), 25
 Floats = NDArray[np.float64]
+
+
+def gaussian_mtf(frequency: Floats, sigma: float) -> Floats:
+    return np.asarray(np.exp(-2 * (np.pi * sigma * frequency) ** 2))
 
 
 def blurred_amplitude(radius: Floats, cycles: int, sigma: float) -> Floats:

@@ -7,7 +7,6 @@ from operator_laws import check_linear_operator
 
 from lensshift.forward.blur import ApertureBlur, GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.forward.warp import homography_field
 
 BLURS = [GaussianBlur(0.3), GaussianBlur(0.0), ApertureBlur(), ApertureBlur(0.7, 0.2)]
 SQUARE = [[0.25, 0.25], [0.25, -0.25], [-0.25, 0.25], [-0.25, -0.25]]
@@ -150,18 +149,6 @@ def test_a_constant_field_equals_a_constant_shift(rng):
         warped = forward_model((6, 9), scale, shift_field_px=field)
         np.testing.assert_allclose(warped.operator(x), shifted.operator(x), atol=1e-5)
         np.testing.assert_array_equal(warped.inside, shifted.inside)
-
-
-def test_homography_of_a_translation_equals_a_constant_shift(rng):
-    matrix = np.eye(3)
-    matrix[:2, 2] = -0.25, 0.5
-    field = homography_field(np.stack([np.eye(3), matrix]), (5, 8))
-    x = rng.standard_normal((10, 16))
-    np.testing.assert_allclose(
-        forward_model((5, 8), 2, shift_field_px=field).operator(x),
-        forward_model((5, 8), 2, [(0, 0), (0.25, -0.5)]).operator(x),
-        atol=1e-12,
-    )
 
 
 @pytest.mark.parametrize("dense", [False, True])

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lensshift.core.grid import hr_to_lr
-from lensshift.forward.warp import field_positions, frame_positions, homography_field
+from lensshift.forward.warp import field_positions, frame_positions
 
 
 def test_content_that_moved_down_is_seen_further_up():
@@ -41,32 +41,6 @@ def test_a_constant_field_is_a_constant_shift():
     np.testing.assert_allclose(col, np.repeat(expected_col[:, None, :], 4, axis=1), atol=1e-6)
 
 
-def test_identity_homography_moves_nothing():
-    np.testing.assert_array_equal(homography_field([np.eye(3)], (5, 8)), np.zeros((1, 5, 8, 2)))
-
-
-def test_homography_of_a_translation_is_a_constant_shift():
-    matrix = np.eye(3)
-    matrix[:2, 2] = -0.25, 0.5  # the content moved by (+0.25, -0.5)
-    field = homography_field(3.0 * matrix[None], (5, 8))
-    np.testing.assert_allclose(field[..., 0], 0.25, atol=1e-12)
-    np.testing.assert_allclose(field[..., 1], -0.5, atol=1e-12)
-
-
-def test_homography_of_a_quarter_turn_sends_rows_to_cols():
-    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 4.0], [0.0, 0.0, 1.0]])
-    field = homography_field(turn[None], (5, 7))
-    row, col = np.ogrid[:5, :7]
-    np.testing.assert_allclose(row - field[0, ..., 0], np.broadcast_to(col, (5, 7)))
-    np.testing.assert_allclose(col - field[0, ..., 1], np.broadcast_to(4 - row, (5, 7)))
-
-
-def test_homography_divides_by_the_depth():
-    matrix = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.1, 1.0]])
-    field = homography_field(matrix[None], (3, 4))
-    np.testing.assert_allclose(field[0, 2, 3], [2 - 2 / 1.3, 3 - 3 / 1.3])
-
-
 def test_bad_shifts_are_refused():
     with pytest.raises(ValueError, match=r"expected offset_px \[frame 2\], got shape \(2,\)"):
         frame_positions((4, 4), [0.0, 0.0], 2)
@@ -76,8 +50,3 @@ def test_bad_shifts_are_refused():
         field_positions(np.zeros((1, 4, 4)), 2)
     with pytest.raises(ValueError, match="finite shift field"):
         field_positions(np.full((1, 4, 4, 2), np.inf), 2)
-    with pytest.raises(ValueError, match="got shape"):
-        homography_field(np.eye(3), (4, 4))
-    horizon = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -0.5, 1.0]])
-    with pytest.raises(ValueError, match="horizon"):
-        homography_field(horizon[None], (4, 4))

@@ -103,25 +103,6 @@ def diffraction_cutoff_lpmm(wavelength_nm: float, f_number: float) -> float:
     return 1.0 / (wavelength_nm * _MM_PER_NM * f_number)
 
 
-def gaussian_mtf(frequency_lpmm: ArrayLike, sigma_mm: float) -> NDArray[np.float64]:
-    """Return the MTF of a Gaussian blur, exp(-2 pi^2 sigma^2 f^2).
-
-    Parameters
-    ----------
-    frequency_lpmm : [...]
-    sigma_mm : standard deviation of the line spread; 0 is no blur
-
-    Raises
-    ------
-    ValueError
-        If `sigma_mm` is negative or not finite.
-    """
-    if not (np.isfinite(sigma_mm) and sigma_mm >= 0):
-        raise ValueError(f"expected a sigma of 0 mm or more, got {sigma_mm}")
-    phase = np.pi * sigma_mm * np.asarray(frequency_lpmm, dtype=np.float64)
-    return np.asarray(np.exp(-2.0 * phase**2))
-
-
 def first_crossing_lpmm(curve: MtfCurve, level: float) -> float:
     """Return where a curve first falls below a level, such as MTF50 for 0.5.
 
@@ -150,32 +131,12 @@ def pitch_pair_mm(pitch_mm: float | tuple[float, float]) -> tuple[float, float]:
     return float(pair[0]), float(pair[1])
 
 
-def lpmm_to_cycles_per_px(frequency_lpmm: ArrayLike, pitch_mm: float) -> NDArray[np.float64]:
-    """Convert line pairs per mm on the sensor to cycles per pixel."""
-    _check_positive(pitch_mm, "pitch in mm")
-    return np.asarray(np.asarray(frequency_lpmm, dtype=np.float64) * pitch_mm)
-
-
-def cycles_per_px_to_lpmm(cycles_per_px: ArrayLike, pitch_mm: float) -> NDArray[np.float64]:
-    """Convert cycles per pixel to line pairs per mm on the sensor."""
-    _check_positive(pitch_mm, "pitch in mm")
-    return np.asarray(np.asarray(cycles_per_px, dtype=np.float64) / pitch_mm)
-
-
 def lpmm_to_cycles_per_mrad(
     frequency_lpmm: ArrayLike, focal_length_mm: float
 ) -> NDArray[np.float64]:
     """Convert line pairs per mm on the sensor to cycles per mrad in the scene, f F / 1000."""
     _check_positive(focal_length_mm, "focal length in mm")
     return np.asarray(np.asarray(frequency_lpmm, dtype=np.float64) * focal_length_mm / 1000.0)
-
-
-def cycles_per_mrad_to_lpmm(
-    cycles_per_mrad: ArrayLike, focal_length_mm: float
-) -> NDArray[np.float64]:
-    """Convert cycles per mrad in the scene to line pairs per mm on the sensor."""
-    _check_positive(focal_length_mm, "focal length in mm")
-    return np.asarray(np.asarray(cycles_per_mrad, dtype=np.float64) * 1000.0 / focal_length_mm)
 
 
 def _check_positive(value: float, name: str) -> None:

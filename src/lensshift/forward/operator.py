@@ -37,20 +37,6 @@ class LinearOperator:
         return LinearOperator(self.out_shape, self.in_shape, self.adjoint, self.forward)
 
 
-def compose(outer: LinearOperator, inner: LinearOperator) -> LinearOperator:
-    """Return `outer` after `inner`, A B x."""
-    if inner.out_shape != outer.in_shape:
-        raise ValueError(
-            f"cannot compose: inner gives {inner.out_shape}, outer expects {outer.in_shape}"
-        )
-    return LinearOperator(
-        inner.in_shape,
-        outer.out_shape,
-        lambda x: outer.forward(inner.forward(x)),
-        lambda y: inner.adjoint(outer.adjoint(y)),
-    )
-
-
 def stack(operators: Sequence[LinearOperator]) -> LinearOperator:
     """Return the operator whose output holds the outputs of all, one after another on axis 0."""
     if len({(A.in_shape, A.out_shape) for A in operators}) != 1:

@@ -71,39 +71,3 @@ def field_positions(shift_field_px: ArrayLike, scale: int) -> tuple[Positions, P
         raise ValueError("expected a finite shift field, got NaN or infinity")
     rows, cols = np.ogrid[: field.shape[1], : field.shape[2]]
     return lr_to_hr(rows - field[..., 0], scale), lr_to_hr(cols - field[..., 1], scale)
-
-
-def homography_field(homography: ArrayLike, lr_shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the shift field of a projective motion.
-
-        u_scene ~ H_k (row, col, 1),   offset = u - u_scene
-
-    H_k takes a pixel of frame k to the place of the reference frame that it sees, both in LR
-    pixels and in the order (row, col). Content that moved by d has H = [[1 0 -d_row] [0 1 -d_col]
-    [0 0 1]].
-
-    Parameters
-    ----------
-    homography : [frame 3 3]
-    lr_shape : (rows, cols) of a frame
-
-    Returns
-    -------
-    shift_field_px : [frame row col 2] (row, col)
-
-    Raises
-    ------
-    ValueError
-        If the array is not [frame 3 3], or if a pixel looks at or behind the horizon.
-    """
-    matrices = np.asarray(homography, dtype=np.float64)
-    if matrices.ndim != 3 or matrices.shape[1:] != (3, 3):
-        raise ValueError(f"expected homographies [frame 3 3], got shape {matrices.shape}")
-    pixels = np.stack(np.meshgrid(*map(np.arange, lr_shape), indexing="ij"), axis=-1)
-    lifted = np.concatenate([pixels, np.ones((*lr_shape, 1))], axis=-1)
-    seen = np.einsum("kij,rcj->krci", matrices, lifted)
-    depth = seen[..., 2:]
-    if not np.all(depth * np.sign(depth[:, :1, :1]) > 0):
-        raise ValueError("expected homographies that keep the frame in front of the horizon")
-    field: NDArray[np.float64] = pixels - seen[..., :2] / depth
-    return field

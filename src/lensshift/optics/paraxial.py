@@ -83,25 +83,6 @@ def focal_length_mm(element: Element, indices: tuple[float, ...]) -> float:
     return math.inf if abs(power) < 1e-12 else float(1.0 / power)
 
 
-def object_for_magnification_mm(
-    lens: Lens, magnification: float, wavelength_nm: float | None = None
-) -> float:
-    """Return the distance from object to first vertex that gives a magnification.
-
-        object = f (M_11 - 1 / m),    f = -1 / M_10
-
-    Raises
-    ------
-    ValueError
-        If the lens has no power or the magnification is 0.
-    """
-    system = system_matrix(lens, wavelength_nm)
-    power = _power(system)
-    if magnification == 0:
-        raise ValueError("expected a magnification other than 0")
-    return float((system[1, 1] - 1.0 / magnification) / power)
-
-
 def decenter_gains(lens: Lens, wavelength_nm: float | None = None) -> Floats:
     """Return by how much the image moves per decentre of each element, [element].
 

@@ -51,11 +51,6 @@ def method_names() -> tuple[str, ...]:
     return tuple(METHODS)
 
 
-def method_summary(name: str) -> str:
-    """Return the one-line description of a method."""
-    return find_method(name).summary
-
-
 def find_method(name: str) -> type[Method]:
     """Return a method by name.
 

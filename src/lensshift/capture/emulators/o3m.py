@@ -256,10 +256,6 @@ class O3MSender:
             raise ValueError(f"expected a layout of {', '.join(LAYOUTS)}, got {layout!r}")
         self._layout = layout
 
-    def set_mode(self, mode: str) -> None:
-        """Go to another mode; but in "run" only diagnosis is sent."""
-        self._mode = MODES[mode]
-
     def _run(self) -> None:
         begin_s = time.monotonic()
         told_s = -math.inf
