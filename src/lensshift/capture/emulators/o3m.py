@@ -20,7 +20,7 @@ Look = Callable[[float, float], Frame]
 
 ROWS, COLS = 16, 64  # of the only sensor there is
 LAYOUTS = {"1.0": 18900, "1.1": 19036, "1.2": 19044, "1.3": 19224, "1.4": 19224}  # bytes
-MODES = {"run": 0x22, "init": 0x12, "boot": 0x15, "limited": 0x21, "emergency": 0x31}
+RUN_MODE = 0x22
 
 PACKET_BYTES = 1460  # header and payload
 # Sizes, names and versions as in ifm's own example parser; what the parameters hold at which place
@@ -210,7 +210,6 @@ class O3MSender:
         self._delay_s = delay_s
         self._full_scale = full_scale
         self._rng = np.random.default_rng(seed)
-        self._mode = MODES["run"]
         self._paused = False
         self._cycle = first_cycle
         self._packet = first_cycle * 15
@@ -261,17 +260,16 @@ class O3MSender:
         told_s = -math.inf
         while self._wait(begin_s + self._exposure_s):
             end_s = begin_s + self._exposure_s
-            channels = {}
-            if self._mode == MODES["run"]:
-                channels[8] = pixel_message(
-                    self._look(begin_s, end_s),
-                    layout=self._layout,
-                    full_scale=self._full_scale,
-                    timestamp_us=int(begin_s * 1e6),
-                )
+            pixels = pixel_message(
+                self._look(begin_s, end_s),
+                layout=self._layout,
+                full_scale=self._full_scale,
+                timestamp_us=int(begin_s * 1e6),
+            )
+            channels = {8: pixels}
             if end_s - told_s >= 1.0:
                 told_s = end_s
-                channels[256] = diagnosis_message(self._mode)
+                channels[256] = diagnosis_message(RUN_MODE)
                 channels[14] = parameter_message()
             self._wait(end_s + self._delay_s)
             self._send(channels)
