@@ -23,6 +23,7 @@ from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, pola
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.pooling import pooled_phase
+from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
 
@@ -192,6 +193,9 @@ def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> 
     )
     phase_rad, of_phase_rad = pooled_phase(
         found.image, std[0], own_rad, of_means_rad, mean_hr_px(problem.scale)
+    )
+    phase_rad, of_phase_rad = within_reach(
+        phase_rad, of_phase_rad, problem.y, problem.weight > 0, problem.offset_px, problem.scale
     )
     spread = np.stack([AMPLITUDE_STD_SCALE * std[0], of_phase_rad])
     return replace(

@@ -1,0 +1,77 @@
+"""How far a phase may lie from those of the frames around."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+
+Array = NDArray[Any]
+
+WINDOW_PX = 5
+# What mixes in the frames lies farther apart than its mixtures: one range more on either side.
+MOST_RANGES = 1.5
+
+
+def within_reach(
+    phase_rad: Array,
+    std_rad: Array,
+    y: Array,
+    used: NDArray[np.bool_],
+    offset_px: Array,
+    scale: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return phases [row col] no farther than the frames around allow, and their std.
+
+        |phi - (lo + hi) / 2| <= 3/2 (hi - lo),   lo and hi over 5 x 5 LR pixels of each frame
+
+    A phasor that is nearly nothing, as that of a dark pixel beside a bright surface may be drawn,
+    has any phase. Where surfaces mix the mean has a phase between theirs; what is moved to the
+    border of that was off at least by as much, which goes to its std.
+
+    Parameters
+    ----------
+    phase_rad, std_rad : [row col] of a picture
+    y : [frame row col] phasors
+    used : [frame row col] pixels that count
+    offset_px : [frame 2]
+    scale : HR pixels per LR pixel
+    """
+    low, high, first = np.full(phase_rad.shape, np.inf), np.full(phase_rad.shape, -np.inf), None
+    for z, seen, moved_px in zip(y, used, offset_px, strict=True):
+        nearest = [
+            np.rint((np.arange(scale * n) + 0.5) / scale - 0.5 + move).astype(int).clip(0, n - 1)
+            for n, move in zip(z.shape, moved_px, strict=True)
+        ]
+        middle, half = (one[np.ix_(*nearest)] for one in _range_around(np.angle(z), seen))
+        first = middle if first is None else first
+        apart = _within_half_a_turn(middle - first)
+        low, high = np.minimum(low, apart - half), np.maximum(high, apart + half)
+    told = high >= low
+    low, high = np.where(told, low, 0.0), np.where(told, high, 2 * np.pi)
+    off = _within_half_a_turn(phase_rad - first - (low + high) / 2)
+    beyond = np.sign(off) * np.maximum(np.abs(off) - MOST_RANGES * (high - low), 0.0)
+    return phase_rad - beyond, np.hypot(std_rad, beyond)
+
+
+def _range_around(phase_rad: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return middle and half width of the phases around each pixel, -inf where there are none.
+
+    Of the two ways to count, from -pi or from 0, that which does not part them.
+    """
+    ways = []
+    for counted in (phase_rad, np.mod(phase_rad, 2 * np.pi)):
+        least = minimum_filter(np.where(seen, counted, np.inf), WINDOW_PX)
+        most = maximum_filter(np.where(seen, counted, -np.inf), WINDOW_PX)
+        some = most >= least
+        least, most = np.where(some, least, 0.0), np.where(some, most, 0.0)
+        ways.append(((least + most) / 2, np.where(some, (most - least) / 2, -np.inf)))
+    (middle, half), (other_middle, other_half) = ways
+    other = other_half < half
+    return np.where(other, other_middle, middle), np.where(other, other_half, half)
+
+
+def _within_half_a_turn(phase_rad: Array) -> Array:
+    return np.asarray(phase_rad - 2 * np.pi * np.rint(phase_rad / (2 * np.pi)))
