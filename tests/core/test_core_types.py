@@ -15,6 +15,7 @@ from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
 from lensshift.core.types import Burst, Frame, MtfCurve, Psf, ShiftField, ShiftPlan, StageMap
 from lensshift.core.units import (
     distance_to_phase,
+    doubt_about_units,
     phase_to_distance,
     unambiguous_range_m,
 )
@@ -174,8 +175,10 @@ def test_arrays_of_all_core_types_are_read_only() -> None:
         (15e6, 3.7, None),
         (15e6, 150.0, None),  # as far as several frequencies tell
         (100e6, 30.0, None),
-        (15e6, 3700.0, "distance_m: expected metres, got a median of 3700"),
-        (100e6, 400.0, "distance_m: expected metres"),
+        (15e6, 3700.0, "distance_m: expected metres, got a median of 3700 where light of"),
+        (100e6, 140.0, "distance_m: expected metres"),
+        (15e6, -1.2, "distance_m: expected distances from the camera, got a median of -1.2 m"),
+        (15e3, 3.7, "modulation_hz: expected a frequency in Hz, got 15000"),
         (15.0, 3.7, "modulation_hz: expected a frequency in Hz, got 15; 15 MHz are 15e6"),
         (15.0, None, "modulation_hz: expected a frequency in Hz"),
     ],
@@ -192,6 +195,26 @@ def test_other_units_than_metres_and_hertz_are_questioned(
         )
     assert [w.category for w in caught] == ([QualityWarning] if doubted else [])
     assert str(caught[0].message).startswith(doubted) if doubted else True
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "meant"), [(3700.0, "are they millimetres?"), (396.0, "are they centimetres or")]
+)
+def test_the_unit_of_a_distance_is_guessed_by_what_light_can_tell(
+    distance_m: float, meant: str
+) -> None:
+    assert meant in doubt_about_units(15e6, distance_m)
+
+
+def test_pixels_that_measured_nothing_are_questioned_unless_marked() -> None:
+    light, far_m = np.ones((1, *SHAPE)), np.full((1, *SHAPE), 3.0)
+    light[0, 2, 3] = far_m[0, 2, 3] = far_m[0, 1, 1] = light[0, 3, 3] = 0.0
+    told = {"offset_px": [[0, 0]], "pitch_mm": 0.1, "modulation_hz": 15e6}
+    with pytest.warns(QualityWarning, match="distance_m: 1 of 35 pixels are 0 and have no light"):
+        Burst.from_arrays(light, far_m, **told)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Burst.from_arrays(light, far_m, valid=(light > 0) | (far_m > 0), **told)
 
 
 @pytest.mark.parametrize("pitch_mm", [155.0, (0.155, 155.0)])

@@ -311,8 +311,15 @@ def test_distances_count_as_the_square_of_the_light_that_brought_them(seed):
     problem = _problem(y)
     weight = rng.uniform(0.2, 1.0, y.shape) * (rng.random(y.shape) > 0.1)
     found = replace(problem, weight=weight).with_brightness(-light)  # signs mean nothing
-    share = np.minimum(light / np.median(light[weight > 0]), 1.0)
+    share = np.minimum(light / np.median(light[(weight > 0) & (light > 0)]), 1.0)
     np.testing.assert_allclose(found.weight, weight * np.maximum(share**2, 1e-4))
+
+
+def test_distances_that_no_light_brought_count_alike():
+    rng = np.random.default_rng(0)
+    problem = _problem(rng.standard_normal((4, 7, 11)))
+    found = problem.with_brightness(np.zeros((4, 7, 11)))
+    np.testing.assert_array_equal(found.weight, problem.weight)
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.7, -2.0])

@@ -298,6 +298,7 @@ def test_auto_chooses_phasors_only_where_they_can_be_had() -> None:
         (burst, {}, "phasor"),
         (replace(burst, modulation_hz=None), {}, "separate"),
         (replace(burst, distance_m=None), {}, "separate"),
+        (replace(burst, amplitude=0 * burst.amplitude), {}, "separate"),
         (burst, {"method": "bicubic"}, "separate"),
         (burst, {"noise_sigma": 0.01}, "separate"),
         (burst, {"photometric": True}, "separate"),

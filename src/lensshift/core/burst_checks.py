@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
+from lensshift.core.units import doubt_about_units
 
 # What SciPy filters in place of half and extended precision, which are formats of files.
 _COMMON: dict[np.dtype[Any], type[np.generic]] = {
@@ -65,6 +66,26 @@ def check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], nam
     if bad:
         problem = f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`"
         raise DataError(problem, field=name)
+
+
+def doubts_about_distances(
+    amplitude: NDArray[Any],
+    distance_m: NDArray[Any] | None,
+    valid: NDArray[np.bool_],
+    frequencies_hz: tuple[float, ...],
+) -> list[str]:
+    """Say what can hardly be meant by frequencies and distances; some of it may be ""."""
+    typical_m = None if distance_m is None else float(np.median(distance_m[valid]))
+    doubts = [doubt_about_units(min(frequencies_hz), typical_m)] if frequencies_hz else []
+    if distance_m is None:
+        return doubts
+    empty = np.count_nonzero(valid & (amplitude == 0) & (distance_m == 0))
+    if empty:
+        doubts.append(
+            f"distance_m: {empty} of {distance_m.size} pixels are 0 and have no light, as where "
+            "nothing was measured; mark them False in `valid`"
+        )
+    return doubts
 
 
 def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from lensshift.core.burst_checks import (
     as_phasors,
     as_valid,
     check_finite_where_valid,
+    doubts_about_distances,
     unmasked,
 )
 from lensshift.core.errors import DataError, QualityWarning
@@ -33,7 +34,7 @@ from lensshift.core.optical import MtfCurve as MtfCurve
 from lensshift.core.optical import Psf as Psf
 from lensshift.core.point_cloud import PointCloud, make_cloud
 from lensshift.core.showing import AsDataset, AsTable, Shown
-from lensshift.core.units import doubt_about_pitch, doubt_about_units
+from lensshift.core.units import doubt_about_pitch
 
 OffsetSource = Literal["planned", "calibrated", "registered", "unknown"]
 OFFSET_SOURCES: tuple[OffsetSource, ...] = get_args(OffsetSource)
@@ -178,7 +179,8 @@ class Burst(Shown, AsDataset, AsTable):
         Warns
         -----
         QualityWarning
-            If pitch, frequency or distances can hardly be in mm, Hz and m.
+            If pitch, frequency or distances can hardly be in mm, Hz and m, or pixels are 0 where
+            nothing was measured.
         """
         valid = unmasked(amplitude, distance_m) if valid is None else valid
         given = np.asarray(amplitude)
@@ -206,12 +208,10 @@ class Burst(Shown, AsDataset, AsTable):
             modulation_hz=frequencies,
             **fields,
         )
-        doubts = [doubt_about_pitch(max(grid.pitch_mm))]
-        if burst.frequencies_hz:
-            seen_m = None if burst.distance_m is None else burst.distance_m[burst.valid]
-            typical_m = None if seen_m is None else float(np.median(seen_m))
-            doubts.append(doubt_about_units(min(burst.frequencies_hz), typical_m))
-        for doubt in filter(None, doubts):
+        doubts = doubts_about_distances(
+            frames, burst.distance_m, as_valid(burst.valid, frames), burst.frequencies_hz
+        )
+        for doubt in filter(None, [doubt_about_pitch(max(grid.pitch_mm)), *doubts]):
             warnings.warn(doubt, QualityWarning, stacklevel=2)
         return burst
 

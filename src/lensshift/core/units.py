@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0  # by definition
 MILLIMETRE_M = 1e-3
-# c / 2f is 150 km here, which no camera lights: a smaller number is meant in kHz or MHz.
-LEAST_MODULATION_HZ = 1e3
+# c / 2f is 1.5 km here, which no camera lights: a smaller number is meant in kHz or MHz.
+LEAST_MODULATION_HZ = 1e5
 # No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
 MOST_PITCH_MM = 10.0
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
@@ -43,11 +43,14 @@ def doubt_about_units(modulation_hz: float, typical_m: float | None) -> str:
     if not modulation_hz >= LEAST_MODULATION_HZ:
         return f"modulation_hz: expected a frequency in Hz, got {modulation_hz:g}; 15 MHz are 15e6"
     range_m = unambiguous_range_m(modulation_hz)
-    if typical_m is None or abs(typical_m) <= _MOST_RANGES * range_m:
+    if typical_m is None or 0 <= typical_m <= _MOST_RANGES * range_m:
         return ""
+    if typical_m < 0:
+        return f"distance_m: expected distances from the camera, got a median of {typical_m:g} m"
+    meant = "millimetres" if typical_m > 100 * range_m else "centimetres or millimetres"
     return (
         f"distance_m: expected metres, got a median of {typical_m:g} where light of "
-        f"{modulation_hz:g} Hz is unambiguous up to {range_m:.4g} m; are they millimetres?"
+        f"{modulation_hz:g} Hz is unambiguous up to {range_m:.4g} m; are they {meant}?"
     )
 
 

@@ -100,10 +100,13 @@ class Problem:
 
             sigma_d = sigma_a / a c / (4 pi f): weights (a / median)^2, at most 1
 
-        Where hardly any light comes back a distance may be anything, and is off by metres.
+        Where hardly any light comes back a distance may be anything, and is off by metres. The
+        median is of pixels with light; where none has any they tell nothing.
         """
-        used = self.weight > 0
-        share = (np.abs(amplitude) / (float(np.median(np.abs(amplitude[used]))) or 1.0)) ** 2
+        used, light = self.weight > 0, np.abs(amplitude)
+        if not np.any(light[used]):
+            return self
+        share = (light / np.median(light[used & (light > 0)])) ** 2
         return replace(self, weight=self.weight * np.clip(share, LEAST_SHARE_OF_LIGHT, 1.0))
 
 

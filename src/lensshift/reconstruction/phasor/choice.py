@@ -4,7 +4,7 @@ The phasor channel is chosen where it is known to be the better one and can be h
 
 1. the burst holds real amplitudes, distances and their one modulation frequency, or the phasors
    of each frequency; a frequency guessed from the distances, or one of several, mixes surfaces in
-   a way that the camera did not;
+   a way that the camera did not; amplitudes of 0 mix none;
 2. the method is "auto"; the linear methods ring through zero beside bright objects, and the
    others know no phasors;
 3. nothing is given that counts in the units of a single channel: noise, pixel variances, a weight
@@ -17,6 +17,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal, get_args
+
+import numpy as np
 
 from lensshift.core.types import Burst
 from lensshift.reconstruction.method import Request
@@ -61,6 +63,7 @@ def choose_channel(
         "complex frames stay complex": burst.amplitude.dtype.kind == "c",
         "the burst has no distance": burst.distance_m is None and burst.phasors is None,
         "the modulation frequency is not known": burst.modulation_hz is None,
+        "amplitudes of 0 weigh no distance": not np.any(burst.amplitude[burst.valid]),
         "its distances are of several frequencies, and their phasors are not known": (
             len(burst.frequencies_hz) > 1 and burst.phasors is None
         ),
