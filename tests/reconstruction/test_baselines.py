@@ -360,6 +360,7 @@ def test_phasors_of_a_scene_are_interlaced_like_their_components(reference_dir: 
         (lambda y: shift_and_add(y, None, OFFSET_PX + 100, 2), "falls into"),
         (lambda y: drizzle_frames(y, None, OFFSET_PX + 100, 2), "falls into"),
         (lambda y: drizzle_frames(y, None, OFFSET_PX, 2, pixfrac=0.0), "pixfrac"),
+        (lambda y: drizzle_frames(y, None, OFFSET_PX, 2, pixfrac=1.1), "pixfrac"),
         (lambda y: drizzle_frames(y, None, OFFSET_PX, 2, kernel="lanczos3"), "kernel"),
         (lambda y: deconvolution(y[0], None, (0, 0), 2, psf_sigma_px=0.0), "psf_sigma_px"),
         (lambda y: deconvolution(y[0], None, (0, 0), 2, noise_sigma=-1.0), "noise_sigma"),

@@ -83,6 +83,23 @@ def _frames(scene: Callable[..., Array], offset_px: Array, sigma: float, seed: i
     return y + sigma * np.random.default_rng(seed).standard_normal(y.shape)
 
 
+def test_small_shifts_that_are_told_half_are_doubted() -> None:
+    """What frames tell may be off by little, but by little of what they moved."""
+    small_px = 0.16 * SCATTERED_PX / np.ptp(SCATTERED_PX, axis=0).max()
+    y = _frames(_weave, small_px, 1e-4)
+    doubt = doubtful_shifts(y, small_px / 2)
+    assert doubt is not None
+    assert doubt.mistake == "their unit (too small)"
+    assert doubtful_shifts(y, small_px) is None
+
+
+@pytest.mark.parametrize(("rows", "told"), [(7, False), (8, True)])
+def test_lines_of_eight_pixels_are_enough_to_doubt(rows: int, told: bool) -> None:
+    y = photograph(_weave, (rows, 60), SQUARE_PX)
+    doubt = doubtful_shifts(y + 1e-3 * RNG.standard_normal(y.shape), -SQUARE_PX)
+    assert (doubt is not None) is told
+
+
 @pytest.mark.parametrize(
     ("scene", "offset_px"),  # the default run takes each once
     [
