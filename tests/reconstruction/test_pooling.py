@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lensshift.reconstruction.phasor import pooling
-from lensshift.reconstruction.phasor.pooling import pooled_phase
+from lensshift.reconstruction.learned import pooling
+from lensshift.reconstruction.learned.pooling import pooled_phase
 
 Picture = NDArray[np.float64]
 SHAPE = (17, 24)

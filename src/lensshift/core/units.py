@@ -38,6 +38,12 @@ def phase_to_distance(phase_rad: ArrayLike, modulation_hz: float) -> NDArray[np.
     return turns * unambiguous_range_m(modulation_hz)
 
 
+def within_half_a_turn(phase_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return phases within -pi .. pi."""
+    phase = np.asarray(phase_rad, np.float64)
+    return phase - 2.0 * np.pi * np.rint(phase / (2.0 * np.pi))
+
+
 def doubt_about_units(modulation_hz: float, typical_m: float | None) -> str:
     """Say why a frequency, or a distance typical for a scene, can hardly be in Hz and m; or ""."""
     if not modulation_hz >= LEAST_MODULATION_HZ:

@@ -16,7 +16,7 @@ from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.learned.phasors import finished
-from lensshift.reconstruction.learned.solver import Asked, Solution, Texture, solve_together
+from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution, solve_together
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.noise import estimate_noise
@@ -60,7 +60,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
     noise = np.where(used, np.sqrt(variance), np.inf)
     found, std = solved(problem, noise, request)
     if std.ndim == 3:  # of a complex picture, that of a component
-        std = np.sqrt(np.mean(std[:2] ** 2, axis=0))
+        std = np.sqrt(np.mean(std**2, axis=0))
     image = found.image
     if request.non_negative and image.dtype.kind == "f":
         image = np.maximum(image, 0)
@@ -86,8 +86,7 @@ def solved(
     Returns
     -------
     Estimate, std
-        in units of the problem; std as in `Solution`, wider where the frames disagree; of phasors
-        the third is what both have from the means of the frames
+        in units of the problem; std as in `Solution`, wider where the frames disagree
         Its notes may hold a "contradiction", in words.
     """
     noise = with_shift_errors(noise, problem)
@@ -125,7 +124,7 @@ def solved(
         found, left = run(replace(asked, sigma=weighed))
     if memory is not None:
         still = None if wrong or left.curable or left.lit else left
-        step = Kept(found.held, found.texture, still, kept.next_age if kept else 1)
+        step = Kept(found.held, found.opinion, still, kept.next_age if kept else 1)
         memory.keep(step.moved(problem.unit, problem.level))
     estimate = Estimate(
         image=found.image,
@@ -135,9 +134,7 @@ def solved(
         notes={"std_of": "error", "misfit": float(np.mean(misfit.chi_square))},
         misfit=misfit.chi_square,
     )
-    std = found.std.copy()
-    sizes = std if std.ndim == 2 else std[:2]
-    sizes[...] = np.hypot(sizes, left.unexplained)
+    std = np.hypot(found.std, left.unexplained)
     return _judged(estimate, wrong, used, request), std
 
 
@@ -177,14 +174,14 @@ class Kept:
     Parameters
     ----------
     held : half-done pictures
-    texture : of phasors
+    opinion : of phasors
     misfit : that of the picture if nothing contradicts it: frames of a scene that rests are held
         against the picture when they come (`Stream`), so that it need not be found after each
     age : steps since it was found
     """
 
     held: tuple[Held, ...]
-    texture: Texture | None
+    opinion: Opinion | None
     misfit: Misfit | None
     age: int
 
@@ -199,10 +196,10 @@ class Kept:
         if misfit is not None:
             misfit = replace(misfit, unexplained=misfit.unexplained * abs(factor))
         held = tuple(one.moved(factor, level) for one in self.held)
-        texture = self.texture
-        if texture is not None:
-            texture = replace(texture, std=texture.std * abs(factor))
-        return Kept(held, texture, misfit, self.age)
+        opinion = self.opinion
+        if opinion is not None:
+            opinion = replace(opinion, std=opinion.std * abs(factor))
+        return Kept(held, opinion, misfit, self.age)
 
 
 def _recalled(problem: Problem, memory: Memory | None) -> Kept | None:
@@ -228,8 +225,8 @@ def _solved_once(
     found = _picture(asked, request)
     if asked.of_phasors:
         solve = partial(_picture, request=request)
-        texture = kept.texture if kept and kept.misfit else None
-        found = finished(asked, found, problem.scale, solve, texture)
+        rests = kept.opinion if kept and kept.misfit else None
+        found = finished(asked, found, problem.scale, solve, rests)
     if kept is not None and kept.misfit is not None:
         return found, kept.misfit
     return found, find_misfit(A, found.image, asked.y, noise, problem.scale)

@@ -1,8 +1,9 @@
-"""What the frames add to a picture of phasors: local means, and texture of surfaces.
+"""What is added to a picture of phasors: means of its frames, and what other weights see in them.
 
-Phasors of one surface have one phase, and along it they are light that pixels average. The weights
-for phasors were trained where surfaces mix and draw fine texture soft; those for brightness know
-texture, but no mixtures. Which of the two a place is, its frames say.
+Phasors of one surface have one phase, and along it they are light that pixels average; small
+phases are averaged as well. The weights for phasors were trained where surfaces mix, and draw fine
+texture and steps soft; those for brightness know both, but no mixtures. Which of the two is right
+at a place, its frames say.
 """
 
 from __future__ import annotations
@@ -17,9 +18,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.special import expit
 
+from lensshift.core.units import within_half_a_turn
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
-from lensshift.reconstruction.learned.solver import Asked, Solution, Texture
+from lensshift.reconstruction.learned.pooling import pooled_phase
+from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution
+from lensshift.reconstruction.problem import LEAST_SHARE_OF_LIGHT
 
 Array = NDArray[Any]
 
@@ -28,6 +32,9 @@ Array = NDArray[Any]
 LOW_PASS_PX, OF_TWO_PASSES = 1.5, 11 / 6
 # Of the amplitude that it had, so that a phase is left where light was drawn below none.
 LEAST_LEFT = 1e-3
+TINY = 1e-12
+# Standard deviation of a phase that may be anything.
+NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 
 
 def finished(
@@ -35,26 +42,38 @@ def finished(
     found: Solution,
     scale: int,
     solve: Callable[[Asked], Solution],
-    rests: Texture | None,
+    rests: Opinion | None,
 ) -> Solution:
-    """Return the picture with the means of its frames and the texture of its surfaces.
+    """Return the picture with the means of its frames, phases pooled, and a second opinion of both.
 
     Parameters
     ----------
-    asked, found, scale, solve : as in `with_texture`; found.std is [2 row col] at least, and
-        [3 row col] afterwards, the third what both have from the means
-    rests : the texture, if nothing has changed since it was found
+    asked : frames of phasors
+    found : their picture
+    scale : HR pixels per LR pixel
+    solve : finds the picture of frames
+    rests : the opinion, if nothing has changed since it was found
     """
     weight = found.weight / np.where(np.isfinite(asked.sigma), asked.sigma, np.inf) ** 2
     image, of_means = with_means_of(
         asked.model.operator, found.image, asked.y, weight, LOW_PASS_PX * scale
     )
-    std = np.stack([*np.hypot(found.std[:2], of_means), of_means])
-    found = replace(found, image=image, std=std)
+    asked = replace(asked, on_stage=None, held=None)
+    along, across = np.hypot(found.std[:2], of_means)
     if rests is None:
-        return with_texture(asked, found, scale, solve)
-    std[0] = rests.std
-    return replace(found, image=image * rests.ratio, texture=rests)
+        ratio, along = _second_amplitude(asked, image, along, scale, solve)
+    else:
+        ratio, along = rests.ratio, rests.std[0]
+    image = image * ratio
+    size = np.maximum(np.abs(image), TINY)
+    own, shared = (np.minimum(part / size, NO_PHASE_RAD) for part in (across, of_means))
+    phase, of_phase = pooled_phase(image, along, own, shared, mean_hr_px(scale))
+    image = size * np.exp(1j * phase)
+    if rests is None:
+        twist, of_phase = _second_phase(asked, image, of_phase, scale, solve)
+        rests = Opinion(ratio, twist, np.stack([along, of_phase * size]))
+    image = image * np.exp(1j * rests.twist)
+    return replace(found, image=image, std=rests.std.copy(), opinion=rests)
 
 
 def with_means_of(
@@ -91,45 +110,76 @@ def mean_hr_px(scale: int) -> float:
     return 4 * math.pi * (LOW_PASS_PX * scale) ** 2 / OF_TWO_PASSES
 
 
-def with_texture(
-    asked: Asked, found: Solution, scale: int, solve: Callable[[Asked], Solution]
-) -> Solution:
-    """Return the phasors with the amplitudes that explain the frames, of two for each pixel.
+def _second_amplitude(
+    asked: Asked, image: Array, std: Array, scale: int, solve: Callable[[Asked], Solution]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return amplitudes over those of the picture, and their std: the mean over two pictures.
 
-        a' = (1 - w) a + w b,   w = p / t_b^2 / (p / t_b^2 + (1 - p) / t_a^2)
-        p = 1 / (1 + exp((Q_b - Q_a) / 2)),   Q = sum |y - A x|^2 / s^2
-        t'^2 = (1 - w) t_a^2 + w t_b^2 + w (1 - w) (a - b)^2
+    Along its phase a surface is light: frames turned by the phase of the picture are real.
+    """
+    seen = asked.model.operator.forward(single(image))
+    turned = asked.y * seen.conj() / np.maximum(np.abs(seen), TINY)
+    light = solve(replace(asked, y=np.where(np.isfinite(asked.sigma), turned.real, 0.0)))
+    a = np.abs(image)
+    b = np.maximum(light.image, LEAST_LEFT * a)
+    p = _odds(asked, image, image * (b / np.maximum(a, TINY)), scale)
+    mixed, std = _mixed(a, b, p, std**2, light.std**2)
+    return mixed / np.maximum(a, TINY), std
 
-    a +- t_a the amplitude of the picture, b +- t_b that of frames turned to its phase, both with
-    its phase; Q over a window of all frames, s^2 with what shifts may be off. That is the mean over
-    two models, each as sure as it says; both explain what the frames do not tell apart.
 
-    Parameters
-    ----------
-    asked : frames of phasors
-    found : their picture
-    scale : HR pixels per LR pixel
-    solve : finds the picture of frames
+def _second_phase(
+    asked: Asked, image: Array, std_rad: Array, scale: int, solve: Callable[[Asked], Solution]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return by what phases differ in the mean over two pictures, and their std in radians.
+
+        theta = A phi + arg(y / A x),   s_theta = s / |A x|
+        t_z^2 = (t^2 + scale^4 beta^2) (A^T |A x| / A^T 1 / |x|)^2,   beta = arg(A x) - A phi
+
+    The phase of a mean is no mean of phases: by how much, beta, the picture tells, so frames are
+    brought to what they would be if it were. That holds as far as the picture is right. An HR pixel
+    is 1 / scale^2 of what an LR pixel sees, and less if it is darker than what is around.
     """
     A, used = asked.model.operator, np.isfinite(asked.sigma)
-    before = single(found.image)
-    seen = A.forward(before)
-    along = np.where(used, asked.y, 0) * seen.conj() / np.maximum(np.abs(seen), 1e-12)
-    texture = solve(replace(asked, y=along.real, on_stage=None, held=None))
-    a = np.abs(found.image)
-    b = np.maximum(texture.image, LEAST_LEFT * a)
-    p = _odds(A, asked, (before, single(found.image * (b / np.maximum(a, 1e-12)))), scale)
-    std = found.std.copy()
-    of_a, of_b = std[0] ** 2, texture.std**2
-    w = p * of_a / np.maximum(p * of_a + (1 - p) * of_b, 1e-300)
-    ratio = ((1 - w) * a + w * b) / np.maximum(a, 1e-12)
-    std[0] = np.sqrt((1 - w) * of_a + w * of_b + w * (1 - w) * (a - b) ** 2)
-    return replace(found, image=found.image * ratio, std=std, texture=Texture(ratio, std[0]))
+    a, phase = np.abs(image), np.angle(image)
+    seen, mean = A.forward(single(image)), A.forward(single(phase))
+    least = LEAST_SHARE_OF_LIGHT**0.5 * float(np.median(np.abs(seen[used])))
+    light = np.maximum(np.abs(seen), max(least, TINY))
+    theta = mean + np.where(used, np.angle(asked.y * seen.conj()), 0.0)
+    other = solve(replace(asked, y=theta, sigma=asked.sigma / light, general=True))
+    every = np.maximum(A.adjoint(np.ones(light.shape, np.float32)), TINY)
+    bias = within_half_a_turn(np.angle(seen) - mean)
+    bias_2, around = (A.adjoint(single(values)) / every for values in (bias**2, light))
+    share = np.clip(a / np.maximum(around, TINY), LEAST_LEFT, 1.0)
+    variance = (other.std**2 + scale**4 * np.maximum(bias_2, 0.0)) / share**2
+    apart = within_half_a_turn(other.image - phase)
+    p = _odds(asked, image, image * np.exp(1j * apart), scale)
+    return _mixed(np.zeros_like(apart), apart, p, std_rad**2, variance)
 
 
-def _odds(A: LinearOperator, asked: Asked, pictures: tuple[Array, Array], scale: int) -> Array:
-    """Return [row col] the probability of the second picture, by what the frames around say."""
-    used = np.isfinite(asked.sigma)
+def _mixed(
+    x: Array, z: Array, p: Array, of_x: Array, of_z: Array
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean over two models, the second as likely as p, and its std.
+
+        x' = (1 - w) x + w z,   w = p / t_z^2 / (p / t_z^2 + (1 - p) / t_x^2)
+        t'^2 = (1 - w) t_x^2 + w t_z^2 + w (1 - w) (x - z)^2
+
+    Each counts as it is sure; both explain what the frames do not tell apart.
+    """
+    w = p * of_x / np.maximum(p * of_x + (1 - p) * of_z, 1e-300)
+    variance = (1 - w) * of_x + w * of_z + w * (1 - w) * (x - z) ** 2
+    return (1 - w) * x + w * z, np.sqrt(variance)
+
+
+def _odds(asked: Asked, first: Array, second: Array, scale: int) -> Array:
+    """Return [row col] the probability of the second picture, by what the frames around say.
+
+        p = 1 / (1 + exp((Q_2 - Q_1) / 2)),   Q = sum |y - A x|^2 / s^2
+
+    over a window of all frames, s^2 with what shifts may be off.
+    """
+    A, used = asked.model.operator, np.isfinite(asked.sigma)
+    pictures = single(first), single(second)
     contrast = np.maximum(*(slopes_of(A, picture, scale)[1] for picture in pictures))
     variance = np.where(used, asked.sigma, np.inf) ** 2 + ALLOWED_SHIFT_PX**2 / 2 * contrast
     squares = (np.abs(asked.y - A.forward(picture)) ** 2 / 2 / variance for picture in pictures)

@@ -41,16 +41,18 @@ OnStage = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Texture:
-    """What was found of the amplitudes of phasors.
+class Opinion:
+    """What the weights for brightness add to a picture of phasors.
 
     Parameters
     ----------
-    ratio : [row col] of the amplitudes to those that the weights for phasors drew
-    std : [row col] of them, in the units of the frames
+    ratio : [row col] of amplitudes to those that the weights for phasors drew
+    twist : [row col] radians that phases are turned by
+    std : [2 row col] along and across the phasors, in the units of the frames
     """
 
     ratio: NDArray[np.float64]
+    twist: NDArray[np.float64]
     std: NDArray[np.float64]
 
 
@@ -62,12 +64,12 @@ class Solution:
     ----------
     image : [row col] estimate, real or complex
     std : [row col] standard deviation of its error; of phasors [3 row col]: that along the
-        phasor, that across it, and the correlation of the two
+        phasor, that across it, and the correlation of the two, which `finished` leaves out
     weight : [frame row col] 0 .. 1, how much of each LR pixel was believed in the end
     change : rms change of the picture in the last stage over the std of what it began with; inside
         this module all of these have an axis [burst] in front
     held : of each tile, what another burst of the same shifts and scene can begin with
-    texture : of phasors, what `with_texture` found
+    opinion : of phasors, what `finished` found
     """
 
     image: NDArray[np.inexact[Any]]
@@ -75,7 +77,7 @@ class Solution:
     weight: Single
     change: Any
     held: tuple[Held, ...] = ()
-    texture: Texture | None = None
+    opinion: Opinion | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

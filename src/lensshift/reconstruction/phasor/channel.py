@@ -17,12 +17,11 @@ from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.learned.method import LEAST_SIGMA, noise_of, solved
-from lensshift.reconstruction.learned.phasors import mean_hr_px
+from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.reconstruction.phasor.noise import relative_variance
-from lensshift.reconstruction.phasor.pooling import pooled_phase
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
@@ -32,8 +31,6 @@ Array = NDArray[Any]
 METHODS = ("auto", "tikhonov", "tv")
 # Of the pixels: with more of them turned a picture is not shown without a warning.
 TURNED_LIMIT = 0.01
-# Standard deviation of a phase that may be anything.
-NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --phasor --calibrate); that of the phase would be 0.8 and is left wider.
 AMPLITUDE_STD_SCALE = 0.74
@@ -188,15 +185,11 @@ def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> 
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
     amplitude = np.abs(found.image)
-    own_rad, of_means_rad = (
-        np.minimum(part / np.maximum(amplitude, 1e-12), NO_PHASE_RAD) for part in std[1:]
-    )
-    phase_rad, of_phase_rad = pooled_phase(
-        found.image, std[0], own_rad, of_means_rad, mean_hr_px(problem.scale)
-    )
+    of_phase_rad = np.minimum(std[1] / np.maximum(amplitude, 1e-12), NO_PHASE_RAD)
     phase_rad, of_phase_rad = within_reach(
-        phase_rad, of_phase_rad, problem.y, problem.weight > 0, problem.offset_px, problem.scale
-    )
+        np.angle(found.image), of_phase_rad, problem.y, problem.weight > 0, problem.offset_px,
+        problem.scale,
+    )  # fmt: skip
     spread = np.stack([AMPLITUDE_STD_SCALE * std[0], of_phase_rad])
     return replace(
         found,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.units import SPEED_OF_LIGHT_MPS
+from lensshift.core.units import SPEED_OF_LIGHT_MPS, within_half_a_turn
 
 Array = NDArray[Any]
 
@@ -77,7 +77,7 @@ class Tones:
         per_m, fastest = self.rad_per_m, int(np.argmax(self.hz))
         first_m = np.mod(self.phase_rad[fastest] / per_m[fastest], self.turn_m)
         tried_m = first_m + number * self.turn_m
-        off_rad = _within_half_a_turn(self.phase_rad - per_m * tried_m)
+        off_rad = within_half_a_turn(self.phase_rad - per_m * tried_m)
         weight = self._weight()
         more_m = np.sum(weight * off_rad / per_m, axis=0) / np.sum(weight, axis=0)
         chi_square = np.sum(((off_rad - per_m * more_m) / self.std_rad) ** 2, axis=0)
@@ -147,10 +147,6 @@ def common_distance(pictures: Tones) -> tuple[NDArray[np.float64], NDArray[np.fl
     others = np.sum(likely * (tried_m - found_m[asked]) ** 2, axis=0)
     std_m[asked] = np.sqrt(some.sigma_m**2 * doubt[asked] * contradiction + others)
     return found_m, std_m
-
-
-def _within_half_a_turn(phase_rad: Array) -> NDArray[np.float64]:
-    return np.asarray(phase_rad - 2.0 * np.pi * np.rint(phase_rad / (2.0 * np.pi)))
 
 
 def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]:

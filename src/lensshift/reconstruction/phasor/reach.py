@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from lensshift.core.units import within_half_a_turn
+
 Array = NDArray[Any]
 
 WINDOW_PX = 5
@@ -47,11 +49,11 @@ def within_reach(
         ]
         middle, half = (one[np.ix_(*nearest)] for one in _range_around(np.angle(z), seen))
         first = middle if first is None else first
-        apart = _within_half_a_turn(middle - first)
+        apart = within_half_a_turn(middle - first)
         low, high = np.minimum(low, apart - half), np.maximum(high, apart + half)
     told = high >= low
     low, high = np.where(told, low, 0.0), np.where(told, high, 2 * np.pi)
-    off = _within_half_a_turn(phase_rad - first - (low + high) / 2)
+    off = within_half_a_turn(phase_rad - first - (low + high) / 2)
     beyond = np.sign(off) * np.maximum(np.abs(off) - MOST_RANGES * (high - low), 0.0)
     return phase_rad - beyond, np.hypot(std_rad, beyond)
 
@@ -71,7 +73,3 @@ def _range_around(phase_rad: Array, seen: NDArray[np.bool_]) -> tuple[Array, Arr
     (middle, half), (other_middle, other_half) = ways
     other = other_half < half
     return np.where(other, other_middle, middle), np.where(other, other_half, half)
-
-
-def _within_half_a_turn(phase_rad: Array) -> Array:
-    return np.asarray(phase_rad - 2 * np.pi * np.rint(phase_rad / (2 * np.pi)))
