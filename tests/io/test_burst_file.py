@@ -70,7 +70,7 @@ def bursts(draw: st.DrawFn) -> Burst:
         "stage_mm": rng.normal(size=(shape[0], 2)),
         "stage_commanded_mm": rng.normal(size=(shape[0], 2)),
         "time_s": rng.random(shape[0]),
-        "modulation_hz": float(rng.random() * 1e6 + 1e3),
+        "modulation_hz": float(rng.random() * 1e6 + 1e5),
     }
     chosen = draw(st.sets(st.sampled_from(sorted(optional))))
     if dtype.kind in "fc":
