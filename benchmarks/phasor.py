@@ -2,15 +2,17 @@
 
 python benchmarks/phasor.py ../shared/reference --seeds 2
 
-Four groups, none made by the forward model of the solver: four boxes taken by the simulated O3M
+Five groups, none made by the forward model of the solver: four boxes taken by the simulated O3M
 (with its own noise, and with SNR = median amplitude / noise added), four boxes on the simulated
 bench of the paper through the moving lens (SNR of the cloth behind them), real O3D frames as fine
-scenes whose phasors are averaged over 4 x 4 pixels, and the phasor case of the reference data.
+scenes whose phasors are averaged over 4 x 4 pixels, real distances of an ESPROS camera with light
+and dark patches painted on, likewise, and the phasor case of the reference data.
 """
 
 import argparse
 import time
 import warnings
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +20,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from lensshift import Burst, reconstruct
@@ -35,6 +38,7 @@ LIKE = (("distance", "auto"), ("distance", "tv"), ("phasor", "auto"))
 BLUR_PX, SHIFT_ERROR_PX, FINE = 0.25, 0.05, 4
 ASSUMED_O3M = {"psf_sigma_px": 0.23}  # as `calibrate` finds it: half of its pixel sees light
 LEAST_SNR = 3.0  # of a pixel that counts as valid
+NEAREST_M = 0.05  # less is no distance
 UNAMBIGUOUS_M = 1.25  # of the reference case
 
 
@@ -101,6 +105,20 @@ def o3d(folder: Path, seed: int) -> Iterator[Case]:
                 yield _semi_real(f"O3D {int(frame)}, SNR {snr}, {seed}", fine, seen, snr, seed)
 
 
+def espros(folder: Path, seed: int) -> Iterator[Case]:
+    for name in ("grid", "dodecahedron", "vanishing_lines"):
+        stored = np.asarray(
+            Image.open(folder / "tof_data" / "espros_dme635" / f"zhaw_{name}_depth.png")
+        )
+        depth_m = np.kron(stored / 1000.0, np.ones((2, 2)))
+        patches = gaussian_filter(np.random.default_rng(1).standard_normal(depth_m.shape), 12) > 0
+        seen = depth_m > NEAREST_M
+        light = np.where(patches, 0.85, 0.15) / np.maximum(depth_m, NEAREST_M) ** 2
+        fine = np.where(seen, light * np.exp(1j * distance_to_phase(depth_m, MODULATION_HZ)), 0)
+        for snr in (50, 15):
+            yield _semi_real(f"{name[:12]}, SNR {snr}, {seed}", fine, seen, snr, seed)
+
+
 def _semi_real(name: str, fine: NDArray, seen: NDArray, snr: float, seed: int) -> Case:
     rng = np.random.default_rng(seed)
     actual_px = OFFSETS_PX + SHIFT_ERROR_PX * rng.standard_normal((4, 2))
@@ -137,8 +155,9 @@ def reference(folder: Path) -> Case:
     return Case("tofphasor_x2_4f", burst, phase_to_distance(np.angle(truth), hz), inside)
 
 
-def measure(case: Case) -> None:
-    line, edge_mm = f"{case.name:24s}", []
+def measure(case: Case) -> list[float]:
+    """Print and return the errors at edges, elsewhere and everywhere, and the time, of each."""
+    row = []
     for channel, method in LIKE:
         start_s = time.perf_counter()
         found = reconstruct(
@@ -146,10 +165,17 @@ def measure(case: Case) -> None:
         ).distance_m
         spent_s = time.perf_counter() - start_s
         error = depth_error(found.image, case.truth_m, truth_valid=case.valid, scale=2)
-        edge_mm.append(1e3 * error.edge_rmse_m)
-        flat_mm, all_mm = 1e3 * error.flat_rmse_m, 1e3 * error.rmse_m
-        line += f" | {edge_mm[-1]:6.1f} {flat_mm:6.1f} {all_mm:6.1f} {spent_s:5.2f}"
-    print(f"{line} | {edge_mm[-1] / edge_mm[0]:5.2f} {edge_mm[-1] / edge_mm[1]:5.2f}", flush=True)
+        row += [1e3 * error.edge_rmse_m, 1e3 * error.flat_rmse_m, 1e3 * error.rmse_m, spent_s]
+    show(case.name, row)
+    return row
+
+
+def show(name: str, row: list[float]) -> None:
+    cells = (" {:6.1f} {:6.1f} {:6.1f} {:5.2f}".format(*row[i : i + 4]) for i in range(0, 12, 4))
+    print(
+        f"{name:24s} |{' |'.join(cells)} | {row[8] / row[0]:5.2f} {row[8] / row[4]:5.2f}",
+        flush=True,
+    )
 
 
 def main() -> None:
@@ -162,10 +188,19 @@ def main() -> None:
     print(f"{'':24s} | {titles} | ratio of edges to")
     columns = " | ".join([f"{'edge':>6s} {'flat':>6s} {'all':>6s} {'s':>5s}"] * len(LIKE))
     print(f"{'RMSE in mm':24s} | {columns} |  auto    tv")
-    measure(reference(arguments.reference))
+    rows = defaultdict(list)
+    rows["tofphasor_x2_4f"].append(measure(reference(arguments.reference)))
     for seed in range(arguments.seeds):
-        for case in (*boxes(seed), *bench(seed), *o3d(arguments.reference, seed)):
-            measure(case)
+        for case in (
+            *boxes(seed),
+            *bench(seed),
+            *o3d(arguments.reference, seed),
+            *espros(arguments.reference, seed),
+        ):
+            rows[case.name.rpartition(",")[0]].append(measure(case))
+    print("means over seeds")
+    for name, each in rows.items():
+        show(name, np.mean(each, axis=0).tolist())
 
 
 if __name__ == "__main__":
