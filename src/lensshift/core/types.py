@@ -282,6 +282,8 @@ class Estimate(Shown):
         returns that LR frame as the forward model sees `image`
     notes : what else the method found out, text and numbers
     misfit : [row col] chi-square of the frames that touch a pixel, 1 where all is well; or None
+    fine : [row col] the picture of smaller pixels of which `image` is the mean, where it was found
+        so, since the frames see more than pixels of `image` hold; or None
     """
 
     image: NDArray[Any]
@@ -294,6 +296,7 @@ class Estimate(Shown):
     predict: Callable[[int | ArrayLike], NDArray[Any]] = _no_prediction
     notes: Mapping[str, Any] = field(default_factory=dict)
     misfit: NDArray[np.float64] | None = None
+    fine: NDArray[Any] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The function behind `std` holds the whole solver, so its result travels instead.

@@ -74,20 +74,27 @@ def with_predictions(
     blur = _blur(settings.get("blur"))
 
     def predictor(name: str, image: NDArray[Any]) -> FramePredictor:
-        return _predictor(container, name, image, scale, blur)
+        smaller = image.shape[0] // channels[name].image.shape[0]
+        return _predictor(container, name, image, scale * smaller, blur)
 
     if phase is None:
         return {
-            name: replace(estimate, predict=predictor(name, estimate.image))
+            name: replace(estimate, predict=predictor(name, _finest(estimate)))
             for name, estimate in channels.items()
         }
     amplitude, distance = channels["amplitude"], channels["distance"]
-    turned = np.exp(1j * phase.rad_per_m * (distance.image - phase.reference_m))
-    phasor = predictor("amplitude", amplitude.image * turned)
+    if _finest(amplitude).shape != _finest(distance).shape:
+        raise DataError("expected as many pixels as amplitude_fine", field="distance_fine")
+    turned = np.exp(1j * phase.rad_per_m * (_finest(distance) - phase.reference_m))
+    phasor = predictor("amplitude", _finest(amplitude) * turned)
     return {
         "amplitude": replace(amplitude, predict=PhasorPredictor(phasor)),
         "distance": replace(distance, predict=PhasorPredictor(phasor, phase)),
     }
+
+
+def _finest(estimate: Estimate) -> NDArray[Any]:
+    return estimate.image if estimate.fine is None else estimate.fine
 
 
 def _predictor(

@@ -7,6 +7,7 @@ HR grid. For each channel `c`, which is `amplitude` or `distance`:
                                              notes (JSON)
     c_std            [row col]               standard deviation, in the units of c
     c_misfit         [row col]               mean square residual in units of the noise
+    c_fine           [fine_row fine_col]     smaller pixels of which c is the mean, if found so
     c_confidence     [frame lr_row lr_col]   weight of each LR pixel, 0 .. 1
     c_objective      [c_iteration]
     seen_..., c_gain, c_bias                 what predictions need, see `io.prediction_fields`
@@ -39,6 +40,7 @@ from lensshift.io.intrinsics_fields import (
 
 SCHEMA = "lensshift-reconstruction/1"
 _AXES, _LR_AXES = ("row", "col"), ("frame", "lr_row", "lr_col")
+_FINE_AXES = ("fine_row", "fine_col")
 # Channel -> unit, what it is
 CHANNELS = {"amplitude": ("1", "amplitude"), "distance": ("m", "radial distance, camera frame")}
 _FLYING = np.uint8(1)
@@ -149,6 +151,9 @@ def _channel_variables(name: str, estimate: Estimate) -> dict[str, writer.Variab
     for part, (values, unit, meaning) in maps.items():
         if values is not None:
             variables[f"{name}_{part}"] = writer.measured(_AXES, values, unit, meaning)
+    if estimate.fine is not None:
+        meaning = f"{label} of smaller pixels"
+        variables[f"{name}_fine"] = writer.measured(_FINE_AXES, estimate.fine, units, meaning)
     if estimate.confidence is not None:
         meaning = f"weight of the LR pixels of {label}"
         variables[f"{name}_confidence"] = writer.measured(
@@ -180,6 +185,12 @@ def _read_channel(container: Container, name: str) -> Estimate:
         if container.has(f"{name}_{part}"):
             values = container.array(f"{name}_{part}", kinds="f", shape=image.shape)
             optional[attribute] = values
+    if container.has(f"{name}_fine"):
+        optional["fine"] = fine = container.array(f"{name}_fine", kinds="f")
+        smaller = fine.shape[0] // image.shape[0] if fine.ndim == 2 else 0
+        if smaller < 1 or fine.shape != tuple(smaller * n for n in image.shape):
+            problem = f"expected a multiple of {image.shape}, got {fine.shape}"
+            raise DataError(problem, field=f"{name}_fine")
     if container.has(f"{name}_confidence"):
         optional["confidence"] = container.array(f"{name}_confidence", kinds="f")
         if optional["confidence"].ndim != 3:

@@ -283,10 +283,8 @@ def predictor(
         if shift_field.spot_px2 is not None:  # that of others is the mean of those
             spot_px2 = np.tile(shift_field.spot_px2.mean(axis=0), (burst.frame_count, 1, 1, 1))
             spot_px2[list(used)] = shift_field.spot_px2
-    model = problem.model
-    return FramePredictor(
-        image, model.scale, model.blur, burst.offset_px, gains, biases, field_px, spot_px2
-    )
+    scale, blur = image.shape[0] // burst.grid.shape[0], problem.model.blur
+    return FramePredictor(image, scale, blur, burst.offset_px, gains, biases, field_px, spot_px2)
 
 
 def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:

@@ -236,6 +236,7 @@ def _solve(
     estimate = method(problem, request)
     unit, level = problem.intensity, problem.level
     image = np.asarray(estimate.image) * unit + level
+    fine = None if estimate.fine is None else estimate.fine * unit + level
     bias = bias * unit + level * (1.0 - gain)
     notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": bias.tolist()}
                                     if photometric else {})  # fmt: skip
@@ -249,9 +250,10 @@ def _solve(
     return replace(
         estimate,
         image=image,
+        fine=fine,
         uncertainty=std,
         noise_sigma=None if estimate.noise_sigma is None else estimate.noise_sigma * unit,
-        predict=predictor(burst, problem, used, image, field, gain, bias),
+        predict=predictor(burst, problem, used, image if fine is None else fine, field, gain, bias),
         notes=notes,
     )
 

@@ -14,8 +14,9 @@ from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
+from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.learned.phasors import finished
+from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
 from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution, solve_together
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
@@ -89,6 +90,8 @@ def solved(
         in units of the problem; std as in `Solution`, wider where the frames disagree
         Its notes may hold a "contradiction", in words.
     """
+    if finer := _on_finer_grid(problem, noise, request):
+        return of_larger_pixels(*solved(finer, noise, request))
     noise = with_shift_errors(noise, problem)
     objective: list[float] = []
 
@@ -100,15 +103,11 @@ def solved(
     memory = request.memory
     kept = _recalled(problem, memory)
     held = kept.held if kept else None
-    # Of the pixel: the networks have seen few responses that are much wider.
-    pixel_px = blur_width_px(problem.model.blur)
-    # Distances are no light that pixels average, on which those of the square were trained.
-    general = not problem.even_noise
-    asked = Asked(problem.model, problem.y, noise, pixel_px, on_stage, held, general)
+    asked = replace(_asked(problem, noise), on_stage=on_stage, held=held)
     run = partial(_solved_once, problem, request, kept)
     found, misfit = run(asked)
     shaken: dict[int, Array] = {}
-    if memory is None and not general and not asked.of_phasors:
+    if memory is None and not asked.general and not asked.of_phasors:
         asked, found, misfit, shaken = _as_they_fit(asked, found, misfit, run, request)
         problem, noise = replace(problem, y=asked.y), asked.sigma
     if misfit.curable and not misfit.off_px and not request.shifts_doubted:
@@ -122,6 +121,10 @@ def solved(
     if sharper is None and misfit.curable and not request.shifts_doubted:
         weighed = _weighed(noise, misfit.weight(of_phasors=asked.of_phasors))
         found, left = run(replace(asked, sigma=weighed))
+    if asked.of_phasors and not (kept and kept.misfit and kept.opinion):
+        believed = replace(asked, sigma=weighed, on_stage=None)
+        solve = partial(_picture, request=request)
+        found = with_finer_amplitude(believed, found, problem.scale, solve)
     if memory is not None:
         still = None if wrong or left.curable or left.lit else left
         step = Kept(found.held, found.opinion, still, kept.next_age if kept else 1)
@@ -136,6 +139,34 @@ def solved(
     )
     std = np.hypot(found.std, left.unexplained)
     return _judged(estimate, wrong, used, request), std
+
+
+def _asked(problem: Problem, noise: NDArray[np.float64]) -> Asked:
+    # Of the pixel: the networks have seen few responses that are much wider.
+    pixel_px = blur_width_px(problem.model.blur)
+    # Distances are no light that pixels average, on which those of the square were trained.
+    return Asked(problem.model, problem.y, noise, pixel_px, general=not problem.even_noise)
+
+
+def _on_finer_grid(
+    problem: Problem, noise: NDArray[np.float64], request: Request
+) -> Problem | None:
+    """Return the problem with smaller pixels, of which those asked for are the means, or None.
+
+    Of phasors only where one HR pixel is an LR pixel: else their light is, by itself (`finished`).
+    """
+    model, memory = finer_grid(problem.model), request.memory
+    if model is None or problem.scale == 1:
+        return None if model is None else replace(problem, model=model)
+    if not problem.even_noise or problem.y.dtype.kind == "c":
+        return None
+    wanted = None if memory is None else memory.recalled()
+    if wanted is None:
+        asked = _asked(problem, with_shift_errors(noise, problem))
+        wanted = seen_finer(asked, partial(_picture, request=request)) is not None
+    if memory is not None:
+        memory.keep(wanted)
+    return replace(problem, model=model) if wanted else None
 
 
 def _weighed(noise: NDArray[np.float64], believed: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from scipy.special import expit
 from lensshift.core.units import within_half_a_turn
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
+from lensshift.reconstruction.learned.finer import means, seen_finer, std_of_means
 from lensshift.reconstruction.learned.pooling import pooled_phase
 from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution
 from lensshift.reconstruction.problem import LEAST_SHARE_OF_LIGHT
@@ -76,6 +77,31 @@ def finished(
     return replace(found, image=image, std=rests.std.copy(), opinion=rests)
 
 
+def with_finer_amplitude(
+    asked: Asked, found: Solution, scale: int, solve: Callable[[Asked], Solution]
+) -> Solution:
+    """Return the finished picture with amplitudes of smaller pixels, if these predict better.
+
+    Phases stay: they change less over a surface, and at its edges smaller pixels tell less of them.
+    """
+    asked_light, turn = _along(asked, found.image)
+    finer = seen_finer(asked_light, solve)
+    if finer is None:
+        return found
+    light = solve(finer)
+    a = np.abs(found.image)
+    b = np.maximum(means(light.image), LEAST_LEFT * a)
+    unit = found.image / np.maximum(a, TINY)
+    seen = turn * finer.model.operator.forward(single(light.image))
+    p = _odds(asked, found.image, unit * b, scale, seen)
+    mixed, along = _mixed(a, b, p, found.std[0] ** 2, std_of_means(light.std) ** 2)
+    opinion, std = found.opinion, np.stack([along, found.std[1]])
+    if opinion is not None:
+        ratio = opinion.ratio * mixed / np.maximum(a, TINY)
+        opinion = replace(opinion, ratio=ratio, std=std)
+    return replace(found, image=mixed * unit, std=std, opinion=opinion)
+
+
 def with_means_of(
     A: LinearOperator, image: Array, y: Array, weight: Array, low_hr_px: float
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
@@ -113,18 +139,21 @@ def mean_hr_px(scale: int) -> float:
 def _second_amplitude(
     asked: Asked, image: Array, std: Array, scale: int, solve: Callable[[Asked], Solution]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return amplitudes over those of the picture, and their std: the mean over two pictures.
-
-    Along its phase a surface is light: frames turned by the phase of the picture are real.
-    """
-    seen = asked.model.operator.forward(single(image))
-    turned = asked.y * seen.conj() / np.maximum(np.abs(seen), TINY)
-    light = solve(replace(asked, y=np.where(np.isfinite(asked.sigma), turned.real, 0.0)))
+    """Return amplitudes over those of the picture, and their std: the mean over two pictures."""
+    light = solve(_along(asked, image)[0])
     a = np.abs(image)
     b = np.maximum(light.image, LEAST_LEFT * a)
     p = _odds(asked, image, image * (b / np.maximum(a, TINY)), scale)
     mixed, std = _mixed(a, b, p, std**2, light.std**2)
     return mixed / np.maximum(a, TINY), std
+
+
+def _along(asked: Asked, image: Array) -> tuple[Asked, Array]:
+    """Return the light of frames along the phase of the picture, and that phase as a factor."""
+    seen = asked.model.operator.forward(single(image))
+    turn = seen / np.maximum(np.abs(seen), TINY)
+    light = np.where(np.isfinite(asked.sigma), (asked.y * turn.conj()).real, 0.0)
+    return replace(asked, y=light), turn
 
 
 def _second_phase(
@@ -171,18 +200,25 @@ def _mixed(
     return (1 - w) * x + w * z, np.sqrt(variance)
 
 
-def _odds(asked: Asked, first: Array, second: Array, scale: int) -> Array:
+def _odds(
+    asked: Asked, first: Array, second: Array, scale: int, seen: Array | None = None
+) -> Array:
     """Return [row col] the probability of the second picture, by what the frames around say.
 
         p = 1 / (1 + exp((Q_2 - Q_1) / 2)),   Q = sum |y - A x|^2 / s^2
 
     over a window of all frames, s^2 with what shifts may be off.
+
+    Parameters
+    ----------
+    seen : [frame row col] A x of the second picture, if that was found on another grid
     """
     A, used = asked.model.operator, np.isfinite(asked.sigma)
     pictures = single(first), single(second)
     contrast = np.maximum(*(slopes_of(A, picture, scale)[1] for picture in pictures))
     variance = np.where(used, asked.sigma, np.inf) ** 2 + ALLOWED_SHIFT_PX**2 / 2 * contrast
-    squares = (np.abs(asked.y - A.forward(picture)) ** 2 / 2 / variance for picture in pictures)
+    views = A.forward(pictures[0]), A.forward(pictures[1]) if seen is None else seen
+    squares = (np.abs(asked.y - view) ** 2 / 2 / variance for view in views)
     apart = np.subtract(*(np.where(used, square, 0.0).sum(axis=0) for square in squares))
     around = WINDOW_PX**2 * uniform_filter(apart, WINDOW_PX, mode="constant")
     odds = single(np.broadcast_to(expit(around / 2), used.shape) * used)

@@ -157,7 +157,8 @@ def _one_frequency(
             "modulation_source": frames.scale.source,
         },
     )
-    frame = predictor(burst, problem, used, found.image * problem.intensity, shift_field)
+    seen_as = found.image if found.fine is None else found.fine
+    frame = predictor(burst, problem, used, seen_as * problem.intensity, shift_field)
     return _result(frame, problem, estimate, phase_rad, frames.scale)
 
 
@@ -239,6 +240,7 @@ def _result(
     bright = max(float(np.median(np.abs(problem.y[problem.weight > 0]))), noise) or 1.0
     noise_m = noise / bright / scale.rad_per_m
     distance_m = scale.distance_m(phase_rad)
+    fine = found.fine
 
     def part(number: int, factor: float) -> Any:
         if callable(std):
@@ -248,6 +250,7 @@ def _result(
     amplitude = replace(
         found,
         image=np.abs(found.image) * unit,
+        fine=None if fine is None else np.abs(fine) * unit,
         uncertainty=part(0, unit),
         noise_sigma=noise * unit,
         predict=PhasorPredictor(frame),
@@ -255,6 +258,7 @@ def _result(
     distance = replace(
         found,
         image=distance_m,
+        fine=None if fine is None else scale.distance_m(np.angle(fine)),
         uncertainty=part(1, 1 / scale.rad_per_m),
         noise_sigma=noise_m,
         predict=PhasorPredictor(frame, scale),
