@@ -106,6 +106,20 @@ def test_nine_frames_of_narrow_pixels_know_no_less_than_four(seed: int) -> None:
         assert errors[1] < 1.1 * errors[0]
 
 
+def test_mirrored_and_turned_frames_give_mirrored_and_turned_pictures() -> None:
+    """Where it is close which grid predicts better, that must not depend on how frames lie."""
+    rng = np.random.default_rng(3)
+    fine = canvas(rng, (18, 21)) + 0.05 * weave(rng, (18, 21), 0.8)
+    seen = observe(fine, (18, 21), offset_px=SIXTEEN, snr=25.0, rng=rng)
+    image = solved(seen).image
+    for turned, offset_px, back in (
+        (seen.y[:, ::-1], seen.offset_px * (-1, 1), lambda x: x[::-1]),
+        (np.moveaxis(seen.y, 1, 2), seen.offset_px[:, ::-1], np.transpose),
+    ):
+        again = solved(MosaicBurst(turned, offset_px, seen.truth, seen.sigma, 2)).image
+        np.testing.assert_allclose(back(again), image, atol=1e-3 * np.ptp(image))
+
+
 @pytest.mark.parametrize("seed", [51, 52, 53])
 def test_noise_asks_for_no_smaller_pixels(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -50,9 +50,10 @@ def seen_finer(asked: Asked, solve: Callable[[Asked], Solution]) -> Asked | None
     model = finer_grid(asked.model)
     if model is None:
         return None
-    rows, cols = np.ogrid[: asked.y.shape[1], : asked.y.shape[2]]
+    # Lines of pixels, others in each frame, that lie the same in mirrored and transposed frames.
+    rows, cols = (np.minimum(at, at[::-1]) for at in map(np.arange, asked.y.shape[1:]))
     frame = np.arange(len(asked.y))[:, None, None]
-    out = (rows + 3 * cols + 5 * frame) % LEFT_OUT == 0
+    out = (rows[:, None] + cols + 3 * frame) % LEFT_OUT == 0
     finer = replace(asked, model=model)
     gain = _squares(asked, out, solve) - _squares(finer, out, solve)
     sure = float(gain.mean()) > SURE * float(gain.std()) / math.sqrt(max(gain.size, 1))
