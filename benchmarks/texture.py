@@ -1,8 +1,9 @@
 """What phasors show of texture: amplitudes of simulated scenes beside those without a distance.
 
     python benchmarks/texture.py --seed 11
+    python benchmarks/texture.py --seed 11 --pattern 3x3
 
-Each scene of `lensshift simulate` before two cameras, four frames, shifts off by 0.02 px. Printed:
+Each scene of `lensshift simulate` before two cameras, shifts off by 0.02 px. Printed:
 PSNR (dB) of the amplitude of the default, of the default without distances, of `tikhonov` and of
 `shift-and-add`, and what the default warned of. Half a minute.
 """
@@ -28,8 +29,9 @@ def main() -> None:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=11)
-    seed = parser.parse_args().seed
-    pattern_px = named_pattern_px("square")
+    parser.add_argument("--pattern", default="square", help="of the lens: square, 3x3, 4x4 ...")
+    given = parser.parse_args()
+    seed, pattern_px = given.seed, named_pattern_px(given.pattern)
     print(f"{'':26}" + "".join(f"{name:>16}" for name, _ in WAYS))
     for scene in SCENES:
         for camera in CAMERAS:

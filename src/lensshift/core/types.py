@@ -271,8 +271,7 @@ class Estimate(Shown):
     ----------
     image : [row col] on the HR grid
     uncertainty : [row col] standard deviation of `image` from the frames' noise, or a function
-        that computes it when `std` is first asked for (or the estimate is pickled or copied), or
-        None
+        that computes it when `std` is first asked for, the estimate pickled or copied; or None
     objective : its value after each outer iteration
     status : how the iterations ended
     confidence : [frame row col] weight of each LR pixel in 0 .. 1, or None
@@ -282,8 +281,7 @@ class Estimate(Shown):
         returns that LR frame as the forward model sees `image`
     notes : what else the method found out, text and numbers
     misfit : [row col] chi-square of the frames that touch a pixel, 1 where all is well; or None
-    fine : [row col] the picture of smaller pixels of which `image` is the mean, where it was found
-        so, since the frames see more than pixels of `image` hold; or None
+    fine : [row col] smaller pixels of which `image` is the mean, if it was found so; or None
     """
 
     image: NDArray[Any]
