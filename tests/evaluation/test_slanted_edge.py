@@ -177,6 +177,17 @@ def test_a_bent_edge_is_followed() -> None:
     assert straight.mtf50_lpmm.value < 0.9 * result.mtf50_lpmm.value
 
 
+@pytest.mark.parametrize("slope", [-0.006, 0.003])
+def test_light_that_changes_across_a_narrow_region_is_found(slope: float) -> None:
+    """Nothing along the edge tells of it, and the plateaus are a few pixels wide."""
+    image = box_edge((39, 21), angle_deg=6.0) * (1.0 + slope * (np.arange(21) - 10.0))
+    exact = truth_mtf50(6.0, 0.4)
+    for seed in range(2):
+        found = measure_edge(noisy(image, 0.005, seed), region=(0, 39, 0, 21)).mtf50_lpmm
+        assert found.low < exact < found.high
+        assert found.value == pytest.approx(exact, rel=0.015)
+
+
 @pytest.mark.slow
 def test_uneven_light_does_not_bias_the_curve() -> None:
     image = box_edge((33, 65))
