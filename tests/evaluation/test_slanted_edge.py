@@ -198,6 +198,17 @@ def test_uneven_light_does_not_bias_the_curve() -> None:
     assert error(ignored, 8.0, 0.4) > 2 * error(result, 8.0, 0.4)
 
 
+@pytest.mark.parametrize("told", [1.0, 0.0, -1.0])
+def test_frames_that_lie_elsewhere_than_told_are_not_usable(told: float) -> None:
+    """A wrong sign smears the edge as blur would, which its own interval cannot know."""
+    offset_px = np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.5, 0.5]])
+    frames = [noisy(box_edge((21, 25), offset_px=(r, c)), 0.01, k) for k, (r, c) in
+              enumerate(offset_px)]  # fmt: skip
+    found = measure_edge(np.array(frames), region=(0, 21, 0, 25), offset_px=told * offset_px)
+    assert found.usable == (told > 0.0)
+    assert any("from frame to frame" in note for note in found.notes) == (told <= 0.0)
+
+
 def test_invalid_pixels_are_left_out() -> None:
     image = box_edge((21, 49))
     spoiled = image.copy()
