@@ -177,7 +177,7 @@ def test_through_focus(edges: list[ChartEdge]) -> None:
     assert all(fit.focus == pytest.approx(1.0, abs=1e-6) for fit in fits.values())
     _, fits = focus_series([one for focus in (-2.0, 0.0, 3.0) for one in at(focus)])
     assert all(0.0 < fit.sigma < 1.0 for fit in fits.values())
-    with pytest.warns(QualityWarning, match="no best focus .*: the sharpest photograph"):
+    with pytest.warns(QualityWarning, match=r"no best focus .*: the sharpest photograph"):
         focus_series([one for focus in (-2.0, 0.0, 1.0) for one in at(focus)])
 
 
