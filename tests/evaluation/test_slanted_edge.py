@@ -359,6 +359,8 @@ def test_aliasing_that_is_left_shows() -> None:
         ({"method": "sfrmat5", "aperture_px": -5}, "sfrmat5 does not know aperture_px; its opt"),
         ({"method": "sfrmat3", "noise_covariance": np.ones((1, 1))}, "noise_covariance.*: none"),
         ({"valid": np.ones((2, 2))}, "expected a mask"),
+        ({"region": (0, 16, 8)}, "expected a region of whole row start"),
+        ({"region": (0, 16, 8.7, 60)}, "expected a region of whole row start"),
         ({"frequency_lpmm": [0.3, 0.1]}, "expected frequency_lpmm"),
     ],
 )
