@@ -224,6 +224,8 @@ def slopes_across(edge: UprightEdge) -> bool:
     """
     begin_px = 0.5 * (_HALF_WIDTH + 1.0) * edge.unit_px
     for side in (edge.normal_px < -begin_px, edge.normal_px > begin_px):
+        if not side.any():
+            continue
         place_px, values = (x[side] - x[side].mean() for x in (edge.normal_px, edge.scaled))
         squares = float(place_px @ place_px)
         if squares > 0.0:
