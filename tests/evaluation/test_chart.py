@@ -63,6 +63,13 @@ def test_lines_to_the_middle_are_sagittal(edges: list[ChartEdge]) -> None:
             assert one.result.mtf50_lpmm.value == pytest.approx(expected, rel=0.05)
 
 
+def test_a_photograph_without_an_edge_is_named() -> None:
+    square = photograph()[TILE_PX:, TILE_PX:]
+    pictures = [Photograph("one", square), Photograph("blank", np.full((50, 50), 0.5))]
+    with pytest.warns(QualityWarning, match="no slanted edge was found in blank"):
+        measure_chart(pictures, workers=1)
+
+
 def test_zones_count_usable_edges_only(edges: list[ChartEdge]) -> None:
     height = [0.1, 0.1, 0.5, 0.9]
     placed = [
@@ -132,6 +139,16 @@ def test_the_error_of_the_focus_is_its_scatter() -> None:
     assert np.std([one.focus for one in fits]) == pytest.approx(told, rel=0.2)
 
 
+def test_three_photographs_tell_the_error_of_the_focus_by_their_own() -> None:
+    rng = np.random.default_rng(2)
+    focus, std = np.array([-1.0, 0.0, 1.5]), np.array([0.02, 0.05, 0.03])
+    fits = [
+        best_focus(focus, 10 - (focus - 0.2) ** 2 + rng.normal(0, std), std) for _ in range(300)
+    ]
+    assert np.std([one.focus for one in fits]) == pytest.approx(fits[0].sigma, rel=0.15)
+    assert np.isnan(best_focus(focus, 10 - (focus - 0.2) ** 2).sigma)
+
+
 @pytest.mark.parametrize(
     ("focus", "mtf50", "message"),
     [
@@ -158,6 +175,10 @@ def test_through_focus(edges: list[ChartEdge]) -> None:
     series, fits = focus_series([one for focus in (-2.0, 0.0, 2.0, 4.0) for one in at(focus)])
     assert {row["zone"] for row in series} == set(fits)
     assert all(fit.focus == pytest.approx(1.0, abs=1e-6) for fit in fits.values())
+    _, fits = focus_series([one for focus in (-2.0, 0.0, 3.0) for one in at(focus)])
+    assert all(0.0 < fit.sigma < 1.0 for fit in fits.values())
+    with pytest.warns(QualityWarning, match=r"no best focus .*: the sharpest photograph"):
+        focus_series([one for focus in (-2.0, 0.0, 1.0) for one in at(focus)])
 
 
 @pytest.mark.parametrize(("photographs", "expected"), [(1, 1), (2, 3)])

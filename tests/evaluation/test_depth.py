@@ -437,3 +437,13 @@ def test_other_bad_input() -> None:
         edge_location_error(GOOD, GOOD, along="x")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="at least 2 lines, got 0"):
         edge_location_error(GOOD, np.full(SHAPE, 3.0))
+
+
+def test_pixels_without_a_distance_and_other_units_are_told() -> None:
+    truth = np.full((6, 8), 2.0)
+    holed = truth.copy()
+    holed[2, 3:5] = 0.0
+    with pytest.warns(QualityWarning, match="2 of 48 pixels have a distance of 0 or less"):
+        depth_error(holed, truth)
+    with pytest.warns(QualityWarning, match="image lies at 2000, the truth at 2"):
+        depth_error(np.round(1e3 * truth).astype(np.uint16), truth)

@@ -109,3 +109,15 @@ def test_what_does_not_fit_is_refused(
 def test_a_flat_picture_holds_no_bars() -> None:
     with pytest.raises(ValueError, match="found no bars"):
         gratings_mtf(np.ones(SHAPE), [0.1], pitch_mm=1.0, levels=(LOW, HIGH))
+
+
+def test_bars_that_are_not_there_are_not_measured_at_the_ends_of_others() -> None:
+    """They were: with a modulation of a few per cent, by which all other groups were divided."""
+    with pytest.raises(ValueError, match="at one place"):
+        gratings_mtf(groups(0.002, 0.0), (0.08, 0.095, 0.31), pitch_mm=1.0)
+
+
+def test_a_group_that_is_too_short_to_be_found_asks_for_its_region() -> None:
+    noise = np.random.default_rng(5).normal(0.5, 0.1, SHAPE)
+    with pytest.raises(ValueError, match=r"found no bars of 0\.08 .* give their region"):
+        gratings_mtf(noise, (0.08,), pitch_mm=1.0, levels=(LOW, HIGH))

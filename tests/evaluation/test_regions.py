@@ -54,3 +54,15 @@ def test_a_faint_edge_is_found_beside_a_strong_frame() -> None:
     assert region.row_stop - region.row_start > 60
     assert region.col_start < 80
     assert region.col_stop > 100
+
+
+@pytest.mark.parametrize("value", [-40.0, 2000.0])
+def test_hot_and_dead_pixels_do_not_hide_an_edge(value: float) -> None:
+    image = np.where(slanted((140, 200), 0.1, 90.0) > 0, 120.0, 80.0)
+    image[:, 150:] = 30.0
+    picture = seen(image)
+    picture[np.random.default_rng(4).random(picture.shape) < 0.003] = value
+    [region] = find_regions(picture)
+    assert region.row_stop - region.row_start > 120
+    assert region.col_start < 75
+    assert region.col_stop > 105

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.ring_correlation import RingCorrelation, fourier_ring_correlation
@@ -164,3 +165,13 @@ GOOD = white((9, 11), 0)
 def test_bad_input(first: Floats, second: Floats, pitch_mm: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         fourier_ring_correlation(first, second, pitch_mm=pitch_mm)
+
+
+def test_a_scene_without_coarse_structure_is_told() -> None:
+    rng = np.random.default_rng(4)
+    wave = rng.normal(0.0, 1.0, (64, 64))
+    fine = wave - gaussian_filter(wave, 2.0, mode="wrap")
+    first, second = (fine + rng.normal(0.0, 0.2, fine.shape) for _ in range(2))
+    with pytest.warns(QualityWarning, match="no coarse structure"):
+        found = fourier_ring_correlation(first, second, pitch_mm=1.0)
+    assert found.cutoff_lpmm == 0.0

@@ -107,6 +107,42 @@ def test_the_rim_of_a_star_is_found(
     np.testing.assert_allclose(found.mtf.modulation * found.contrast / 0.8, exact, atol=0.03)
 
 
+@pytest.mark.parametrize("beyond_px", [0.0, 0.4, -0.4])
+def test_a_rim_at_the_border_does_not_tell_the_contrast(beyond_px: float) -> None:
+    # Blur of the white around it reaches the outermost ring, which kept more than half its wave.
+    row, col = np.indices((101, 121), dtype=float) - np.array([50.0, 60.0])[:, None, None]
+    radius, wave = np.hypot(row, col), np.cos(25 * np.arctan2(row, col))
+    inside = 1 / (1 + np.exp((radius - 50.0 - beyond_px) / 0.4))
+    image = 0.9 * (1 - inside) + inside * (0.5 + 0.4 * blurred_amplitude(radius, 25, 0.5) * wave)
+    result = siemens_star_mtf(image, cycles=25, pitch_mm=1.0)
+    assert abs(result.contrast - 0.8) < 2 * result.contrast_std
+    expected = gaussian_mtf(result.mtf.frequency_lpmm, 0.5)
+    np.testing.assert_allclose(result.mtf.modulation, expected, atol=0.03)
+
+
+@pytest.mark.parametrize("grey", [0.1, 0.5])
+def test_rings_on_a_disc_in_the_middle_are_left_out(grey: float) -> None:
+    row, col = np.indices((121, 121), dtype=float) - 60.0
+    radius, wave = np.hypot(row, col), np.cos(25 * np.arctan2(row, col))
+    outside = 1 / (1 + np.exp((20.0 - radius) / 0.4))
+    image = grey * (1 - outside) + outside * (0.5 + 0.4 * wave)
+    image += np.random.default_rng(3).normal(0.0, 0.01, image.shape)
+    with pytest.warns(QualityWarning, match="a disc in the middle"):
+        result = siemens_star_mtf(image, cycles=25, pitch_mm=1.0)
+    assert 20.0 < result.radius_mm[-1] < 23.0
+    np.testing.assert_allclose(result.mtf.modulation, 1.0, atol=0.05)  # no blur was put in
+
+
+@pytest.mark.parametrize("cycles", [25, 30])
+def test_noise_and_other_stars_are_refused(cycles: int) -> None:
+    noise = np.random.default_rng(5).normal(0.5, 0.1, SHAPE)
+    with pytest.raises(ValueError, match="expected contrast at low frequencies"):
+        siemens_star_mtf(noise, cycles=cycles, pitch_mm=1.0, center_px=CENTER)
+    seen = exact_star(cycles=12) + 0.2 * noise
+    with pytest.raises(ValueError, match="expected contrast at low frequencies"):
+        siemens_star_mtf(seen, cycles=cycles, pitch_mm=1.0, center_px=CENTER)
+
+
 def test_sectors_show_the_direction_across() -> None:
     # Blurred along the rows (axis 0) alone: only the frequencies that run along them suffer.
     image = gaussian_filter(exact_star(sigma=0.3), (1.0, 0.0), mode="nearest")

@@ -177,6 +177,17 @@ def test_a_bent_edge_is_followed() -> None:
     assert straight.mtf50_lpmm.value < 0.9 * result.mtf50_lpmm.value
 
 
+@pytest.mark.parametrize("slope", [-0.006, 0.003])
+def test_light_that_changes_across_a_narrow_region_is_found(slope: float) -> None:
+    """Nothing along the edge tells of it, and the plateaus are a few pixels wide."""
+    image = box_edge((39, 21), angle_deg=6.0) * (1.0 + slope * (np.arange(21) - 10.0))
+    exact = truth_mtf50(6.0, 0.4)
+    for seed in range(2):
+        found = measure_edge(noisy(image, 0.005, seed), region=(0, 39, 0, 21)).mtf50_lpmm
+        assert found.low < exact < found.high
+        assert found.value == pytest.approx(exact, rel=0.015)
+
+
 @pytest.mark.slow
 def test_uneven_light_does_not_bias_the_curve() -> None:
     image = box_edge((33, 65))
@@ -185,6 +196,17 @@ def test_uneven_light_does_not_bias_the_curve() -> None:
     assert error(result, 8.0, 0.4) < 0.015
     ignored = measure_edge(noisy(image * light, 0.005), tilt=False)
     assert error(ignored, 8.0, 0.4) > 2 * error(result, 8.0, 0.4)
+
+
+@pytest.mark.parametrize("told", [1.0, 0.0, -1.0])
+def test_frames_that_lie_elsewhere_than_told_are_not_usable(told: float) -> None:
+    """A wrong sign smears the edge as blur would, which its own interval cannot know."""
+    offset_px = np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.5, 0.5]])
+    frames = [noisy(box_edge((21, 25), offset_px=(r, c)), 0.01, k) for k, (r, c) in
+              enumerate(offset_px)]  # fmt: skip
+    found = measure_edge(np.array(frames), region=(0, 21, 0, 25), offset_px=told * offset_px)
+    assert found.usable == (told > 0.0)
+    assert any("from frame to frame" in note for note in found.notes) == (told <= 0.0)
 
 
 def test_invalid_pixels_are_left_out() -> None:
@@ -337,6 +359,8 @@ def test_aliasing_that_is_left_shows() -> None:
         ({"method": "sfrmat5", "aperture_px": -5}, "sfrmat5 does not know aperture_px; its opt"),
         ({"method": "sfrmat3", "noise_covariance": np.ones((1, 1))}, "noise_covariance.*: none"),
         ({"valid": np.ones((2, 2))}, "expected a mask"),
+        ({"region": (0, 16, 8)}, "expected a region of whole row start"),
+        ({"region": (0, 16, 8.7, 60)}, "expected a region of whole row start"),
         ({"frequency_lpmm": [0.3, 0.1]}, "expected frequency_lpmm"),
     ],
 )

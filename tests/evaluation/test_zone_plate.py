@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.zone_plate import zone_plate_response
 
@@ -138,6 +139,27 @@ def test_noise_uneven_light_and_holes() -> None:
         error = curve.modulation - gaussian_mtf(f, 0.5) * pixel_mean(f, half_rad)
         assert std is not None
         assert 0.6 < np.sqrt(np.mean((error / std) ** 2)) < 1.5
+
+
+@pytest.mark.parametrize("around", [0.5, 0.9])
+def test_rings_beyond_the_rim_are_left_out(around: float) -> None:
+    row, col = np.indices((161, 161), dtype=float) - 80.0
+    radius = np.hypot(row, col)
+    inside = 1 / (1 + np.exp((radius - 60.0) / 0.4))
+    image = around + inside * (0.5 + 0.4 * np.cos(np.pi * CHIRP * radius**2) - around)
+    image += np.random.default_rng(3).normal(0.0, 0.01, image.shape)
+    with pytest.warns(QualityWarning, match="taken for the rim of the plate"):
+        result = zone_plate_response(image, pitch_mm=1.0, chirp_lpmm_per_mm=CHIRP)
+    for curve in (result.radial, result.row, result.col):
+        assert 0.23 < curve.frequency_lpmm[-1] < 0.3  # of the rim
+        np.testing.assert_allclose(curve.modulation, 1.0, atol=0.05)  # no blur was put in
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05, 2.0])
+def test_a_wrong_chirp_is_told(factor: float) -> None:
+    image, chirp = rendered_plate(0.5), factor * CHIRP
+    with pytest.warns(QualityWarning, match="from ring to ring"):
+        zone_plate_response(image, pitch_mm=1.0, chirp_lpmm_per_mm=chirp, center_px=CENTER)
 
 
 def test_pitch_in_mm_only_rescales_the_frequency() -> None:

@@ -162,8 +162,8 @@ class FocusFit:
 
     Parameters
     ----------
-    focus, sigma : where it is largest, and the standard error of that; NaN with three points,
-        which a parabola always meets
+    focus, sigma : where it is largest, and the standard error of that, from the scatter about the
+        parabola; with three points, which it always meets, from their own errors
     mtf50_lpmm : there
     """
 
@@ -176,10 +176,17 @@ class FocusFit:
         return FocusFit(self.focus, self.sigma, self.mtf50_lpmm * factor)
 
 
-def best_focus(focus: Sequence[float], mtf50_lpmm: Sequence[float]) -> FocusFit:
+def best_focus(
+    focus: Sequence[float], mtf50_lpmm: Sequence[float], std_lpmm: Sequence[float] | None = None
+) -> FocusFit:
     """Return where a lens is sharpest, from MTF50 at three or more positions of the focus.
 
     The parabola is fitted to the largest value and up to two neighbours on each side.
+
+    Parameters
+    ----------
+    focus, mtf50_lpmm : of the photographs
+    std_lpmm : standard errors of MTF50, which tell `sigma` of three photographs; NaN without
 
     Raises
     ------
@@ -187,25 +194,26 @@ def best_focus(focus: Sequence[float], mtf50_lpmm: Sequence[float]) -> FocusFit:
         If there are fewer than three positions, or the largest value is the first or last one.
     """
     x, y = np.asarray(focus, dtype=np.float64), np.asarray(mtf50_lpmm, dtype=np.float64)
+    std = np.full(len(y), np.nan) if std_lpmm is None else np.asarray(std_lpmm, dtype=np.float64)
     known = np.isfinite(y)
-    x, y = x[known], y[known]
-    order = np.argsort(x)
-    x, y = x[order], y[order]
+    order = np.flatnonzero(known)[np.argsort(x[known])]
+    x, y, std = x[order], y[order], std[order]
     if len(np.unique(x)) < 3:
         raise ValueError(f"expected three positions of the focus or more, got {len(np.unique(x))}")
     top = int(np.argmax(y))
     if top in (0, len(x) - 1):
         raise ValueError("the sharpest photograph is the first or last of the series; go on there")
     near = slice(max(top - 2, 0), top + 3)
-    x, y = x[near], y[near]
+    x, y, std = x[near], y[near], std[near]
     middle, span = float(x.mean()), float(np.ptp(x))
     design = np.vander((x - middle) / span, 3)
     (bend, slope, level), *_ = np.linalg.lstsq(design, y, rcond=None)
     if bend >= 0:
         raise ValueError("MTF50 has no maximum over the focus")
     rest = y - design @ np.array([bend, slope, level])
-    spread = float(rest @ rest) / (len(x) - 3) if len(x) > 3 else float("nan")
-    covariance = np.linalg.inv(design.T @ design) * spread
+    spread = np.full(len(x), float(rest @ rest) / (len(x) - 3)) if len(x) > 3 else std**2
+    solving = np.linalg.pinv(design)
+    covariance = solving * spread @ solving.T
     at = -slope / (2.0 * bend)
     lean = np.array([slope / (2.0 * bend**2), -1.0 / (2.0 * bend), 0.0])
     sigma = float(np.sqrt(lean @ covariance @ lean)) * span

@@ -77,14 +77,15 @@ def measure_chart(
     Warns
     -----
     QualityWarning
-        If regions that look like edges could not be measured.
+        If a photograph shows no edge, or regions that look like edges could not be measured.
     """
     tasks: list[tuple[int, Region]] = []
+    blank: list[str] = []
     for number, one in enumerate(pictures):
         try:
             tasks += [(number, place) for place in find_regions(np.asarray(one.first, float))]
         except ValueError:
-            continue  # another photograph may show some
+            blank.append(one.name)  # another photograph may show some
     if workers is None:
         workers = (os.cpu_count() or 1) if len(tasks) >= _WORTH_WORKERS else 1
     found: list[list[EdgeResult]] = [[] for _ in pictures]
@@ -109,6 +110,9 @@ def measure_chart(
         raise ValueError(
             f"expected a slanted edge that can be measured, found none in {names}{why}"
         )
+    if blank:
+        told = f"no slanted edge was found in {', '.join(blank)}"
+        warnings.warn(told, QualityWarning, stacklevel=2)
     if refused:
         warnings.warn(
             f"{len(refused)} regions could not be measured, the first: {refused[0]}",
@@ -122,26 +126,36 @@ def focus_series(edges: Sequence[ChartEdge]) -> tuple[list[dict[str, Any]], dict
     """Return the MTF50 of each zone and position of the focus, and where each zone is sharpest.
 
     Zones whose best position is not within the series have no fit.
+
+    Warns
+    -----
+    QualityWarning
+        If a zone has none, and why.
     """
     rows: list[dict[str, Any]] = []
+    errors: dict[tuple[str, float], float] = {}
     for focus in dict.fromkeys(one.focus for one in edges):
-        by_zone: dict[str, list[tuple[int, float]]] = {}
+        by_zone: dict[str, list[tuple[int, float, float]]] = {}
         for row in zone_rows([one for one in edges if one.focus == focus]):
-            by_zone.setdefault(row["zone"], []).append((row["edges"], row["mtf50_lpmm"].value))
+            number = row["mtf50_lpmm"]
+            std = (number.high - number.low) / (2 * 1.96)
+            by_zone.setdefault(row["zone"], []).append((row["edges"], number.value, std))
         for zone, told in by_zone.items():
-            count, value = np.array(told).T
-            rows.append(
-                {"zone": zone, "focus": focus, "mtf50_lpmm": float(count @ value / count.sum())}
-            )
+            count, value, std = np.array(told).T
+            share = count / count.sum()
+            rows.append({"zone": zone, "focus": focus, "mtf50_lpmm": float(share @ value)})
+            errors[zone, focus] = float(np.linalg.norm(share * std))
     fits = {}
     for zone in dict.fromkeys(str(row["zone"]) for row in rows):
         here = [row for row in rows if row["zone"] == zone]
         try:
             fits[zone] = best_focus(
-                [row["focus"] for row in here], [row["mtf50_lpmm"] for row in here]
+                [row["focus"] for row in here],
+                [row["mtf50_lpmm"] for row in here],
+                [errors[zone, row["focus"]] for row in here],
             )
-        except ValueError:
-            continue
+        except ValueError as error:
+            warnings.warn(f"no best focus {zone}: {error}", QualityWarning, stacklevel=2)
     return rows, fits
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.edge_gradient import profile_edge
 
 Floats = NDArray[np.float64]
@@ -15,6 +17,7 @@ Mask = NDArray[np.bool_]
 
 EDGE_SHARE = 0.05  # of the nearer distance: smaller steps are no edges
 _MIN_LINE_SAMPLES = 4
+_OTHER_UNIT = 30.0  # between what is off by chance and cm for m
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,12 @@ def depth_error(
     ------
     ValueError
         If shapes differ, a number is out of range, or no pixel is valid in both images.
+
+    Warns
+    -----
+    QualityWarning
+        If pixels have no distance above 0, as cameras mark what is invalid, or the image seems to
+        be in another unit than the truth.
     """
     measured_m, truth = distance_image(distance_m, valid), distance_image(truth_m, truth_valid)
     check_shape(measured_m, truth)
@@ -103,6 +112,7 @@ def depth_error(
     near = near_edges(
         truth, scale=scale, edge_width_px=edge_width_px, noise_m=noise_m, min_step_m=min_step_m
     )
+    _warn_of_values(measured_m[used], truth[used])
     error_m = measured_m - truth
     inside_m = error_m[used]
     return DepthError(
@@ -118,6 +128,24 @@ def depth_error(
         fill_rate=_share(used, known),
         edge_fill_rate=_share(used & near, known & near),
     )
+
+
+def _warn_of_values(measured_m: Floats, truth_m: Floats) -> None:
+    empty = int(np.count_nonzero(measured_m <= 0.0))
+    if empty and truth_m.min() > 0.0:
+        warnings.warn(
+            f"{empty} of {measured_m.size} pixels have a distance of 0 or less and count as "
+            "errors; make them NaN if they are invalid",
+            QualityWarning,
+            stacklevel=3,
+        )
+    middle_m, true_m = float(np.median(measured_m)), float(np.median(truth_m))
+    if min(middle_m, true_m) > 0.0 and max(middle_m / true_m, true_m / middle_m) > _OTHER_UNIT:
+        warnings.warn(
+            f"the image lies at {middle_m:.4g}, the truth at {true_m:.4g}: expected both in m",
+            QualityWarning,
+            stacklevel=3,
+        )
 
 
 def near_edges(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -109,6 +110,7 @@ def gratings_mtf(
     order = np.argsort(wanted)
     wanted, places = wanted[order], [places[k] for k in order]
     groups = [_measured(pixels, f, place, profile) for f, place in zip(wanted, places, strict=True)]
+    _refuse_same_place([one for one, at in zip(groups, places, strict=True) if at is None])
     fits = [one.fit for one in groups]
     outer = max(_FEWEST_TO_EXTRAPOLATE, (len(fits) + 1) // 2)
     contrast = contrast_at_zero(wanted[:outer], fits[:outer], levels, profile)
@@ -142,6 +144,11 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     values = pixels.values[inside]
     reach = np.ptp(row_mm), np.ptp(col_mm)
     if values.size < 16 or max(reach) * frequency_lpmm < _LEAST_CYCLES:
+        if place is None:
+            raise ValueError(
+                f"found no bars of {frequency_lpmm:.4g} along rows or columns with "
+                f"{_LEAST_CYCLES:g} cycles or more between their ends; give their region"
+            )
         raise ValueError(
             f"expected {_LEAST_CYCLES:g} cycles of {frequency_lpmm:.4g} or more in {region}"
         )
@@ -176,6 +183,22 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     if fit is None:
         raise ValueError(f"expected more pixels of the group of {frequency_lpmm:.4g} in {region}")
     return _Group(fit, region, float(best[0]), float(f))
+
+
+def _refuse_same_place(found: Sequence[_Group]) -> None:
+    """Refuse groups found at one place: strong bars have some of every frequency at their ends."""
+    for one, other in itertools.combinations(found, 2):
+        tops, bottoms, lefts, rights = zip(one.region, other.region, strict=True)
+        shared = max(min(bottoms) - max(tops), 0) * max(min(rights) - max(lefts), 0)
+        if 2 * shared > min(_area(one.region), _area(other.region)):
+            raise ValueError(
+                f"found bars of {one.frequency_lpmm:.4g} and of {other.frequency_lpmm:.4g} at one "
+                f"place, {one.region}: are both in the image? Give their regions"
+            )
+
+
+def _area(region: Box) -> int:
+    return (region[1] - region[0]) * (region[3] - region[2])
 
 
 def _found(pixels: Pixels, frequency_lpmm: float) -> Box:

@@ -23,6 +23,10 @@ _MAX_CENTER_STEPS = 30
 _CENTER_TOLERANCE_PX = 1e-4
 _OF_UNIFORM = 3.0**-0.5  # deviation from one end of a uniform distribution over its width
 _MIN_MODULATION = 1e-3  # of the lowest frequencies; below, the image does not hold the target
+_SURE = 4.0  # deviations: noise of two quadratures exceeds them once in 3000
+_ENDED = 0.2  # of the modulation that blur would have left
+_LEAST_ENDING, _LEAST_BEYOND = 0.05, 3  # of the greatest modulation; rings that show nothing
+_MOST_TURN_RAD = 0.1  # from ring to ring
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,16 +184,66 @@ def contrast_at_zero(
         factor = _SQUARE_FUNDAMENTAL if profile == "square" else 1.0
         return factor * (high - low) / (high + low), 0.0
     modulation = np.array([fit.modulation for fit in fits])
-    if np.min(modulation) < _MIN_MODULATION:
-        raise ValueError(f"expected contrast at low frequencies, got {np.min(modulation):.2g}")
+    std = np.array([fit.std for fit in fits])
+    if np.min(modulation) < _MIN_MODULATION or np.median(modulation - _SURE * std) < 0.0:
+        raise ValueError(
+            f"expected contrast at low frequencies, got {np.min(modulation):.2g} with a scatter of "
+            f"{np.median(std):.2g}: does the image show this pattern?"
+        )
     ones = np.ones_like(frequency_lpmm)
     weights, steeper = (
         np.linalg.pinv(np.column_stack([ones, frequency_lpmm**power]))[0] for power in (2, 1)
     )
     contrast = float(np.exp(weights @ np.log(modulation)))
-    relative = weights * np.array([fit.std for fit in fits]) / modulation
+    relative = weights * std / modulation
     apart = float((steeper - weights) @ np.log(modulation)) * _OF_UNIFORM
     return contrast, contrast * float(np.hypot(np.linalg.norm(relative), apart))
+
+
+def printed_count(frequency_lpmm: Floats, fits: Sequence[HarmonicFit], apart: int) -> int:
+    """Return how many of the fits, by rising frequency, lie on the print of the wave.
+
+    Where the print ends (at a disc in the middle of a star, at the rim of a plate) the wave is gone
+    within a few pixels and stays away. Blur lets it fade, log m about straight over f^2 (Gaussian)
+    or m over f (diffraction, to its cut-off): within `apart` fits from the last that counts it must
+    fall to a fifth of either, or to noise.
+    """
+    modulation = np.array([fit.modulation for fit in fits])
+    std = np.array([fit.std for fit in fits])
+    for last in range(apart, len(fits) - apart - _LEAST_BEYOND + 1):
+        before, after = last - apart, last + apart
+        if min(modulation[before], modulation[last]) <= 0.0:
+            continue
+        ratio = min(float(modulation[last] / modulation[before]), 1.0)
+        run, run_squared = (
+            (f[after] - f[last]) / (f[last] - f[before])
+            for f in (frequency_lpmm, frequency_lpmm**2)
+        )
+        left = modulation[last] * min(ratio**run_squared, 1.0 - run * (1.0 / ratio - 1.0))
+        noise = _SURE * std[after:]
+        surely = left > max(_LEAST_ENDING * modulation.max(), 2.5 * float(noise.max()))
+        if surely and np.all(modulation[after:] < np.maximum(_ENDED * left, noise)):
+            return last + 1
+    return len(fits)
+
+
+def warn_if_out_of_step(fits: Sequence[HarmonicFit], wrong: str) -> None:
+    """Warn if the phase turns from ring to ring: the wave that is fitted is not that of the image.
+
+    Blur leaves the phase, or reverses it at a zero of the MTF.
+    """
+    seen = [fit for fit in fits if fit.modulation > _SURE * fit.std]
+    if len(seen) < 2:
+        return
+    phasors = np.exp(1j * np.array([fit.phase_rad for fit in seen]))
+    turn_rad = float(np.median(np.abs(np.angle(phasors[1:] * np.conj(phasors[:-1])))))
+    noise_rad = float(np.median([fit.std / fit.modulation for fit in seen]))
+    if turn_rad > max(_MOST_TURN_RAD, _SURE * noise_rad):
+        warnings.warn(
+            f"the wave turns by {turn_rad:.2g} rad from ring to ring: is {wrong} right?",
+            QualityWarning,
+            stacklevel=3,
+        )
 
 
 def mtf_curve(
@@ -233,7 +287,10 @@ def refine_center_px(
         center_px = (center_px[0] + float(step_px[0]), center_px[1] + float(step_px[1]))
         if np.max(np.abs(step_px)) < _CENTER_TOLERANCE_PX:
             return center_px
-    problem = f"the centre still moves by {np.max(np.abs(step_px)):.2g} px a step; give center_px"
+    problem = (
+        f"the centre still moves by {np.max(np.abs(step_px)):.2g} px a step: is the pattern as "
+        "told? Else give center_px"
+    )
     warnings.warn(problem, QualityWarning, stacklevel=4)
     return center_px
 

@@ -17,6 +17,7 @@ FIXED_THRESHOLD = 1 / 7
 _MIN_SIDE_PX = 8
 # With fewer samples the correlation of pure noise scatters by more than the fixed threshold.
 _MIN_SAMPLES = 1 / FIXED_THRESHOLD**2
+_SURE = 3.0  # deviations of the correlation of noise
 _SAME = 1.0 - 1e-9  # rounding alone
 
 
@@ -34,7 +35,8 @@ class RingCorrelation:
     cutoff_lpmm : first crossing of the half-bit threshold
     fixed_cutoff_lpmm : first crossing of 1/7
 
-    Cut-offs are 0 if the first ring is already below, None if no ring is.
+    Cut-offs are 0 if the first ring is already below, None if no ring is. A scene without coarse
+    structure, as the spokes of a star alone, has nothing to correlate in the first ring.
     """
 
     frequency_lpmm: Floats
@@ -86,7 +88,8 @@ def fourier_ring_correlation(
     Warns
     -----
     QualityWarning
-        If the median ring has too few samples to tell 1/7 from noise.
+        If the median ring has too few samples to tell 1/7 from noise, or the first ring does not
+        agree although finer ones do.
 
     Source: van Heel and Schatz, J. Struct. Biol. 151 (2005) 250; Banterle et al., J. Struct. Biol.
     183 (2013) 363.
@@ -121,6 +124,7 @@ def fourier_ring_correlation(
     root = np.sqrt(samples)
     half_bit = (0.2071 + 1.9102 / root) / (1.2071 + 0.9102 / root)
     frequency_lpmm = ring_sums(radius_lpmm) / count
+    _warn_if_coarse_is_empty(correlation - half_bit, root)
     return RingCorrelation(
         frequency_lpmm=frequency_lpmm,
         correlation=correlation,
@@ -182,6 +186,17 @@ def _warn_if_few(samples: Floats) -> None:
             f"the median of {samples.size} rings has {median:.0f} independent samples: the "
             f"correlation of noise scatters by {1 / np.sqrt(median):.2f}; average over several "
             "pairs or take a larger image",
+            QualityWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_if_coarse_is_empty(excess: Floats, root: Floats) -> None:
+    agreeing = int(np.count_nonzero(excess * root > _SURE))
+    if excess[0] < 0 and 2 * agreeing > excess.size:
+        warnings.warn(
+            f"the coarsest ring does not agree although {agreeing} of {excess.size} do: the scene "
+            "has no coarse structure, and a cut-off of 0 says nothing of the resolution",
             QualityWarning,
             stacklevel=3,
         )

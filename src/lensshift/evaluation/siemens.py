@@ -21,16 +21,20 @@ from lensshift.evaluation.known_phase import (
     fit_harmonic,
     list_pixels,
     mtf_curve,
+    printed_count,
     printed_orders,
     refine_center_px,
     ring_indices,
     symmetry_center_px,
+    warn_if_out_of_step,
 )
 
 Floats = NDArray[np.float64]
 
 _MIN_RINGS = 3
 _RIM_PX = 2.0
+_SURE = 3.0  # deviations
+_BLUR_PX = 3  # rings of one pixel that the edge of a disc in the middle is blurred over
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +98,8 @@ def siemens_star_mtf(
     pitch_mm : pixel spacing, one or (row, col)
     center_px : (row, col); found to sub-pixel if not given
     radius_range_mm : rings used; if not given, from the Nyquist frequency of the image to the
-        rim of the star, where its wave has half its greatest amplitude, or to the nearest border
+        rim of the star, where its wave has half its greatest amplitude, or to the nearest border.
+        Where the wave ends at once within, as at a disc in the middle, the rings end too
     profile : how the star was printed
     levels : values of (black, white) in large uniform areas
     sectors : directions measured apart, with at least two cycles each; 0 for none
@@ -108,7 +113,8 @@ def siemens_star_mtf(
     Warns
     -----
     QualityWarning
-        If rings have fewer than 2 pixels a cycle, or the search for the centre does not settle.
+        If rings have fewer than 2 pixels a cycle, the search for the centre does not settle, the
+        phase turns from ring to ring, or the wave ends at once at some radius.
 
     Source: ISO 12233:2014 (s-SFR); Loebich et al., Proc. SPIE 6502 (2007) 65020N.
     """
@@ -123,18 +129,16 @@ def siemens_star_mtf(
         )
     row_mm, col_mm = pixels.place_mm(center)
     radius_mm, angle_rad = np.hypot(row_mm, col_mm), np.arctan2(row_mm, col_mm)
-    waves = star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm)
-    rings_mm, fits = star.measure(pixels, waves, radius_mm)
-    if len(fits) < _MIN_RINGS:
-        raise ValueError(
-            f"expected at least {_MIN_RINGS} rings with enough valid pixels between "
-            f"{radii_mm[0]:.4g} and {radii_mm[1]:.4g} mm, got {len(fits)}"
-        )
+    waves, rings_mm, fits = _printed(
+        star, pixels, star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm), radius_mm, radii_mm,
+        cut=radius_range_mm is None,
+    )  # fmt: skip
     pixels_per_cycle = star.pixels_per_cycle(rings_mm, pixels.pitch_mm)
     _warn_if_coarse(pixels_per_cycle)
     frequency_lpmm = star.frequency_lpmm(rings_mm)
     outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
     contrast = contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
+    warn_if_out_of_step(fits, f"the number of {cycles} cycles")
     curves = []
     for k in range(sectors):
         part = _sector(waves, angle_rad - 2 * np.pi * k / sectors, np.pi / sectors)
@@ -217,7 +221,7 @@ def _place(
     radii_mm = radius_range_mm or _default_range_mm(pixels, center, star.cycles)
     if radius_range_mm is None and radii_mm[0] < radii_mm[1]:
         rim_mm = _rim_mm(star, pixels, center, radii_mm)
-        if rim_mm < radii_mm[1]:
+        if radii_mm[0] < rim_mm < radii_mm[1]:
             radii_mm = radii_mm[0], rim_mm
             # What surrounds the star has told of its place as well.
             center = center_px or _find_center_px(star, pixels, radii_mm)
@@ -255,14 +259,50 @@ def _rim_mm(
 
     Outside no wave of its spokes is seen: from the border inwards, rings are left out up to the
     first of half the greatest amplitude and two pixels more, which the blur of the rim reaches.
+    Where the outermost ring shows less than one two pixels farther in, of finer lines, that blur
+    reaches it from a rim at the border.
     """
     place_mm = pixels.place_mm(center_px)
     waves = star.waves(*place_mm, radii_mm, pixels.pitch_mm)
     rings_mm, fits = star.measure(pixels, waves, np.hypot(*place_mm))
     waved = np.array([fit.modulation for fit in fits])
-    if not fits or waved[0] >= 0.5 * waved.max():
+    if len(fits) <= _RIM_PX:
+        return radii_mm[1]
+    inner = fits[round(_RIM_PX)]
+    less = inner.modulation - waved[0] > _SURE * np.hypot(inner.std, fits[0].std)
+    if waved[0] >= 0.5 * waved.max() and not less:
         return radii_mm[1]
     return float(rings_mm[np.argmax(waved >= 0.5 * waved.max())]) - _RIM_PX * max(pixels.pitch_mm)
+
+
+def _printed(
+    star: _Star,
+    pixels: Pixels,
+    waves: Waves,
+    radius_mm: Floats,
+    radii_mm: tuple[float, float],
+    *,
+    cut: bool,
+) -> tuple[Waves, Floats, list[HarmonicFit]]:
+    """Return the waves of the rings that show the star, their radii, and the fits.
+
+    Where `cut`, without the rings on a disc in its middle.
+    """
+    rings_mm, fits = star.measure(pixels, waves, radius_mm)
+    if len(fits) < _MIN_RINGS:
+        raise ValueError(
+            f"expected at least {_MIN_RINGS} rings with enough valid pixels between "
+            f"{radii_mm[0]:.4g} and {radii_mm[1]:.4g} mm, got {len(fits)}"
+        )
+    printed = printed_count(star.frequency_lpmm(rings_mm), fits, _BLUR_PX)
+    if cut and printed < len(fits):
+        rings_mm, fits = rings_mm[:printed], fits[:printed]
+        waves = replace(waves, ring=np.where(radius_mm < rings_mm[-1], -1, waves.ring))
+        _warn(
+            f"the wave of the star ends within {rings_mm[-1]:.4g} mm of its centre, which is taken "
+            "for a disc in the middle; give the radii if it is not"
+        )
+    return waves, rings_mm, fits
 
 
 def _sector(waves: Waves, angle_rad: Floats, half_rad: float) -> Waves:
@@ -294,9 +334,9 @@ def _check_star(
 def _warn_if_coarse(pixels_per_cycle: Floats) -> None:
     coarse = int(np.count_nonzero(pixels_per_cycle < 2))
     if coarse:
-        warnings.warn(
-            f"{coarse} of {len(pixels_per_cycle)} rings of the star have fewer than 2 pixels "
-            "a cycle",
-            QualityWarning,
-            stacklevel=3,
-        )
+        count = len(pixels_per_cycle)
+        _warn(f"{coarse} of {count} rings of the star have fewer than 2 pixels a cycle")
+
+
+def _warn(problem: str) -> None:
+    warnings.warn(problem, QualityWarning, stacklevel=4)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.known_phase import (
     HarmonicFit,
@@ -16,9 +18,11 @@ from lensshift.evaluation.known_phase import (
     fit_harmonic,
     list_pixels,
     mtf_curve,
+    printed_count,
     refine_center_px,
     ring_indices,
     symmetry_center_px,
+    warn_if_out_of_step,
 )
 from lensshift.evaluation.limits import pitch_pair_mm
 
@@ -26,6 +30,7 @@ Floats = NDArray[np.float64]
 
 _WEDGE_RAD = np.pi / 12  # half the angle about an axis whose pixels show that axis
 _MIN_RINGS = 3
+_RIM_RINGS = 2  # that a rim is seen in: it crosses one, and is blurred into the next
 _LOW_SHARE = 5  # one ring in so many, at least three, tells the contrast at frequency 0
 
 
@@ -88,6 +93,12 @@ def zone_plate_response(
     ------
     ValueError
         If an argument is out of range, or fewer than three rings can be fitted.
+
+    Warns
+    -----
+    QualityWarning
+        If the phase turns from ring to ring, as with a wrong chirp, or the wave ends at once: rings
+        beyond that rim are left out.
     """
     if not (np.isfinite(chirp_lpmm_per_mm) and chirp_lpmm_per_mm > 0):
         raise ValueError(f"expected a positive chirp in lp/mm per mm, got {chirp_lpmm_per_mm}")
@@ -98,8 +109,16 @@ def zone_plate_response(
     frequency_lpmm, fits = plate.measure(pixels, plate.waves(*place_mm, min(reach_mm)))
     if len(fits) < _MIN_RINGS:
         raise ValueError(f"expected {_MIN_RINGS} or more valid rings of one cycle, got {len(fits)}")
+    printed = printed_count(frequency_lpmm, fits, _RIM_RINGS)
+    if printed < len(fits):
+        frequency_lpmm, fits = frequency_lpmm[:printed], fits[:printed]
+        rim_mm = float(frequency_lpmm[-1]) / chirp_lpmm_per_mm
+        reach_mm = min(reach_mm[0], rim_mm), min(reach_mm[1], rim_mm)
+        problem = f"the wave ends {rim_mm:.4g} mm from the centre, taken for the rim of the plate"
+        warnings.warn(problem, QualityWarning, stacklevel=2)
     lowest = max(_MIN_RINGS, len(fits) // _LOW_SHARE)
     contrast = contrast_at_zero(frequency_lpmm[:lowest], fits[:lowest], levels)
+    warn_if_out_of_step(fits, f"the chirp of {chirp_lpmm_per_mm:g}")
     radial = mtf_curve(frequency_lpmm, fits, contrast, "zone plate")
     axes, folded = [], []
     for axis, name in enumerate(("zone plate, row", "zone plate, col")):

@@ -18,6 +18,7 @@ _LARGEST_GAP_PX = 0.25  # between the phases at which the lines cross the pixels
 _CLIPPED_SHARE = 0.05
 _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
+_LARGEST_APART_PX = 0.1  # rms: as a blur, it takes 2 % of the contrast at 0.3 cycles a pixel
 _LEAST_BEND_PX = 0.05
 _LEAST_LINES = 8
 _LARGEST_RISE = 0.5  # of the extent of the region across the edge
@@ -27,12 +28,17 @@ _NO_NOISE = 1e-9  # of the contrast
 
 
 def doubted(
-    result: EdgeResult, lines: int, gap_px: float, values: Vector, out: int = 0
+    result: EdgeResult,
+    lines: int,
+    gap_px: float,
+    values: Vector,
+    out: int = 0,
+    apart_px: float = 0.0,
 ) -> EdgeResult:
     """Return the result with what speaks against it.
 
-    Contrast, clipping and how the lines cross the pixels make an edge unusable; what its profile
-    shows may be true of the whole image.
+    Contrast, clipping, how the lines cross the pixels and frames that do not lie on one another
+    make an edge unusable; what its profile shows may be true of the whole image.
 
     Parameters
     ----------
@@ -41,6 +47,7 @@ def doubted(
     gap_px : largest gap between their phases, see `largest_phase_gap_px`
     values : [n] the pixels of the region
     out : number of pixels that were left out as they stand out
+    apart_px : by how much the edge moves from frame to frame, rms, beside their offsets
     """
     found = _shape(values, result)
     if result.dark + result.bright <= 0.0:
@@ -65,6 +72,11 @@ def doubted(
         found.append(
             f"the lines leave {gap_px:.2f} px of the pixel unsampled at {angle_deg:.2f} degrees; "
             "take more lines or another angle"
+        )
+    if apart_px > _LARGEST_APART_PX:
+        found.append(
+            f"the edge moves by {apart_px:.2f} px rms from frame to frame beside the offsets: are "
+            "these right, and of the right sign?"
         )
     usable = not found
     if out:
@@ -149,12 +161,12 @@ def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:
     return float(np.max(np.diff(np.append(phases, phases[0] + 1.0))))
 
 
-def phase_displacement_px(
-    residual: Vector, slope: Vector, places: NDArray[np.intp], noise: float, period_px: int
+def displacement_px(
+    residual: Vector, slope: Vector, group: NDArray[np.intp], noise: float
 ) -> float:
-    """Return by how much the edge moves between pixels of different phase, rms over the phases.
+    """Return by how much the edge moves between groups of pixels, rms over the groups.
 
-        r_i = -m_g E'(d_i) + noise,   g the phase (row mod s, col mod s) of pixel i
+        r_i = -m_g E'(d_i) + noise,   g the group of pixel i
 
     What noise alone makes is taken off the mean square.
 
@@ -162,13 +174,11 @@ def phase_displacement_px(
     ----------
     residual : [n] pixels minus model, in units of the contrast
     slope : [n] slope of the ESF at each pixel, per px
-    places : [n 3] frame, row and column
+    group : [n] number of the group
     noise : standard deviation of a pixel over the contrast
-    period_px : s, the scale by which the image was refined
     """
-    group = (places[:, 1] % period_px) * period_px + places[:, 2] % period_px
-    weight = np.bincount(group, weights=slope**2, minlength=period_px**2)
-    product = np.bincount(group, weights=slope * residual, minlength=period_px**2)
+    weight = np.bincount(group, weights=slope**2)
+    product = np.bincount(group, weights=slope * residual)
     used = weight > 1e-3 * weight.max()
     moved = product[used] / weight[used]
     moved = moved - np.average(moved, weights=weight[used])

@@ -20,7 +20,12 @@ from lensshift.evaluation.slanted_edge.posterior import (
     drawn_around,
     starting_point,
 )
-from lensshift.evaluation.slanted_edge.prepare import UprightEdge, learn_noise, take_samples
+from lensshift.evaluation.slanted_edge.prepare import (
+    UprightEdge,
+    learn_noise,
+    slopes_across,
+    take_samples,
+)
 from lensshift.evaluation.slanted_edge.samples import EdgeSamples
 
 DRAWS = 256  # draws of the whole edge
@@ -28,6 +33,7 @@ _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
 _ESF_STEP = 0.1
 _MOST_PLACES = 8
 _SEEN = 0.05  # of the pixels lie beyond what counts as the ends of the region
+_LIGHT_SPREAD = 0.1  # of the contrast: by how much light changes to the ends of a region
 _WORSE = 0.5  # of the log posterior
 _SETTLED_PX = 3e-3  # a move whose square changes no pixel
 _FARTHEST_MOVE_PX = 0.5  # at a time
@@ -82,15 +88,18 @@ def fit_edge(
     noise_covariance : of the noise, None to let the plateaus tell
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
-    samples = take_samples(edge, noise, aperture_px, light)
+    lights = [light]
+    if tilt is None and not light and slopes_across(edge):
+        lights.append(1)  # or a tail of the response, which the evidence tells
     sigma = max(noise.dark_sigma, edge.rounding.sigma)
     starts = [edge.geometry]
     if edge.geometry.size > 2:  # bends of an edge that is nearly upright may be the pixels
         straight = np.zeros_like(edge.geometry)
         straight[0] = edge.start_angle_rad
         starts.append(straight)
-    placed = [_placed(edge, samples, sigma, aperture_px, one) for one in starts]
-    _, likelihood, best = min(placed, key=lambda one: one[0])
+    samples = [take_samples(edge, noise, aperture_px, one) for one in lights]
+    placed = [_placed(edge, s, sigma, aperture_px, one) for s in samples for one in starts]
+    _, likelihood, best = min(placed, key=lambda one: one[0] + _lighting(one[1]))
     posterior = drawn_around(likelihood, best, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
     gathered = likelihood.gathered
@@ -160,6 +169,12 @@ def _placed(
             break
         geometry = here + step
     return found
+
+
+def _lighting(likelihood: EdgeLikelihood) -> float:
+    """Return minus the log of the flat priors of the levels: each is worth its spread."""
+    gathered = likelihood.gathered
+    return float(np.log(_LIGHT_SPREAD)) * (gathered.response + len(gathered.seen))
 
 
 def _moved(likelihood: EdgeLikelihood, parameters: Matrix, levels: Matrix) -> Matrix:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.bending import rms_bend_px
 from lensshift.evaluation.slanted_edge.checks import (
+    displacement_px,
     doubted,
     largest_phase_gap_px,
-    phase_displacement_px,
 )
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
@@ -95,7 +95,8 @@ def measure_likely(
     lines = _lines(edge)
     gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
     count = np.unique(np.round(lines, 6)).size
-    return doubted(result, count, gap_px, pixels.values, out)
+    apart_px = _moves_px(fit, fit.edge.pixels.places[:, 0])
+    return doubted(result, count, gap_px, pixels.values, out, apart_px)
 
 
 def _result(
@@ -159,11 +160,16 @@ def _residual_image(fit: EdgeFit, region: Region) -> NDArray[np.float64]:
 
 
 def _aliasing_px(fit: EdgeFit, scale: int) -> float:
+    """Return by how much the edge moves between pixels of different phase (row, col mod scale)."""
     if scale < 2:
         return float("nan")
+    _, row, col = fit.edge.pixels.places.T
+    return _moves_px(fit, (row % scale) * scale + col % scale)
+
+
+def _moves_px(fit: EdgeFit, group: NDArray[np.intp]) -> float:
     slope = np.interp(fit.edge.normal_px, fit.normal_px, fit.lsf[:, 0], left=0.0, right=0.0)
-    noise = fit.noise.dark_sigma
-    return phase_displacement_px(fit.residual, slope, fit.edge.pixels.places, noise, scale)
+    return displacement_px(fit.residual, slope, group, fit.noise.dark_sigma)
 
 
 def _asymmetry(fit: EdgeFit) -> Interval:

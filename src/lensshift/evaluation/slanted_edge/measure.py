@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import astuple, fields
 from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
@@ -170,7 +170,12 @@ def _likely(given: dict[str, Any], scale: int) -> LikelySettings:
 
 
 def _given(region: Region | Sequence[int], frames: EdgeFrames) -> Region:
-    place = region if isinstance(region, Region) else Region(*(int(end) for end in region))
+    ends = astuple(region) if isinstance(region, Region) else tuple(region)
+    if len(ends) != 4 or any(end != int(end) for end in ends):
+        raise ValueError(
+            f"expected a region of whole row start, row stop, col start, col stop, got {ends}"
+        )
+    place = Region(*(int(end) for end in ends))
     rows, cols = frames.first.shape
     if not (0 <= place.row_start < place.row_stop <= rows):
         raise ValueError(f"expected rows of the region within 0 to {rows}, got {place}")

@@ -19,6 +19,7 @@ from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
 from lensshift.evaluation.slanted_edge.near_noise import with_edge
 from lensshift.evaluation.slanted_edge.nodes import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.noise_model import (
+    NOISELESS,
     Mask,
     NoiseModel,
     Rounding,
@@ -37,6 +38,7 @@ _SHARED = 0.1  # of the variance: less is not worth a weight
 # In units of the edge's own width:
 _HALF_WIDTH = 6.0  # where plateaus begin, to a first look
 _LARGEST_REACH = 32.0  # of the splines: a ghost farther away is taken for part of the plateau
+_SLOPES = 9.0  # squared deviations: three
 _MOST_TAKEN = 0.5  # of the noise, by a free ESF: where it takes more, pixels are too few to say
 
 
@@ -213,6 +215,25 @@ def learn_noise(
     if order:  # the free ESF took some of the light, which shows where it is steep
         free = response.of(edge.scaled - taken)[0]
     return with_edge(noise, edge.scaled - taken - free, free, edge.normal_px, places), order
+
+
+def slopes_across(edge: UprightEdge) -> bool:
+    """Tell whether the plateaus seem to slope across the edge, as under uneven light.
+
+    A wide response slopes them too, and correlated noise: then, comparing both costs time only.
+    """
+    begin_px = 0.5 * (_HALF_WIDTH + 1.0) * edge.unit_px
+    for side in (edge.normal_px < -begin_px, edge.normal_px > begin_px):
+        if not side.any():
+            continue
+        place_px, values = (x[side] - x[side].mean() for x in (edge.normal_px, edge.scaled))
+        squares = float(place_px @ place_px)
+        if squares > 0.0:
+            slope = float(place_px @ values) / squares
+            rest = values - slope * place_px
+            if slope**2 * squares > _SLOPES * max(float(np.mean(rest**2)), NOISELESS**2):
+                return True
+    return False
 
 
 def _share_taken(response: FreeResponse, sides: list[Mask]) -> float:

@@ -18,6 +18,7 @@ _MOST_PIXELS = 20_000
 _SMOOTHING_PX = 1.0
 # A ridge stands out of the gradient's noise by so many of its deviations, and of rounding.
 _NOISE_SIGMAS, _LEAST_SHARE_OF_RANGE = 5.0, 2e-3
+_IMPULSE_SIGMAS = 6.0  # of 1e6 pixels of normal noise, none does
 _LEAST_LENGTH_PX = 10
 _CORNER_PX = 3  # left out at both ends of an edge
 _HALF_WIDTH_PX = 24  # of a region across its edge, at most
@@ -70,9 +71,12 @@ def find_regions(image: Image) -> list[Region]:
     valid = np.isfinite(image)
     if not valid.any():
         raise ValueError("expected an edge, got an image without a valid pixel")
+    filled = image if valid.all() else np.where(valid, image, np.nanmedian(image))
+    noise = _noise_of(filled)
+    filled = _without_impulses(filled, noise)
+    image = np.where(valid, filled, np.nan)
     if _share(image, whole, 0.0) > _WHOLE_SHARE:
         return [whole]
-    filled = image if valid.all() else np.where(valid, image, np.nanmedian(image))
     gradient = [ndimage.gaussian_filter1d(filled, _SMOOTHING_PX, axis=k, order=1) for k in (0, 1)]
     for k in (0, 1):
         gradient[k] = ndimage.gaussian_filter1d(gradient[k], _SMOOTHING_PX, axis=1 - k)
@@ -82,7 +86,6 @@ def find_regions(image: Image) -> list[Region]:
         _NOISE_SIGMAS * float(np.median(strength)) / 1.18,
         _LEAST_SHARE_OF_RANGE * float(np.ptp(filled)),
     )
-    noise = _noise_of(filled)
     found: list[tuple[int, Region]] = []
     for axis in (0, 1):  # 1: the gradient runs along the columns, the edge is near-vertical
         across = gradient[axis] if axis == 1 else gradient[axis].T
@@ -117,6 +120,20 @@ def _noise_of(image: Image) -> float:
     """Return the deviation of white noise: from second differences, most of which see no edge."""
     mixed = np.diff(np.diff(image, axis=0), axis=1)
     return float(np.median(np.abs(mixed))) / 0.6745 / 2.0
+
+
+def _without_impulses(image: Image, noise: float) -> Image:
+    """Return the image with single hot and dead pixels cut to the range of their neighbours.
+
+    They lie outside of it by more than it is wide; pixels of edges and lines lie within.
+    """
+    around = np.ones((3, 3), dtype=bool)
+    around[1, 1] = False
+    low = ndimage.minimum_filter(image, footprint=around)
+    high = ndimage.maximum_filter(image, footprint=around)
+    slack = high - low + _IMPULSE_SIGMAS * noise
+    inside = (image <= high + slack) & (image >= low - slack)
+    return np.where(inside, image, np.clip(image, low, high))
 
 
 def _share(image: Image, region: Region, noise: float, normal_rad: float | None = None) -> float:
