@@ -86,6 +86,31 @@ def test_tiff_that_tifffile_cannot_decompress(tmp_path: Path) -> None:
     np.testing.assert_array_equal(amplitude, frames)
 
 
+@pytest.mark.parametrize(("stored", "dtype", "tag"), [("i4", "u4", 1), ("u1", "i1", 2)])
+def test_packed_tiff_of_types_that_pillow_lacks(
+    tmp_path: Path, stored: str, dtype: str, tag: int
+) -> None:
+    values = np.array([[0, 1, 100, 127, 128, 255]]).astype(stored)
+    values[0, -1] = -1 if stored == "i4" else 255
+    path = tmp_path / "a.tif"
+    Image.fromarray(values).save(path, compression="tiff_lzw", tiffinfo={339: tag})
+    with tifffile.TiffFile(path, mode="r+") as file:
+        file.pages.first.tags["SampleFormat"].overwrite(tag)
+    amplitude = load_frames(path)
+    assert amplitude.dtype == np.dtype(dtype)
+    np.testing.assert_array_equal(amplitude[0], values.astype(dtype))
+
+
+def test_tiff_that_nobody_unpacks_is_not_called_damaged(tmp_path: Path) -> None:
+    frames = frames_of("u2").astype(np.float64)
+    tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack")
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        for page in file.pages:
+            page.tags["Compression"].overwrite(5)
+    with pytest.raises(DataError, match="cannot unpack float64 of LZW"):
+        load(tmp_path / "a.tif")
+
+
 @pytest.mark.parametrize("dtype", ["u1", "u2"])
 def test_folder_of_png_in_natural_order(tmp_path: Path, dtype: str) -> None:
     frames = frames_of(dtype)
