@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 import lensshift
 from lensshift import Burst, DataError
 from lensshift.cli.app import app
+from lensshift.core.types import Status
 from lensshift.io import piecewise_file
 from lensshift.io.burst_file import open_recording, write_recording
 from lensshift.io.sequence_file import load_window, sequence_numbers
@@ -201,6 +202,8 @@ def test_what_frames_contradict_is_counted_and_named(tmp_path: Path):
     assert found.contradicted == 2
     assert np.flatnonzero(sequence_numbers(found.path)["contradicted"]).tolist() == [2, 4]
     assert found.said[0].startswith("window 2: ")
+    assert load_window(found.path, 2).amplitude.status is Status.CONTRADICTED
+    assert load_window(found.path, 3).amplitude.status is Status.COMPLETE
 
 
 @pytest.mark.parametrize(
