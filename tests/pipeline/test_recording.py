@@ -93,6 +93,36 @@ def test_parts_that_do_not_fit_leave_no_recording(tmp_path: Path):
     assert not list(tmp_path.glob("film.nc.*"))
 
 
+def test_a_recording_is_of_the_parts_that_finish_it(tmp_path: Path):
+    target = tmp_path / "film.nc"
+
+    def of(light: float, pitch_mm: float = 0.1, hz: float = F_HZ) -> Burst:
+        frames = np.full((4, *SHAPE), light)
+        return Burst.from_arrays(frames, offset_px=SQUARE_PX, pitch_mm=pitch_mm, modulation_hz=hz)
+
+    with pytest.raises(DataError, match="expected 12 frames, got 8"):
+        write_recording(target, 12, [of(0.1), of(0.1)])
+    with pytest.raises(DataError, match="begun with other settings"):
+        write_recording(target, 12, [of(0.2, pitch_mm=0.2)] * 3)
+    for other in (of(0.2, pitch_mm=0.2), of(0.2, hz=2 * F_HZ)):
+        with pytest.raises(DataError, match="frame 4: expected a pitch and modulation"):
+            write_recording(target, 12, [of(0.2), other])
+    write_recording(target, 12, [of(0.2)] * 3)
+    assert np.all(lensshift.load_burst(target).amplitude == 0.2)
+
+
+def test_another_recording_of_the_same_name_is_not_gone_on_with(film: Path, tmp_path: Path):
+    def cut(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4, on_progress=cut)
+    film.unlink()
+    write_recording(film, 46, (part(k, 1) for k in range(100, 146)))
+    with pytest.raises(DataError, match="of another recording"):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4)
+
+
 def test_each_window_is_what_a_stream_makes_of_its_frames(film: Path, tmp_path: Path):
     found = reconstruct_recording(film, tmp_path / "sr.nc", window=4, every=2)
     assert (found.windows, found.resumed) == (22, 0)
