@@ -86,6 +86,18 @@ def test_tiff_that_tifffile_cannot_decompress(tmp_path: Path) -> None:
     np.testing.assert_array_equal(amplitude, frames)
 
 
+def test_npz_pixels_that_are_no_numbers_are_not_valid(tmp_path: Path) -> None:
+    frames, distance_m = frames_of("u2").astype(np.float32), np.full(SHAPE, 3.5)
+    given = np.ones(SHAPE, np.uint8)
+    frames[0, 0, 0], distance_m[1, 0, 0], given[2, 0, 0] = np.nan, np.inf, 0
+    np.savez(tmp_path / "a.npz", amplitude=frames, distance_m=distance_m)
+    np.savez(tmp_path / "b.npz", amplitude=frames, distance_m=distance_m, valid=given)
+    for name, bad in (("a.npz", [0, 1]), ("b.npz", [0, 1, 2])):
+        valid = load_image_stack(tmp_path / name, OFFSETS).valid
+        assert valid is not None
+        assert np.argwhere(~valid).tolist() == [[k, 0, 0] for k in bad]
+
+
 @pytest.mark.parametrize(("stored", "dtype", "tag"), [("i4", "u4", 1), ("u1", "i1", 2)])
 def test_packed_tiff_of_types_that_pillow_lacks(
     tmp_path: Path, stored: str, dtype: str, tag: int
