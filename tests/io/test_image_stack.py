@@ -86,6 +86,43 @@ def test_tiff_that_tifffile_cannot_decompress(tmp_path: Path) -> None:
     np.testing.assert_array_equal(amplitude, frames)
 
 
+def test_npz_pixels_that_are_no_numbers_are_not_valid(tmp_path: Path) -> None:
+    frames, distance_m = frames_of("u2").astype(np.float32), np.full(SHAPE, 3.5)
+    given = np.ones(SHAPE, np.uint8)
+    frames[0, 0, 0], distance_m[1, 0, 0], given[2, 0, 0] = np.nan, np.inf, 0
+    np.savez(tmp_path / "a.npz", amplitude=frames, distance_m=distance_m)
+    np.savez(tmp_path / "b.npz", amplitude=frames, distance_m=distance_m, valid=given)
+    for name, bad in (("a.npz", [0, 1]), ("b.npz", [0, 1, 2])):
+        valid = load_image_stack(tmp_path / name, OFFSETS).valid
+        assert valid is not None
+        assert np.argwhere(~valid).tolist() == [[k, 0, 0] for k in bad]
+
+
+@pytest.mark.parametrize(("stored", "dtype", "tag"), [("i4", "u4", 1), ("u1", "i1", 2)])
+def test_packed_tiff_of_types_that_pillow_lacks(
+    tmp_path: Path, stored: str, dtype: str, tag: int
+) -> None:
+    values = np.array([[0, 1, 100, 127, 128, 255]]).astype(stored)
+    values[0, -1] = -1 if stored == "i4" else 255
+    path = tmp_path / "a.tif"
+    Image.fromarray(values).save(path, compression="tiff_lzw", tiffinfo={339: tag})
+    with tifffile.TiffFile(path, mode="r+") as file:
+        file.pages.first.tags["SampleFormat"].overwrite(tag)
+    amplitude = load_frames(path)
+    assert amplitude.dtype == np.dtype(dtype)
+    np.testing.assert_array_equal(amplitude[0], values.astype(dtype))
+
+
+def test_tiff_that_nobody_unpacks_is_not_called_damaged(tmp_path: Path) -> None:
+    frames = frames_of("u2").astype(np.float64)
+    tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack")
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        for page in file.pages:
+            page.tags["Compression"].overwrite(5)
+    with pytest.raises(DataError, match="cannot unpack float64 of LZW"):
+        load(tmp_path / "a.tif")
+
+
 @pytest.mark.parametrize("dtype", ["u1", "u2"])
 def test_folder_of_png_in_natural_order(tmp_path: Path, dtype: str) -> None:
     frames = frames_of(dtype)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lensshift import Pinhole, Reconstruction
+from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Estimate
 from lensshift.io.stream_export import export_stream
@@ -27,6 +28,14 @@ def picture(number: int, *, look: bool = True) -> Reconstruction:
         Grid(SHAPE, (0.1, 0.1)), 2, "auto", flying=flying,
         intrinsics=Pinhole(30.0, 31.0, 5.1, 2.9, k1=-0.1) if look else None,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("time_s", [-0.5, 1.7e12])
+def test_times_that_robots_do_not_know_are_refused(tmp_path: Path, time_s: float) -> None:
+    pytest.importorskip("mcap_ros2.writer", reason="mcap is not installed")
+    with pytest.raises(DataError, match=r"time: expected seconds from 0 to 2\^31"):
+        export_stream([(time_s, picture(0))], tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_robot_reads_what_was_seen(tmp_path: Path) -> None:

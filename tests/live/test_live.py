@@ -102,6 +102,13 @@ def test_a_recording_gives_what_the_stream_gives(burst: Burst) -> None:
     assert found.intrinsics is not None
 
 
+def test_a_long_recording_goes_round_its_plan(burst: Burst) -> None:
+    film = burst.select([2, 3, 0, 1] * 5)
+    source = BurstSource(film, "film", rate_hz=np.inf, again=False)
+    np.testing.assert_array_equal(source.plan.offset_px, burst.offset_px[[2, 3, 0, 1]])
+    assert [shot.place for shot in source.shots()] == [0, 1, 2, 3] * 5
+
+
 def test_frames_held_back_are_in_the_next_picture(burst: Burst) -> None:
     one_by_one, held = (lensshift.stream(burst, 2, "tikhonov") for _ in range(2))
     for place in range(3):

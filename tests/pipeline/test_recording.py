@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 import lensshift
 from lensshift import Burst, DataError
 from lensshift.cli.app import app
+from lensshift.core.types import Status
 from lensshift.io import piecewise_file
 from lensshift.io.burst_file import open_recording, write_recording
 from lensshift.io.sequence_file import load_window, sequence_numbers
@@ -90,6 +91,36 @@ def test_parts_that_do_not_fit_leave_no_recording(tmp_path: Path):
     assert not target.exists()
     assert write_recording(target, 50, parts(50)) == target  # gone on with
     assert not list(tmp_path.glob("film.nc.*"))
+
+
+def test_a_recording_is_of_the_parts_that_finish_it(tmp_path: Path):
+    target = tmp_path / "film.nc"
+
+    def of(light: float, pitch_mm: float = 0.1, hz: float = F_HZ) -> Burst:
+        frames = np.full((4, *SHAPE), light)
+        return Burst.from_arrays(frames, offset_px=SQUARE_PX, pitch_mm=pitch_mm, modulation_hz=hz)
+
+    with pytest.raises(DataError, match="expected 12 frames, got 8"):
+        write_recording(target, 12, [of(0.1), of(0.1)])
+    with pytest.raises(DataError, match="begun with other settings"):
+        write_recording(target, 12, [of(0.2, pitch_mm=0.2)] * 3)
+    for other in (of(0.2, pitch_mm=0.2), of(0.2, hz=2 * F_HZ)):
+        with pytest.raises(DataError, match="frame 4: expected a pitch and modulation"):
+            write_recording(target, 12, [of(0.2), other])
+    write_recording(target, 12, [of(0.2)] * 3)
+    assert np.all(lensshift.load_burst(target).amplitude == 0.2)
+
+
+def test_another_recording_of_the_same_name_is_not_gone_on_with(film: Path, tmp_path: Path):
+    def cut(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4, on_progress=cut)
+    film.unlink()
+    write_recording(film, 46, (part(k, 1) for k in range(100, 146)))
+    with pytest.raises(DataError, match="of another recording"):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4)
 
 
 def test_each_window_is_what_a_stream_makes_of_its_frames(film: Path, tmp_path: Path):
@@ -201,6 +232,8 @@ def test_what_frames_contradict_is_counted_and_named(tmp_path: Path):
     assert found.contradicted == 2
     assert np.flatnonzero(sequence_numbers(found.path)["contradicted"]).tolist() == [2, 4]
     assert found.said[0].startswith("window 2: ")
+    assert load_window(found.path, 2).amplitude.status is Status.CONTRADICTED
+    assert load_window(found.path, 3).amplitude.status is Status.COMPLETE
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from mosaic import canvas, observe, phasor_mosaic
 
 import lensshift
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Frame
+from lensshift.core.types import Frame, Status
 from lensshift.core.units import distance_to_phase
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
@@ -53,6 +53,17 @@ def run(one, clean, count, *, sigma, rng, first=0, place=None):
             noise = noise + 1j * sigma * rng.standard_normal(y.shape)
         found.append(one.step(y + noise, place=None if place is None else number % 4))
     return found
+
+
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
+def test_live_pictures_keep_the_doubt_about_the_plan() -> None:
+    clean, rng = clean_frames(scene(12).truth), np.random.default_rng(12)
+    for plan_px, expected in ((-SQUARE_PX, True), (SQUARE_PX, False)):
+        one = lensshift.stream(plan_px, SCALE, shape=SHAPE, pace="live")
+        found = run(one, clean, 8, sigma=0.005, rng=rng)[-4:]
+        assert {picture.settings["pace"] for picture in found} == {"live"}
+        doubted = [picture.amplitude.status is Status.CONTRADICTED for picture in found]
+        assert doubted == [expected] * 4
 
 
 @pytest.mark.parametrize("seed", [11, 12, 13])

@@ -52,6 +52,19 @@ def test_aliased_noisy_frames_to_a_fiftieth_of_a_pixel(name: str) -> None:
     assert np.sqrt(np.mean(np.square(error))) < 0.02
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_two_frames_know_that_something_moved(seed: int) -> None:
+    burst, true_px = taken(scene("random"), seed=seed)
+    frames = burst.amplitude[:2].copy()
+    for number, frame in enumerate(frames):
+        frame[2:14, 4 + 3 * number : 18 + 3 * number] = 0.9
+    with pytest.warns(QualityWarning, match="does something move"):
+        found = register(burst_of(frames))
+    error_px = found.offset_px[1] - (true_px[1] - true_px[0])
+    assert np.abs(error_px).max() > 0.2
+    assert np.all(np.abs(error_px) < 3.0 * found.offset_sigma_px[1])
+
+
 def test_planned_offsets_decide_between_repeats_of_a_pattern() -> None:
     burst, true_px = taken(checker)
     np.testing.assert_allclose(register(burst, method="gradient").offset_px, true_px, atol=0.05)

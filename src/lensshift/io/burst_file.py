@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -144,7 +145,7 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
     """Write bursts one after the other as one burst file, which may be larger than memory.
 
     Of one grid, modulation and kind; `meta`, intrinsics and source of the offsets are those of the
-    first, raw data are left out. What was begun is gone on with: parts that are there are skipped.
+    first, raw data are left out. What was begun of the same kind is gone on with.
 
     Raises
     ------
@@ -152,16 +153,19 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
         If the parts do not hold that many frames or do not fit together, or the file cannot be
         written.
     """
-    file, at = None, 0
+    file, at, kind = None, 0, None
     try:
         for part in parts:
             variables = _recorded(part)
             if file is None:
-                file = _begun(path, frame_count, part, variables)
+                file, kind = _begun(path, frame_count, part, variables), _kind(part)
+            if _kind(part) != kind:
+                problem = f"expected a pitch and modulation of {kind}, got {_kind(part)}"
+                raise DataError(problem, field=f"frame {at}", source=path)
             if at + part.frame_count > frame_count:
                 raise DataError(f"expected {frame_count} frames, got more", source=path)
-            if not file.written[at : at + part.frame_count].all():
-                file.write(at, {name: np.asarray(one.values) for name, one in variables.items()})
+            # Also what is there, which may be of other frames.
+            file.write(at, {name: np.asarray(one.values) for name, one in variables.items()})
             at += part.frame_count
         if file is None or at < frame_count:
             raise DataError(f"expected {frame_count} frames, got {at}", source=path)
@@ -169,6 +173,10 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
     finally:
         if file is not None:
             file.close()
+
+
+def _kind(part: Burst) -> tuple[Any, ...]:
+    return part.grid.pitch_mm, part.modulation_hz
 
 
 def _recorded(part: Burst) -> dict[str, writer.Variable]:
@@ -190,9 +198,12 @@ def _begun(
         for name, one in variables.items()
     }
     space |= intrinsics_variables(part.intrinsics) | writer.pixel_centres(part.grid.shape)
+    attributes = _attributes(part)
+    told = repr((attributes, part.intrinsics)).encode()  # may be too long for one attribute
+    begun = {"frames": frame_count, "names": sorted(space), "told": sha256(told).hexdigest()}
     return PiecewiseFile.begin(
-        path, schema=SCHEMA, axes=_AXES, variables=space, attributes=_attributes(part),
-        begun=writer.to_json({"frames": frame_count, "names": sorted(space)}, "begun"),
+        path, schema=SCHEMA, axes=_AXES, variables=space, attributes=attributes,
+        begun=writer.to_json(begun, "begun"),
     )  # fmt: skip
 
 

@@ -133,8 +133,9 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
         page, told = file.pages.first, file.ome_metadata or ""
         if page.photometric not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
-        if page.compression not in TIFFFILE_COMPRESSIONS:
-            return _load_pillow(path)
+        floats_apart = page.predictor == tifffile.PREDICTOR.FLOATINGPOINT
+        if page.compression not in TIFFFILE_COMPRESSIONS or floats_apart:
+            return _compressed(path, page)
         size = Path(path).stat().st_size
         claimed = sum(one.nbytes for one in series)
         check_held((len(series), *series[0].shape), claimed, size, "pages")
@@ -142,6 +143,22 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
         if len(series) > 1:  # pages that were written one by one
             return np.concatenate([_pages(one) for one in series])
         return _pages(series[0], ours="<Channel" in told and 'Name="amplitude"' in told)
+
+
+def _compressed(path: str | Path, page: Any) -> NDArray[Any]:
+    """Return the frames of a TIFF that tifffile does not unpack by itself.
+
+    Pillow has fewer types than files have: it gives the bits of uint32 as int32, of int8 as uint8.
+    """
+    from PIL import UnidentifiedImageError
+
+    try:
+        frames = _load_pillow(path)
+    except UnidentifiedImageError as error:
+        kind = getattr(page.compression, "name", page.compression)
+        problem = f"cannot unpack {page.dtype} of {kind}; save it without compression first"
+        raise DataError(problem) from error
+    return frames.astype(page.dtype) if frames.dtype.kind in "iu" else frames
 
 
 def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:

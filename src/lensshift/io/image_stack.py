@@ -194,6 +194,7 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
     for stack in _STACKS:
         if stack in arrays and stack != name:
             fields[stack] = _stack(arrays[stack], frame_axis, path, stack)
+    _mark_unmeasured(fields)
     fields |= {plain: arrays[plain] for plain in _PLAIN if plain in arrays}
     for scalar, convert in _SCALARS.items():
         if scalar in arrays:
@@ -202,6 +203,17 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
     with reading(path):
         intrinsics = intrinsics_of_fields({one: arrays[one] for one in NAMES if one in arrays})
     return fields if intrinsics is None else fields | {"intrinsics": intrinsics}
+
+
+def _mark_unmeasured(fields: dict[str, Any]) -> None:
+    """Mark pixels whose amplitude or distance is no number as not valid."""
+    shape = fields["amplitude"].shape
+    stacks = [fields[one] for one in ("amplitude", "distance_m") if one in fields]
+    finite = [np.isfinite(one) for one in stacks if one.shape == shape and one.dtype.kind in "fc"]
+    measured = np.logical_and.reduce(finite) if finite else np.True_
+    valid = fields.get("valid", np.ones(shape, np.bool_))
+    if len(shape) == 3 and valid.shape == shape and measured.any() and not measured.all():
+        fields["valid"] = np.where(measured, valid, False)
 
 
 def _frames_name(path: Path, arrays: dict[str, NDArray[Any]], key: str | None) -> str:

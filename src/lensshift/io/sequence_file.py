@@ -129,11 +129,13 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
         if not 0 <= number < count:
             raise DataError(f"expected a window from 0 to {count - 1}, got {number}")
         one = (slice(number, number + 1),)
+        contradicted = bool(container.array("contradicted", part=one)[0])
+        status = Status.CONTRADICTED if contradicted else Status.COMPLETE
         channels = {}
         for name in CHANNELS:
             if container.has(name):
                 values, std = (container.array(n, part=one)[0] for n in (name, f"{name}_std"))
-                channels[name] = Estimate(values, std, status=Status.COMPLETE)
+                channels[name] = Estimate(values, std, status=status)
         if not channels:
             raise DataError("there is neither an amplitude nor a distance channel")
         flying = container.array("flags", part=one)[0] != 0 if container.has("flags") else None

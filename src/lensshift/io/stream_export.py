@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.errors import DataError
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Reconstruction
@@ -29,6 +30,7 @@ from lensshift.io.atomic import written_whole
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
 _FRAME = "lensshift_optical"
+_LATEST_S = 2.0**31 - 1  # builtin_interfaces/Time
 _FLOAT32 = 7  # sensor_msgs/PointField
 _HEADER = (
     "================================================================================\n"
@@ -72,7 +74,7 @@ def export_stream(pictures: Iterable[tuple[float, Reconstruction]], path: str | 
     ImportError
         If the library for it is not installed.
     DataError
-        If the file cannot be written.
+        If the file cannot be written, or a time is before 0 or beyond what ROS 2 holds (2^31 s).
     """
     suffix = Path(path).suffix.lower()
     if suffix not in STREAM_SUFFIXES:
@@ -113,6 +115,8 @@ def _mcap(path: Path) -> Iterator[Write]:
         }
 
         def write(time_s: float, picture: Reconstruction) -> None:
+            if not 0 <= time_s < _LATEST_S:
+                raise DataError(f"expected seconds from 0 to 2^31, got {time_s:g}", field="time")
             stamp_ns = round(time_s * 1e9)
             for topic, kind, message in _messages(picture, stamp_ns):
                 writer.write_message(

@@ -200,7 +200,7 @@ class BurstSource:
         self.pattern = str(burst.meta.get("plan") or "recorded")
         steps = burst.meta.get("step")
         fits = isinstance(steps, list | tuple) and len(steps) == burst.frame_count
-        given = np.asarray(steps if fits else np.arange(burst.frame_count), dtype=np.intp)
+        given = np.asarray(steps if fits else _visited(burst.offset_px), dtype=np.intp)
         places, self._place = np.unique(given, return_inverse=True)
         offset_px = [burst.offset_px[self._place == n].mean(axis=0) for n in range(len(places))]
         self.plan = template_of(
@@ -238,6 +238,15 @@ class BurstSource:
             )
             place = int(self._place[number])
             yield Shot(frame, place, now_s, self.plan, burst.offset_px[number], stage, sent)
+
+
+def _visited(offset_px: Array) -> Array:
+    """Return where on its plan each frame was taken: the same offset is the same place.
+
+    Places are numbered as they are first visited.
+    """
+    _, first, kinds = np.unique(offset_px, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(np.argsort(np.argsort(first))[kinds.ravel()])
 
 
 class CameraSource(_AnyPlan):

@@ -217,7 +217,8 @@ def _begun(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)
         example = reconstruct(template, job.scale, job.method, **dict(job.settings))
-    settings = asdict(job) | {"frames": source.frame_count}
+    changed_ns = Path(job.recording).stat().st_mtime_ns  # another one may have taken its name
+    settings = asdict(job) | {"frames": source.frame_count, "changed_ns": changed_ns}
     file = stack.enter_context(
         begin_sequence(
             out, job.count, example.grid, tuple(example.channels), scale=example.scale,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.core.types import Burst, Frame, Reconstruction, Status
 from lensshift.forward.differences import image_slopes
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.learned.memory import Memory
@@ -54,6 +54,7 @@ class Stream:
         self._next = self._since_refined = 0
         self._event: str | None = None
         self._rests = True
+        self._doubted = False
 
     @property
     def window(self) -> Burst:
@@ -131,6 +132,10 @@ class Stream:
         found = reconstruct(burst, self._scale, memory=memory, **self._settings)
         self._memory = memory
         self._since_refined = self._since_refined + 1 if live else 0
+        if not live:
+            self._doubted = _doubts_plan(found)
+        elif self._doubted:
+            found = _contradicted(found)
         said = {"pace": "live" if live else "refined", "places": places, "event": event}
         self._result = replace(found, settings=dict(found.settings) | said)
         return self._result
@@ -241,6 +246,23 @@ def stream(
         )  # fmt: skip
     paced: Pace = pace if name == "auto" else "refined"
     return Stream(template, scale, paced, {"method": method} | settings)
+
+
+def _doubts_plan(found: Reconstruction) -> bool:
+    """Tell whether frames contradict the shifts: a doubt that no note of a channel explains."""
+    return any(
+        one.status is Status.CONTRADICTED and "contradiction" not in one.notes
+        for one in found.channels.values()
+    )
+
+
+def _contradicted(found: Reconstruction) -> Reconstruction:
+    """Return a live picture with the doubt of the last full one, which alone checks the shifts."""
+    amplitude, distance = (
+        None if one is None else replace(one, status=Status.CONTRADICTED)
+        for one in (found.amplitude, found.distance_m)
+    )
+    return replace(found, amplitude=amplitude, distance_m=distance)
 
 
 def _frame_of(values: ArrayLike) -> Frame:

@@ -15,11 +15,16 @@ from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
-from lensshift.registration.blocks import scatter_over_blocks
+from lensshift.registration.blocks import LEAST_BLOCK_PX, scatter_over_blocks
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts, rival_shifts
-from lensshift.registration.picture import LEAST_FRAMES, UNKNOWN_PX, better_shifts
+from lensshift.registration.picture import (
+    LEAST_FRAMES,
+    LEAST_PREDICTING,
+    UNKNOWN_PX,
+    better_shifts,
+)
 
 Shifts = NDArray[np.float64]
 Method = Literal["auto", "gradient", "phase"]
@@ -93,7 +98,7 @@ def register(
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
-    said, affine = bool(np.any(given_px)), None
+    said, affine, apart = bool(np.any(given_px)), None, 1.0
     phase_px = phase_shifts(whole, reference)
     if method == "phase":
         fit = _phase_fit(whole, valid, phase_px, reference)
@@ -111,13 +116,15 @@ def register(
             told_px = _against_reference(measured_px, reference)
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
+            apart = _scatter_of_parts(frames, valid, fit, reference, photometric)
+            fit = replace(fit, covariance_px2=fit.covariance_px2 * apart**2)
             fit = with_given(fit, given_px, told_px, said=said)
             fit, affine = _turned(fit, alike, valid, motion, reference)
     rivals_px = np.zeros_like(given_px)
     if method == "phase" or not said:
         rivals_px = rival_shifts(whole, reference)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
-    _warn_if_poor(sigma_px, rivals_px, fit.converged)
+    _warn_if_poor(sigma_px, rivals_px, fit.converged, apart)
     offset_px = fit.offset_px + burst.offset_px[reference]
     if burst.offset_source == "unknown":
         offset_px -= offset_px.mean(axis=0)
@@ -243,6 +250,29 @@ def _likely_where_telling(
     )
 
 
+def _scatter_of_parts(
+    frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, photometric: bool
+) -> float:
+    """Return by what factor parts of the sensor scatter more than their errors say, 1 or more.
+
+    What moves in the scene says where it was as surely as what rests. Frames that predict each
+    other (`better_shifts`) show it themselves; along a single edge parts may lie anywhere.
+    """
+    if len(frames) >= LEAST_PREDICTING or np.any(fit.sigma_px > UNKNOWN_PX):
+        return 1.0
+    span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
+    part = _telling(filled(frames, valid), *(MOST_PX + span_px))
+    run = partial(likely_shifts, reference=reference, photometric=photometric)
+
+    def estimate(block: Array, block_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+        if np.any(np.array(block.shape[1:]) - span_px < LEAST_BLOCK_PX // 2):
+            return fit.offset_px, np.zeros_like(fit.offset_px)  # which is left out
+        found = run(block, block_valid, fit.offset_px)
+        return found.offset_px, found.sigma_px
+
+    return scatter_over_blocks(estimate, frames[part], valid[part], fit.offset_px)
+
+
 def _telling(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
     """Return the part of the frames, `sides` px large, with most detail along its poorer axis."""
     shape = frames.shape[1:]
@@ -316,7 +346,7 @@ def _phase_fit(
     return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
 
 
-def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool) -> None:
+def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool, apart: float) -> None:
     if not converged:
         warnings.warn(
             "the search for the shifts did not settle; are these frames of one still scene?",
@@ -335,7 +365,15 @@ def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool) -> None:
         return
     worst = np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)
     worst_px = float(sigma_px[worst])
-    if not worst_px <= POOR_SIGMA_PX:
+    if worst_px > POOR_SIGMA_PX and apart**2 > 2.0:  # the larger part of the variance
+        warnings.warn(
+            f"parts of the frames disagree on shifts by {apart:.1f} times their errors: that of "
+            f"frame {worst[0]} is known to {worst_px:.2f} px only (want {POOR_SIGMA_PX} px); does "
+            "something move? Mark it as not valid; or take more light, or give the shifts",
+            QualityWarning,
+            stacklevel=3,
+        )
+    elif not worst_px <= POOR_SIGMA_PX:
         along = ("row", "col")[int(worst[1])]
         warnings.warn(
             f"too little texture along {along}: the shift of frame {worst[0]} is known to "
