@@ -173,3 +173,16 @@ def test_places_decide_not_frames() -> None:
     assert finer is not None
     assert finer.hr_shape == (36, 44)
     assert finer_grid(forward_model((9, 11), FINEST, SIXTEEN)) is None
+
+
+def test_a_stream_goes_on_with_smaller_pixels() -> None:
+    """Live steps show what the last full step found, at the same grid."""
+    y = narrowly_seen(rings(), square(3), 0.008, 9)
+    truth = observe(rings(), (20, 23), rng=np.random.default_rng(0)).truth
+    plan = Burst.from_arrays(y, offset_px=square(3), pitch_mm=0.1)
+    camera = lensshift.stream(plan, psf_sigma_px=0.145)
+    pictures = [camera.step(frame) for frame in (*y, *y[:4])]
+    assert [one.settings["pace"] for one in pictures[-3:]] == ["live"] * 3
+    full = reconstruct(plan, 2, psf_sigma_px=0.145).amplitude
+    assert rms(pictures[-1].amplitude, truth) < 1.1 * rms(full, truth)
+    assert pictures[-1].amplitude.fine is not None
