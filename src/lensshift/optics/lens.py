@@ -11,6 +11,7 @@ from lensshift.core.arrays import Floats
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, glass_data, refractive_index
 
 WAVELENGTH_NM = 850.0  # near infrared of time-of-flight cameras: 9 of 11 in prescriptions
+_ABSOLUTE_ZERO_C = -273.15
 _CHECKED_HEIGHTS = np.linspace(0.0, 1.0, 33)  # of the smaller semi-diameter
 
 
@@ -209,7 +210,7 @@ class Lens:
     ------
     ValueError
         If a gap is negative, surfaces overlap, or the stop lies in glass, behind the lens, or
-        is larger than the surfaces beside it.
+        is larger than the surfaces beside it; if there is no such temperature.
     """
 
     elements: tuple[Element, ...]
@@ -232,6 +233,10 @@ class Lens:
                 raise ValueError(
                     f"expected a gap of at least 0 mm behind element {number}, got {gap_mm:g} mm"
                 )
+        if not _ABSOLUTE_ZERO_C < self.temperature_c < math.inf:
+            raise ValueError(
+                f"expected a temperature above {_ABSOLUTE_ZERO_C} C, got {self.temperature_c} C"
+            )
         if not self.object_mm > 0:
             raise ValueError(f"expected a positive object distance, got {self.object_mm} mm")
         number = 0
