@@ -255,6 +255,7 @@ def test_fold_mirrors_only_fold() -> None:
         ("TYPE BINARY_2; XDAT 3 -5.0; DISZ 3; GLAS N-BK7", "diffracts"),
         ("TYPE PARAXIAL; PARM 1 100; DISZ 3", "ideal lens"),
         ("TYPE SUPERCON; DISZ 3", "shape is not known"),
+        ("TYPE STANDARD; SCBD 1 0 0 0.5 0 5 0 0; DISZ 3", "as a property of the surface"),
     ],
 )
 def test_what_cannot_be_traced_is_refused_with_its_reason(surface: str, reason: str) -> None:

@@ -195,6 +195,12 @@ def _read_surface_line(
         entry.clear_mm = math.inf
     elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
         content.notes.append(f"surface {entry.number}: aperture {key} is left out")
+    elif key == "SCBD" and any(map(float, values[3:])):
+        raise DataError(
+            f"line {line}: expected a coordinate break, got a tilt or decentre as a property of "
+            "the surface",
+            field=entry.where(),
+        )
     elif key == "COMM":
         entry.comment = " ".join(values)
     elif key == "GLAS":
