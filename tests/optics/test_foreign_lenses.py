@@ -163,9 +163,23 @@ def test_apertures_of_every_kind_are_the_same_pupil() -> None:
     sine = math.sin(math.atan(5.0 / 200.0))
     for aperture in (
         f"FNUM {data.f_number!r} 0", f"FNUM {data.working_f_number!r} 1", f"OBNA {sine!r} 0",
+        f"OBNA {math.degrees(math.asin(sine))!r} 1",
     ):  # fmt: skip
         other = parse_zmx(zmx(*near, aperture=aperture))
         assert other.stop.diameter_mm == pytest.approx(10.0, rel=1e-9)
+
+
+def test_the_temperature_of_a_file_counts_only_where_it_is_adjusted_to() -> None:
+    def read(surroundings: str) -> float:
+        lens = parse_zmx(zmx(*SINGLET, header=f"ENVD {surroundings}"))
+        return lens.indices()[0][0]
+
+    warm, cold = (refractive_index("N-BK7", 587.5618, at_c) for at_c in (80.0, 20.0))
+    assert read("80 1 1") == pytest.approx(warm, abs=1e-12)
+    with pytest.warns(QualityWarning, match="not adjusted to 80 C"):
+        assert read("80 0 0") == pytest.approx(cold, abs=1e-12)
+    with pytest.warns(QualityWarning, match="air of 0 atm"):
+        read("20 0 1")
 
 
 def test_edges_that_cross_are_clipped_with_a_note() -> None:
