@@ -5,12 +5,16 @@ An effect is off where its group is None or its number is 0; `TofCamera.ideal` t
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.units import doubt_about_units
+from lensshift.optics.glass import glass_in_light
 from lensshift.optics.lens import Lens
 from lensshift.scene.checks import number, positive, positives, share
 
@@ -92,7 +96,7 @@ class LensOptics:
     """A traced lens: distortion, point spread and shift vary over the sensor.
 
     Everything is imaged as from the object distance of the lens: things nearer or farther are
-    not out of focus. The image does not darken towards its corners.
+    not out of focus. The image does not darken towards its corners. Traced in the camera's light.
 
     Parameters
     ----------
@@ -311,6 +315,11 @@ class TofCamera:
     output : "float": distance and amplitude as computed; "o3m": whole centimetres up to 150 m,
         1 cm where invalid, and 16-bit amplitudes of the exposure and gain that a pixel used
     name : for the notes in a burst
+
+    Warns
+    -----
+    QualityWarning
+        If a traced lens is made for other light than that of the camera, in which it is traced.
     """
 
     grid: Grid
@@ -330,6 +339,9 @@ class TofCamera:
         if not isinstance(self.optics, PlainOptics | LensOptics):
             kind = type(self.optics).__name__
             raise TypeError(f"expected PlainOptics or LensOptics, got {kind}")
+        if isinstance(self.optics, LensOptics):
+            told = _in_light(self.optics, self.illumination.wavelength_nm)
+            object.__setattr__(self, "optics", told)
         if self.output not in OUTPUT_STYLES:
             raise ValueError(f"expected one of {', '.join(OUTPUT_STYLES)}, got {self.output!r}")
         if self.output == "o3m" and (self.readout.bits is None or max(self._states) > 2):
@@ -361,6 +373,23 @@ class TofCamera:
             if name not in ("grid", "output", "name")
         }
         return {"camera": self.name, "output": self.output} | groups
+
+
+def _in_light(optics: LensOptics, wavelength_nm: float) -> LensOptics:
+    """Return a lens in the light of a camera, its sensor where it is."""
+    lens = optics.lens
+    if math.isclose(lens.wavelength_nm, wavelength_nm, rel_tol=1e-6):  # rounding of files in um
+        return optics
+    warnings.warn(
+        f"the lens is made for {lens.wavelength_nm:g} nm and is traced in the light of the camera, "
+        f"{wavelength_nm:g} nm, with the sensor where it is: it may be out of focus",
+        QualityWarning,
+        stacklevel=4,
+    )
+    glasses = [[glass_in_light(name, wavelength_nm) for name in e.glass] for e in lens.elements]
+    pairs = zip(lens.elements, map(tuple, glasses), strict=True)
+    elements = tuple(replace(element, glass=glass) for element, glass in pairs)
+    return replace(optics, lens=replace(lens, elements=elements, wavelength_nm=wavelength_nm))
 
 
 def _plain(group: Any) -> Any:
