@@ -159,6 +159,11 @@ class Element:
         """From the first vertex to the last."""
         return sum(self.thickness_mm)
 
+    @property
+    def folds(self) -> bool:
+        """Whether light leaves it backwards, so that what is behind it is drawn unfolded."""
+        return sum(surface.mirror for surface in self.surfaces) % 2 == 1
+
     def reversed(self) -> Element:
         """Return the element turned round, its last surface first."""
         return replace(
