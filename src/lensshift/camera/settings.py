@@ -20,6 +20,7 @@ from lensshift.scene.checks import number, positive, positives, share
 
 OutputStyle = Literal["float", "o3m"]
 OUTPUT_STYLES: tuple[OutputStyle, ...] = ("float", "o3m")
+_FASTEST = 0.5  # f-number in air: with less, an image were brighter than what it is of
 MOST_BITS = 16  # of a converter, whose numbers go into words
 
 
@@ -67,7 +68,7 @@ class PlainOptics:
     Parameters
     ----------
     focal_length_mm : from the pinhole to the sensor
-    f_number : focal length over diameter of the pupil
+    f_number : focal length over diameter of the pupil, at least 0.5
     transmission : share of the light that lens and filter let through
     blur_sigma_px : of the Gaussian that the lens makes of a point; 0: a point
     natural_falloff : whether light falls with the fourth power of the cosine; False: it is even, as
@@ -85,7 +86,8 @@ class PlainOptics:
 
     def __post_init__(self) -> None:
         positive("focal_length_mm", self.focal_length_mm)
-        positive("f_number", self.f_number)
+        if positive("f_number", self.f_number) < _FASTEST:
+            raise ValueError(f"expected f_number of at least {_FASTEST}, got {self.f_number}")
         share("transmission", self.transmission)
         share("vignetting", self.vignetting)
         _not_negative("blur_sigma_px", self.blur_sigma_px)
