@@ -351,6 +351,7 @@ def test_formulas_of_catalogues(tmp_path: Path) -> None:
     lens = parse_zmx(zmx(FAR, front, BACK, IMAGE))
     check_written_again(lens)
     assert 'name = "T-SELL3"' in format_lens(lens)  # the file brings its glass with it
+    assert parse_agf(AGF.replace(" ", "\t")) == parse_agf(AGF)
 
 
 @pytest.mark.parametrize(
