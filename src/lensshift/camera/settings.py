@@ -14,7 +14,6 @@ from typing import Any, Literal
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.units import doubt_about_units
-from lensshift.optics.glass import glass_in_light
 from lensshift.optics.lens import Lens
 from lensshift.scene.checks import number, positive, positives, share
 
@@ -321,7 +320,7 @@ class TofCamera:
     Warns
     -----
     QualityWarning
-        If a traced lens is made for other light than that of the camera, in which it is traced.
+        If a lens is made for other light than that of the camera, in which it is traced.
     """
 
     grid: Grid
@@ -342,8 +341,7 @@ class TofCamera:
             kind = type(self.optics).__name__
             raise TypeError(f"expected PlainOptics or LensOptics, got {kind}")
         if isinstance(self.optics, LensOptics):
-            told = _in_light(self.optics, self.illumination.wavelength_nm)
-            object.__setattr__(self, "optics", told)
+            object.__setattr__(self, "optics", _in_light(self.optics, self.illumination))
         if self.output not in OUTPUT_STYLES:
             raise ValueError(f"expected one of {', '.join(OUTPUT_STYLES)}, got {self.output!r}")
         if self.output == "o3m" and (self.readout.bits is None or max(self._states) > 2):
@@ -377,21 +375,18 @@ class TofCamera:
         return {"camera": self.name, "output": self.output} | groups
 
 
-def _in_light(optics: LensOptics, wavelength_nm: float) -> LensOptics:
+def _in_light(optics: LensOptics, light: Illumination) -> LensOptics:
     """Return a lens in the light of a camera, its sensor where it is."""
-    lens = optics.lens
-    if math.isclose(lens.wavelength_nm, wavelength_nm, rel_tol=1e-6):  # rounding of files in um
+    made_nm, nm = optics.lens.wavelength_nm, light.wavelength_nm
+    if math.isclose(made_nm, nm, rel_tol=1e-6):  # rounding of files in um
         return optics
     warnings.warn(
-        f"the lens is made for {lens.wavelength_nm:g} nm and is traced in the light of the camera, "
-        f"{wavelength_nm:g} nm, with the sensor where it is: it may be out of focus",
+        f"the lens is made for {made_nm:g} nm and is traced in the light of the camera, {nm:g} nm, "
+        "with the sensor where it is: it may be out of focus",
         QualityWarning,
         stacklevel=4,
     )
-    glasses = [[glass_in_light(name, wavelength_nm) for name in e.glass] for e in lens.elements]
-    pairs = zip(lens.elements, map(tuple, glasses), strict=True)
-    elements = tuple(replace(element, glass=glass) for element, glass in pairs)
-    return replace(optics, lens=replace(lens, elements=elements, wavelength_nm=wavelength_nm))
+    return replace(optics, lens=optics.lens.in_light(nm))
 
 
 def _plain(group: Any) -> Any:
