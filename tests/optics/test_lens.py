@@ -97,6 +97,10 @@ def test_positions_follow_thicknesses_and_gaps() -> None:
         (lambda: Lens((SINGLET,), (30.0,), Stop(5.0), wavelength_nm=9e4), "expected a wavelength"),
         (lambda: Lens((SINGLET,), (30.0,), Stop(5.0), temperature_c=-300.0), "above -273.15 C"),
         (lambda: Lens((SINGLET,), (30.0,), Stop(5.0), temperature_c=math.nan), "above -273.15 C"),
+        (
+            lambda: Lens((SINGLET,), (30.0,), Stop(5.0, -20.0), object_mm=10.0),
+            "stop between object and sensor",
+        ),
         (lambda: Stop(0.0), "positive stop diameter"),
         (
             lambda: Lens((SINGLET, SINGLET.reversed(), SINGLET), (1.0, -0.0, 9.0), Stop(5.0)),

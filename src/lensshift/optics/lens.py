@@ -264,6 +264,11 @@ class Lens:
             raise ValueError(
                 f"expected the stop on an element from 0 to {len(self.elements) - 1}, got {carrier}"
             )
+        if self.stop.position_mm < -self.object_mm:
+            raise ValueError(
+                f"expected a stop between object and sensor, got {self.stop.position_mm:g} mm, in "
+                f"front of an object {self.object_mm:g} mm away"
+            )
         smallest_mm = min(surface.semi_diameter_mm for surface in self.beside_stop())
         if self.stop.diameter_mm > 2.0 * smallest_mm:
             raise ValueError(

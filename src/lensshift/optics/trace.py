@@ -316,6 +316,8 @@ def _towards(
         direction[..., :2] = target - points[:, None, :]
         direction[..., 2] = plane_mm[:, None] + lens.object_mm
         path = np.linalg.norm(direction, axis=-1)
+        # The entrance pupil of a hypercentric lens lies in front of the object.
+        path = np.copysign(path, direction[..., 2])
         direction /= path[..., None]
     return _Rays(
         origin, direction, path, np.zeros(path.shape, np.uint8), np.full(path.shape, -1, np.int16)
