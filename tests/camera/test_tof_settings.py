@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tof_worlds import ODD, make_camera, still, wall
+from tof_worlds import ODD, make_camera, quiet, still, wall
 
 from lensshift.camera import (
     Ambient,
@@ -102,6 +102,7 @@ BAD: list[tuple[Any, str]] = [
     (lambda: Illumination((-1e7,)), "positive"),
     (lambda: Illumination(intensity_w_per_sr=0.0), "intensity_w_per_sr"),
     (lambda: PlainOptics(0.0, 2.0), "focal_length_mm"),
+    (lambda: PlainOptics(10.0, 0.49), "f_number of at least 0.5"),
     (lambda: PlainOptics(10.0, 2.0, transmission=1.2), "transmission"),
     (lambda: PlainOptics(10.0, 2.0, blur_sigma_px=-0.1), "blur_sigma_px of at least 0"),
     (lambda: Scatter(1.5), "scattered"),
@@ -162,5 +163,10 @@ def test_wrong_requests_are_refused(planned_px: Any, options: Any, words: str) -
 
 
 def test_nothing_to_see_at_all() -> None:
-    with pytest.raises(DataError, match="every pixel is marked invalid"):
+    with pytest.raises(DataError, match="it sees nothing"):
         still(Scene(()), make_camera())
+    bright = replace(quiet(), exposure_s=(10.0,), saturates=True)
+    with pytest.raises(DataError, match="100 % are full in the shortest exposure and 0 % have too"):
+        still(wall(), make_camera(readout=bright))
+    with pytest.raises(DataError, match=r"0 % are full .* and 100 % have too little"):
+        still(wall(), make_camera(validity=Validity(min_amplitude_electrons=1e12)))

@@ -163,9 +163,23 @@ def test_apertures_of_every_kind_are_the_same_pupil() -> None:
     sine = math.sin(math.atan(5.0 / 200.0))
     for aperture in (
         f"FNUM {data.f_number!r} 0", f"FNUM {data.working_f_number!r} 1", f"OBNA {sine!r} 0",
+        f"OBNA {math.degrees(math.asin(sine))!r} 1",
     ):  # fmt: skip
         other = parse_zmx(zmx(*near, aperture=aperture))
         assert other.stop.diameter_mm == pytest.approx(10.0, rel=1e-9)
+
+
+def test_the_temperature_of_a_file_counts_only_where_it_is_adjusted_to() -> None:
+    def read(surroundings: str) -> float:
+        lens = parse_zmx(zmx(*SINGLET, header=f"ENVD {surroundings}"))
+        return lens.indices()[0][0]
+
+    warm, cold = (refractive_index("N-BK7", 587.5618, at_c) for at_c in (80.0, 20.0))
+    assert read("80 1 1") == pytest.approx(warm, abs=1e-12)
+    with pytest.warns(QualityWarning, match="not adjusted to 80 C"):
+        assert read("80 0 0") == pytest.approx(cold, abs=1e-12)
+    with pytest.warns(QualityWarning, match="air of 0 atm"):
+        read("20 0 1")
 
 
 def test_edges_that_cross_are_clipped_with_a_note() -> None:
@@ -255,6 +269,7 @@ def test_fold_mirrors_only_fold() -> None:
         ("TYPE BINARY_2; XDAT 3 -5.0; DISZ 3; GLAS N-BK7", "diffracts"),
         ("TYPE PARAXIAL; PARM 1 100; DISZ 3", "ideal lens"),
         ("TYPE SUPERCON; DISZ 3", "shape is not known"),
+        ("TYPE STANDARD; SCBD 1 0 0 0.5 0 5 0 0; DISZ 3", "as a property of the surface"),
     ],
 )
 def test_what_cannot_be_traced_is_refused_with_its_reason(surface: str, reason: str) -> None:
@@ -336,6 +351,7 @@ def test_formulas_of_catalogues(tmp_path: Path) -> None:
     lens = parse_zmx(zmx(FAR, front, BACK, IMAGE))
     check_written_again(lens)
     assert 'name = "T-SELL3"' in format_lens(lens)  # the file brings its glass with it
+    assert parse_agf(AGF.replace(" ", "\t")) == parse_agf(AGF)
 
 
 @pytest.mark.parametrize(

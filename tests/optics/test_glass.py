@@ -4,7 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensshift.optics.glass import GLASSES, air_index, glass_names, refractive_index
+from lensshift.optics.glass import (
+    GLASSES,
+    air_index,
+    glass_in_light,
+    glass_names,
+    refractive_index,
+)
 
 
 @pytest.mark.parametrize(
@@ -55,3 +61,8 @@ def test_unknown_glass_lists_the_known_ones() -> None:
 def test_wavelength_outside_the_measured_range() -> None:
     with pytest.raises(ValueError, match="wavelength from 300 to 2500 nm"):
         refractive_index("N-BK7", 100.0)
+
+
+@pytest.mark.parametrize("wavelength_nm", [0.94, 85.0, 9e4])
+def test_light_far_from_a_glass_is_told_with_its_name(wavelength_nm: float) -> None:
+    assert glass_in_light("N-BK7", wavelength_nm) == "N-BK7"  # not a model glass nobody asked for

@@ -95,6 +95,12 @@ def test_positions_follow_thicknesses_and_gaps() -> None:
         (lambda: Lens((SINGLET, SINGLET), (-1.0, 1.0), Stop(5.0)), "gap of at least 0 mm"),
         (lambda: Lens((SINGLET,), (30.0,), Stop(5.0), object_mm=-1.0), "positive object distance"),
         (lambda: Lens((SINGLET,), (30.0,), Stop(5.0), wavelength_nm=9e4), "expected a wavelength"),
+        (lambda: Lens((SINGLET,), (30.0,), Stop(5.0), temperature_c=-300.0), "above -273.15 C"),
+        (lambda: Lens((SINGLET,), (30.0,), Stop(5.0), temperature_c=math.nan), "above -273.15 C"),
+        (
+            lambda: Lens((SINGLET,), (30.0,), Stop(5.0, -20.0), object_mm=10.0),
+            "stop between object and sensor",
+        ),
         (lambda: Stop(0.0), "positive stop diameter"),
         (
             lambda: Lens((SINGLET, SINGLET.reversed(), SINGLET), (1.0, -0.0, 9.0), Stop(5.0)),
@@ -137,6 +143,7 @@ PETZVAL = format_lens(load_lens("petzval_a"))
         ("gap_mm = 5.5676", "gap_mm = 0.5", "surface 4: expected surface 5 behind it"),
         ("diameter_mm = 20.0", "diameter_mm = 30.0", "lens.toml: .*stop no larger"),
         ("position_mm = 0.0", "rides_on = 1.5", "rides_on: expected the number of an element"),
+        ("position_mm = 0.0", "rides_on = 4", "rides_on: .*an element from 1 to 3, got 4"),
         ("thickness_mm = [3.5]", "thickness_mm = true", "expected a number for 'thickness_mm'"),
     ],
 )

@@ -59,6 +59,28 @@ def test_a_tilted_plate_shifts_by_its_closed_form() -> None:
     assert plate.cross_talk_px < 1e-3
 
 
+def test_where_n_bk7_is_dark_plate_and_wedges_are_of_the_glass_of_the_lens() -> None:
+    infrared = Element((Surface(60.0), Surface(90.0)), ("GERMANIUM",), (3.0,), name="ge")
+    lens = Lens((infrared,), (20.0,), Stop(8.0), wavelength_nm=10_000.0)
+    lens = lens.with_sensor(paraxial(lens).image_mm)
+    movers = {one.kind: one for one in which_mover(lens, Grid((1, 1), (0.05, 0.05)))}
+    assert set(movers) == {"decentre", "tilt", "plate", "wedges", "sensor"}
+    sine = math.sin(math.radians(movers["plate"].stroke_deg))
+    index = refractive_index("GERMANIUM", 10_000.0)
+    moved_mm = sine * (1.0 - math.sqrt(1.0 - sine**2) / math.sqrt(index**2 - sine**2))
+    assert abs(moved_mm) == pytest.approx(0.25 * 0.05, rel=5e-3)
+
+
+def test_a_mirror_is_not_tilted() -> None:
+    """It would turn the image by twice the tilt, and all that is drawn behind it with it."""
+    mirror = Element((Surface(-100.0, conic=-1.0, mirror=True),), (), (), name="mirror")
+    lens = Lens((mirror,), (50.0,), Stop(10.0))
+    movers = which_mover(lens, Grid((1, 1), (0.02, 0.02)))
+    assert [one.kind for one in movers] == ["decentre", "plate", "wedges", "sensor"]
+    with pytest.raises(ValueError, match="no tilt of element 1"):
+        trace(lens, AXIS, MIDDLE, build=Build(tilt_rad=np.full((1, 2), 1e-3)))
+
+
 @pytest.mark.parametrize("towards_deg", [0.0, 90.0, 217.0])
 def test_a_wedge_turns_light_towards_its_thick_side(towards_deg: float) -> None:
     alpha, towards_rad, distance_mm = 0.02, math.radians(towards_deg), 30.0

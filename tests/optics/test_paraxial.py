@@ -96,6 +96,21 @@ def test_decenter_gains_are_the_derivatives_of_traced_rays(name: str) -> None:
         assert rays.position_mm[0, 1] / step_mm == pytest.approx(gain, rel=1e-5)
 
 
+def test_a_stop_in_the_front_focal_plane_makes_chief_rays_leave_along_the_axis() -> None:
+    index, radius_mm, glass_mm, stop_mm = refractive_index("N-BK7", WAVELENGTH_NM), 51.0, 3.0, 4.0
+    element = Element((Surface(radius_mm), Surface(math.inf)), ("N-BK7",), (glass_mm,))
+    focal_mm = radius_mm / (index - 1.0)
+    lens = Lens((element,), (focal_mm - glass_mm / index,), Stop(stop_mm, -focal_mm))
+    data = paraxial(lens)
+    assert data.exit_pupil_mm == data.exit_pupil_diameter_mm == math.inf
+    assert data.focal_length_mm == pytest.approx(focal_mm)
+    assert data.working_f_number == pytest.approx(focal_mm / stop_mm)
+    # At twice the focal length the image is as large, and the cone is that of the stop.
+    near = paraxial(replace(lens, object_mm=2.0 * focal_mm))
+    assert near.magnification == pytest.approx(-1.0)
+    assert near.working_f_number == pytest.approx(focal_mm / stop_mm)
+
+
 def test_lenses_without_power_or_pupil() -> None:
     plate = cover_glass("N-BK7", 2.0)
     assert math.isinf(focal_length_mm(plate, (1.5,)))
@@ -105,7 +120,7 @@ def test_lenses_without_power_or_pupil() -> None:
     assert decenter_gains(lens) == pytest.approx([0.0], abs=1e-15)
     thin = load_lens("al2550")
     relay = replace(thin.with_sensor(150.0), object_mm=100.0, stop=Stop(5.0, -100.0))
-    with pytest.raises(ValueError, match="image away from the exit pupil"):
+    with pytest.raises(ValueError, match="object away from the entrance pupil"):
         paraxial(relay)
     telecentric = load_lens("al2550")
     focus_mm = telecentric.elements[0].length_mm + paraxial(telecentric).back_focal_mm

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from lenses import WAVELENGTH_NM, perfect_lens
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
@@ -171,6 +172,22 @@ def test_vectors_are_lenses() -> None:
     assert moved.elements[1].surfaces[0].radius_mm == lens.elements[1].surfaces[0].radius_mm
 
 
+def test_a_lens_that_limits_leave_no_room_for_is_told() -> None:
+    lens = singlet(100.0, -100.0, 2.0, 6.0)
+    task = Task(SENSOR, 100.0, 16.0, Limits(edge_mm=0.0, track_mm=30.0), shares=(0.0, 1.0))
+    with pytest.warns(QualityWarning, match=r"its focal length is .* mm, not 100 mm"):
+        refine(lens, task, Freedom(), steps=30)
+
+
+def test_fields_without_light_are_not_sharp() -> None:
+    front = Surface(6.0, semi_diameter_mm=1.0)
+    lens = Lens((Element((front, Surface(-6.0)), ("N-BK7",), (2.0,)),), (5.0,), Stop(2.0, -9.0))
+    wide = Task(Grid((9, 9), (2.0, 2.0)), 5.0, 5.0)
+    found_um = ray_error_um(lens, wide)
+    assert 0.0 < found_um[0] < math.inf
+    assert found_um[-1] == math.inf
+
+
 def test_what_cannot_be() -> None:
     lens, task = load_lens("petzval_a"), Task(SENSOR, 40.0, 2.0)
     with pytest.raises(ValueError, match="something that may change"):
@@ -179,6 +196,15 @@ def test_what_cannot_be() -> None:
         refine(lens, task, Freedom((3,)))
     with pytest.raises(ValueError, match="terms of at least 0, got -1"):
         Freedom(aspheres=-1)
+    with pytest.raises(ValueError, match="aspheres or conics"):
+        Freedom(aspheric=(0,))
+    with pytest.raises(ValueError, match=r"among those made, \[3\], got \[2\]"):
+        Freedom((2,), aspheres=1, aspheric=(1,))
+    for grow in ((), (2.0,), (0.7, 0.4), (0.0, 1.0)):
+        with pytest.raises(ValueError, match="rising shares"):
+            refine(lens, task, Freedom(), grow=grow)
+    with pytest.raises(ValueError, match="glass_mm"):
+        Limits(glass_mm=(5.0, 1.0))
     with pytest.raises(ValueError, match="limits of at least 0"):
         Limits(air_mm=-1.0)
     with pytest.raises(ValueError, match="positive focal length"):

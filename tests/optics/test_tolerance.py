@@ -8,6 +8,7 @@ import pytest
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
+from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import fast_mtf
 from lensshift.optics.shift import decenter_for_shift, moving
@@ -117,6 +118,17 @@ def test_a_tolerance_alone_does_what_the_moved_lens_does() -> None:
         assert row.mtf_loss == pytest.approx(drawn.worst_mtf[0] - worst, abs=4e-3)
     others = [one for one in sensitivity_table(LENS, 0, SENSOR, alone) if one.kind != "decentre"]
     assert [one.mtf_loss for one in others] == pytest.approx([0.0] * len(others), abs=1e-9)
+
+
+def test_a_mirror_has_no_glass_to_be_off_and_moves_the_image_by_its_decentre() -> None:
+    mirror = Element((Surface(-100.0, conic=-1.0, mirror=True),), (), (), name="mirror")
+    lens, grid = Lens((mirror,), (50.0,), Stop(10.0)), Grid((9, 9), (0.02, 0.02))
+    aside = replace(NONE, decenter_mm=0.01, index=0.1, focal_share=0.1)
+    table = sensitivity_table(lens, 0, grid, aside)
+    assert {row.kind for row in table} == {"decentre", "tilt"}
+    assert tolerance_analysis(lens, 0, grid, aside, builds=2).mtf.min() > 0.5
+    with pytest.raises(ValueError, match=r"no tilt of element 1 \(mirror\), a mirror"):
+        tolerance_analysis(lens, 0, grid, Tolerances(), builds=2)
 
 
 def test_yield_and_percentiles_of_made_up_builds() -> None:

@@ -285,3 +285,16 @@ def test_pupil_quadrature_integrates_polynomials(rings: int) -> None:
     assert weight @ (row * col) == pytest.approx(0.0, abs=1e-15)
     with pytest.raises(ValueError, match="at least 1 ring"):
         pupil_quadrature(0)
+
+
+def test_a_hypercentric_lens_images_one_to_one() -> None:
+    """A stop behind the focus is seen in front of the object; at 2 f and 2 f the image is -1."""
+    radius_mm = 200.0 * (refractive_index("N-BK7", 850.0) - 1.0)
+    thin = Element((Surface(radius_mm), Surface(-radius_mm)), ("N-BK7",), (0.01,))
+    lens = Lens((thin,), (200.0,), Stop(2.0, 150.0), object_mm=200.0)
+    pupil_mm = paraxial(lens).entrance_pupil_mm
+    assert pupil_mm == pytest.approx(-300.0, abs=0.1)
+    height_mm = 0.05
+    rays = trace(lens, [0.0, -height_mm / (200.0 + pupil_mm)], [[0.0, 0.0], [0.1, 0.0]])
+    assert rays.position_mm[:, 1] == pytest.approx(-height_mm, rel=1e-3)
+    assert np.ptp(rays.path_mm) < 1e-6  # all ways to an image are equally long

@@ -79,6 +79,12 @@ def test_shipped_lenses_read_back(name: str, tmp_path: Path) -> None:
     same_rays(lens, load_zmx(tmp_path / "lens.zmx"), 1e-10)
 
 
+def test_a_warm_lens_reads_back_warm() -> None:
+    lens = replace(load_lens("petzval_a"), temperature_c=60.0)
+    assert "ENVD 60.0 1 1" in format_zmx(lens)  # 0: programs leave the indices at 20 C
+    same_rays(lens, parse_zmx(format_zmx(lens)), 1e-9)
+
+
 @pytest.mark.parametrize("stop", [Stop(12.0, -4.0), Stop(8.0, 30.0), Stop(2.0, 43.0)])
 @pytest.mark.parametrize("object_mm", [3500.0, math.inf])
 def test_moved_and_tilted_elements_read_back(stop: Stop, object_mm: float) -> None:

@@ -5,10 +5,13 @@ An effect is off where its group is None or its number is 0; `TofCamera.ideal` t
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.units import doubt_about_units
 from lensshift.optics.lens import Lens
@@ -16,6 +19,7 @@ from lensshift.scene.checks import number, positive, positives, share
 
 OutputStyle = Literal["float", "o3m"]
 OUTPUT_STYLES: tuple[OutputStyle, ...] = ("float", "o3m")
+_FASTEST = 0.5  # f-number in air: with less, an image were brighter than what it is of
 MOST_BITS = 16  # of a converter, whose numbers go into words
 
 
@@ -63,7 +67,7 @@ class PlainOptics:
     Parameters
     ----------
     focal_length_mm : from the pinhole to the sensor
-    f_number : focal length over diameter of the pupil
+    f_number : focal length over diameter of the pupil, at least 0.5
     transmission : share of the light that lens and filter let through
     blur_sigma_px : of the Gaussian that the lens makes of a point; 0: a point
     natural_falloff : whether light falls with the fourth power of the cosine; False: it is even, as
@@ -81,7 +85,8 @@ class PlainOptics:
 
     def __post_init__(self) -> None:
         positive("focal_length_mm", self.focal_length_mm)
-        positive("f_number", self.f_number)
+        if positive("f_number", self.f_number) < _FASTEST:
+            raise ValueError(f"expected f_number of at least {_FASTEST}, got {self.f_number}")
         share("transmission", self.transmission)
         share("vignetting", self.vignetting)
         _not_negative("blur_sigma_px", self.blur_sigma_px)
@@ -92,7 +97,7 @@ class LensOptics:
     """A traced lens: distortion, point spread and shift vary over the sensor.
 
     Everything is imaged as from the object distance of the lens: things nearer or farther are
-    not out of focus. The image does not darken towards its corners.
+    not out of focus. The image does not darken towards its corners. Traced in the camera's light.
 
     Parameters
     ----------
@@ -311,6 +316,11 @@ class TofCamera:
     output : "float": distance and amplitude as computed; "o3m": whole centimetres up to 150 m,
         1 cm where invalid, and 16-bit amplitudes of the exposure and gain that a pixel used
     name : for the notes in a burst
+
+    Warns
+    -----
+    QualityWarning
+        If a lens is made for other light than that of the camera, in which it is traced.
     """
 
     grid: Grid
@@ -330,6 +340,8 @@ class TofCamera:
         if not isinstance(self.optics, PlainOptics | LensOptics):
             kind = type(self.optics).__name__
             raise TypeError(f"expected PlainOptics or LensOptics, got {kind}")
+        if isinstance(self.optics, LensOptics):
+            object.__setattr__(self, "optics", _in_light(self.optics, self.illumination))
         if self.output not in OUTPUT_STYLES:
             raise ValueError(f"expected one of {', '.join(OUTPUT_STYLES)}, got {self.output!r}")
         if self.output == "o3m" and (self.readout.bits is None or max(self._states) > 2):
@@ -361,6 +373,20 @@ class TofCamera:
             if name not in ("grid", "output", "name")
         }
         return {"camera": self.name, "output": self.output} | groups
+
+
+def _in_light(optics: LensOptics, light: Illumination) -> LensOptics:
+    """Return a lens in the light of a camera, its sensor where it is."""
+    made_nm, nm = optics.lens.wavelength_nm, light.wavelength_nm
+    if math.isclose(made_nm, nm, rel_tol=1e-6):  # rounding of files in um
+        return optics
+    warnings.warn(
+        f"the lens is made for {made_nm:g} nm and is traced in the light of the camera, {nm:g} nm, "
+        "with the sensor where it is: it may be out of focus",
+        QualityWarning,
+        stacklevel=4,
+    )
+    return replace(optics, lens=optics.lens.in_light(nm))
 
 
 def _plain(group: Any) -> Any:

@@ -14,10 +14,11 @@ from lensshift.camera.flat import QUARTER_SQUARE_PX
 from lensshift.camera.footprints import Footprints, see
 from lensshift.camera.output import Image, O3mImages, image_of
 from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
-from lensshift.camera.readout import Rates, harmonic_shares, read
+from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
 from lensshift.camera.settings import LensOptics, TofCamera
 from lensshift.camera.view import intrinsics_of, motions, response_width_px
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.errors import DataError
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
 from lensshift.core.units import unambiguous_range_m
@@ -152,7 +153,7 @@ def simulate_tof(
         If `planned_px` is not [frame 2], a number is out of range, or a traced lens cannot make
         a shift.
     DataError
-        If no pixel is valid.
+        If no pixel is valid: with the reason.
     """
     planned = _planned(planned_px)
     samples = _samples(scale, samples_per_px)
@@ -173,6 +174,8 @@ def simulate_tof(
         for number, seen in enumerate(frames)
     ]
     images = [image_of(reading, camera) for reading in readings]
+    if not any(image.valid.any() for image in images):
+        raise DataError(_why_nothing(frames, readings))
     notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
     # What `calibrate` would tell of a real camera.
     notes["psf_sigma_px"] = response_width_px(side_px, rest_blur, camera.grid.shape)
@@ -191,6 +194,18 @@ def simulate_tof(
         ),
         raw=RawPhases(**_stacked(readings), modulation_hz=camera.illumination.modulation_hz),
         o3m=_o3m(images),
+    )
+
+
+def _why_nothing(frames: list[Seen], readings: list[Reading]) -> str:
+    """Say why no pixel is valid."""
+    seen = np.stack([one.light > 0 for one in frames])
+    if not seen.any():
+        return "expected something in view of the camera that scatters light, but it sees nothing"
+    full = float(np.stack([one.saturated for one in readings])[seen].mean())
+    return (
+        f"expected pixels to use, but of those that see light {100 * full:.0f} % are full "
+        f"in the shortest exposure and {100 * (1 - full):.0f} % have too little light"
     )
 
 

@@ -182,7 +182,7 @@ class ToleranceOptions:
 
     of: optics.MovedLensOptions
     builds: int = option(1000, "Random builds.", min=1)
-    limit: float = option(0.9, "MTF that a good build keeps.")
+    limit: float = option(0.9, "MTF that a good build keeps.", min=0.0, max=1.0)
     decenter_mm: float = option(0.05, "Of each element.", min=0.0)
     tilt_deg: float = option(0.1, "Of each element.", min=0.0)
     gap_mm: float = option(0.05, "Of each gap.", min=0.0)
@@ -244,8 +244,11 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
         f"{found.nominal_mtf.min():.3f}"
     )
     current.say(f"{100 * share:.1f} % of the builds keep {limit:g}")
+    errors_px = found.shift_error_px[found.shift_error_px >= 0]  # NaN where a field is dark
+    if len(errors_px) < builds:
+        current.say(f"{builds - len(errors_px)} builds leave a field dark, without a shift")
     current.say(
-        f"largest error of a shift: {float(found.shift_error_px.max()):.4f} px, "
+        f"largest error of a shift: {errors_px.max(initial=0.0):.4f} px, "
         f"refocus up to {float(abs(found.refocus_mm).max()):.3f} mm"
     )
     current.result |= {"builds": builds, "percentiles_5_50_95": (low, median, high)}

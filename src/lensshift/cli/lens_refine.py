@@ -7,6 +7,8 @@ from contextlib import closing
 from dataclasses import MISSING, dataclass
 from typing import TYPE_CHECKING
 
+import typer
+
 from lensshift.cli.inputs import parse_numbers
 from lensshift.cli.lens_design import BestOption, check_out, write_lens
 from lensshift.cli.optics import BandOption, LensOptions, band_of, element_of, opened
@@ -70,6 +72,9 @@ def refine(current: Session, asked: RefineOptions) -> None:
 
     check_out(asked.out)
     start, grid = opened(asked.of)
+    grow = _numbers(asked.grow)
+    if grow[-1:] != (1.0,):
+        raise typer.BadParameter(f"expected --grow to end with 1, got {asked.grow!r}")
     low_mm, high_mm = parse_numbers(asked.glass_mm, 2, "two thicknesses like 0.8,5")
     limits = Limits(
         (low_mm, high_mm), asked.edge_mm, asked.air_mm, asked.back_focal_mm, asked.track_mm,
@@ -87,7 +92,7 @@ def refine(current: Session, asked: RefineOptions) -> None:
     with closing(Progress("refining", preparing=True)) as progress:
         found = refine_from_several(
             start, task, freedom, starts=asked.starts, seed=asked.seed,
-            grow=_numbers(asked.grow), steps=asked.steps, on_progress=progress.count,
+            grow=grow, steps=asked.steps, on_progress=progress.count,
         )  # fmt: skip
     _say(current, start, found, task)
     if asked.out is not None:
@@ -137,4 +142,7 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 def _elements(lens: Lens, text: str) -> tuple[int, ...] | None:
     """Return numbers from 0, None if there are none."""
-    return tuple(element_of(lens, int(number)) for number in _numbers(text)) or None
+    numbers = _numbers(text)
+    if not all(number.is_integer() and number >= 1 for number in numbers):
+        raise typer.BadParameter(f"expected elements counted from 1, got {text!r}")
+    return tuple(element_of(lens, int(number)) for number in numbers) or None

@@ -13,7 +13,7 @@ from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
-    from lensshift.camera import TofCamera
+    from lensshift.camera import LensOptics, PlainOptics, TofCamera
 
 _PHASES = "difference electrons_per_count exposure gain saturated modulation_hz"
 
@@ -31,7 +31,9 @@ class SimulateOptions:
     )
     camera: str = option("o3m151", "o3m151, pmd_176x132, vga, or an experiment file (TOML).")
     lens: str | None = option(None, "Trace this lens (a name or a file) for the image.")
-    element: int = option(1, "Element that moves, from 1; 0: the sensor moves.", min=0)
+    element: int | None = option(
+        None, "Element of the lens that moves, from 1; 0: the sensor moves. 1 if not given.", min=0
+    )
     pattern: PatternOption = "square"
     scale: int = option(2, "Truth pixels per pixel.", min=1, max=8)
     shift_error_px: float = option(0.02, "Rms error of each shift, unknown.", min=0.0)
@@ -95,16 +97,33 @@ def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
 
 def _camera(asked: SimulateOptions) -> TofCamera:
     from lensshift.camera import Ambient, camera_preset
-    from lensshift.pipeline.experiment_file import load_experiment, named_optics
+    from lensshift.pipeline.experiment_file import load_experiment
 
     name = asked.camera
     camera = load_experiment(name).camera if name.endswith(".toml") else camera_preset(name)
     changes: dict[str, Any] = {}
-    if asked.lens is not None:
-        changes["optics"] = named_optics(asked.lens, asked.element)
+    if asked.lens is not None or asked.element is not None:
+        changes["optics"] = _optics(asked, camera.optics)
     if asked.ambient_klx is not None:
+        if asked.ideal:
+            raise typer.BadParameter("--ideal leaves out sunlight: --ambient-klx would do nothing")
         changes["ambient"] = Ambient(asked.ambient_klx)
     if asked.as_float:
         changes["output"] = "float"
     camera = replace(camera, **changes)
     return camera.ideal() if asked.ideal else camera
+
+
+def _optics(asked: SimulateOptions, of_camera: PlainOptics | LensOptics) -> LensOptics:
+    """Return the traced lens, asked for or of the camera, with the element that is to move."""
+    from lensshift.camera import LensOptics
+    from lensshift.cli.optics import element_of, read_lens
+
+    if asked.lens is not None:
+        traced = LensOptics(read_lens(asked.lens))
+    elif isinstance(of_camera, LensOptics):
+        traced = of_camera
+    else:
+        raise typer.BadParameter("--element is of a traced lens: expected --lens with it")
+    number = 1 if asked.element is None else asked.element
+    return replace(traced, element=element_of(traced.lens, number) if number else None)

@@ -56,14 +56,14 @@ def parse_agf(text: str) -> dict[str, Glass]:
     glasses: dict[str, Glass] = {}
     lines: dict[str, tuple[int, list[str]]] = {}
     for number, line in enumerate([*text.splitlines(), "NM"], start=1):
-        key, _, rest = line.strip().partition(" ")
+        key, *rest = line.split() or [""]  # at spaces or tabs
         if key == "NM":
             if "NM" in lines:
                 name, glass = _glass(lines)
                 glasses.setdefault(name, glass)
             lines = {}
         if key in ("NM", "CD", "TD", "LD", "GC"):
-            lines[key] = (number, rest.split())
+            lines[key] = (number, rest)
     return glasses
 
 

@@ -210,16 +210,26 @@ def glass_in_light(name: str, wavelength_nm: float) -> str:
     """Return a glass, or one that is like it where its constants end before the light.
 
     The successor if its n_d is within 5e-4, else the model glass of n_d and Abbe number; the glass
-    itself where it is known, or nothing is known of the visible.
+    itself where it is known, or nothing is known of the visible, or the light is far from it.
     """
     low_nm, high_nm = glass_data(name).range_nm
-    if low_nm <= wavelength_nm <= high_nm or not low_nm < 1e3 * _C_UM < high_nm:
+    if _holds(name, wavelength_nm) or not low_nm < 1e3 * _C_UM < high_nm:
         return name
     at_d, at_f, at_c = (refractive_index(name, 1e3 * um) for um in (D_UM, _F_UM, _C_UM))
     newer = successor(name)
-    if newer is not None and abs(refractive_index(newer, 1e3 * D_UM) - at_d) < _SAME_INDEX:
+    if (
+        newer is not None
+        and _holds(newer, wavelength_nm)
+        and abs(refractive_index(newer, 1e3 * D_UM) - at_d) < _SAME_INDEX
+    ):
         return newer
-    return model_glass(at_d, (at_d - 1.0) / (at_f - at_c))
+    made = model_glass(at_d, (at_d - 1.0) / (at_f - at_c))
+    return made if _holds(made, wavelength_nm) else name
+
+
+def _holds(name: str, wavelength_nm: float) -> bool:
+    low_nm, high_nm = glass_data(name).range_nm
+    return low_nm <= wavelength_nm <= high_nm
 
 
 def model_glass(index_d: float, abbe: float, partial: float = 0.0) -> str:
@@ -312,7 +322,7 @@ def refractive_index(
     if glass == AIR:
         return 1.0
     data = glass_data(glass)
-    if not data.range_nm[0] <= wavelength_nm <= data.range_nm[1]:
+    if not _holds(glass, wavelength_nm):
         raise ValueError(
             f"expected a wavelength from {data.range_nm[0]:g} to {data.range_nm[1]:g} nm for "
             f"{glass}, got {wavelength_nm} nm"

@@ -8,9 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, glass_data, refractive_index
+from lensshift.optics.glass import (
+    REFERENCE_TEMPERATURE_C,
+    glass_data,
+    glass_in_light,
+    refractive_index,
+)
 
 WAVELENGTH_NM = 850.0  # near infrared of time-of-flight cameras: 9 of 11 in prescriptions
+_ABSOLUTE_ZERO_C = -273.15
 _CHECKED_HEIGHTS = np.linspace(0.0, 1.0, 33)  # of the smaller semi-diameter
 
 
@@ -158,6 +164,11 @@ class Element:
         """From the first vertex to the last."""
         return sum(self.thickness_mm)
 
+    @property
+    def folds(self) -> bool:
+        """Whether light leaves it backwards, so that what is behind it is drawn unfolded."""
+        return sum(surface.mirror for surface in self.surfaces) % 2 == 1
+
     def reversed(self) -> Element:
         """Return the element turned round, its last surface first."""
         return replace(
@@ -209,7 +220,7 @@ class Lens:
     ------
     ValueError
         If a gap is negative, surfaces overlap, or the stop lies in glass, behind the lens, or
-        is larger than the surfaces beside it.
+        is larger than the surfaces beside it; if there is no such temperature.
     """
 
     elements: tuple[Element, ...]
@@ -232,6 +243,10 @@ class Lens:
                 raise ValueError(
                     f"expected a gap of at least 0 mm behind element {number}, got {gap_mm:g} mm"
                 )
+        if not _ABSOLUTE_ZERO_C < self.temperature_c < math.inf:
+            raise ValueError(
+                f"expected a temperature above {_ABSOLUTE_ZERO_C} C, got {self.temperature_c} C"
+            )
         if not self.object_mm > 0:
             raise ValueError(f"expected a positive object distance, got {self.object_mm} mm")
         number = 0
@@ -248,6 +263,11 @@ class Lens:
         if carrier is not None and not 0 <= carrier < len(self.elements):
             raise ValueError(
                 f"expected the stop on an element from 0 to {len(self.elements) - 1}, got {carrier}"
+            )
+        if self.stop.position_mm < -self.object_mm:
+            raise ValueError(
+                f"expected a stop between object and sensor, got {self.stop.position_mm:g} mm, in "
+                f"front of an object {self.object_mm:g} mm away"
             )
         smallest_mm = min(surface.semi_diameter_mm for surface in self.beside_stop())
         if self.stop.diameter_mm > 2.0 * smallest_mm:
@@ -312,6 +332,14 @@ class Lens:
     def with_sensor(self, back_focal_mm: float) -> Lens:
         """Return the lens with the sensor at another distance behind the last vertex."""
         return replace(self, gaps_mm=(*self.gaps_mm[:-1], back_focal_mm))
+
+    def in_light(self, wavelength_nm: float) -> Lens:
+        """Return the lens in other light, with glasses that are known there (`glass_in_light`)."""
+        elements = tuple(
+            replace(one, glass=tuple(glass_in_light(name, wavelength_nm) for name in one.glass))
+            for one in self.elements
+        )
+        return replace(self, elements=elements, wavelength_nm=wavelength_nm)
 
     def check_element(self, element: int) -> None:
         """Raise a ValueError if there is no element of this number, counted from 0."""

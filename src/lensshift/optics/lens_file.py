@@ -174,8 +174,12 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
             add_glasses({name: Glass(**glass)})
     stop = _entries_of(found["stop"], _STOP, "stop")
     rides_on = stop.pop("rides_on")
-    if rides_on is not None and type(rides_on) is not int:
-        raise DataError(f"expected the number of an element, got {rides_on!r}", field="rides_on")
+    count = len(found["element"])
+    if rides_on is not None and not (type(rides_on) is int and 1 <= rides_on <= count):
+        raise DataError(
+            f"expected the number of an element from 1 to {count}, got {rides_on!r}",
+            field="rides_on",
+        )
     elements: list[Element] = []
     gaps_mm = []
     for number, table in enumerate(found["element"], start=1):

@@ -11,7 +11,7 @@ import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
-from lensshift.optics.glass import refractive_index
+from lensshift.optics.glass import glass_data, refractive_index
 from lensshift.optics.lens import Element, Lens, Surface, cover_glass
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import central_slope, moving
@@ -47,10 +47,10 @@ def which_mover(
 
     To the rows of `which_element` this adds
 
-    - "tilt": each element tilted about its first vertex;
+    - "tilt": each element but mirrors tilted about its first vertex;
     - "plate": a tilted plane-parallel plate in front of the sensor: that of the lens, or 1 mm of
-      N-BK7 in the middle of the last gap with the sensor moved back by t (n - 1) / n, where there
-      is room;
+      N-BK7, or of the first glass of the lens where N-BK7 is dark, in the middle of the last gap
+      with the sensor moved back by t (n - 1) / n, where there is room;
     - "wedges": two equal wedges in front of the lens that turn about the axis (Risley), so strong
       that each turns by 30 degrees for the diagonal shift;
     - "sensor": the same shift everywhere and no loss, by a stroke of -shift_px times the pitch.
@@ -73,13 +73,14 @@ def which_mover(
     plates = [number for number, one in enumerate(lens.elements) if is_plate(one)]
     turning = [
         _tilted(lens, number, "tilt")
-        for number in range(len(lens.elements))
-        if number not in plates
+        for number, element in enumerate(lens.elements)
+        if not (number in plates or element.folds)
     ]
     glazed = lens if plates else _with_plate(lens)
     if glazed is not None:
         turning.append(_tilted(glazed, plates[-1] if plates else len(lens.elements), "plate"))
-    turning.append(_wedges(lens, grid, shift_px))
+    if _clear_glass(lens):
+        turning.append(_wedges(lens, grid, shift_px))
     found = (_row(one, grid, shift_px, frequency) for one in turning)
     rows += [row for row in found if row is not None]
     least = float(edge_mtf(lens, edge_fields(lens, grid), frequency).min())
@@ -163,7 +164,8 @@ def _tilted(lens: Lens, number: int, kind: str) -> _Turning:
 
 def _wedges(lens: Lens, grid: Grid, shift_px: float) -> _Turning:
     """Return a pair whose state s turns both wedges to the bisector at s, by arcsin |s|."""
-    index = refractive_index(_PLATE_GLASS, lens.wavelength_nm, lens.temperature_c)
+    glass = _clear_glass(lens)
+    index = refractive_index(glass, lens.wavelength_nm, lens.temperature_c)
     diagonal_mm = shift_px * float(np.hypot(*grid.pitch_mm))
     turned_rad = diagonal_mm / abs(image_per_field_mm(lens))
     wedge_rad = turned_rad / (2.0 * _WEDGE_USE * (index - 1.0))
@@ -172,7 +174,7 @@ def _wedges(lens: Lens, grid: Grid, shift_px: float) -> _Turning:
         middle_rad = math.atan2(state[0], state[1])
         aside_rad = math.acos(min(1.0, math.hypot(*state)))
         turn_rad = (middle_rad + aside_rad, middle_rad - aside_rad)
-        return with_wedges(lens, wedge_rad, turn_rad), Build()
+        return with_wedges(lens, wedge_rad, turn_rad, glass), Build()
 
     name = f"wedge pair of {math.degrees(wedge_rad):.2g} deg"
     return _Turning(
@@ -239,14 +241,25 @@ def _states(one: _Turning, shifts: Callable[[Floats], Floats], shift_px: float) 
     return states
 
 
+def _clear_glass(lens: Lens) -> str:
+    """Return a glass that the light of a lens passes: N-BK7, one of the lens, or none."""
+    low_nm, high_nm = glass_data(_PLATE_GLASS).range_nm
+    if low_nm <= lens.wavelength_nm <= high_nm:
+        return _PLATE_GLASS
+    return next((glass for element in lens.elements for glass in element.glass), "")
+
+
 def _with_plate(lens: Lens) -> Lens | None:
     """Return the lens with a plate in the middle of its last gap, None if there is no room."""
-    index = refractive_index(_PLATE_GLASS, lens.wavelength_nm, lens.temperature_c)
+    glass = _clear_glass(lens)
+    if not glass:
+        return None
+    index = refractive_index(glass, lens.wavelength_nm, lens.temperature_c)
     longer_mm = lens.gaps_mm[-1] + _PLATE_MM * (index - 1.0) / index
     room_mm = 0.5 * (longer_mm - _PLATE_MM)
     if room_mm < _PLATE_ROOM_MM:
         return None
-    plate = replace(cover_glass(_PLATE_GLASS, _PLATE_MM), name="plate")
+    plate = replace(cover_glass(glass, _PLATE_MM), name="plate")
     return replace(
         lens,
         elements=(*lens.elements, plate),

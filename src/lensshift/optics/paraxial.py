@@ -24,8 +24,8 @@ class Paraxial:
     magnification : of the object on the sensor side, 0 for an infinitely far object
     entrance_pupil_mm : position from the first vertex
     entrance_pupil_diameter_mm : image of the stop seen from the object
-    exit_pupil_mm : position from the last vertex
-    exit_pupil_diameter_mm : image of the stop seen from the sensor
+    exit_pupil_mm : position from the last vertex; infinite if chief rays leave along the axis
+    exit_pupil_diameter_mm : image of the stop seen from the sensor; infinite in that case
     f_number : focal length over entrance pupil diameter
     working_f_number : 1 / (2 sin of the marginal ray's paraxial slope) at the image
     """
@@ -50,19 +50,21 @@ def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
     Raises
     ------
     ValueError
-        If the lens has no power, or its image or a pupil is where there is no working f-number.
+        If the lens has no power, the entrance pupil is infinitely far, or the object lies in it.
     """
     system = system_matrix(lens, wavelength_nm)
     power = _power(system)
     front, behind = matrices_around_stop(lens, wavelength_nm)
     entrance_mm, entrance_scale = _pupil(np.asarray(np.linalg.inv(front)))
-    exit_mm, exit_scale = _pupil(behind)
+    exit_mm, exit_scale = (math.inf, math.inf) if _telecentric(behind) else _pupil(behind)
     image_mm, magnification = _image(system, lens.object_mm)
     pupil_diameter_mm = lens.stop.diameter_mm * abs(entrance_scale)
-    exit_diameter_mm = lens.stop.diameter_mm * abs(exit_scale)
-    if image_mm == exit_mm:
-        raise ValueError(f"expected an image away from the exit pupil, got both at {exit_mm:g} mm")
-    slope = 0.5 * exit_diameter_mm / (image_mm - exit_mm)
+    # The ray from the middle of the object at unit height on the first vertex.
+    entering = np.array([1.0, 1.0 / lens.object_mm])
+    at_stop = float(front[0] @ entering)
+    if abs(at_stop) < 1e-12:
+        raise ValueError(f"expected an object away from the entrance pupil at {entrance_mm:g} mm")
+    slope = 0.5 * lens.stop.diameter_mm * float(system[1] @ entering) / at_stop
     return Paraxial(
         focal_length_mm=1.0 / power,
         back_focal_mm=_image(system, math.inf)[0],
@@ -71,7 +73,7 @@ def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
         entrance_pupil_mm=entrance_mm,
         entrance_pupil_diameter_mm=pupil_diameter_mm,
         exit_pupil_mm=exit_mm,
-        exit_pupil_diameter_mm=exit_diameter_mm,
+        exit_pupil_diameter_mm=lens.stop.diameter_mm * abs(exit_scale),
         f_number=1.0 / (abs(power) * pupil_diameter_mm),
         working_f_number=0.5 / abs(slope),
     )
@@ -171,10 +173,15 @@ def gap_matrix(distance_mm: ArrayLike) -> Floats:
 
 def _pupil(matrix: Floats) -> tuple[float, float]:
     """Return where the plane in front of `matrix` is imaged behind it, and the magnification."""
-    if abs(matrix[1, 1]) < 1e-12:
+    if _telecentric(matrix):
         raise ValueError("expected a pupil at a finite distance, but the stop is in a focal plane")
     position_mm = -matrix[0, 1] / matrix[1, 1]
     return float(position_mm), float(matrix[0, 0] + position_mm * matrix[1, 0])
+
+
+def _telecentric(matrix: Floats) -> bool:
+    """Tell whether the plane in front of `matrix` is imaged infinitely far behind it."""
+    return bool(abs(matrix[1, 1]) < 1e-12)
 
 
 def _image(system: Floats, object_mm: float) -> tuple[float, float]:

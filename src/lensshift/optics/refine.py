@@ -28,6 +28,7 @@ _LOST_PITCHES = 30.0  # what a ray counts that does not arrive
 _STEP = 1e-6  # of a variable, whose unit is a large step; far above rounding
 _ROOM = 1.03  # of a surface over its highest ray
 _AIM_STEPS, _MOST_AIM = 4, 1.1  # of fields, and by how much each at most
+_KEPT = 0.01  # of a focal length or a track: missed by more it is another lens
 _STEEPEST = 0.85  # sine of the largest slope of a surface
 
 
@@ -65,12 +66,21 @@ def refine(
     Raises
     ------
     ValueError
-        If nothing may change, or no ray of the starting form arrives.
+        If nothing may change, no ray of the starting form arrives, or `grow` does not rise to 1
+        at most.
+
+    Warns
+    -----
+    QualityWarning
+        If the lens does not keep focal length, track or the light of a field, as where the limits
+        leave no room for it.
 
     Source: D. P. Feder, Appl. Opt. 2 (1963) 1209.
     """
     from scipy.optimize import least_squares
 
+    if not grow or list(grow) != sorted(grow) or not 0 < grow[0] <= grow[-1] <= 1:
+        raise ValueError(f"expected rising shares of aperture and field up to 1, got {grow}")
     straight = (replace(one, decenter_mm=(0.0, 0.0), tilt_rad=(0.0, 0.0)) for one in lens.elements)
     plain = replace(lens, elements=tuple(straight))
     for done, share in enumerate(grow, start=1):
@@ -84,13 +94,34 @@ def refine(
         plain = bench.finished(found.x) if done == len(grow) else bench.open(found.x)
         if on_progress is not None:
             on_progress(done, len(grow))
+    tell_missed(plain, task)
     return plain
+
+
+def tell_missed(lens: Lens, task: Task) -> None:
+    """Warn of what a lens that was found does not keep."""
+    missed, focal_mm = [], paraxial(lens).focal_length_mm
+    if abs(focal_mm / task.focal_length_mm - 1.0) > _KEPT:
+        missed.append(f"its focal length is {focal_mm:.4g} mm, not {task.focal_length_mm:g} mm")
+    long_mm = float(lens.positions_mm()[-1])
+    if long_mm > task.limits.track_mm * (1.0 + _KEPT):
+        missed.append(f"it is {long_mm:.4g} mm long, not {task.limits.track_mm:g} mm")
+    dark = int(np.sum(np.isinf(ray_error_um(lens, task))))
+    if dark:
+        missed.append(f"{dark} of {len(task.shares)} fields are dark")
+    if missed:
+        warnings.warn(
+            f"the lens found is not the one wanted: {'; '.join(missed)}. Are limits and form fit "
+            "for it, and steps enough?",
+            QualityWarning,
+            stacklevel=3,
+        )
 
 
 def ray_error_um(lens: Lens, task: Task) -> Floats:
     """Return the rms distance of rays from the centroid of each field, all wavelengths, [field].
 
-    At the worst temperature of the task.
+    At the worst temperature of the task; infinite where no ray arrives.
 
     Parameters
     ----------
@@ -101,7 +132,8 @@ def ray_error_um(lens: Lens, task: Task) -> Floats:
     spread = []
     for warm in bench.at_temperatures(bench.stopped(lens)):
         error_mm, _, _ = bench.traced(warm)
-        spread.append(1e3 * np.sqrt(np.nansum(error_mm**2, axis=(0, 2, 3))))
+        dark = np.isnan(error_mm).all(axis=(0, 2, 3))
+        spread.append(1e3 * np.sqrt(np.where(dark, np.inf, np.nansum(error_mm**2, axis=(0, 2, 3)))))
     return np.asarray(np.max(spread, axis=0))
 
 

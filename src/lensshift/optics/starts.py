@@ -10,7 +10,7 @@ import numpy as np
 
 from lensshift.core.errors import QualityWarning
 from lensshift.optics.lens import Lens
-from lensshift.optics.refine import merit, refine
+from lensshift.optics.refine import merit, refine, tell_missed
 from lensshift.optics.task import Task
 from lensshift.optics.variables import Freedom
 
@@ -48,6 +48,11 @@ def refine_from_several(
     ------
     ValueError
         If `starts` is less than 1, or as `refine`, of the given form.
+
+    Warns
+    -----
+    QualityWarning
+        As `refine`, of the lens returned.
     """
     if starts < 1:
         raise ValueError(f"expected at least one starting form, got {starts}")
@@ -71,7 +76,9 @@ def refine_from_several(
                 continue
             ends.append((merit(end, task, freedom), end))
             told(starts + number, total)
-    return min(ends, key=lambda pair: pair[0])[1]
+    best = min(ends, key=lambda pair: pair[0])[1]
+    tell_missed(best, task)
+    return best
 
 
 def _looked_at(

@@ -25,7 +25,7 @@ class Limits:
     Raises
     ------
     ValueError
-        If a number is negative.
+        If a number is negative, or the least glass thicker than the most.
     """
 
     glass_mm: tuple[float, float] = (0.8, math.inf)
@@ -39,6 +39,8 @@ class Limits:
         numbers = (*self.glass_mm, self.edge_mm, self.air_mm, self.back_focal_mm, self.track_mm)
         if not all(number >= 0 for number in (*numbers, self.distortion)):
             raise ValueError(f"expected limits of at least 0, got {numbers}, {self.distortion}")
+        if self.glass_mm[0] > self.glass_mm[1]:
+            raise ValueError(f"expected glass_mm (least, most), got {self.glass_mm}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

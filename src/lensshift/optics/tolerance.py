@@ -33,6 +33,7 @@ _KINDS = (
     ("focal length", (5,)),
     ("index", (6,)),
 )
+_OF_GLASS = ((5,), (6,))  # what mirrors do not have
 _ROWS = 7
 
 
@@ -45,7 +46,8 @@ class Tolerances:
     decenter_mm : along rows and along columns
     tilt_rad : towards rows and towards columns
     gap_mm : of the air between elements
-    focal_share : of the focal length, as a share of it; taken as a change of index - 1
+    focal_share : of the focal length, as a share of it; taken as a change of index - 1, so that
+        mirrors keep theirs
     index : of the refractive index of the glass
 
     Raises
@@ -221,6 +223,8 @@ def sensitivity_table(
     cases, draws = [(-1, 0)], [np.zeros((_ROWS, count))]
     for kind, (_, rows) in enumerate(_KINDS):
         for number in range(count - 1 if rows == _GAP_ROWS else count):
+            if rows in _OF_GLASS and not lens.elements[number].glass:
+                continue
             for signs in np.array(np.meshgrid(*[[-1.0, 1.0]] * len(rows))).reshape(len(rows), -1).T:
                 draw = np.zeros((_ROWS, count))
                 draw[list(rows), number] = signs
@@ -263,7 +267,7 @@ def _deviations(lens: Lens, tolerances: Tolerances, draws: Floats) -> Build:
     gap_mm = tolerances.gap_mm * draws[:, 4]
     gap_mm[:, -1] = 0.0  # the sensor is refocused anyway
     # The mean index of an element tells how n - 1 follows from a change of n.
-    power = np.array([np.mean(indices) - 1.0 for indices in lens.indices()])
+    power = np.array([np.mean(of) - 1.0 if of else math.inf for of in lens.indices()])
     factor = 1.0 / (1.0 + tolerances.focal_share * draws[:, 5])
     factor = factor + tolerances.index * draws[:, 6] / power
     spread = (slice(None), None, None)

@@ -26,7 +26,8 @@ class Build:
     Parameters
     ----------
     decenter_mm : [... element 2] (row, col), added to that of the element
-    tilt_rad : [... element 2] (row, col), added to that of the element
+    tilt_rad : [... element 2] (row, col), added to that of the element; not of a mirror, in whose
+        plane all behind it is drawn and would turn with it
     gap_mm : [... element], added to the gap behind the element; the last one moves the sensor
     index_factor : [... element], factor on n - 1 of its glasses
     """
@@ -117,7 +118,8 @@ def trace(
     Raises
     ------
     ValueError
-        If a shape is not as above, the shapes do not broadcast, or a number is not finite.
+        If a shape is not as above, the shapes do not broadcast, a number is not finite, or a mirror
+        is tilted by the build.
     """
     fields = _pairs(field_tan, "field_tan")
     points = _pairs(pupil, "pupil")
@@ -155,7 +157,7 @@ class _System:
         if build.decenter_mm is not None:
             decenter = decenter + _checked(build.decenter_mm, (count, 2), "decenter_mm")
         if build.tilt_rad is not None:
-            tilt = tilt + _checked(build.tilt_rad, (count, 2), "tilt_rad")
+            tilt = tilt + _tilts(lens, build.tilt_rad)
         if build.gap_mm is not None:
             gap = gap + _checked(build.gap_mm, (count,), "gap_mm")
         index = self._indices(lens, build.index_factor, wavelength_nm)
@@ -314,6 +316,8 @@ def _towards(
         direction[..., :2] = target - points[:, None, :]
         direction[..., 2] = plane_mm[:, None] + lens.object_mm
         path = np.linalg.norm(direction, axis=-1)
+        # The entrance pupil of a hypercentric lens lies in front of the object.
+        path = np.copysign(path, direction[..., 2])
         direction /= path[..., None]
     return _Rays(
         origin, direction, path, np.zeros(path.shape, np.uint8), np.full(path.shape, -1, np.int16)
@@ -338,6 +342,17 @@ def _pairs(values: ArrayLike, name: str) -> Floats:
     if pairs.ndim < 1 or pairs.shape[-1] != 2 or not np.all(np.isfinite(pairs)):
         raise ValueError(f"expected finite {name} [... 2] (row, col), got shape {pairs.shape}")
     return pairs
+
+
+def _tilts(lens: Lens, tilt_rad: ArrayLike) -> Floats:
+    tilts = _checked(tilt_rad, (len(lens.elements), 2), "tilt_rad")
+    for number, element in enumerate(lens.elements):
+        if element.folds and np.any(tilts[..., number, :]):
+            raise ValueError(
+                f"expected no tilt of element {number + 1} ({element.name}), a mirror: all behind "
+                "it is drawn unfolded in its plane, and would turn with it"
+            )
+    return tilts
 
 
 def _checked(values: ArrayLike, tail: tuple[int, ...], name: str) -> Floats:

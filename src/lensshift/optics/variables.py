@@ -32,7 +32,7 @@ class Freedom:
     Raises
     ------
     ValueError
-        If the number of terms is negative.
+        If the number of terms is negative, or elements are aspheric in nothing or not made.
     """
 
     elements: tuple[int, ...] | None = None
@@ -48,6 +48,12 @@ class Freedom:
     def __post_init__(self) -> None:
         if self.aspheres < 0:
             raise ValueError(f"expected a number of terms of at least 0, got {self.aspheres}")
+        if self.aspheric is not None:
+            if not (self.aspheres or self.conics):
+                raise ValueError("expected aspheres or conics for the elements that are aspheric")
+            if self.elements is not None and not set(self.aspheric) <= set(self.elements):
+                made, got = ([n + 1 for n in of] for of in (self.elements, self.aspheric))
+                raise ValueError(f"expected aspheric elements among those made, {made}, got {got}")
 
 
 @dataclass(frozen=True, slots=True)

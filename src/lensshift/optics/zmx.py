@@ -147,7 +147,7 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
     elif key == "PWAV":
         content.primary = int(values[0])
     elif key == "ENVD":
-        content.temperature_c = _finite(values[0])
+        _read_surroundings(content, values)
     elif key == "FLOA":
         content.aperture = ("FLOA", 0.0)
     elif key in ("ENPD", "FNUM", "OBNA"):
@@ -157,9 +157,22 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
             return
         if not value > 0:
             raise DataError(f"expected a positive {key}, got {values[0]}", field=f"line {line}")
-        working = key == "FNUM" and len(values) > 1 and values[1] == "1"
+        other = values[1:2] == ["1"]  # than what the key says first
+        if key == "OBNA" and other:  # half the angle of the cone, in degrees
+            value = math.sin(math.radians(min(value, 90.0)))
         length = content.mm if key == "ENPD" else 1.0
-        content.aperture = ("WORKING" if working else key, length * value)
+        content.aperture = ("WORKING" if key == "FNUM" and other else key, length * value)
+
+
+def _read_surroundings(content: _File, values: list[str]) -> None:
+    """Take temperature and pressure as the program does: only where it is told to use them."""
+    temperature_c, pressure = _finite(values[0]), _finite(values[1]) if values[1:] else 1.0
+    if values[2:3] != ["0"]:
+        content.temperature_c = temperature_c
+        if pressure != 1.0:
+            content.notes.append(f"indices are for air of {pressure:g} atm: taken for 1 atm")
+    elif temperature_c != REFERENCE_TEMPERATURE_C:
+        content.notes.append(f"indices are not adjusted to {temperature_c:g} C: taken for 20 C")
 
 
 def _read_surface_line(
@@ -195,6 +208,12 @@ def _read_surface_line(
         entry.clear_mm = math.inf
     elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
         content.notes.append(f"surface {entry.number}: aperture {key} is left out")
+    elif key == "SCBD" and any(map(float, values[3:])):
+        raise DataError(
+            f"line {line}: expected a coordinate break, got a tilt or decentre as a property of "
+            "the surface",
+            field=entry.where(),
+        )
     elif key == "COMM":
         entry.comment = " ".join(values)
     elif key == "GLAS":

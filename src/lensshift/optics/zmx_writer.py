@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 from lensshift.core.errors import DataError
+from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Surface
 from lensshift.optics.paraxial import entrance_pupil
 
@@ -40,12 +41,13 @@ def format_zmx(lens: Lens) -> str:
     if stop.rides_on is not None and any(lens.elements[stop.rides_on].decenter_mm):
         raise ValueError("expected a stop fixed in space, or on an element that is not decentred")
     pupil_mm = stop.diameter_mm * abs(entrance_pupil(lens)[1])
+    adjusted = lens.temperature_c != REFERENCE_TEMPERATURE_C  # else programs ignore it
     header = [
         "MODE SEQ",
         f"NAME {lens.name}",
         "UNIT MM X W X CM MR CPMM",
         f"ENPD {_number(pupil_mm)}",
-        f"ENVD {_number(lens.temperature_c)} 1 0",
+        f"ENVD {_number(lens.temperature_c)} 1 {int(adjusted)}",
         "GCAT SCHOTT OHARA MISC",
         "FTYP 0 0 1 1 0 0 0",
         "XFLN 0",
