@@ -10,7 +10,6 @@ from tof_worlds import EXACT, make_camera, quiet, still, wall, wave_of
 
 from lensshift.camera import LensOptics, camera_preset, simulate_tof
 from lensshift.camera.view import airy_points
-from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import diffraction_mtf, fast_mtf
@@ -151,13 +150,3 @@ def test_quiet_camera_is_quiet() -> None:
     camera = make_camera(SENSOR, optics=LensOptics(petzval()), readout=quiet())
     first, again = (still(wall(), camera, seed=seed).burst.amplitude for seed in (1, 2))
     np.testing.assert_array_equal(first, again)
-
-
-def test_a_lens_is_traced_in_the_light_of_the_camera() -> None:
-    lens = replace(load_lens("al2550"), wavelength_nm=587.6)
-    camera = lens_camera()
-    with pytest.warns(QualityWarning, match="made for 587.6 nm .* light of the camera, 850 nm"):
-        told = replace(camera, optics=LensOptics(lens))
-    assert isinstance(told.optics, LensOptics)
-    assert told.optics.lens == replace(lens, wavelength_nm=850.0)
-    assert replace(told, name="again").optics == told.optics  # and once

@@ -5,13 +5,10 @@ An effect is off where its group is None or its number is 0; `TofCamera.ideal` t
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
-from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.units import doubt_about_units
 from lensshift.optics.lens import Lens
@@ -97,7 +94,8 @@ class LensOptics:
     """A traced lens: distortion, point spread and shift vary over the sensor.
 
     Everything is imaged as from the object distance of the lens: things nearer or farther are
-    not out of focus. The image does not darken towards its corners. Traced in the camera's light.
+    not out of focus. The image does not darken towards its corners. The lens is traced in its own
+    light, whatever that of the camera.
 
     Parameters
     ----------
@@ -316,11 +314,6 @@ class TofCamera:
     output : "float": distance and amplitude as computed; "o3m": whole centimetres up to 150 m,
         1 cm where invalid, and 16-bit amplitudes of the exposure and gain that a pixel used
     name : for the notes in a burst
-
-    Warns
-    -----
-    QualityWarning
-        If a lens is made for other light than that of the camera, in which it is traced.
     """
 
     grid: Grid
@@ -340,8 +333,6 @@ class TofCamera:
         if not isinstance(self.optics, PlainOptics | LensOptics):
             kind = type(self.optics).__name__
             raise TypeError(f"expected PlainOptics or LensOptics, got {kind}")
-        if isinstance(self.optics, LensOptics):
-            object.__setattr__(self, "optics", _in_light(self.optics, self.illumination))
         if self.output not in OUTPUT_STYLES:
             raise ValueError(f"expected one of {', '.join(OUTPUT_STYLES)}, got {self.output!r}")
         if self.output == "o3m" and (self.readout.bits is None or max(self._states) > 2):
@@ -373,20 +364,6 @@ class TofCamera:
             if name not in ("grid", "output", "name")
         }
         return {"camera": self.name, "output": self.output} | groups
-
-
-def _in_light(optics: LensOptics, light: Illumination) -> LensOptics:
-    """Return a lens in the light of a camera, its sensor where it is."""
-    made_nm, nm = optics.lens.wavelength_nm, light.wavelength_nm
-    if math.isclose(made_nm, nm, rel_tol=1e-6):  # rounding of files in um
-        return optics
-    warnings.warn(
-        f"the lens is made for {made_nm:g} nm and is traced in the light of the camera, {nm:g} nm, "
-        "with the sensor where it is: it may be out of focus",
-        QualityWarning,
-        stacklevel=4,
-    )
-    return replace(optics, lens=optics.lens.in_light(nm))
 
 
 def _plain(group: Any) -> Any:

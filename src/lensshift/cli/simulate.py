@@ -66,6 +66,12 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
     from lensshift.pipeline.run import save_truth
 
     settings = _camera(asked)
+    lens, light_nm = getattr(settings.optics, "lens", None), settings.illumination.wavelength_nm
+    if lens is not None and round(lens.wavelength_nm) != round(light_nm):
+        current.say(
+            f"the lens is traced at its {lens.wavelength_nm:g} nm, in focus; the camera lights at "
+            f"{light_nm:g} nm"
+        )
     pattern_px, told = named_pattern_px(asked.pattern), picked(asked, "scale shift_error_px seed")
     capture = simulate_tof(named_scene(asked.scene), settings, pattern_px, **told)
     save_burst(capture.burst, out)

@@ -11,7 +11,6 @@ from lensshift.core.arrays import Floats
 from lensshift.optics.glass import (
     REFERENCE_TEMPERATURE_C,
     glass_data,
-    glass_in_light,
     refractive_index,
 )
 
@@ -332,14 +331,6 @@ class Lens:
     def with_sensor(self, back_focal_mm: float) -> Lens:
         """Return the lens with the sensor at another distance behind the last vertex."""
         return replace(self, gaps_mm=(*self.gaps_mm[:-1], back_focal_mm))
-
-    def in_light(self, wavelength_nm: float) -> Lens:
-        """Return the lens in other light, with glasses that are known there (`glass_in_light`)."""
-        elements = tuple(
-            replace(one, glass=tuple(glass_in_light(name, wavelength_nm) for name in one.glass))
-            for one in self.elements
-        )
-        return replace(self, elements=elements, wavelength_nm=wavelength_nm)
 
     def check_element(self, element: int) -> None:
         """Raise a ValueError if there is no element of this number, counted from 0."""
