@@ -41,14 +41,15 @@ def without_extras(folder: Path, *calls: list[str]) -> list[tuple[int, str]]:
 
 def test_the_main_commands_need_no_extra(tmp_path: Path) -> None:
     config = str(ROOT / "examples" / "four_boxes.toml")
-    ran, again, measured, blurred = without_extras(
+    ran, again, star, measured, blurred = without_extras(
         tmp_path,
         ["run", config, "--out", "out", "--method", "tikhonov"],
         ["reconstruct", "out/burst.nc", "-o", "sharp.nc", "--method", "bicubic"],
-        ["evaluate", "star", "sharp.nc", "--cycles", "12", "--plot", "star.png"],
+        ["simulate", "siemens_star", "-o", "star.nc"],
+        ["evaluate", "star", "star.nc", "--cycles", "12", "--plot", "star.png"],
         ["reconstruct", "out/burst.nc", "--method", "deconvolution", "-o", "blurred.nc"],
     )
-    assert ran[0] == again[0] == 0, (ran, again)
+    assert ran[0] == again[0] == star[0] == 0, (ran, again, star)
     for name in ("out/preview.png", "sharp_preview.png"):
         with Image.open(tmp_path / name) as drawn:
             assert np.asarray(drawn).std() > 20
