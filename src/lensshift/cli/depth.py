@@ -72,7 +72,7 @@ def depth(current: Session, asked: DepthOptions) -> None:
     measured = _distance_image(image, asked.pitch_mm, asked.key, asked.frame)
     options: dict[str, Any] = {
         "scale": asked.scale or measured.scale, "noise_m": asked.noise_m,
-        "edge_width_px": asked.edge_width_px, "min_step_m": asked.min_step_m or None,
+        "edge_width_px": asked.edge_width_px, "min_step_m": asked.min_step_m,
     }  # fmt: skip
     current.result |= {"image": image, "truth": truth, **options}
     true_m = None if truth is None else _distance_image(truth, None, asked.truth_key, 0).values
@@ -168,7 +168,7 @@ def _plane(
 
     rows, cols = measured.values.shape
     cut = slices_of(region, (rows, cols))
-    if focal_length_mm is None or not measured.has_pitch:
+    if not focal_length_mm or not measured.has_pitch:
         raise typer.BadParameter(
             "--plane needs --focal-length-mm and the pitch, to turn distances into points"
         )

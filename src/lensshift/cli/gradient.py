@@ -63,7 +63,8 @@ def gradient(current: Session, asked: GradientOptions) -> None:
     fine = images.measured_of(replace(asked.of, pitch_mm=None) if against else asked.of)
     coarse = None if against is None else images.measured_image(against, asked.of.pitch_mm, key=key)
     fine, scale = (fine, 1) if coarse is None else images.finer(fine, coarse)
-    cut = asked.share or (_DISTANCE_SHARE if key == "distance" else _SHARE)
+    usual = _DISTANCE_SHARE if key == "distance" else _SHARE
+    cut = usual if asked.share is None else asked.share
     options: dict[str, Any] = {"share": cut, "limits": asked.limits, "plateaus": asked.plateaus}
     lines, step_mm = _lines(fine, place, asked, scale)
     found = edge_gradient(lines, step_mm=step_mm, **options)
