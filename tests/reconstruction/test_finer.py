@@ -175,6 +175,22 @@ def test_places_decide_not_frames() -> None:
     assert finer_grid(forward_model((9, 11), FINEST, SIXTEEN)) is None
 
 
+@pytest.mark.parametrize("shape", [(1, 9), (7, 1), (1, 1), (3, 2)])
+@pytest.mark.parametrize("scale", [1, 2])
+def test_frames_of_few_pixels(shape: tuple[int, int], scale: int) -> None:
+    """As many as are asked for, of frames that are all valid and of one valid pixel."""
+    y = 5.0 + np.random.default_rng(2).standard_normal((16, *shape))
+    one = np.zeros(y.shape, np.bool_)
+    one[3] = True
+    for valid in (None, one):
+        burst = Burst.from_arrays(y, offset_px=SIXTEEN, pitch_mm=0.1, valid=valid)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", lensshift.QualityWarning)
+            found = reconstruct(burst, scale, channel="amplitude").amplitude
+        assert found.image.shape == (scale * shape[0], scale * shape[1])
+        assert np.all(np.isfinite(found.image))
+
+
 def test_a_stream_goes_on_with_smaller_pixels() -> None:
     """Live steps show what the last full step found, at the same grid."""
     y = narrowly_seen(rings(), square(3), 0.008, 9)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from mosaic import canvas, observe, square
 from pixel_camera import SQUARE_PX, edge_scene, photograph, smooth_scene
 from scipy.ndimage import median_filter
 
-from lensshift import Burst, reconstruct
+from lensshift import Burst, QualityWarning, reconstruct
 from lensshift.reconstruction.noise_law import (
     REFILLED,
     _blocks,
@@ -255,3 +257,29 @@ def test_light_is_the_median_of_a_cross() -> None:
     used[:, 3, 4] = False
     wild = np.where(used, y, 1e6)
     assert light_of(wild, used)[used].max() <= 1.0
+
+
+@pytest.mark.parametrize("channel", ["amplitude", "distance", "phasor"])
+@pytest.mark.parametrize(
+    ("shape", "part"),
+    [
+        ((120, 150), np.s_[:, 55:70, 55:75]),  # between what is looked at of large frames
+        ((32, 3), np.s_[:, :4, :1]),
+        ((25, 68), np.s_[:, 24]),
+        ((40, 31), np.s_[2, 7, 9]),
+    ],
+)
+def test_frames_that_are_valid_in_a_part_only(shape, part, channel: str) -> None:
+    """As if they were masked around what is of interest: found, whatever lies there."""
+    rng = np.random.default_rng(4)
+    valid = np.zeros((4, *shape), bool)
+    valid[part] = True
+    burst = Burst.from_arrays(
+        5 + rng.standard_normal(valid.shape), 3 + 0.1 * rng.standard_normal(valid.shape),
+        offset_px=SQUARE_PX, pitch_mm=0.1, valid=valid, modulation_hz=15e6,
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        found = reconstruct(burst, channel=channel)
+    for one in (found.amplitude, found.distance_m):
+        assert one is None or np.all(np.isfinite(one.image))

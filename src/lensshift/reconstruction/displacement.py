@@ -137,7 +137,7 @@ def told_shifts(found_px: Array, covariance: Array) -> tuple[Array, Array]:
     _, along = np.linalg.eigh(covariance.sum(axis=0))
     own = found_px @ along
     own = own - np.median(own, axis=0)
-    error = np.sqrt(np.einsum("ia,kij,ja->ka", along, covariance, along))
+    error = np.sqrt(np.maximum(np.einsum("ia,kij,ja->ka", along, covariance, along), 0.0))
     sure = np.abs(own) > SURE * error
     shifts = np.where(sure, own, 0.0) @ along.T
     return shifts, np.linalg.norm(np.where(sure, error, 0.0), axis=1)

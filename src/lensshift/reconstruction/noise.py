@@ -161,6 +161,8 @@ def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
     full = np.isfinite(blocks).mean(axis=1) > 1 / 3
     if not full.any():
         full = np.isfinite(blocks).any(axis=1)
+    if not full.any():  # what is valid lies between the blocks
+        blocks, full = sizes.reshape(1, -1), np.array([True])
     ordered = np.sort(blocks[full], axis=1)  # NaN last; nanmedian takes ten times as long
     last = np.isfinite(ordered).sum(axis=1) - 1
     middle = [np.take_along_axis(ordered, k[:, None], 1) for k in (last // 2, (last + 1) // 2)]

@@ -103,8 +103,8 @@ class _Filters:
     energy: Array
 
 
-def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> NoiseLaw:
-    """Return the noise of frames [frame row col] that have one shift each.
+def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> NoiseLaw | None:
+    """Return the noise of frames [frame row col] that have one shift each, None if too few tell.
 
     Of phasors that of a component, as a function of the amplitude.
 
@@ -119,6 +119,8 @@ def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> Nois
     offset = np.round(offset_px[some] - offset_px[some[0]], 6)  # what rounding adds is no new case
     used = _windows(weight[some] > 0)
     seen = _windows(y[some])
+    if not used.any():  # what is valid lies between the windows
+        seen, used = y[some][None], weight[some][None] > 0
     components = 2 if y.dtype.kind == "c" else 1
     parts = [seen.real, seen.imag][:components]
     level = 0.0 if components == 2 else float(np.median(seen[used]))
@@ -132,7 +134,7 @@ def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> Nois
     )
     values, lit = (part.astype(np.float32) / np.float32(unit) for part in (values, lit))
     energy, light = _blocks(values, used, filters, lit, components)
-    return _fitted(energy, light, filters.energy).scaled(unit, level)
+    return _fitted(energy, light, filters.energy).scaled(unit, level) if light.size else None
 
 
 def constant_noise(sigma: float) -> NoiseLaw:

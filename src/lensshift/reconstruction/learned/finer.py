@@ -54,9 +54,12 @@ def seen_finer(asked: Asked, solve: Callable[[Asked], Solution]) -> Asked | None
     rows, cols = (np.minimum(at, at[::-1]) for at in map(np.arange, asked.y.shape[1:]))
     frame = np.arange(len(asked.y))[:, None, None]
     out = (rows[:, None] + cols + 3 * frame) % LEFT_OUT == 0
+    used = np.isfinite(asked.sigma)
+    if not np.any(used & out) or not np.any(used & ~out):
+        return None
     finer = replace(asked, model=model)
     gain = _squares(asked, out, solve) - _squares(finer, out, solve)
-    sure = float(gain.mean()) > SURE * float(gain.std()) / math.sqrt(max(gain.size, 1))
+    sure = float(gain.mean()) > SURE * float(gain.std()) / math.sqrt(gain.size)
     return finer if sure else None
 
 

@@ -358,8 +358,11 @@ def _estimated_noise(problem: Problem) -> NoiseLaw:
         return constant_noise(told)
     y, weight, model = problem.y, problem.weight, problem.model
     plain = problem.even_noise and model.shift_spread_px < EVEN_SHIFT_PX
-    if plain and len(y) >= LEAST_FRAMES:
-        return noise_law(problem.offset_px, y, weight, problem.blur_sigma_px)
+    some = np.any(weight > 0, axis=(1, 2))
+    if plain and np.count_nonzero(some) >= LEAST_FRAMES:
+        law = noise_law(problem.offset_px[some], y[some], weight[some], problem.blur_sigma_px)
+        if law is not None:
+            return law
     return constant_noise(estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma)
 
 
