@@ -8,11 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.optics.glass import (
-    REFERENCE_TEMPERATURE_C,
-    glass_data,
-    refractive_index,
-)
+from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, glass_data, refractive_index
 
 WAVELENGTH_NM = 850.0  # near infrared of time-of-flight cameras: 9 of 11 in prescriptions
 _ABSOLUTE_ZERO_C = -273.15
