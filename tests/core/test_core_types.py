@@ -178,7 +178,7 @@ def test_arrays_of_all_core_types_are_read_only() -> None:
         (15e6, 3700.0, "distance_m: expected metres, got a median of 3700 where light of"),
         (100e6, 140.0, "distance_m: expected metres"),
         (15e6, -1.2, "distance_m: expected distances from the camera, got a median of -1.2 m"),
-        (15e3, 3.7, "modulation_hz: expected a frequency in Hz, got 15000"),
+        (150.0, 3.7, "modulation_hz: expected a frequency in Hz, got 150"),
         (15.0, 3.7, "modulation_hz: expected a frequency in Hz, got 15; 15 MHz are 15e6"),
         (15.0, None, "modulation_hz: expected a frequency in Hz"),
     ],

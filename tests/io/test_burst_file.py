@@ -57,7 +57,7 @@ def bursts(draw: st.DrawFn) -> Burst:
     shape = draw(st.tuples(st.integers(1, 4), st.integers(1, 9), st.integers(1, 9)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     dtype = np.dtype(draw(st.sampled_from(DTYPES)))
-    numbers = rng.integers(0, 200, shape) if dtype.kind in "ui" else rng.normal(size=shape) * 1e-3
+    numbers = rng.integers(1, 200, shape) if dtype.kind in "ui" else rng.normal(size=shape) * 1e-3
     amplitude = numbers.astype(dtype)
     valid = rng.random(shape) > 0.3
     valid.flat[0] = True

@@ -80,7 +80,7 @@ def doubts_about_distances(
     if distance_m is None:
         return doubts
     empty = np.count_nonzero(valid & (amplitude == 0) & (distance_m == 0))
-    if empty:
+    if empty and np.any(distance_m[valid]):  # beside others that were measured
         doubts.append(
             f"distance_m: {empty} of {distance_m.size} pixels are 0 and have no light, as where "
             "nothing was measured; mark them False in `valid`"

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0  # by definition
 MILLIMETRE_M = 1e-3
-# c / 2f is 1.5 km here, which no camera lights: a smaller number is meant in kHz or MHz.
-LEAST_MODULATION_HZ = 1e5
+# c / 2f is 150 km here, which no camera lights: a smaller number is meant in kHz or MHz.
+LEAST_MODULATION_HZ = 1e3
 # No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
 MOST_PITCH_MM = 10.0
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
