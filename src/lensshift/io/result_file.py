@@ -174,7 +174,7 @@ def _read_flying(container: Container, shape: tuple[int, ...]) -> NDArray[np.boo
 
 def _read_channel(container: Container, name: str) -> Estimate:
     image = container.array(name)
-    if image.ndim != 2:
+    if image.ndim != 2 or not image.size:
         raise DataError(f"expected [row col], got shape {image.shape}", field=name)
     status = _status(container, name)
     if status is not Status.NOT_FINITE and not np.isfinite(image).any():

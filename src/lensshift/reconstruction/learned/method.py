@@ -153,7 +153,7 @@ def _on_finer_grid(
 ) -> Problem | None:
     """Return the problem with smaller pixels, of which those asked for are the means, or None.
 
-    Of phasors only where one HR pixel is an LR pixel: else their light is, by itself (`finished`).
+    Of phasors only where an HR pixel is an LR pixel: else their light is (`with_finer_amplitude`).
     """
     model, memory = finer_grid(problem.model), request.memory
     if model is None or problem.scale == 1:
