@@ -65,4 +65,5 @@ def test_wavelength_outside_the_measured_range() -> None:
 
 @pytest.mark.parametrize("wavelength_nm", [0.94, 85.0, 9e4])
 def test_light_far_from_a_glass_is_told_with_its_name(wavelength_nm: float) -> None:
-    assert glass_in_light("N-BK7", wavelength_nm) == "N-BK7"  # not a model glass nobody asked for
+    # Not as a model glass that nobody asked for.
+    assert glass_in_light("N-BK7", wavelength_nm) == ("N-BK7", None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 
 from lensshift.cli.inputs import parse_numbers, parse_pitch_mm
 from lensshift.cli.verbs import option
+from lensshift.core.errors import QualityWarning
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
@@ -61,11 +63,13 @@ def read_lens(name: str, light: LightOptions | None = None) -> Lens:
     lens = load_lens(name)
     given = {} if light is None else asdict(light)
     if light is not None and light.wavelength_nm is not None:
-        nm = light.wavelength_nm
+        names = {name for one in lens.elements for name in one.glass}
+        taken = {name: glass_in_light(name, light.wavelength_nm) for name in sorted(names)}
         given["elements"] = tuple(
-            replace(one, glass=tuple(glass_in_light(glass, nm) for glass in one.glass))
-            for one in lens.elements
+            replace(one, glass=tuple(taken[name][0] for name in one.glass)) for one in lens.elements
         )
+        if notes := [note for _, note in taken.values() if note is not None]:
+            warnings.warn("; ".join(notes), QualityWarning, stacklevel=2)
     return replace(lens, **{name: one for name, one in given.items() if one is not None})
 
 

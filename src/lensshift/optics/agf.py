@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.glass import (
     CONSTANT_COUNTS,
     NO_CHANGE,
@@ -18,6 +19,8 @@ _FORMULAS = {
     6: "sellmeier 3", 7: "handbook 1", 8: "handbook 2", 9: "sellmeier 4", 10: "extended",
     11: "sellmeier 5", 12: "extended 2", 13: "extended 3",
 }  # fmt: skip
+
+SAID = 3  # glasses that a warning names
 
 
 def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
@@ -36,31 +39,50 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
     Raises
     ------
     DataError
-        If the file is missing, has no glass, or a number or a formula is wrong: with file and line.
+        If the file is missing or has no glass that can be read: with file and line.
+
+    Warns
+    -----
+    QualityWarning
+        Of glasses that are left out, since a number or a formula is wrong: with their lines.
     """
     text = decode(path)
+    wrong: list[DataError] = []
     try:
-        glasses = parse_agf(text)
+        glasses = parse_agf(text, wrong)
         if not glasses:
-            raise DataError("expected glasses (NM), got none")
+            raise wrong[0] if wrong else DataError("expected glasses (NM), got none")
         add_glasses(glasses)
     except DataError as error:
         raise error.in_file(path) from error
     except ValueError as error:
         raise DataError(str(error), source=path) from error
+    if wrong:
+        told = "; ".join(str(one) for one in wrong[:SAID])
+        more = f"; and {len(wrong) - SAID} more" if len(wrong) > SAID else ""
+        text = f"{path}: {len(wrong)} of its glasses are left out: {told}{more}"
+        warnings.warn(text, QualityWarning, stacklevel=2)
     return glasses
 
 
-def parse_agf(text: str) -> dict[str, Glass]:
-    """Return the glasses of a catalogue by name; see `load_glass_catalogue`."""
+def parse_agf(text: str, wrong: list[DataError] | None = None) -> dict[str, Glass]:
+    """Return the glasses of a catalogue by name; see `load_glass_catalogue`.
+
+    What is wrong with those that cannot be read is added to `wrong`, or raised without it.
+    """
     glasses: dict[str, Glass] = {}
     lines: dict[str, tuple[int, list[str]]] = {}
     for number, line in enumerate([*text.splitlines(), "NM"], start=1):
         key, *rest = line.split() or [""]  # at spaces or tabs
         if key == "NM":
             if "NM" in lines:
-                name, glass = _glass(lines)
-                glasses.setdefault(name, glass)
+                try:
+                    name, glass = _glass(lines)
+                    glasses.setdefault(name, glass)
+                except DataError as error:
+                    if wrong is None:
+                        raise
+                    wrong.append(error)
             lines = {}
         if key in ("NM", "CD", "TD", "LD", "GC"):
             lines[key] = (number, rest)

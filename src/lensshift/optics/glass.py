@@ -206,12 +206,21 @@ def successor(name: str) -> str | None:
     return None
 
 
-def glass_in_light(name: str, wavelength_nm: float) -> str:
-    """Return a glass, or one that is like it where its constants end before the light.
+def glass_in_light(name: str, wavelength_nm: float) -> tuple[str, str | None]:
+    """Return a glass, or one that is like it where its constants end before the light, and says so.
 
     The successor if its n_d is within 5e-4, else the model glass of n_d and Abbe number; the glass
     itself where it is known, or nothing is known of the visible, or the light is far from it.
     """
+    taken = _alike(name, wavelength_nm)
+    if taken == name:
+        return name, None
+    low_nm, high_nm = glass_data(name).range_nm
+    told = "from its index and Abbe number" if ":" in taken else f"as {taken}"
+    return taken, f"{name}, known from {low_nm:g} to {high_nm:g} nm, taken {told}"
+
+
+def _alike(name: str, wavelength_nm: float) -> str:
     low_nm, high_nm = glass_data(name).range_nm
     if _holds(name, wavelength_nm) or not low_nm < 1e3 * _C_UM < high_nm:
         return name

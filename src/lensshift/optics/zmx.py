@@ -302,13 +302,8 @@ def _lens(content: _File) -> Lens:
 
 def _glass_of_light(entry: Entry, wavelength_nm: float, notes: list[str]) -> None:
     """Replace a glass whose constants do not hold for the light by one that is like it."""
-    name, (low_nm, high_nm) = entry.glass, glass_data(entry.glass).range_nm
-    entry.glass = glass_in_light(name, wavelength_nm)
-    if entry.glass != name:
-        told = "from its index and Abbe number" if ":" in entry.glass else f"as {entry.glass}"
-        notes.append(
-            f"surface {entry.number}: {name}, known from {low_nm:g} to {high_nm:g} nm, taken {told}"
-        )
+    entry.glass, note = glass_in_light(entry.glass, wavelength_nm)
+    notes += [] if note is None else [f"surface {entry.number}: {note}"]
 
 
 def _shape(entry: Entry, mm: float) -> None:
