@@ -50,12 +50,13 @@ def gain(current: Session, asked: GainOptions) -> None:
     fine, coarse, key = asked.fine, asked.coarse, asked.key
     place = images.parse_region(asked.region)
     outputs.check([fine, coarse], asked.to.csv, asked.to.plot)
+    of_fine, of_coarse = (key if images.has_names(path) else None for path in (fine, coarse))
     below = (
-        images.measured_frames(coarse, key=key)
+        images.measured_frames(coarse, key=of_coarse)
         if asked.joint
-        else images.measured_image(coarse, asked.pitch_mm, key=key, frame=asked.frame)
+        else images.measured_image(coarse, asked.pitch_mm, key=of_coarse, frame=asked.frame)
     )
-    above, scale = images.finer(images.measured_image(fine, None, key=key), below)
+    above, scale = images.finer(images.measured_image(fine, None, key=of_fine), below)
     pairs = pair_edges(edges_of(above, images.scaled(place, scale)), edges_of(below, place), scale)
     if not pairs:
         raise ValueError("expected an edge that both images show, got none; give --region")

@@ -120,10 +120,17 @@ def measured_image(
     if path.suffix.lower() == ".npz":
         arrays = load_named_arrays(path)
         frames = arrays[_image_name(arrays, path, key)]
+    elif key is not None:
+        raise typer.BadParameter(f"--key: arrays have names in NPZ files, not in {path}")
     else:
         frames = load_frames(path)
     pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
     return Measured(_one_frame(frames, path, frame), pitch, pitch_mm is not None)
+
+
+def has_names(path: Path) -> bool:
+    """Tell whether what is in a file has names that --key can choose from."""
+    return path.suffix.lower() == ".npz" or kind_of(path) is not Kind.STACK
 
 
 def measured_of(asked: ImageOptions) -> Measured:

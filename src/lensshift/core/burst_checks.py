@@ -104,10 +104,13 @@ def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[
 def as_pairs(values: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
     """Return one (row, col) pair for each frame."""
     try:
-        return as_numbers(values, (count, 2), name)
+        pairs = as_numbers(values, (count, 2), name)
     except DataError as error:
         hint = f"one (row, col) pair for each of the {count} frames"
         raise DataError(f"{error.problem} ({hint})", field=name) from error
+    if name == "offset_sigma_px" and np.any(pairs < 0):
+        raise DataError(f"expected no negative one, got {pairs.min():g}", field=name)
+    return pairs
 
 
 def as_frequencies(given: Any) -> float | tuple[float, ...] | None:
