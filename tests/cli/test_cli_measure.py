@@ -199,6 +199,7 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["depth", "edge.npy", "edge.npy", "--min-step-m", "0"], 1, "a positive smallest step"),
         (["mtf", "edge.npy", "--focal-length-mm", "40"], 2, "needs the pitch"),
         (["mtf", "missing.npy"], 1, "missing.npy"),
+        (["mtf", "edge.npy", "--key", "distance"], 2, "--key: arrays have names in NPZ files"),
         (["mtf", "edge.npy", "--plot", "edge.docx"], 1, "docx"),
     ],
 )

@@ -88,6 +88,7 @@ def test_selection_keeps_frames_and_offsets_together() -> None:
         ({"amplitude": np.full((3, *SHAPE), "a")}, "amplitude: expected numbers"),
         ({"offset_px": np.zeros((2, 2))}, "offset_px: expected shape .3, 2."),
         ({"offset_px": [[0, 0], [0, 1], [0, np.inf]]}, "offset_px: expected finite"),
+        ({"offset_sigma_px": np.full((3, 2), -0.1)}, "offset_sigma_px: expected no negative"),
         ({"valid": np.zeros((3, *SHAPE), bool)}, "valid: every pixel is marked invalid"),
         ({"valid": np.ones((3, 5, 6), bool)}, "valid: expected shape"),
         ({"distance_m": np.zeros((3, 5, 6))}, "distance_m: expected shape"),

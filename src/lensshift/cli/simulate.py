@@ -36,7 +36,7 @@ class SimulateOptions:
     )
     pattern: PatternOption = "square"
     scale: int = option(2, "Truth pixels per pixel.", min=1, max=8)
-    shift_error_px: float = option(0.02, "Rms error of each shift, unknown.", min=0.0)
+    shift_error_px: float = option(0.02, "Rms error of each shift, unknown.", min=0.0, max=5.0)
     ambient_klx: float | None = option(None, "Sunlight on the scene.", min=0.0)
     ideal: bool = option(False, "No noise, no errors of the camera.")
     as_float: bool = option(
