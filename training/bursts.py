@@ -15,12 +15,8 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter
 
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import Taps, forward_model
-from lensshift.reconstruction.learned.method import (
-    LEAST_FRAMES,
-    LEAST_SHARE,
-    LEAST_SIGMA,
-    USUAL_SHIFT_ERROR_PX,
-)
+from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
+from lensshift.reconstruction.learned.noise import LEAST_FRAMES, LEAST_SHARE, LEAST_SIGMA
 from lensshift.reconstruction.learned.solver import SQUARE_REACH_PX
 from lensshift.reconstruction.noise_law import light_of, noise_law
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
@@ -208,20 +204,25 @@ def draw_batch(
     """Return bursts of one geometry from scenes of the pool, all on the usual square if asked."""
     bench = draw_bench(rng, 1.0, SQUARE_REACH_PX) if square else draw_bench(rng)
     g = bench.geometry
-    drawn = [_crop(rng, pool, g.fine_shape) for _ in range(count)]
-    grainy = [_with_grain(rng, s, g) if rng.random() < GRAINY else s for s in drawn]
-    scenes = _float(np.stack(grainy))
+    scenes = drawn_scenes(rng, pool, g, count)
     frames = bench.frames(scenes, draw_errors(rng, g, count))
-    frames, valid, sigma, noise = _spoil(rng, frames.numpy())
+    frames, valid, sigma, noise = spoilt(rng, frames.numpy())
     if len(g.offset_px) >= LEAST_FRAMES:
         for k in np.flatnonzero(rng.random(count) < READ):
-            sigma[k] = _read_noise(g.offset_px, frames[k], valid[k], bench.told_px)
+            sigma[k] = read_noise(g.offset_px, frames[k], valid[k], bench.told_px)
     seen_by_solver = (_float(frames), _float(valid), _float(sigma), _float(noise))
     return Batch(*seen_by_solver, bench.truth(scenes), bench.rows, bench.cols,
                  bench.told_px * g.scale, g.scale)  # fmt: skip
 
 
-def _read_noise(offset_px: Array, y: Array, valid: Array, told_px: float) -> Array:
+def drawn_scenes(rng: Generator, pool: NDArray[np.float16], g: Geometry, count: int) -> Tensor:
+    """Return scenes [burst row col] of the pool, some of them with grain."""
+    drawn = [_crop(rng, pool, g.fine_shape) for _ in range(count)]
+    grainy = [_with_grain(rng, s, g) if rng.random() < GRAINY else s for s in drawn]
+    return _float(np.stack(grainy))
+
+
+def read_noise(offset_px: Array, y: Array, valid: Array, told_px: float) -> Array:
     """Return the noise of frames as the package reads it, where texture may be taken for it."""
     used = valid > 0
     law = noise_law(offset_px, y, valid, told_px)
@@ -287,7 +288,7 @@ def _with_grain(rng: Generator, scene: NDArray[np.float32], g: Geometry) -> NDAr
     return (scene + grain).astype(np.float32)
 
 
-def _spoil(rng: Generator, y: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+def spoilt(rng: Generator, y: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
     """Return frames with noise and faults, valid mask, sigma as believed and as it is."""
     bursts, count = y.shape[:2]
     one = (bursts, 1, 1, 1)

@@ -2,6 +2,7 @@
 
 python training/export.py solver.pt src/lensshift/reconstruction/learned/brightness.npz
 python training/export.py phasor.pt src/lensshift/reconstruction/learned/phasor.npz
+python training/export.py response.pt src/lensshift/reconstruction/learned/response.npz
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ import torch
 from network import Solver
 from phasor_network import PhasorSolver
 
-from lensshift.reconstruction.learned.network import Network
+from lensshift.reconstruction.learned.network import OF_PICTURES, Network
 
 
-def arrays_of(state: dict[str, torch.Tensor], phasor: bool) -> dict[str, np.ndarray]:
+def arrays_of(state: dict[str, torch.Tensor], of_pictures: bool) -> dict[str, np.ndarray]:
     """Return the arrays of the file: the level of brightness already left out.
 
     Half precision is enough, and all files are to stay below 1.5 MB.
@@ -31,7 +32,7 @@ def arrays_of(state: dict[str, torch.Tensor], phasor: bool) -> dict[str, np.ndar
         if match := re.fullmatch(r"priors\.(\d+)\.layers\.(\d+)\.weight", name):
             stage, layer = match.groups()
             weight = values.double().numpy().copy()
-            if layer == "0" and not phasor:
+            if layer == "0" and of_pictures:
                 weight[:, :4] -= weight[:, :4].mean((1, 2, 3), keepdims=True)
             out_channels = weight.shape[0]
             taps = weight.transpose(2, 3, 1, 0).reshape(-1, out_channels)
@@ -69,7 +70,7 @@ def main() -> None:
     given = ask.parse_args()
     file = io.BytesIO()
     name = given.out.stem
-    found = arrays_of(torch.load(given.checkpoint)["solver"], name == "phasor")
+    found = arrays_of(torch.load(given.checkpoint)["solver"], name in OF_PICTURES)
     if (
         given.keep
     ):  # a mean of both ends of a run that went on from there loses less of what was learned

@@ -20,7 +20,7 @@ from lensshift.cli.reconstruct import _WIDTH_SOURCES
 from lensshift.cli.session import Progress
 from lensshift.core.settings import to_json
 from lensshift.io import memory_limit
-from lensshift.reconstruction.reconstruct import WidthSource
+from lensshift.reconstruction.pixel_response import WidthSource
 
 VERBS = [["run"], ["reconstruct"], ["convert"], ["info"], ["evaluate", "fidelity"], ["live"]]
 COMMAND = [sys.executable, "-c", "from lensshift.cli import main; main()"]

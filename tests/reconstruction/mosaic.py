@@ -56,12 +56,16 @@ def observe(
     scale: int = 2,
     offset_px: NDArray[np.float64] | None = None,
     snr: float = 50.0,
+    side: int = SAMPLES,
     rng: np.random.Generator,
 ) -> MosaicBurst:
-    """Return the burst that a camera with full square pixels takes of the canvas."""
+    """Return the burst that a camera with square pixels takes of the canvas.
+
+    The middle of a pixel is sensitive, so many fine samples wide (an even number).
+    """
     offset = square(scale) if offset_px is None else offset_px
     sigma = 0.8 / snr
-    frames = [_means(fine, shape, SAMPLES, np.rint(-o * SAMPLES).astype(int)) for o in offset]
+    frames = [_means(fine, shape, SAMPLES, np.rint(-o * SAMPLES).astype(int), side) for o in offset]
     y = np.stack(frames) + sigma * rng.standard_normal((len(offset), *shape))
     hr = (shape[0] * scale, shape[1] * scale)
     return MosaicBurst(
@@ -115,9 +119,16 @@ def phasor_mosaic(
 
 
 def _means(
-    fine: NDArray[np.float64], shape: tuple[int, int], size: int, shift: NDArray[np.int_]
+    fine: NDArray[np.float64],
+    shape: tuple[int, int],
+    size: int,
+    shift: NDArray[np.int_],
+    side: int | None = None,
 ) -> NDArray[np.float64]:
     top, left = MARGIN_PX * SAMPLES + shift
     part = fine[top : top + shape[0] * size, left : left + shape[1] * size]
-    means: NDArray[np.float64] = part.reshape(shape[0], size, shape[1], size).mean(axis=(1, 3))
+    cut = 0 if side is None else (size - side) // 2
+    seen = slice(cut, size - cut)
+    cells = part.reshape(shape[0], size, shape[1], size)[:, seen, :, seen]
+    means: NDArray[np.float64] = cells.mean(axis=(1, 3))
     return means

@@ -142,10 +142,11 @@ def test_a_batch_is_one_burst_after_the_other(device, monkeypatch):
         solver, "_in_tiles", lambda *of: (seen.append(len(of[2])), together(*of))[1]
     )
     monkeypatch.setattr(batch, "TOGETHER", 6)
-    found = reconstruct_batch(bursts, device=device)
+    told = {"psf_sigma_px": 0.3}  # read from its frames each burst would have a width of its own
+    found = reconstruct_batch(bursts, device=device, **told)
     # Of phasors amplitudes and phases are solved on their own, too; the last burst came too late.
     assert sorted(seen) == [1, 1, 2, 2, 2, 3]
-    for one, expected in zip(found, reconstruct_batch(bursts), strict=True):
+    for one, expected in zip(found, reconstruct_batch(bursts, **told), strict=True):
         assert_same(one, expected)
 
 

@@ -18,7 +18,8 @@ from lensshift.forward.model import forward_model
 from lensshift.reconstruction.learned import convolution, kernels, method, network, priors, solver
 from lensshift.reconstruction.learned.chain import State
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.learned.method import auto, noise_of, status_of
+from lensshift.reconstruction.learned.method import auto, status_of
+from lensshift.reconstruction.learned.noise import noise_of
 from lensshift.reconstruction.learned.solver import Asked
 from lensshift.reconstruction.learned.turn import Turn
 from lensshift.reconstruction.method import Request
@@ -122,8 +123,8 @@ def test_tiles_are_not_seen(monkeypatch):
 
 def test_the_facts_of_an_interlaced_burst_of_square_pixels_are_none():
     """What networks are told besides pictures is how a burst differs from the usual one."""
-    np.testing.assert_allclose(solver._facts(0.6, 2, 4), [0.0, 0.0, 0.0, 0.5], atol=1e-7)
-    ninth = solver._facts(1.6, 4, 144)  # nine samples of each HR pixel
+    np.testing.assert_allclose(solver.facts_of(0.6, 2, 4), [0.0, 0.0, 0.0, 0.5], atol=1e-7)
+    ninth = solver.facts_of(1.6, 4, 144)  # nine samples of each HR pixel
     np.testing.assert_allclose(ninth, [1.0, 1.0, np.log(3), 0.1], rtol=1e-6)
 
 

@@ -36,7 +36,8 @@ def clean_frames(truth, offset_px=SQUARE_PX):
 
 
 def camera(**settings):
-    return lensshift.stream(SQUARE_PX, SCALE, shape=SHAPE, **settings)
+    told = {"psf_sigma_px": SQUARE_PIXEL_PX} | settings
+    return lensshift.stream(SQUARE_PX, SCALE, shape=SHAPE, **told)
 
 
 def error(result, truth):
@@ -112,7 +113,7 @@ def test_the_refined_pace_is_reconstruct():
         burst = lensshift.Burst.from_arrays(
             y[: number + 1], offset_px=SQUARE_PX[: number + 1], pitch_mm=1.0
         )
-        expected = lensshift.reconstruct(burst, SCALE)
+        expected = lensshift.reconstruct(burst, SCALE, psf_sigma_px=SQUARE_PIXEL_PX)
         np.testing.assert_array_equal(found.amplitude.image, expected.amplitude.image)
         assert found.settings["places"] == list(range(number + 1))
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _WIDTH_SOURCES = {
     "given": "as told",
     "burst": "as the burst says",
+    "frames": "read from the frames",
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
 }
 EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".png", ".npz", *CLOUD_SUFFIXES)
@@ -165,7 +166,9 @@ def _reconstruct(
         undone_px = blur_width_px(result.settings["blur"])
         undone = "" if undone_px == width_px else f"; undone: {undone_px:.3g} px"
         undone += " and the spots of the lens field" if settings.get("lens_field") else ""
-        current.say(f"blur {width_px:.3g} px, {_WIDTH_SOURCES[told_by]}{undone}")
+        error_px = result.settings.get("psf_std_px")
+        spread = "" if error_px is None else f" +- {error_px:.2g}"
+        current.say(f"blur {width_px:.3g}{spread} px, {_WIDTH_SOURCES[told_by]}{undone}")
     say_channels(current, result)
     current.wrote(*files)
     current.result |= {

@@ -42,8 +42,8 @@ class ReconstructOptions:
     psf_sigma_px: float | None = option(
         None,
         "Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
-        "px; auto, the default: from --calibration or the burst, or a square pixel (with "
-        "--fill-factor: 0).",
+        "px; auto, the default: from --calibration or the burst, else read from the frames, "
+        "or a square pixel (with --fill-factor: 0).",
         parser=width_px,
         metavar="PX|auto",
     )

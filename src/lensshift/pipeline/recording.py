@@ -7,7 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -141,7 +141,7 @@ def reconstruct_recording(
         place = str(Path(recording).resolve())
         served = periodic and not several
         job = Windows(place, window, step, count, served, scale, method, pace, dict(settings))
-        file, tasks = _begun(stack, source, job, out)
+        job, file, tasks = _begun(stack, source, job, out)
         resumed = done = int(file.written.sum())
         solved: Iterator[Solved] = (solve_windows(job, first, count) for first, count in tasks)
         if workers is not None or scheduler is not None:
@@ -210,13 +210,19 @@ def _frame(burst: Burst, k: int) -> Frame:
 
 def _begun(
     stack: ExitStack, source: Recording, job: Windows, out: str | Path
-) -> tuple[PiecewiseFile, list[tuple[int, int]]]:
-    """Return the file, and the tasks (first window, count) that are left."""
+) -> tuple[Windows, PiecewiseFile, list[tuple[int, int]]]:
+    """Return job and file, and the tasks (first window, count) that are left.
+
+    A pixel response that the first window shows is that of the whole recording.
+    """
     template = source.burst(0, job.window)
     stream(template, job.scale, job.method, pace=job.pace, **dict(job.settings))  # refuses
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)
         example = reconstruct(template, job.scale, job.method, **dict(job.settings))
+    if example.settings["psf_source"] == "frames":
+        read = {"psf_sigma_px": example.settings["psf_sigma_px"]}
+        job = replace(job, settings=dict(job.settings) | read)
     changed_ns = Path(job.recording).stat().st_mtime_ns  # another one may have taken its name
     settings = asdict(job) | {"frames": source.frame_count, "changed_ns": changed_ns}
     file = stack.enter_context(
@@ -229,7 +235,7 @@ def _begun(
     each = sum(one.nbytes for one in of_sequence(example).values())
     size = int(np.clip(TASK_BYTES // each, 1, MOST_WINDOWS))
     tasks = [(first, min(size, job.count - first)) for first in range(0, job.count, size)]
-    return file, [(f, n) for f, n in tasks if not file.written[f : f + n].all()]
+    return job, file, [(f, n) for f, n in tasks if not file.written[f : f + n].all()]
 
 
 def _solved_by_dask(

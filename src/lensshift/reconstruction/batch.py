@@ -23,7 +23,8 @@ def reconstruct_batch(
     """Reconstruct several bursts alike.
 
     On a device those of one geometry (shape of the frames, shifts, response) are solved at the
-    same time, up to sixteen; each result is that of `reconstruct`, to single precision.
+    same time, up to sixteen; each result is that of `reconstruct`, to single precision. Tell
+    `psf_sigma_px`: a response that is read from the frames is each burst's own.
 
     Parameters
     ----------

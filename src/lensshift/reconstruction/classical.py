@@ -357,6 +357,7 @@ class IrwsrToolbox(Method):
     intensity: ClassVar[Any] = staticmethod(peak_of)
     take_level: ClassVar[bool] = False
     keep_outside: ClassVar[bool] = True
+    reads_response: ClassVar[bool] = False  # published with a width that is told
 
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return what the toolbox finds."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lensshift.core.types import Estimate
 from lensshift.reconstruction.learned.memory import Memory
+from lensshift.reconstruction.noise_law import NoiseLaw
 from lensshift.reconstruction.options import check_settings, option, truth, weight, whole
 from lensshift.reconstruction.problem import Problem, brightness_of
 
@@ -33,6 +34,7 @@ class Request:
     told_blur_px : width of the pixel response, lens included, as the user or the burst told it
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     memory : what a stream keeps between its steps, or None
+    law : noise of the light that was read with the response, in units of the burst, or None
     device : where "auto" finds its pictures, or None for the kernels of this processor
     """
 
@@ -46,6 +48,7 @@ class Request:
     told_blur_px: float | None = None
     shifts_doubted: bool = False
     memory: Memory | None = None
+    law: NoiseLaw | None = None
     device: Device | None = None
 
     def __post_init__(self) -> None:
@@ -66,6 +69,8 @@ class Method:
     take_level, keep_outside : as in `make_problem`
     undoes_lens : whether the blur of the lens is taken off as well; else the picture is what pixels
         of 1/scale of the pitch see behind the same lens
+    reads_response : whether a pixel response that nobody told is read from the frames; else it is
+        the usual one, or there is none in the method
     """
 
     name: ClassVar[str]
@@ -74,6 +79,7 @@ class Method:
     take_level: ClassVar[bool] = True
     keep_outside: ClassVar[bool] = False
     undoes_lens: ClassVar[bool] = True
+    reads_response: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_settings(self)

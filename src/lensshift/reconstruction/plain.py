@@ -17,6 +17,8 @@ from lensshift.reconstruction.problem import Problem
 
 @dataclass(frozen=True, slots=True)
 class _Plain(Method):
+    reads_response: ClassVar[bool] = False
+
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return the estimate, with the noise that comes through a linear method."""
         found = self._found(problem)
@@ -108,6 +110,7 @@ class Deconvolution(_Plain):
     )
     name: ClassVar[str] = "deconvolution"
     summary: ClassVar[str] = "one frame, interpolated and deconvolved by scikit-image"
+    reads_response: ClassVar[bool] = True
     take_level: ClassVar[bool] = False  # Richardson and Lucy want no negative values
 
     def _found(self, problem: Problem) -> baselines.Baseline:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
@@ -23,26 +22,23 @@ from lensshift.reconstruction.options import positive, truth
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
+from lensshift.reconstruction.pixel_response import (
+    read_response,
+    told_response,
+    undone,
+    with_response,
+)
 from lensshift.reconstruction.problem import (
-    NOMINAL_BLUR_PX,
     QUESTIONED_BLUR_PX,
     Problem,
     make_blur,
     make_problem,
     predictor,
-    square_pixel,
-    without_lens,
 )
 from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of_doubt
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
 Array = NDArray[Any]
-WidthSource = Literal["given", "burst", "assumed"]
-
-# A variance: the learned solver sharpens beyond a square pixel by 0.4 to 1.4 % of the contrast at
-# 0.2 to 0.43 cycles per pixel where there is no lens, as if the pixel were wider by so much. A
-# spot that is not undone hides it; undone with a lens field it would add up.
-SHARPENED_PX2 = 0.0037
 
 
 def reconstruct(
@@ -82,10 +78,12 @@ def reconstruct(
         "auto": phasor if that is possible (see `lensshift.reconstruction.phasor.choice`), else
         amplitude, and distance if the burst has it, each on its own
     psf_sigma_px : Gaussian width of the pixel response in LR pixels, lens included; a square pixel
-        has 0.289. "auto" or None: `burst.meta["psf_sigma_px"]`, or 0.3. The method
-        "auto" shows what pixels of 1/scale of the pitch see behind the same lens, and takes the
-        square pixel for all that is wider; other methods undo the lens as well. With
-        `fill_factor`: width of the optical spot alone, 0 if not given
+        has 0.289. "auto" or None: `burst.meta["psf_sigma_px"]`, or what the frames show
+        (`settings["psf_source"]` is "frames", `settings["psf_std_px"]` its standard deviation), or
+        0.3 where they show none or gains are to be found. The method "auto" shows what pixels of
+        1/scale of the pitch see behind the same lens, and takes the square pixel for all that is
+        wider; other methods undo the lens as well. With `fill_factor`: width of the optical spot
+        alone, 0 if not given
     prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
         "cross-validation"
     frames : numbers of the frames to use, by default all; the others can be predicted
@@ -136,23 +134,33 @@ def reconstruct(
     request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
     _check(scale, noise_sigma, photometric)
     field = _field_of(burst, shift_field, lens_field)
-    response = _response(burst, psf_sigma_px, fill_factor)
-    blur = _undone(make_blur(response["psf_sigma_px"], fill_factor), response, chosen, lens_field)
+    response = told_response(burst, psf_sigma_px, fill_factor)
+    blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames, field)
-    request = replace(request, frames=used, memory=memory, **_told(response, device, name))
+    wide = response["psf_sigma_px"] > QUESTIONED_BLUR_PX
+    request = replace(
+        request, frames=used, memory=memory, device=on_device(device, name), shifts_doubted=wide
+    )
     part = burst if frames is None else burst.select(used)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
-    settings = _settings(blur, used, request, photometric, noise_sigma, field)
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     shifts = part.offset_px if field is None else field.offset_px
     doubt = None
     if (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick):
         doubt, request = _doubted(part, shifts, scale, request)
-    seen: dict[str, Any] = {"blur": blur, "shift_field": field, "noise_sigma": noise_sigma,
+    seen: dict[str, Any] = {"shift_field": field, "noise_sigma": noise_sigma,
                             "pixel_variance": variance}  # fmt: skip
+    known = response["psf_source"] != "assumed" or fill_factor is not None or lens_field is not None
+    if chosen.reads_response and not (known or photometric):  # gains would look like edges
+        response, law = read_response(part, choice.channel, request, **seen)
+        request = replace(request, law=law)
+        blur = make_blur(response["psf_sigma_px"], None)
+    request = with_response(request, response)
+    seen["blur"] = blur = undone(blur, response, chosen, lens_field)
+    settings = _settings(blur, used, request, photometric, noise_sigma, field)
+    settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     found, flying = _estimates(
         burst, part, choice.channel, scale, used, chosen, request, photometric, seen
     )
@@ -192,7 +200,8 @@ def _estimates(
         )  # fmt: skip
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
-        found[key] = _solve(burst, problem, used, chosen, request, photometric, seen["shift_field"])
+        own = replace(request, law=None) if key == "distance" else request
+        found[key] = _solve(burst, problem, used, chosen, own, photometric, seen["shift_field"])
     return found, None
 
 
@@ -268,43 +277,6 @@ def _channels(burst: Burst, channel: str) -> dict[str, Array]:
     if channel in ("separate", "distance") and burst.distance_m is not None:
         found["distance"] = burst.distance_m
     return found
-
-
-def _response(
-    burst: Burst, psf_sigma_px: float | str | None, fill_factor: float | None
-) -> dict[str, Any]:
-    """Return the width of the blur in LR pixels, and where it is from."""
-    if isinstance(psf_sigma_px, str) and psf_sigma_px != "auto":
-        raise ValueError(f"psf_sigma_px: expected a number or 'auto', got {psf_sigma_px!r}")
-    if psf_sigma_px is not None and psf_sigma_px != "auto":
-        return {"psf_sigma_px": psf_sigma_px, "psf_source": "given"}
-    told = burst.meta.get("psf_sigma_px")
-    if told is None or fill_factor is not None:  # that of the burst holds the pixel as well
-        width_px = NOMINAL_BLUR_PX if fill_factor is None else 0.0
-        return {"psf_sigma_px": width_px, "psf_source": "assumed"}
-    if isinstance(told, bool) or not isinstance(told, Real):
-        raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
-    return {"psf_sigma_px": float(told), "psf_source": "burst"}
-
-
-def _undone(
-    blur: Blur, response: Mapping[str, Any], method: Method, lens_field: LensField | None
-) -> Blur:
-    """Return the response that the method undoes; with a lens field that of the pixel alone."""
-    if lens_field is not None:
-        told = response["psf_source"] != "assumed"
-        blur = blur.widened(-lens_field.middle_px2) if told else square_pixel(blur)
-        if not method.undoes_lens:
-            return without_lens(blur).widened(-SHARPENED_PX2)
-    return blur if method.undoes_lens else without_lens(blur)
-
-
-def _told(response: Mapping[str, Any], device: str | Device | None, method: str) -> dict[str, Any]:
-    """Return what a request holds of response and device; of too wide a one the user was told."""
-    width_px = response["psf_sigma_px"]
-    told_px = None if response["psf_source"] == "assumed" else width_px
-    return {"shifts_doubted": width_px > QUESTIONED_BLUR_PX, "told_blur_px": told_px,
-            "device": on_device(device, method)}  # fmt: skip
 
 
 def _frame_numbers(

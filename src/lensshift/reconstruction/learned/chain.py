@@ -144,15 +144,12 @@ class Chain:
         And what a run that begins before the last stage needs; `held` is that of another run.
         """
         xp = self.on.xp
-        density = self.A.adjoint(self.weight)
-        floor = LEAST_DENSITY * self.y.shape[1] / self.scale**2
+        density, floor = self.A.adjoint(self.weight), self.floor
         noise: Single = 1 / xp.sqrt(density + floor)
         used = xp.ones_like(self.weight) * (self.weight > 0)
         stages, share = len(prior.numbers["trust"]), self._around(used)
         if held is None:
-            b = self.A.adjoint(self.weight * self.y)
-            past: Picture = b / (density + floor * 1e-3)
-            v: Picture = self._start(b, past, density, _sigmoid(prior.numbers["lowest"][0]))
+            v, past = self.start(density, prior.numbers)
             channels: Any = None  # of the stage before
         else:
             v, past, channels = held.v, held.past, held.channels
@@ -207,12 +204,24 @@ class Chain:
         size: Single = xp.abs(r)
         return size * 0.5**0.5 if r.dtype == xp.complex64 else size
 
-    def _start(self, b: Picture, x: Picture, density: Single, lowest: float) -> Picture:
+    @property
+    def floor(self) -> float:
+        """What counts as weight where no frame sees an HR pixel."""
+        return LEAST_DENSITY * float(self.y.shape[1]) / self.scale**2
+
+    def start(
+        self, density: Single, numbers: Mapping[str, NDArray[np.float64]]
+    ) -> tuple[Picture, Picture]:
+        """Return v_0, and the weighted mean of the frames that it was found from."""
+
         def apply(p: Picture) -> Picture:
             spread: Picture = self.A.adjoint(self.weight * self.A.forward(p))
             return spread + START_STIFFNESS * _stiffness(self.on.xp, p)
 
-        return chebyshev(apply, b - apply(x), x, density + 8 * START_STIFFNESS, lowest, START_STEPS)
+        b = self.A.adjoint(self.weight * self.y)
+        x: Picture = b / (density + self.floor * 1e-3)
+        lowest, diagonal = _sigmoid(numbers["lowest"][0]), density + 8 * START_STIFFNESS
+        return chebyshev(apply, b - apply(x), x, diagonal, lowest, START_STEPS), x
 
     def _data_step(
         self, x: Picture, robust: Single, mass: Single, k: Single, lowest: float, steps: int

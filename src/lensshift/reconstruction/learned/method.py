@@ -16,12 +16,11 @@ from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
 from lensshift.reconstruction.learned.memory import Memory
+from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
 from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution, solve_together
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
-from lensshift.reconstruction.noise import estimate_noise
-from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
 from lensshift.reconstruction.problem import Problem, blur_width_px
 from lensshift.reconstruction.sharpness import as_sharp_as_most, moments_px2, told
 
@@ -32,13 +31,6 @@ BELIEVED_FRAME = 0.5
 # Pixels that are believed less in the second solution are left out: the solver takes the mean noise
 # for its unit, which few pixels should not move.
 LEAST_WEIGHT = 0.04
-# Training went down to noise of 2e-4 (SNR 4000); the median standard deviation of a scene is 0.15:
-# of less the weights have seen nothing, and errors of the model are larger.
-LEAST_SHARE = 2e-4 / 0.15
-# Smaller than any noise of numbers in 0 .. 1 that went through a converter of 24 bits.
-LEAST_SIGMA = 1e-7
-# Shifts that differ less over the sensor are one shift: what they are told to.
-EVEN_SHIFT_PX = 0.05
 # What calibrated actuators leave, LR pixels: taken for granted of every phasor burst, as it was in
 # training. Beside a surface twenty times as bright it is more than the noise.
 USUAL_SHIFT_ERROR_PX = 0.02
@@ -47,18 +39,11 @@ USUAL_SHIFT_ERROR_PX = 0.02
 NODE_PX, MOST_SCALE, AROUND_PX = 0.05, 8, 16
 # After the second, what is taken off frames that were shaken changes no more.
 SHARPENINGS = 2
-# Fewer frames show no frequency that a scene hardly reaches.
-LEAST_FRAMES = 3
 
 
 def auto(problem: Problem, request: Request) -> Estimate:
     """Exact data steps and a learned prior; the noise decides what is believed of both."""
-    law = noise_of(problem, request.memory)
-    used = problem.weight > 0
-    variance = law.variance(light_of(problem.y, used))
-    least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA)
-    variance = np.maximum(variance, least**2) / np.where(used, problem.weight, 1.0)
-    noise = np.where(used, np.sqrt(variance), np.inf)
+    law, least, noise = noise_map(problem, request.memory, request.law)
     found, std = solved(problem, noise, request)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
@@ -337,33 +322,6 @@ def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[n
     slopes = np.gradient(problem.y, axis=(1, 2))
     steep = np.sum(np.abs(slopes) ** 2, axis=0) / components
     return np.asarray(np.sqrt(sigma**2 + error_px[:, None, None] ** 2 * steep))
-
-
-def noise_of(problem: Problem, memory: Memory | None = None) -> NoiseLaw:
-    """Return the noise of an LR pixel in units of the problem: as told, else as the frames say."""
-    known = None if memory is None else memory.recalled()
-    law: NoiseLaw = (
-        _estimated_noise(problem)
-        if known is None
-        else known.scaled(1 / problem.intensity, -problem.level / problem.intensity)
-    )
-    if memory is not None:
-        memory.keep(law.scaled(problem.intensity, problem.level))
-    return law
-
-
-def _estimated_noise(problem: Problem) -> NoiseLaw:
-    told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
-    if told is not None:
-        return constant_noise(told)
-    y, weight, model = problem.y, problem.weight, problem.model
-    plain = problem.even_noise and model.shift_spread_px < EVEN_SHIFT_PX
-    some = np.any(weight > 0, axis=(1, 2))
-    if plain and np.count_nonzero(some) >= LEAST_FRAMES:
-        law = noise_law(problem.offset_px[some], y[some], weight[some], problem.blur_sigma_px)
-        if law is not None:
-            return law
-    return constant_noise(estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma)
 
 
 def status_of(found: Solution) -> Status:

@@ -26,7 +26,10 @@ WEIGHTS_SHA256 = {
     "square": "61bce4ef6e4047da37cd0a219be7dc39f9d352bd28f63dc25649cc33ad37e228",
     "brightness": "a1262ea9848a1c643d625eb2b2666c7add3a3f6e527f5442a77203b546f27789",
     "phasor": "cefa804fee062bd98f15d6137c9b504578781aeab2c71067798f57bde1272576",
+    "response": "33bb502676f08590f767779be4eaf06d5fa07aa4bdf79fa526c6f693cd3cd7ba",
 }
+# Those whose first channels are a picture with its level.
+OF_PICTURES = ("square", "brightness")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +92,7 @@ def learned_weights(name: str) -> tuple[tuple[Network, ...], dict[str, NDArray[n
 
     Parameters
     ----------
-    name : "brightness" or "phasor"
+    name : "brightness", "square", "phasor" or "response"
 
     Raises
     ------
@@ -103,7 +106,7 @@ def learned_weights(name: str) -> tuple[tuple[Network, ...], dict[str, NDArray[n
         raise OSError(f"{file.name} is damaged (sha256 {digest[:12]}...); install lensshift again")
     with np.load(io.BytesIO(content)) as stored:
         arrays = dict(stored)
-    if name != "phasor":
+    if name in OF_PICTURES:
         _forget_level(arrays)
     return _networks_of(arrays)
 

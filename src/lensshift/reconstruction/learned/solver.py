@@ -256,7 +256,7 @@ def _in_tiles(
     used = np.isfinite(sigma)
     relative = np.where(used, sigma, 1.0).astype(np.float32)
     weight = used / np.square(relative)
-    facts = _facts(blur_px * model.scale, model.scale, y.shape[1])
+    facts = facts_of(blur_px * model.scale, model.scale, y.shape[1])
     turn, shape = turn_of(model.mean_offset_px), (len(y), *model.hr_shape)
     image = np.empty(shape, np.complex128 if y.dtype.kind == "c" else np.float64)
     spread: list[NDArray[np.float64]] = []
@@ -306,7 +306,8 @@ def _times(region: Region, scale: int) -> Region:
     return rows, cols
 
 
-def _facts(blur_hr_px: float, scale: int, frames: int) -> NDArray[np.float32]:
+def facts_of(blur_hr_px: float, scale: int, frames: int) -> NDArray[np.float32]:
+    """Return what modulates the networks: blur, scale, and samples per HR pixel."""
     samples = frames / scale**2
     return np.array(
         [blur_hr_px - 0.6, scale / 2 - 1, np.log(samples) / 2, 1 / (1 + samples)], np.float32

@@ -16,7 +16,8 @@ from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
-from lensshift.reconstruction.learned.method import LEAST_SIGMA, noise_of, solved
+from lensshift.reconstruction.learned.method import solved
+from lensshift.reconstruction.learned.noise import LEAST_SIGMA, noise_of
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
@@ -92,7 +93,9 @@ def reconstruct_phasor(
     each = []
     for z, hz in zip(burst.phasors, burst.frequencies_hz, strict=True):
         one = replace(burst, amplitude=z, modulation_hz=hz, distance_m=None, phasors=None)
-        each.append(_one_frequency(one, used, scale, method, replace(request, std=True), **seen))
+        each.append(
+            _one_frequency(one, used, scale, method, replace(request, std=True, law=None), **seen)
+        )
     return _agreed(burst.frequencies_hz, each, request)
 
 
@@ -177,7 +180,8 @@ def _noise(problem: Problem, request: Request) -> NDArray[np.float64]:
     told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
     if told is not None:
         return np.where(seen, told / np.sqrt(np.where(seen, problem.weight, 1.0)), np.inf)
-    usual = noise_of(problem, request.memory).variance(np.median(np.abs(problem.y[seen])))
+    law = noise_of(problem, request.memory, request.law)
+    usual = law.variance(np.median(np.abs(problem.y[seen])))
     sigma = np.sqrt(usual * relative_variance(problem.y, problem.weight))
     return np.where(seen, np.maximum(sigma, LEAST_SIGMA), np.inf)
 

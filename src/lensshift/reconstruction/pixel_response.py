@@ -1,0 +1,144 @@
+"""The pixel response of a burst: as told, as the frames show it, or else a usual one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from numbers import Real
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensshift.core.errors import DataError
+from lensshift.core.lens_field import LensField
+from lensshift.core.types import Burst
+from lensshift.forward.blur import Blur, GaussianBlur
+from lensshift.reconstruction.learned.noise import noise_map
+from lensshift.reconstruction.learned.response import ASSUMED_PX, SCALE, Response, likely_response
+from lensshift.reconstruction.method import Method, Request
+from lensshift.reconstruction.noise_law import NoiseLaw
+from lensshift.reconstruction.phasor.frames import polar_frames
+from lensshift.reconstruction.problem import (
+    MOST_PIXELS,
+    NOMINAL_BLUR_PX,
+    SQUARE_PIXEL_PX,
+    make_problem,
+    square_pixel,
+    without_lens,
+)
+
+Array = NDArray[Any]
+WidthSource = Literal["given", "burst", "frames", "assumed"]
+
+# A variance: the learned solver sharpens beyond a square pixel by 0.4 to 1.4 % of the contrast at
+# 0.2 to 0.43 cycles per pixel where there is no lens, as if the pixel were wider by so much. A
+# spot that is not undone hides it; undone with a lens field it would add up.
+SHARPENED_PX2 = 0.0037
+# A width that is read counts where the frames have at least halved the spread of the widths that
+# training drew (0.08 px), or say by two standard deviations that a square pixel is another.
+TELLING_PX, REFUTED = 0.04, 2.0
+BYTES = 256
+# Of few numbers all but chance is different, if they were measured finely.
+ALL_DIFFER = 0.9
+# Smaller frames hold no edge with both its sides.
+LEAST_SIDE_PX = 6
+
+
+def told_response(
+    burst: Burst, psf_sigma_px: float | str | None, fill_factor: float | None
+) -> dict[str, Any]:
+    """Return the width of the blur in LR pixels, and where it is from."""
+    if isinstance(psf_sigma_px, str) and psf_sigma_px != "auto":
+        raise ValueError(f"psf_sigma_px: expected a number or 'auto', got {psf_sigma_px!r}")
+    if psf_sigma_px is not None and psf_sigma_px != "auto":
+        return {"psf_sigma_px": psf_sigma_px, "psf_source": "given"}
+    told = burst.meta.get("psf_sigma_px")
+    if told is None or fill_factor is not None:  # that of the burst holds the pixel as well
+        width_px = NOMINAL_BLUR_PX if fill_factor is None else 0.0
+        return {"psf_sigma_px": width_px, "psf_source": "assumed"}
+    if isinstance(told, bool) or not isinstance(told, Real):
+        raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
+    return {"psf_sigma_px": float(told), "psf_source": "burst"}
+
+
+def read_response(
+    part: Burst, channel: str, request: Request, **seen: Any
+) -> tuple[dict[str, Any], NoiseLaw | None]:
+    """Return the width that the frames of `part` show, if they show one; else the usual one.
+
+    And the noise of the light that was found for it, in units of the burst, unless it was known.
+
+    Parameters
+    ----------
+    channel : what is reconstructed
+    seen : shift_field, noise_sigma and pixel_variance, as in `make_problem`; noise that may be that
+        of distances says nothing of the light
+    """
+    memory, law = request.memory, None
+    found = None if memory is None else memory.recalled()
+    if found is None:
+        found, values = Response(NOMINAL_BLUR_PX, np.inf), _averaged(part, channel)
+        small = min(part.grid.shape) < LEAST_SIDE_PX
+        if not (small or request.shifts_doubted or _for_people(values)):
+            found, law = _read(part, values, channel, seen)
+    if memory is not None:
+        memory.keep(found)
+    refuted = abs(found.width_px - SQUARE_PIXEL_PX) > REFUTED * found.std_px
+    if found.std_px > TELLING_PX and not refuted:
+        return {"psf_sigma_px": NOMINAL_BLUR_PX, "psf_source": "assumed"}, law
+    read = {"psf_sigma_px": found.width_px, "psf_source": "frames", "psf_std_px": found.std_px}
+    return read, law
+
+
+def _read(
+    part: Burst, values: Array, channel: str, seen: Mapping[str, Any]
+) -> tuple[Response, NoiseLaw]:
+    if part.distance_m is not None and channel not in ("amplitude", "phasor"):
+        seen = dict(seen) | {"noise_sigma": None, "pixel_variance": None}
+    problem = make_problem(
+        part, values, SCALE, blur=GaussianBlur(ASSUMED_PX), take_level=values.dtype.kind != "c",
+        **seen,
+    )  # fmt: skip
+    # As it will be for the solver, if the frames do not tell.
+    law, _, noise = noise_map(replace(problem, blur_sigma_px=NOMINAL_BLUR_PX))
+    y = problem.y
+    if y.dtype.kind == "c":  # what lies along the mean phasor
+        y = (y * np.exp(-1j * np.angle(np.sum(y)))).real
+    return likely_response(problem.model, y, noise), law.scaled(problem.intensity, problem.level)
+
+
+def _for_people(values: Array) -> bool:
+    """Tell whether frames are bytes, as cameras for people give them.
+
+    A tone curve, clipping and sharpening lie between a pixel and its byte, and edges look sharper
+    than any pixel sees them: 0.19 px was read from a chart whose other frames 0.29 px predicts.
+    """
+    some = np.ravel(values)[:: max(1, values.size // MOST_PIXELS) | 1]
+    different = np.unique(some).size
+    return bool(different <= BYTES and different < ALL_DIFFER * some.size)
+
+
+def _averaged(part: Burst, channel: str) -> Array:
+    """Return frames [frame row col] whose pixels average a scene: of phasors these."""
+    if channel == "phasor" and part.phasors is not None:
+        return np.asarray(part.phasors[int(np.argmax(part.frequencies_hz))])
+    return polar_frames(part).phasor if channel == "phasor" else part.amplitude
+
+
+def undone(
+    blur: Blur, response: Mapping[str, Any], method: Method, lens_field: LensField | None
+) -> Blur:
+    """Return the response that the method undoes; with a lens field that of the pixel alone."""
+    if lens_field is not None:
+        told = response["psf_source"] != "assumed"
+        blur = blur.widened(-lens_field.middle_px2) if told else square_pixel(blur)
+        if not method.undoes_lens:
+            return without_lens(blur).widened(-SHARPENED_PX2)
+    return blur if method.undoes_lens else without_lens(blur)
+
+
+def with_response(request: Request, response: Mapping[str, Any]) -> Request:
+    """Return the request with what was told of the response."""
+    told = response["psf_source"] in ("given", "burst")
+    return replace(request, told_blur_px=response["psf_sigma_px"] if told else None)
