@@ -86,7 +86,8 @@ def test_a_glass_whose_constants_end_before_the_light_is_replaced_with_a_note() 
 
 def test_other_light_than_that_of_the_file(tmp_path: Path) -> None:
     (tmp_path / "lens.zmx").write_text(zmx(FAR, FRONT.replace("N-BK7", "SK16"), BACK, IMAGE))
-    lens = read_lens(str(tmp_path / "lens.zmx"), LightOptions(850.0))
+    with pytest.warns(QualityWarning, match="SK16, known from 400 to 700 nm, taken as N-SK16"):
+        lens = read_lens(str(tmp_path / "lens.zmx"), LightOptions(850.0))
     assert lens.elements[0].glass == ("N-SK16",)
     assert lens.indices()[0][0] == refractive_index("N-SK16", 850.0)
 

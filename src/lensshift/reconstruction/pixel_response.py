@@ -22,6 +22,7 @@ from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.problem import (
     MOST_PIXELS,
     NOMINAL_BLUR_PX,
+    QUESTIONED_BLUR_PX,
     SQUARE_PIXEL_PX,
     make_problem,
     square_pixel,
@@ -62,12 +63,19 @@ def told_response(
     return {"psf_sigma_px": float(told), "psf_source": "burst"}
 
 
+def told_of(response: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a request holds of a response; of too wide a one the user was told."""
+    width_px = response["psf_sigma_px"]
+    told_px = None if response["psf_source"] == "assumed" else width_px
+    return {"shifts_doubted": width_px > QUESTIONED_BLUR_PX, "told_blur_px": told_px}
+
+
 def read_response(
     part: Burst, channel: str, request: Request, **seen: Any
-) -> tuple[dict[str, Any], NoiseLaw | None]:
+) -> tuple[dict[str, Any], Request]:
     """Return the width that the frames of `part` show, if they show one; else the usual one.
 
-    And the noise of the light that was found for it, in units of the burst, unless it was known.
+    And the request with the noise of the light that was found for it, unless it was known.
 
     Parameters
     ----------
@@ -84,11 +92,12 @@ def read_response(
             found, law = _read(part, values, channel, seen)
     if memory is not None:
         memory.keep(found)
+    request = replace(request, law=law)
     refuted = abs(found.width_px - SQUARE_PIXEL_PX) > REFUTED * found.std_px
     if found.std_px > TELLING_PX and not refuted:
-        return {"psf_sigma_px": NOMINAL_BLUR_PX, "psf_source": "assumed"}, law
+        return {"psf_sigma_px": NOMINAL_BLUR_PX, "psf_source": "assumed"}, request
     read = {"psf_sigma_px": found.width_px, "psf_source": "frames", "psf_std_px": found.std_px}
-    return read, law
+    return read, request
 
 
 def _read(
@@ -129,16 +138,12 @@ def _averaged(part: Burst, channel: str) -> Array:
 def undone(
     blur: Blur, response: Mapping[str, Any], method: Method, lens_field: LensField | None
 ) -> Blur:
-    """Return the response that the method undoes; with a lens field that of the pixel alone."""
+    """Return what the method undoes of a response; with a lens field that of the pixel alone."""
+    if response["psf_source"] == "frames":
+        blur = GaussianBlur(response["psf_sigma_px"])
     if lens_field is not None:
         told = response["psf_source"] != "assumed"
         blur = blur.widened(-lens_field.middle_px2) if told else square_pixel(blur)
         if not method.undoes_lens:
             return without_lens(blur).widened(-SHARPENED_PX2)
     return blur if method.undoes_lens else without_lens(blur)
-
-
-def with_response(request: Request, response: Mapping[str, Any]) -> Request:
-    """Return the request with what was told of the response."""
-    told = response["psf_source"] in ("given", "burst")
-    return replace(request, told_blur_px=response["psf_sigma_px"] if told else None)

@@ -24,12 +24,11 @@ from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
 from lensshift.reconstruction.pixel_response import (
     read_response,
+    told_of,
     told_response,
     undone,
-    with_response,
 )
 from lensshift.reconstruction.problem import (
-    QUESTIONED_BLUR_PX,
     Problem,
     make_blur,
     make_problem,
@@ -137,10 +136,8 @@ def reconstruct(
     response = told_response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames, field)
-    wide = response["psf_sigma_px"] > QUESTIONED_BLUR_PX
-    request = replace(
-        request, frames=used, memory=memory, device=on_device(device, name), shifts_doubted=wide
-    )
+    there = on_device(device, name)
+    request = replace(request, frames=used, memory=memory, device=there, **told_of(response))
     part = burst if frames is None else burst.select(used)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -154,10 +151,7 @@ def reconstruct(
                             "pixel_variance": variance}  # fmt: skip
     known = response["psf_source"] != "assumed" or fill_factor is not None or lens_field is not None
     if chosen.reads_response and not (known or photometric):  # gains would look like edges
-        response, law = read_response(part, choice.channel, request, **seen)
-        request = replace(request, law=law)
-        blur = make_blur(response["psf_sigma_px"], None)
-    request = with_response(request, response)
+        response, request = read_response(part, choice.channel, request, **seen)
     seen["blur"] = blur = undone(blur, response, chosen, lens_field)
     settings = _settings(blur, used, request, photometric, noise_sigma, field)
     settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
