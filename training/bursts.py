@@ -84,17 +84,23 @@ def draw_geometry(rng: Generator, hr_side: int = 56) -> Geometry:
     side = round(count**0.5)
     kind = rng.random()
     if side * side == count and kind < 0.6:
-        step = 1.0 / side if rng.random() < 0.85 else 1.0 / scale
-        line = (np.arange(side) - (side - 1) / 2) * step
-        offset = np.array([(a, b) for a in line for b in line])
-        if rng.random() < 0.3:
-            offset = offset + rng.uniform(-0.5, 0.5, 2)
-        if rng.random() < 0.3:
-            offset = offset + rng.integers(-1, 2, offset.shape)
+        offset = square_px(rng, side, 1.0 / scale, 0.3)
     else:
         offset = rng.uniform(-1, 1, (count, 2)) * (0.5 if kind < 0.9 else 1.5)
     samples = int(rng.choice([10, 12, 13] if scale < 3 else [12, 15, 16]))
     return Geometry(scale, shape, np.clip(offset, -1.6, 1.6), samples)
+
+
+def square_px(rng: Generator, side: int, other_px: float, aside: float) -> Array:
+    """Return a square pattern, rarely of another step, a part of them aside, or by whole pixels."""
+    step = 1.0 / side if rng.random() < 0.85 else other_px
+    line = (np.arange(side) - (side - 1) / 2) * step
+    offset = np.array([(a, b) for a in line for b in line])
+    if rng.random() < aside:
+        offset = offset + rng.uniform(-0.5, 0.5, 2)
+    if rng.random() < 0.3:
+        offset = offset + rng.integers(-1, 2, offset.shape)
+    return offset
 
 
 def usual_geometry(rng: Generator, side: int = 28, wander_px: float = 0.0) -> Geometry:

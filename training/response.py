@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from bursts import Bench, Geometry, draw_errors, drawn_scenes, read_noise, spoilt
+from bursts import Bench, Geometry, draw_errors, drawn_scenes, read_noise, spoilt, square_px
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from torch import Tensor, nn
@@ -26,6 +26,7 @@ from torch.nn import functional
 
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
+from lensshift.reconstruction.learned.noise import LEAST_FRAMES
 from lensshift.reconstruction.learned.response import ASSUMED_PX, SCALE, VOTE, pictures_of
 
 Generator = np.random.Generator
@@ -47,12 +48,7 @@ def draw_bench(rng: Generator) -> tuple[Bench, float]:
     count = int(rng.choice(counts, p=np.array(shares) / 100))
     side = round(count**0.5)
     if side * side == count and rng.random() < 0.75:
-        line = (np.arange(side) - (side - 1) / 2) * (1 / side if rng.random() < 0.85 else 0.5)
-        offset = np.array([(a, b) for a in line for b in line])
-        if rng.random() < 0.4:
-            offset = offset + rng.uniform(-0.5, 0.5, 2)
-        if rng.random() < 0.3:
-            offset = offset + rng.integers(-1, 2, offset.shape)
+        offset = square_px(rng, side, 1.0 / SCALE, 0.4)
     else:
         offset = rng.uniform(-1, 1, (count, 2)) * (0.5 if rng.random() < 0.7 else 1.5)
     samples = int(rng.choice([10, 12]))
@@ -84,7 +80,7 @@ def draw(worlds: Path, seed: int, step: int) -> tuple[NDArray[np.float16], float
         for k in range(TOGETHER):
             frames[k], gain = toned(rng, frames[k])
             sigma[k] = np.maximum(sigma[k] * gain, LEAST_SIGMA)
-    if rng.random() < (READ_TONED if is_toned else READ) and len(g.offset_px) >= 3:
+    if rng.random() < (READ_TONED if is_toned else READ) and len(g.offset_px) >= LEAST_FRAMES:
         for k in range(TOGETHER):
             sigma[k] = read_noise(g.offset_px, frames[k], valid[k], WIDTHS_PX.mean().item())
     model = forward_model(g.shape, SCALE, g.offset_px, blur=GaussianBlur(ASSUMED_PX))

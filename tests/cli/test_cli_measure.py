@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL.Image import fromarray
 from scipy.special import ndtr
 from stand_in import Call, Refused, answer
 
@@ -108,6 +109,14 @@ def test_zone_plate_without_blur_has_contrast_one(call: Call, tmp_path: Path) ->
         assert np.array(curve["modulation"]) == pytest.approx(1.0, abs=0.02)
 
 
+def test_a_key_is_for_the_file_that_has_names(call: Call, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    np.save(tmp_path / "one.npy", rng.standard_normal((40, 40)))
+    np.savez(tmp_path / "other.npz", a=rng.standard_normal((40, 40)), b=np.zeros((40, 40)))
+    done = call("evaluate", "frc", tmp_path / "one.npy", tmp_path / "other.npz", "--key", "a")
+    assert done.exit_code == 0, done.output
+
+
 def test_noise_does_not_correlate(call: Call, tmp_path: Path) -> None:
     for seed in (1, 2):
         frame = edge() + np.random.default_rng(seed).standard_normal(SHAPE)
@@ -200,10 +209,13 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["mtf", "edge.npy", "--focal-length-mm", "40"], 2, "needs the pitch"),
         (["mtf", "missing.npy"], 1, "missing.npy"),
         (["mtf", "edge.npy", "--key", "distance"], 2, "--key: arrays have names in NPZ files"),
+        (["mtf", "edge.png", "--key", "distance"], 2, "--key: arrays have names in NPZ files"),
+        (["frc", "edge.npy", "odd.npy", "--key", "a"], 2, "not in edge.npy and odd.npy"),
         (["mtf", "edge.npy", "--plot", "edge.docx"], 1, "docx"),
     ],
 )
 def test_wrong_arguments(refused: Refused, arguments: list[str], code: int, message: str) -> None:
     np.save("edge.npy", edge())
     np.save("odd.npy", np.zeros((15, 33)))
+    fromarray(np.uint8(200 * edge())).save("edge.png")
     refused(["evaluate", *arguments], code, message)

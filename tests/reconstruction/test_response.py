@@ -175,3 +175,13 @@ def test_bytes_are_no_measure_of_edges() -> None:
     for y in (rounded, rounded.astype(np.uint8)):
         burst = Burst.from_arrays(y, offset_px=seen.offset_px, pitch_mm=0.05)
         assert reconstruct(burst, channel="amplitude").settings["psf_source"] == "assumed"
+
+
+def test_a_hole_in_the_middle_of_a_large_sensor_is_no_obstacle() -> None:
+    seen = seen_by(6, 531, shape=(166, 170))
+    valid = np.ones(seen.y.shape, np.bool_)
+    valid[:, 2:-2, 4:-4] = False
+    sigma = np.where(valid, seen.sigma, np.inf)
+    model = forward_model((166, 170), SCALE, seen.offset_px, blur=GaussianBlur(ASSUMED_PX))
+    found = likely_response(model, seen.y, sigma)
+    assert np.isfinite([found.width_px, found.std_px]).all()

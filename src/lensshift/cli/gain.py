@@ -50,7 +50,7 @@ def gain(current: Session, asked: GainOptions) -> None:
     fine, coarse, key = asked.fine, asked.coarse, asked.key
     place = images.parse_region(asked.region)
     outputs.check([fine, coarse], asked.to.csv, asked.to.plot)
-    of_fine, of_coarse = (key if images.has_names(path) else None for path in (fine, coarse))
+    of_fine, of_coarse = images.keys_of(key, fine, coarse)
     below = (
         images.measured_frames(coarse, key=of_coarse)
         if asked.joint

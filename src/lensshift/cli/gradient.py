@@ -60,8 +60,12 @@ def gradient(current: Session, asked: GradientOptions) -> None:
     against, key = asked.against, asked.of.key
     place = images.parse_region(asked.region)
     outputs.check([asked.of.image, against], asked.to.csv, asked.to.plot)
-    fine = images.measured_of(replace(asked.of, pitch_mm=None) if against else asked.of)
-    coarse = None if against is None else images.measured_image(against, asked.of.pitch_mm, key=key)
+    if against is None:
+        fine, coarse = images.measured_of(asked.of), None
+    else:
+        of_fine, of_coarse = images.keys_of(key, asked.of.image, against)
+        fine = images.measured_of(replace(asked.of, pitch_mm=None, key=of_fine))
+        coarse = images.measured_image(against, asked.of.pitch_mm, key=of_coarse)
     fine, scale = (fine, 1) if coarse is None else images.finer(fine, coarse)
     usual = _DISTANCE_SHARE if key == "distance" else _SHARE
     cut = usual if asked.share is None else asked.share

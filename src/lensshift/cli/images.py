@@ -120,17 +120,20 @@ def measured_image(
     if path.suffix.lower() == ".npz":
         arrays = load_named_arrays(path)
         frames = arrays[_image_name(arrays, path, key)]
-    elif key is not None:
-        raise typer.BadParameter(f"--key: arrays have names in NPZ files, not in {path}")
     else:
+        keys_of(key, path)
         frames = load_frames(path)
     pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
     return Measured(_one_frame(frames, path, frame), pitch, pitch_mm is not None)
 
 
-def has_names(path: Path) -> bool:
-    """Tell whether what is in a file has names that --key can choose from."""
-    return path.suffix.lower() == ".npz" or kind_of(path) is not Kind.STACK
+def keys_of(key: str | None, *paths: Path) -> tuple[str | None, ...]:
+    """Return --key for each file in which things have names; refuse it if there is no such file."""
+    named = [path.suffix.lower() == ".npz" or kind_of(path) is not Kind.STACK for path in paths]
+    if key is not None and not any(named):
+        files = " and ".join(map(str, paths))
+        raise typer.BadParameter(f"--key: arrays have names in NPZ files, not in {files}")
+    return tuple(key if has_names else None for has_names in named)
 
 
 def measured_of(asked: ImageOptions) -> Measured:
@@ -155,6 +158,7 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
         raise typer.BadParameter("expected --gamma or --oecf, not both")
     curve = options.gamma if options.oecf is None else load_oecf(options.oecf)
     if suffix in PHOTOGRAPH_SUFFIXES:
+        keys_of(asked.key, path)
         levels = load_photograph(path, frame=asked.frame)
         pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
         read = Measured(levels, pitch, pitch_mm is not None)

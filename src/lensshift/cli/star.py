@@ -136,9 +136,12 @@ def frc(current: Session, asked: FrcOptions) -> None:
     """
     from lensshift.evaluation.ring_correlation import fourier_ring_correlation
 
-    outputs.check([asked.first, asked.second], asked.csv)
-    one = images.measured_image(asked.first, asked.pitch_mm, key=asked.key)
-    other = images.measured_image(asked.second, asked.pitch_mm, key=asked.key)
+    files = asked.first, asked.second
+    outputs.check([*files], asked.csv)
+    one, other = (
+        images.measured_image(path, asked.pitch_mm, key=key)
+        for path, key in zip(files, images.keys_of(asked.key, *files), strict=True)
+    )
     found = fourier_ring_correlation(one.values, other.values, pitch_mm=one.pitch_mm)
     unit = images.frequency_unit(one, None)
     for label, cutoff in (
@@ -195,11 +198,14 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
         )
     place = images.parse_region(asked.region)
     outputs.check([asked.of.image, asked.edge], asked.csv)
-    seen = images.measured_of(asked.of)
+    shown = asked.edge or asked.of.image
+    of_image, of_edge = images.keys_of(asked.of.key, asked.of.image, shown)
+    seen = images.measured_of(replace(asked.of, key=of_image))
     unit = images.frequency_unit(seen, None)
     # The pattern first: what does not fit of it is told before edges take their time.
     pattern = _pattern(current, asked, seen)
-    beside = seen if asked.edge is None else images.measured_of(replace(asked.of, image=asked.edge))
+    edge = replace(asked.of, image=shown, key=of_edge)
+    beside = seen if asked.edge is None else images.measured_of(edge)
     edges = edges_of(beside, place)
     average = average_curves(edges)
     found = edge_and_pattern(average, pattern)

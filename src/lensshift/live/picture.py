@@ -19,7 +19,8 @@ class Settings:
     ----------
     scale : HR pixels per LR pixel
     method : as in `reconstruct`
-    blur_px : width of the pixel response in LR pixels; None: what the source knows, else 0.3
+    blur_px : width of the pixel response in LR pixels; None: what the source knows, else
+        what the frames show
     """
 
     scale: int = 2
