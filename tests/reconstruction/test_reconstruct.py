@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mosaic import MARGIN_PX, SAMPLES, canvas, square
 from pixel_camera import (
     SQUARE_PX,
     edge_scene,
@@ -282,43 +281,6 @@ def test_the_blur_of_a_lens_is_not_undone_by_the_default() -> None:
     sharp = reconstruct(burst, method="tikhonov", psf_sigma_px=0.42, std=False)
     soft = reconstruct(burst, method="tikhonov", psf_sigma_px=1 / math.sqrt(12), std=False)
     assert np.std(sharp.amplitude.image) > np.std(soft.amplitude.image)
-
-
-@pytest.mark.parametrize(
-    ("part", "told_px", "noise", "least", "most"),
-    [
-        (12, 0.29, 0.01, 0, 0),  # a square pixel: nobody hears anything, however quiet the frames
-        (12, 0.29, 0.001, 0, 0),
-        (12, 0.6, 0.01, 5, 6),  # far too wide, which at SNR 400 was said of 2 in 16
-        (12, 0.9, 0.002, 5, 6),
-        (6, 0.29, 0.002, 3, 6),  # pixels of half the width
-        (6, None, 0.002, 0, 0),  # told nothing
-    ],
-)
-def test_frames_sharper_than_told_are_seen(
-    part: int, told_px: float | None, noise: float, least: int, most: int
-) -> None:
-    named = 0
-    for seed in range(20, 26):
-        rng, (rows, cols) = np.random.default_rng(seed), (21, 26)
-        fine, offset = canvas(rng, (rows, cols)), square(2)
-        frames, dark = np.empty((4, rows, cols)), (SAMPLES - part) // 2
-        for k, (top, left) in enumerate(np.rint((MARGIN_PX - offset) * SAMPLES).astype(int)):
-            whole = fine[top : top + rows * SAMPLES, left : left + cols * SAMPLES]
-            cells = whole.reshape(rows, SAMPLES, cols, SAMPLES)
-            light = cells[:, dark : dark + part, :, dark : dark + part]
-            frames[k] = light.mean(axis=(1, 3))
-        frames += noise * rng.standard_normal(frames.shape)
-        burst = Burst.from_arrays(frames, offset_px=offset, pitch_mm=0.1)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            result = reconstruct(
-                burst, psf_sigma_px=told_px or "auto", noise_sigma=noise, std=False
-            )
-        named += any("sharper than psf_sigma_px" in str(w.message) for w in caught)
-        sources = ("given",) if told_px is not None else ("assumed", "frames")
-        assert result.settings["psf_source"] in sources
-    assert least <= named <= most
 
 
 def test_a_blur_that_is_no_number_is_refused() -> None:

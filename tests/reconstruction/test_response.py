@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 import lensshift
 from lensshift import Burst, fidelity, reconstruct
 from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
+from lensshift.core.types import Status
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.pipeline.experiment_file import named_scene
@@ -99,7 +100,7 @@ def test_frames_without_an_edge_say_that_they_do_not_tell() -> None:
 def test_what_is_told_is_not_read() -> None:
     seen = seen_by(6, 513)
     burst = stack_of(seen)
-    assert reconstruct(burst, psf_sigma_px=0.25).settings["psf_source"] == "given"
+    assert reconstruct(burst, psf_sigma_px=0.15).settings["psf_source"] == "given"
     read_from = reconstruct(burst).settings
     assert read_from["psf_source"] == "frames"
     assert abs(read_from["psf_sigma_px"] - width_of(6)) < 3 * read_from["psf_std_px"]
@@ -124,6 +125,70 @@ def test_pictures_are_as_good_as_with_the_told_width() -> None:
     assert np.median(lost) <= 0.5
     assert np.mean(lost) <= 1.0
     assert np.mean(usual) >= 5.0
+
+
+@pytest.mark.parametrize(
+    ("side", "told_px", "snr", "said", "least", "most"),
+    [
+        (
+            12,
+            0.29,
+            100,
+            "",
+            0,
+            0,
+        ),  # a square pixel: nobody hears anything, however quiet the frames
+        (12, 0.29, 1500, "", 0, 0),
+        (6, 0.145, 300, "", 0, 0),
+        (6, None, 300, "", 0, 0),  # told nothing
+        (12, 0.6, 100, "sharper", 6, 6),
+        (12, 0.9, 300, "sharper", 6, 6),
+        (6, 0.29, 300, "sharper", 6, 6),  # pixels of half the width
+        (12, 0.15, 100, "softer", 4, 6),
+        (12, 0.0, 20, "softer", 4, 6),
+    ],
+)
+def test_frames_object_to_a_width(
+    side: int, told_px: float | None, snr: float, said: str, least: int, most: int
+) -> None:
+    words = []
+    for seed in range(20, 26):
+        burst = stack_of(seen_by(side, seed, snr=snr))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            result = reconstruct(burst, psf_sigma_px="auto" if told_px is None else told_px)
+        told = told_px is not None
+        assert (result.settings["psf_source"] == "given") is told
+        words += [str(w.message) for w in caught]
+        assert (result.amplitude.status is Status.CONTRADICTED) is bool(caught)
+    assert least <= len(words) <= most
+    assert all(f"{said} than psf_sigma_px {told_px:g}" in text for text in words)
+
+
+@pytest.mark.parametrize("lens_px", [0.4, 0.6, 0.9])
+def test_a_wide_response_that_is_right_is_believed(lens_px: float) -> None:
+    """Softer than any response that the reader knows."""
+    rng = np.random.default_rng(31)
+    for seed in range(4):
+        fine = canvas(np.random.default_rng(seed), (21, 30))
+        soft = observe(gaussian_filter(fine, lens_px * SAMPLES), (21, 30), rng=rng, snr=1500)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            reconstruct(stack_of(soft), psf_sigma_px=math.hypot(lens_px, width_of(12)))
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "tv"])
+def test_a_fill_factor_and_every_method_are_held_against_the_frames(method: str) -> None:
+    burst, whole = stack_of(seen_by(6, 21, snr=300)), stack_of(seen_by(12, 21, snr=300))
+    with pytest.warns(lensshift.QualityWarning, match="sharper than fill_factor 1 lets them be"):
+        found = reconstruct(burst, method=method, fill_factor=1.0)
+    assert found.amplitude.status is Status.CONTRADICTED
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        reconstruct(burst, method=method, fill_factor=0.5)
+        reconstruct(whole, method=method, fill_factor=0.2)  # behind a lens that nobody told
+    with pytest.warns(lensshift.QualityWarning, match="softer than fill_factor 0.2 lets them be"):
+        reconstruct(whole, method=method, fill_factor=0.2, psf_sigma_px=0.02)
 
 
 @pytest.mark.parametrize("seed", [14, 15])

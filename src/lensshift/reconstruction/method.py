@@ -31,7 +31,7 @@ class Request:
     on_iteration : called with the number of the iteration and the objective
     options : settings of the method that the caller gave
     frames : numbers of the frames in the burst
-    told_blur_px : width of the pixel response, lens included, as the user or the burst told it
+    refuted : what the frames say against the pixel response that was told, or None
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     memory : what a stream keeps between its steps, or None
     law : noise of the light that was read with the response, in units of the burst, or None
@@ -45,7 +45,7 @@ class Request:
     on_iteration: Callable[[int, float], None] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     frames: Sequence[int] = ()
-    told_blur_px: float | None = None
+    refuted: str | None = None
     shifts_doubted: bool = False
     memory: Memory | None = None
     law: NoiseLaw | None = None

@@ -1,4 +1,4 @@
-"""The pixel response of a burst: as told, as the frames show it, or else a usual one."""
+"""The pixel response of a burst: as told, unless frames object, as they show it, or a usual one."""
 
 from __future__ import annotations
 
@@ -13,9 +13,15 @@ from numpy.typing import NDArray
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst
-from lensshift.forward.blur import Blur, GaussianBlur
+from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.reconstruction.learned.noise import noise_map
-from lensshift.reconstruction.learned.response import ASSUMED_PX, SCALE, Response, likely_response
+from lensshift.reconstruction.learned.response import (
+    ASSUMED_PX,
+    SCALE,
+    Response,
+    known_widths_px,
+    likely_response,
+)
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.noise_law import NoiseLaw
 from lensshift.reconstruction.phasor.frames import polar_frames
@@ -24,6 +30,7 @@ from lensshift.reconstruction.problem import (
     NOMINAL_BLUR_PX,
     QUESTIONED_BLUR_PX,
     SQUARE_PIXEL_PX,
+    blur_width_px,
     make_problem,
     square_pixel,
     without_lens,
@@ -37,8 +44,9 @@ WidthSource = Literal["given", "burst", "frames", "assumed"]
 # spot that is not undone hides it; undone with a lens field it would add up.
 SHARPENED_PX2 = 0.0037
 # A width that is read counts where the frames have at least halved the spread of the widths that
-# training drew (0.08 px), or say by two standard deviations that a square pixel is another.
-TELLING_PX, REFUTED = 0.04, 2.0
+# training drew (0.08 px), or say by two standard deviations that a square pixel is another. One
+# that was told is right until they say by three that it is not.
+TELLING_PX, REFUTED, OBJECTED = 0.04, 2.0, 3.0
 BYTES = 256
 # Of few numbers all but chance is different, if they were measured finely.
 ALL_DIFFER = 0.9
@@ -64,10 +72,8 @@ def told_response(
 
 
 def told_of(response: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a request holds of a response; of too wide a one the user was told."""
-    width_px = response["psf_sigma_px"]
-    told_px = None if response["psf_source"] == "assumed" else width_px
-    return {"shifts_doubted": width_px > QUESTIONED_BLUR_PX, "told_blur_px": told_px}
+    """Return what a request holds of a response: of too wide a one the user was told."""
+    return {"shifts_doubted": response["psf_sigma_px"] > QUESTIONED_BLUR_PX}
 
 
 def read_response(
@@ -80,19 +86,11 @@ def read_response(
     Parameters
     ----------
     channel : what is reconstructed
-    seen : shift_field, noise_sigma and pixel_variance, as in `make_problem`; noise that may be that
-        of distances says nothing of the light
+    seen : scale, blur, shift_field, noise_sigma and pixel_variance, as in `make_problem`, with what
+        is undone if the frames do not tell; noise that may be that of distances says nothing of the
+        light
     """
-    memory, law = request.memory, None
-    found = None if memory is None else memory.recalled()
-    if found is None:
-        found, values = Response(NOMINAL_BLUR_PX, np.inf), _averaged(part, channel)
-        small = min(part.grid.shape) < LEAST_SIDE_PX
-        if not (small or request.shifts_doubted or _for_people(values)):
-            found, law = _read(part, values, channel, seen)
-    if memory is not None:
-        memory.keep(found)
-    request = replace(request, law=law)
+    found, request = _found(part, channel, request, seen)
     refuted = abs(found.width_px - SQUARE_PIXEL_PX) > REFUTED * found.std_px
     if found.std_px > TELLING_PX and not refuted:
         return {"psf_sigma_px": NOMINAL_BLUR_PX, "psf_source": "assumed"}, request
@@ -100,21 +98,66 @@ def read_response(
     return read, request
 
 
+def questioned(part: Burst, channel: str, request: Request, told: Blur, **seen: Any) -> Request:
+    """Return the request with what the frames say against the response that was told, if they do.
+
+    And with the noise of the light, as in `read_response`. Of a response that is wider than any
+    that the reader knows the frames have to say that they are as soft as the widest of these.
+
+    Parameters
+    ----------
+    channel, seen : as in `read_response`
+    """
+    if part.distance_m is not None and channel != "phasor":
+        return request  # An amplitude of two distances is no mean of theirs, and seems too sharp.
+    found, request = _found(part, channel, request, seen)
+    if request.memory is not None and request.memory.quick:
+        return request  # It was said when a step was last computed anew.
+    told_px, named = blur_width_px(told), ""
+    off_px = found.width_px - float(np.clip(told_px, *known_widths_px()))
+    if isinstance(told, ApertureBlur):
+        named = f"fill_factor {told.fill_factor:g}"
+        if told.optics_sigma_px == 0:  # of the lens nothing was told
+            off_px = min(off_px, 0.0)
+    if abs(off_px) <= OBJECTED * found.std_px:
+        return request
+    named = named or f"psf_sigma_px {told_px:g}"
+    refuted = (
+        f"the frames are {'sharper' if off_px < 0 else 'softer'} than {named} lets them be: "
+        f"they show {found.width_px:.2f} +- {found.std_px:.2f} LR pixels "
+        f"(a square pixel has {SQUARE_PIXEL_PX:.2f})"
+    )
+    return replace(request, refuted=refuted)
+
+
+def _found(
+    part: Burst, channel: str, request: Request, seen: Mapping[str, Any]
+) -> tuple[Response, Request]:
+    """Return what the frames show, or what the last step of a stream found, and their noise."""
+    memory = request.memory
+    found = None if memory is None else memory.recalled()
+    if found is None:
+        found, values = Response(NOMINAL_BLUR_PX, np.inf), _averaged(part, channel)
+        small = min(part.grid.shape) < LEAST_SIDE_PX
+        if not (small or request.shifts_doubted or _for_people(values)):
+            found, law = _read(part, values, channel, seen)
+            request = replace(request, law=law)
+    if memory is not None:
+        memory.keep(found)
+    return found, request
+
+
 def _read(
     part: Burst, values: Array, channel: str, seen: Mapping[str, Any]
 ) -> tuple[Response, NoiseLaw]:
     if part.distance_m is not None and channel not in ("amplitude", "phasor"):
         seen = dict(seen) | {"noise_sigma": None, "pixel_variance": None}
-    problem = make_problem(
-        part, values, SCALE, blur=GaussianBlur(ASSUMED_PX), take_level=values.dtype.kind != "c",
-        **seen,
-    )  # fmt: skip
-    # As it will be for the solver, if the frames do not tell.
-    law, _, noise = noise_map(replace(problem, blur_sigma_px=NOMINAL_BLUR_PX))
-    y = problem.y
+    problem = make_problem(part, values, take_level=values.dtype.kind != "c", **seen)
+    law, _, noise = noise_map(problem)
+    y, model = problem.y, replace(problem.model, blur=GaussianBlur(ASSUMED_PX)).on_grid(SCALE)
     if y.dtype.kind == "c":  # what lies along the mean phasor
         y = (y * np.exp(-1j * np.angle(np.sum(y)))).real
-    return likely_response(problem.model, y, noise), law.scaled(problem.intensity, problem.level)
+    return likely_response(model, y, noise), law.scaled(problem.intensity, problem.level)
 
 
 def _for_people(values: Array) -> bool:

@@ -23,6 +23,7 @@ from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
 from lensshift.reconstruction.pixel_response import (
+    questioned,
     read_response,
     told_of,
     told_response,
@@ -124,7 +125,7 @@ def reconstruct(
     QualityWarning
         If the frames fit another sign, order of axes, unit or order of frames better, or contradict
         the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
-        changes, or ("auto") the response that was told is too wide.
+        changes. If they show another pixel response than the one that was told.
     """
     expect_burst(burst)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
@@ -147,18 +148,24 @@ def reconstruct(
     doubt = None
     if (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick):
         doubt, request = _doubted(part, shifts, scale, request)
-    seen: dict[str, Any] = {"shift_field": field, "noise_sigma": noise_sigma,
+    seen: dict[str, Any] = {"blur": undone(blur, response, chosen, lens_field),
+                            "shift_field": field, "noise_sigma": noise_sigma,
                             "pixel_variance": variance}  # fmt: skip
-    known = response["psf_source"] != "assumed" or fill_factor is not None or lens_field is not None
-    if chosen.reads_response and not (known or photometric):  # gains would look like edges
-        response, request = read_response(part, choice.channel, request, **seen)
-    seen["blur"] = blur = undone(blur, response, chosen, lens_field)
-    settings = _settings(blur, used, request, photometric, noise_sigma, field)
+    # Gains would look like edges, and spots vary.
+    if chosen.reads_response and not photometric and lens_field is None:
+        known = response["psf_source"] != "assumed" or fill_factor is not None
+        seen_at = {"scale": scale} | seen
+        if known:
+            request = questioned(part, choice.channel, request, blur, **seen_at)
+        else:
+            response, request = read_response(part, choice.channel, request, **seen_at)
+            seen["blur"] = undone(blur, response, chosen, lens_field)
+    settings = _settings(seen["blur"], used, request, photometric, noise_sigma, field)
     settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
     found, flying = _estimates(
         burst, part, choice.channel, scale, used, chosen, request, photometric, seen
     )
-    found = _objected(found, doubt)
+    found = _objected(found, doubt, request.refuted)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -183,9 +190,6 @@ def _estimates(
         )
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found = {}
-    if burst.distance_m is not None:
-        # An amplitude of two distances is no mean of theirs, and seems sharper than pixels are.
-        request = replace(request, told_blur_px=None)
     for key, values in _channels(part, channel).items():
         problem = make_problem(
             part, values, scale, even_noise=key != "distance", keep_outside=chosen.keep_outside,
@@ -210,15 +214,18 @@ def _doubted(
     return doubt, replace(request, shifts_doubted=True)
 
 
-def _objected(found: dict[str, Estimate], doubt: Doubt | None) -> dict[str, Estimate]:
+def _objected(
+    found: dict[str, Estimate], doubt: Doubt | None, refuted: str | None
+) -> dict[str, Estimate]:
     """Warn once, where the user called, of what the frames say against the result."""
-    said = [estimate.notes.get("contradiction") for estimate in found.values()]
+    said = [refuted, *(estimate.notes.get("contradiction") for estimate in found.values())]
     for wrong in dict.fromkeys(text for text in said if text is not None):
         warnings.warn(wrong, QualityWarning, stacklevel=3)
     blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
-    if doubt is None or blamed:  # else: no frame and no place that it could be blamed on
+    if doubt is not None and not (blamed or refuted):  # no frame and no place to blame it on
+        warn_of_doubt(doubt, stacklevel=3)
+    elif refuted is None:
         return found
-    warn_of_doubt(doubt, stacklevel=3)
     return {key: replace(one, status=Status.CONTRADICTED) for key, one in found.items()}
 
 

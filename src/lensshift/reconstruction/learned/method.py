@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.types import Estimate, Status
-from lensshift.reconstruction.blur_check import fitting_width_px
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
@@ -97,13 +96,12 @@ def solved(
         problem, noise = replace(problem, y=asked.y), asked.sigma
     if misfit.curable and not misfit.off_px and not request.shifts_doubted:
         misfit = _seen_otherwise(problem, noise, misfit, request)
-    sharper = None if held is not None else _sharper_than_told(problem, found, noise, request)
     left, weighed, used = misfit, noise, problem.weight > 0
-    wrong = sharper or _refuted_by(misfit, shaken, request.frames or range(len(used)))
+    wrong = request.refuted or _refuted_by(misfit, shaken, request.frames or range(len(used)))
     if not problem.even_noise:
         # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
         wrong = None
-    if sharper is None and misfit.curable and not request.shifts_doubted:
+    if request.refuted is None and misfit.curable and not request.shifts_doubted:
         weighed = _weighed(noise, misfit.weight(of_phasors=asked.of_phasors))
         found, left = run(replace(asked, sigma=weighed))
     if asked.of_phasors and not (kept and kept.misfit and kept.opinion):
@@ -158,22 +156,6 @@ def _weighed(noise: NDArray[np.float64], believed: NDArray[np.float64]) -> NDArr
     """Return the noise of pixels of which so much is believed, infinite of those left out."""
     least = np.maximum(believed, LEAST_WEIGHT)
     return np.where(believed > LEAST_WEIGHT, noise / np.sqrt(least), np.inf)
-
-
-def _sharper_than_told(
-    problem: Problem, found: Solution, noise: NDArray[np.float64], request: Request
-) -> str | None:
-    """Say that the frames hold more detail than the width of blur that was told lets through."""
-    told_px = request.told_blur_px
-    if told_px is None or request.shifts_doubted or not problem.even_noise:
-        return None
-    width_px = fitting_width_px(problem, found.image, noise, told_px)
-    if width_px is None:
-        return None
-    return (
-        f"the frames are sharper than psf_sigma_px {told_px:g} lets them be: "
-        f"about {width_px:.2f} LR pixels fit them (a square pixel has 0.29)"
-    )
 
 
 def _refuted_by(misfit: Misfit, shaken: dict[int, Array], names: Sequence[int]) -> str | None:

@@ -67,6 +67,12 @@ def likely_response(model: ForwardModel, y: Array, sigma: NDArray[np.float64]) -
     return Response(mean, float(np.sqrt(p @ (widths - mean) ** 2)))
 
 
+def known_widths_px() -> tuple[float, float]:
+    """Return the least and the greatest width that the reader knows."""
+    widths = learned_weights("response")[1]["widths"]
+    return float(widths[0]), float(widths[-1])
+
+
 def pictures_of(model: ForwardModel, y: Array, sigma: NDArray[np.float64]) -> list[Array]:
     """Return what the network sees [burst row col] of bursts of one geometry.
 
