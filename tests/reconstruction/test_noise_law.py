@@ -78,6 +78,63 @@ def test_the_noise_of_photons_grows_with_the_light(a: float, seed: int) -> None:
     assert np.sqrt(np.mean(np.log(even / true) ** 2)) > 0.15
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("frames", [2, 3])
+def test_a_few_bright_blocks_tell_their_noise(frames: int, seed: int) -> None:
+    """Two small cards before a large dark wall, and noise of photons: a camera's usual scene."""
+    rng = np.random.default_rng(seed)
+    bright = rng.uniform(0.5, 0.9, 2)
+
+    def cards(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        card = np.floor((col - 2.2) / 15).astype(int).clip(0, 1)
+        on = (np.abs(row - 7.7) < 5.3) & ((col - 2.2) % 15 < 10.4) & (col < 33)
+        return np.where(on, bright[card], 0.03)
+
+    offset_px = square(frames)
+    light = photograph(cards, (16, 64), offset_px)
+    variance = 2e-6 * light
+    y = light + np.sqrt(variance) * rng.standard_normal(light.shape)
+    law = noise_law(offset_px, y, np.ones(y.shape), 0.3)
+    for part in (light < 0.1, light > 0.4):
+        told = np.sqrt(law.variance(light[part]).mean() / variance[part].mean())
+        assert told == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("slope", [0.0, 30.0])
+def test_noise_of_phasors_that_grows_with_the_light(slope: float) -> None:
+    rng = np.random.default_rng(2)
+    amplitude = np.repeat(np.geomspace(0.05, 1.0, 5), 13)[None, None, :] * np.ones((4, 31, 1))
+    sigma = 0.004 * np.sqrt(1.0 + slope * amplitude)
+    noise = rng.standard_normal((2, *amplitude.shape))
+    phasor = amplitude * np.exp(0.7j) + sigma * (noise[0] + 1j * noise[1])
+    weight = (rng.random(amplitude.shape) > 0.02).astype(float)
+    phasor[weight == 0] = 0.0
+    law = noise_law(SQUARE_PX, phasor, weight, 0.3)
+    np.testing.assert_allclose(law.variance(amplitude[0, 0]) / sigma[0, 0] ** 2, 1.0, atol=0.35)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_of_photons_alone_has_no_level(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    amplitude = photograph(lambda row, col: 0.01 + col / 161 + 0 * row, (83, 161), SQUARE_PX)
+    noise = rng.standard_normal((2, *amplitude.shape))
+    phasor = (amplitude + 1e-3 * np.sqrt(amplitude) * (noise[0] + 1j * noise[1])) * np.exp(0.7j)
+    law = noise_law(SQUARE_PX, phasor, np.ones(amplitude.shape), 0.3)
+    assert law.b == pytest.approx(1e-6, rel=0.15)
+    assert abs(law.a) < 0.03 * 1e-6
+
+
+def test_slopes_of_the_scene_are_no_noise() -> None:
+    rng = np.random.default_rng(5)
+    amplitude = photograph(
+        lambda row, col: 1 + row / 8 + col / 13 + row * col / 600, (31, 40), SQUARE_PX
+    )
+    noise = rng.standard_normal((2, *amplitude.shape))
+    phasor = amplitude * np.exp(0.7j) + 0.003 * (noise[0] + 1j * noise[1])
+    law = noise_law(SQUARE_PX, phasor, np.ones(phasor.shape), 0.3)
+    np.testing.assert_allclose(law.variance(amplitude), 9e-6, rtol=0.35)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_texture_that_is_bright_gives_no_slope(seed: int) -> None:
     y = photograph(_rings, SHAPE, SQUARE_PX)

@@ -20,7 +20,6 @@ from lensshift.core.units import (
 from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
 from lensshift.reconstruction.phasor.channel import NO_PHASE_RAD
 from lensshift.reconstruction.phasor.frames import polar_frames
-from lensshift.reconstruction.phasor.noise import relative_variance
 
 Array = NDArray[Any]
 
@@ -380,37 +379,6 @@ def test_phasor_case_of_the_reference_data(reference_dir: Path) -> None:
     assert np.median(np.abs(error_m)) < 0.002
 
 
-@pytest.mark.parametrize("slope", [0.0, 30.0])
-def test_noise_that_grows_with_the_light_is_noticed(slope: float) -> None:
-    rng = np.random.default_rng(2)
-    amplitude = np.repeat(np.geomspace(0.05, 1.0, 5), 13)[None, None, :] * np.ones((4, 31, 1))
-    sigma = 0.004 * np.sqrt(1.0 + slope * amplitude)
-    noise = rng.standard_normal((2, *amplitude.shape))
-    phasor = amplitude * np.exp(0.7j) + sigma * (noise[0] + 1j * noise[1])
-    weight = (rng.random(amplitude.shape) > 0.02).astype(float)
-    phasor[weight == 0] = np.nan
-    found = relative_variance(phasor, weight)
-    expected = (sigma / np.median(sigma)) ** 2
-    known = np.where(weight > 0, found, np.nan).reshape(4, 31, 5, 13)
-    of_steps = np.nanmean(known, axis=(0, 1, 3))
-    np.testing.assert_allclose(of_steps, expected[0, 0, ::13], rtol=0.25)
-    small = relative_variance(phasor[:, :5, :5], weight[:, :5, :5])
-    np.testing.assert_array_equal(small, 1.0)
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_noise_of_photons_alone_has_no_level(seed: int) -> None:
-    """Light of all sizes, evenly: half of the pixels of a bin are darker than its place."""
-    rng = np.random.default_rng(seed)
-    amplitude = np.broadcast_to(np.linspace(0.0, 1.0, 161), (4, 83, 161))
-    noise = rng.standard_normal((2, *amplitude.shape))
-    phasor = (amplitude + 1e-3 * np.sqrt(amplitude) * (noise[0] + 1j * noise[1])) * np.exp(0.7j)
-    found = relative_variance(phasor, np.ones(amplitude.shape))
-    slope, level = np.polyfit(amplitude.ravel(), found.ravel(), 1)
-    assert slope == pytest.approx(2.0, rel=1e-3)
-    assert abs(level) < 1e-3
-
-
 def test_frames_of_another_brightness_raise_a_warning() -> None:
     """Phasors that contradict each other were averaged without a word."""
     burst = card_burst(0.004)
@@ -430,15 +398,3 @@ def test_a_line_of_pixels_has_distances(shape: tuple[int, int]) -> None:
     burst = Burst.from_arrays(z, offset_px=offset_px, pitch_mm=0.1, modulation_hz=15e6)
     found_m = images(reconstruct(burst, channel="phasor"))[1]
     np.testing.assert_allclose(found_m, phase_to_distance(1.0, 15e6), atol=0.05)
-
-
-def test_slopes_are_no_noise_that_grows_with_the_light() -> None:
-    """Constants, slopes along both axes and their product leave nothing: the law is flat."""
-    rng = np.random.default_rng(5)
-    row, col = np.meshgrid(np.linspace(0, 1, 31), np.linspace(0, 1, 40), indexing="ij")
-    amplitude = 1 + 4 * row + 3 * col + 2 * row * col
-    noise = rng.standard_normal((2, 4, *amplitude.shape))
-    phasor = amplitude * np.exp(0.7j) + 0.003 * (noise[0] + 1j * noise[1])
-    found = relative_variance(phasor, np.ones(phasor.shape))
-    np.testing.assert_allclose(found, 1.0, atol=0.35)
-    assert abs(found.mean() - 1) < 0.15

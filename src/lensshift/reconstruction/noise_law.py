@@ -7,11 +7,12 @@ frames, known from their shifts; what it hardly reaches is noise:
 
 the residual of a smooth fit in closed form, for stiff and soft fits s. A scene makes a residual
 larger, and that of the stiff fit more so: where both say the same there is noise alone. Blocks of
-the frames that pass this give level and slope; the slope counts as far as it exceeds its error.
+the frames that pass this give level and slope; the slope counts as far as they tell it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import uniform_filter
+from scipy.special import gammaln
 
 from lensshift.core.gaussian import MAD_TO_SIGMA
 
@@ -41,9 +43,10 @@ REFILLS, REFILLED = 8, 0.01
 # The share of the blocks of white noise that passes as such, and the quantile that stands for the
 # blocks that pass: texture may be in some.
 PASSING, LOW = 0.9, 0.05
-# Standard error of that quantile over the standard deviation / sqrt(count), of Gaussian values.
-LOW_ERROR = 2.11
-LEAST_BLOCKS, MOST_BINS = 16, 8
+# Variance at the brightest over that at the darkest, from no slope to light alone; and steps of
+# expectation and maximisation, after which the share of texture changes by a hundredth at most.
+BRIGHTER, MIXTURE_STEPS = np.geomspace(1.0, 1000.0, 16), 6
+TEXTURE = 1000.0  # how much larger than noise a block with texture may be; more counts no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,7 @@ class NoiseLaw:
     Parameters
     ----------
     sigma : root of the mean variance
-    a, b : level and slope, 0 where the slope is not seen
+    a, b : level and slope
     darkest, brightest : range of light that was seen; beyond it the variance is that at its end
     """
 
@@ -348,44 +351,43 @@ def _fitted(energy: Array, light: Array, white: Array) -> NoiseLaw:
     purity, usual = energy[0] / np.maximum(energy[-1], 1e-30), white[0] / white[-1]
     limit = np.quantile(usual, PASSING)
     pure = purity <= max(limit, np.quantile(purity, 1 - PASSING))
-    reference = np.quantile(white[:, usual <= limit], LOW, axis=1)
-    level = np.quantile(energy[:, pure], LOW, axis=1) / reference
-    best = int(level.argmin())
+    white = white[:, usual <= limit]
+    reference = np.quantile(white, LOW, axis=1)
+    best = int((np.quantile(energy[:, pure], LOW, axis=1) / reference).argmin())
     values, seen = energy[best, pure] / reference[best], light[pure]
-    slope, middle = _slope(values, seen, float(np.std(white[best]) / np.mean(white[best])))
     low, high = float(seen.min()), float(seen.max())
-    relative = 1 + slope * (seen - middle)
-    variance = float(np.quantile(values / relative, LOW))
-    b = variance * slope
-    mean = float(np.mean(variance * (1 + slope * (np.clip(light, low, high) - middle))))
-    return NoiseLaw(float(np.sqrt(mean)), variance - b * middle, b, low, high)
+    slope = (_brighter(values, seen, white[best] / reference[best]) - 1) / max(high - low, 1e-30)
+    # At the darkest; the low quantile is no block that texture is in.
+    level = float(np.quantile(values / (1 + slope * (seen - low)), LOW))
+    mean = level * float(np.mean(1 + slope * (np.clip(light, low, high) - low)))
+    return NoiseLaw(math.sqrt(mean), level * (1 - slope * low), level * slope, low, high)
 
 
-def _slope(values: Array, light: Array, spread: float) -> tuple[float, float]:
-    """Return the relative slope of the variance, as far as it exceeds its error, and its pivot."""
-    count = min(MOST_BINS, len(values) // LEAST_BLOCKS)
-    if count < 3:
-        return 0.0, 0.0
-    order = np.argsort(light)
-    parts = np.array_split(order, count)
-    at = np.array([light[p].mean() for p in parts])
-    low = np.array([np.quantile(values[p], LOW) for p in parts])
-    # Blocks overlap: every fourth is new.
-    own = np.array([len(p) for p in parts]) / (BLOCK_PX / BLOCK_STEP_PX) ** 2
-    error = LOW_ERROR * spread / np.sqrt(own)
-    expected = np.full(count, low.mean())
-    middle = b = b_error = mean = 0.0
-    for _ in range(3):
-        weight = 1 / np.maximum(error * expected, 1e-30) ** 2
-        middle, mean = np.average(at, weights=weight), np.average(low, weights=weight)
-        power = float(np.sum(weight * (at - middle) ** 2))
-        if power == 0.0 or mean <= 0.0:
-            return 0.0, 0.0
-        b = float(np.sum(weight * (at - middle) * low)) / power
-        misfit = np.sum(weight * (low - mean - b * (at - middle)) ** 2) / (count - 2)
-        b_error = np.sqrt(max(1.0, misfit) / power)
-        # No light has less than a tenth of the mean variance: the reading of the camera is noisy.
-        expected = np.maximum(mean + b * (at - middle), 0.1 * mean)
-    b = b * (1 - (b_error / b) ** 2) if b > b_error else 0.0  # light brings noise, it takes none
-    steepest = 0.9 / max(float(middle - light.min()), 1e-30)
-    return float(min(b / mean, steepest)), float(middle)
+def _brighter(values: Array, light: Array, white: Array) -> float:
+    """Return how much larger the variance is at the brightest block than at the darkest.
+
+        p(v | I) = (1 - q) Gamma(v / s(I)) + q / (range of log v)     per unit of log v
+
+    The blocks are as those of white noise are, or texture made them anything; s follows the light
+    by each of `BRIGHTER`, the level is the low quantile, q that of the greatest likelihood. It is
+    as likely as not that noise does not follow the light, and the mean of log s counts.
+    """
+    if not light.max() > light.min():
+        return 1.0
+    at = (light - light.min()) / (light.max() - light.min())
+    relative = values / (1 + (BRIGHTER[:, None] - 1) * at)
+    shape = float(white.mean()) ** 2 / float(white.var())
+    level = np.quantile(relative, LOW, axis=1, keepdims=True) * float(white.mean())
+    share = 0.5
+    for _ in range(MIXTURE_STEPS):
+        log_x = np.log(np.maximum(relative / level, 1e-30))
+        noise = np.exp(shape * (log_x + math.log(shape) - np.exp(log_x)) - gammaln(shape))
+        texture = np.exp(shape * np.minimum(log_x, 0.0)) / math.log(TEXTURE)  # it takes nothing
+        both = (1 - share) * noise + share * texture
+        told, clean = np.sum(np.log(both), axis=1), (1 - share) * noise / both
+        share = np.clip(1 - clean.mean(axis=1, keepdims=True), 0.01, 0.99)
+        level = np.sum(clean * relative, axis=1, keepdims=True) / np.sum(
+            clean, axis=1, keepdims=True
+        )
+    odds = np.exp(told - told.max()) * np.r_[len(BRIGHTER) - 1, np.ones(len(BRIGHTER) - 1)]
+    return float(np.exp(odds @ np.log(BRIGHTER) / odds.sum()))

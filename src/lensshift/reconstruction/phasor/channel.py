@@ -17,12 +17,11 @@ from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.learned.method import solved
-from lensshift.reconstruction.learned.noise import LEAST_SIGMA, noise_of
+from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
-from lensshift.reconstruction.phasor.noise import relative_variance
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
@@ -140,7 +139,7 @@ def _one_frequency(
     )  # fmt: skip
     turned_rad = frames.scale.reference_m * frames.scale.rad_per_m
     problem = replace(problem, phase_rad=turned_rad)
-    sigma = _noise(problem, request)
+    sigma = noise_map(problem, request.memory, request.law)[2]
     seen = problem.weight > 0
     typical = float(np.median(sigma[seen]))
     if method == "auto":
@@ -172,18 +171,6 @@ def _check(method: str, request: Request, photometric: bool) -> None:
         )
     if photometric:
         raise ValueError("photometric estimation expects real frames, not the phasor channel")
-
-
-def _noise(problem: Problem, request: Request) -> NDArray[np.float64]:
-    """Return the noise [frame row col] of a component: as told, or estimated with its law."""
-    seen = problem.weight > 0
-    told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
-    if told is not None:
-        return np.where(seen, told / np.sqrt(np.where(seen, problem.weight, 1.0)), np.inf)
-    law = noise_of(problem, request.memory, request.law)
-    usual = law.variance(np.median(np.abs(problem.y[seen])))
-    sigma = np.sqrt(usual * relative_variance(problem.y, problem.weight))
-    return np.where(seen, np.maximum(sigma, LEAST_SIGMA), np.inf)
 
 
 def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> Estimate:
