@@ -159,7 +159,7 @@ def reconstruct(
     found, flying = _estimates(
         burst, part, choice.channel, scale, used, chosen, request, photometric, seen
     )
-    found = _objected(found, doubt)
+    found = _objected(found, doubt, _like_movement(part, choice.channel, scale))
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -225,11 +225,27 @@ def _doubted(
     return doubt, replace(request, shifts_doubted=True)
 
 
-def _objected(found: dict[str, Estimate], doubt: Doubt | None) -> dict[str, Estimate]:
+def _like_movement(part: Burst, channel: str, scale: int) -> str:
+    """Say what else lets frames contradict a picture in places; nothing if nothing does."""
+    causes = []
+    if channel != "phasor" and part.distance_m is not None:
+        causes.append(
+            "pixels see two distances, whose amplitude is no mean of theirs (channel phasor, with "
+            "modulation_hz, allows for it)"
+        )
+    if part.frame_count > scale**2:
+        causes.append(f"there is detail that scale {scale} cannot show (a larger one may)")
+    return f"; or {', or '.join(causes)}" if causes else ""
+
+
+def _objected(
+    found: dict[str, Estimate], doubt: Doubt | None, like_movement: str
+) -> dict[str, Estimate]:
     """Warn once, where the user called, of what the frames say against the result."""
     said = [estimate.notes.get("contradiction") for estimate in found.values()]
     for wrong in dict.fromkeys(text for text in said if text is not None):
-        warnings.warn(wrong, QualityWarning, stacklevel=3)
+        also = like_movement if "something moved" in wrong else ""
+        warnings.warn(f"{wrong}{also}", QualityWarning, stacklevel=3)
     blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
     if doubt is None or blamed:  # else: no frame and no place that it could be blamed on
         return found
