@@ -187,7 +187,7 @@ def _doubt(trial: _Trial, smooth: Array, scale: int) -> Doubt | None:
     best = best if best is None or best.named else close[0]
     if best is None or best.mistake not in (OTHER_UNIT, NO_MISTAKE):
         return best
-    few = best.mistake == NO_MISTAKE and off.mean() < LEAST_OFF_SHARE
+    few = off.mean() < LEAST_OFF_SHARE  # as where frames that alias seem to go farther than told
     return None if few or best.ratio < UNNAMED else best
 
 
@@ -302,14 +302,19 @@ def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str,
         ("their unit (too small)", given_px * scale),
         ("shifts that did not happen", np.zeros_like(given_px)),
         ("the order of the frames", given_px[linear_sum_assignment(apart)[1]]),
-        *_by_a_factor(given_px, found_px),
+        *_by_a_factor(given_px, found_px, scale),
         ("shifts that were not told" if untold else NO_MISTAKE, found_px),
     ]
 
 
-def _by_a_factor(given_px: Shifts, found_px: Shifts) -> list[tuple[str, Shifts]]:
-    """Return the shifts in the unit in which they come closest to those found, if they do."""
+def _by_a_factor(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str, Shifts]]:
+    """Return the shifts in the unit in which they come closest to those found, if they do.
+
+    And if that is none of those that have a name.
+    """
     factor = _factor(given_px, found_px)
+    if any(abs(factor / named - 1.0) < UNEXPLAINED for named in (1.0, scale, 1.0 / scale)):
+        return []
     rest_px, apart_px = factor * given_px - found_px, given_px - found_px
     explained = np.vdot(rest_px, rest_px) <= UNEXPLAINED * np.vdot(apart_px, apart_px)
     return [(OTHER_UNIT, factor * given_px)] if explained and factor > 0 else []
