@@ -96,7 +96,8 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
     import tifffile
 
     with strict_tifffile(), tifffile.TiffFile(path) as file:
-        page, series = file.pages.first, file.series[0]
+        page: Any = file.pages.first
+        series = file.series[0]
         if page.photometric != tifffile.PHOTOMETRIC.RGB:
             return None
         planes = series.axes == "SYX" and series.kind == "shaped"

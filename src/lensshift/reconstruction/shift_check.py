@@ -322,7 +322,7 @@ def _by_a_factor(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[s
 
 def _factor(given_px: Shifts, other_px: Shifts) -> float:
     """Return how many times as large as the given shifts others are."""
-    return float(np.vdot(given_px, other_px) / max(np.vdot(given_px, given_px), 1e-300))
+    return float(np.sum(given_px * other_px)) / max(float(np.sum(given_px**2)), 1e-300)
 
 
 def _alike(values: Array, seen: Mask) -> Array:
