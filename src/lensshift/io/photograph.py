@@ -111,7 +111,7 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
         values = page.asarray()
         if "S" not in page.axes:
             return None
-        return np.moveaxis(values, page.axes.index("S"), -1)[..., :_COLOURS]
+        return np.asarray(np.moveaxis(values, page.axes.index("S"), -1)[..., :_COLOURS])
 
 
 def _colour_pillow(path: str | Path, frame: int = 0) -> NDArray[Any] | None:

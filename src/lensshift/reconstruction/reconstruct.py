@@ -144,7 +144,6 @@ def reconstruct(
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
     shifts = part.offset_px if field is None else field.offset_px
-    _warn_of_blind_frames(part, used)
     doubt = None
     if (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick):
         doubt, request = _doubted(part, shifts, scale, request)
@@ -200,17 +199,17 @@ def _estimates(
     return found, None
 
 
-def _warn_of_blind_frames(part: Burst, used: tuple[int, ...]) -> None:
+def _warn_of_blind_frames(burst: Burst, used: tuple[int, ...]) -> None:
     """Warn of frames that lie as far away as the sensor is large, and so tell nothing."""
-    away_px = np.abs(part.offset_px)
-    blind = np.any(away_px >= part.grid.shape, axis=1)
+    away_px = np.abs(burst.offset_px[list(used)])
+    blind = np.any(away_px >= burst.grid.shape, axis=1)
     if np.any(blind) and not np.all(blind):  # of which none would see the scene
         numbers = ", ".join(str(used[k]) for k in np.flatnonzero(blind))
         warnings.warn(
             f"of frame {numbers} nothing is used: offset_px moves content out of the picture, by "
             f"{away_px[blind].max():.4g} px; it is in LR pixels",
             QualityWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
@@ -315,6 +314,7 @@ def _frame_numbers(
         raise ValueError(f"expected frames from 0 to {burst.frame_count - 1}, got {list(numbers)}")
     if len(set(numbers)) != len(numbers):
         raise ValueError(f"expected each frame once, got {list(numbers)}")
+    _warn_of_blind_frames(burst, numbers)
     return numbers
 
 
