@@ -42,6 +42,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         with monkeypatch.context() as patch:
             patch.setattr(sys, "argv", ["lensshift", *map(str, arguments)])
             patch.setattr(sys, "excepthook", sys.excepthook)
+            patch.setattr(sys, "stdout", sys.stdout)
             patch.setattr(sys, "stderr", sys.stderr)
             with pytest.raises(SystemExit) as ended:
                 main()
@@ -157,6 +158,23 @@ def test_ctrl_c_leaves_nothing(burst_file: Path) -> None:
     assert running.returncode == 130
     assert errors == "interrupted\n"
     assert [path.name for path in burst_file.parent.iterdir()] == ["burst.nc"]
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]], ids=str)
+def test_who_reads_the_first_lines_only_gets_the_files_all_the_same(
+    burst_file: Path, options: list[str]
+) -> None:
+    target = burst_file.with_suffix(".npz")
+    verb = ["convert", str(burst_file), str(target), *options]
+    with subprocess.Popen(
+        [sys.executable, "-m", "lensshift", *verb], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as running:
+        assert running.stdout is not None
+        running.stdout.close()
+        assert running.stderr is not None
+        errors = running.stderr.read()
+    assert (running.returncode, errors) == (0, b"")
+    assert target.stat().st_size > 0
 
 
 def test_unexpected_error_is_one_line_too(capsys: pytest.CaptureFixture[str]) -> None:

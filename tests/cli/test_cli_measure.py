@@ -1,5 +1,6 @@
 """`lensshift evaluate gain`, `gradient`, `star`, `zone`, `frc` and `depth`."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,18 @@ def test_gain_of_half_the_blur_is_two(call: Call, tmp_path: Path) -> None:
     assert table(tmp_path / "gain.csv")["mtf50"][0] == pytest.approx(2.0, rel=0.05)
     fine = found["edges"][0]["fine"]  # type: ignore[index]
     assert fine["mtf50_lpmm"]["value"] == pytest.approx(1.874 / 0.4, rel=0.05)
+
+
+def test_gain_speaks_of_regions_in_pixels_of_the_coarse_image(
+    call: Call, refused: Refused, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "coarse.npy", edge())
+    np.save(tmp_path / "fine.npy", edge(2, sigma_px=0.4))
+    verb = "evaluate", "gain", tmp_path / "fine.npy", tmp_path / "coarse.npy", "--region"
+    refused([*verb, "0,16,0,80"], 1, "within 16 rows and 40 columns, got (0, 16, 0, 80)")
+    warned = json.loads(call(*verb, "0,16,18,22", "--json").stdout)["warnings"]
+    assert f"{tmp_path / 'coarse.npy'}: edge in rows 0:16, columns 18:22" in " ".join(warned)
+    assert all(text.startswith(str(tmp_path)) for text in warned), warned
 
 
 def test_frequencies_in_the_scene(call: Call, tmp_path: Path) -> None:

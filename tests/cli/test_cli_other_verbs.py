@@ -15,7 +15,7 @@ from stand_in import Call, FakeReconstruct, Refused, answer
 
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.evaluation import psnr_db
-from lensshift.io import load_burst, load_image_stack
+from lensshift.io import load_burst, load_image_stack, save_burst
 
 
 @pytest.fixture
@@ -117,7 +117,8 @@ def test_info_of_a_stack_that_is_not_yet_a_burst(call: Call, tmp_path: Path) -> 
     assert done.exit_code == 0, done.output
     assert "2 of 5 x 7 px, uint16" in done.stdout
     assert "amplitude   0 to 69" in done.stdout
-    assert "missing     --offsets and --pitch-mm, to make a burst of it" in done.stdout
+    assert "shifts      not told: --offsets" in done.stdout
+    assert "pitch       not told: --pitch-mm" in done.stdout
     found = json.loads(call("info", tmp_path / "a.npz", "--pitch-mm", 1, "--json").stdout)
     assert (found["shape"], found["missing"]) == ([5, 7], ["offsets"])
     (tmp_path / "s.csv").write_text("row,col\n0,0\n0,0.5\n")
@@ -125,6 +126,21 @@ def test_info_of_a_stack_that_is_not_yet_a_burst(call: Call, tmp_path: Path) -> 
     assert "+0.5000" in call("info", tmp_path / "a.npz", *options).stdout
     done = call("info", tmp_path / "none.npz")
     assert (done.exit_code, done.stdout) == (1, "")
+
+
+def test_info_of_phasors_that_are_not_yet_a_burst(call: Call, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((2, 4, 5, 7), complex))
+    assert "frames      4 of 5 x 7 px" in call("info", tmp_path / "a.npy").stdout
+
+
+def test_lengths_are_asked_for_where_nobody_told_the_pitch(
+    call: Call, refused: Refused, tmp_path: Path
+) -> None:
+    frames = np.ones((1, 5, 7))
+    save_burst(Burst.from_arrays(frames, 2.0 * frames), tmp_path / "a.nc")
+    assert "pitch       not told" in call("info", tmp_path / "a.nc").stdout
+    wanted = "reconstruct", tmp_path / "a.nc", "--focal-length-mm", 4.5, "-o", tmp_path / "b.nc"
+    refused(wanted, 2, "--focal-length-mm needs to know how large a pixel is")
 
 
 def test_info_of_something_else(call: Call, tmp_path: Path) -> None:

@@ -17,8 +17,15 @@ from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
 from lensshift import Burst, reconstruct, register
-from lensshift.core.errors import DataError
-from lensshift.io import OffsetTable, export_burst, load_burst, load_image_stack, save_burst
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.io import (
+    OffsetTable,
+    export_burst,
+    export_reconstruction,
+    load_burst,
+    load_image_stack,
+    save_burst,
+)
 from lensshift.io.image_file import load_frames, load_named_arrays
 
 SHAPE = (4, 5, 7)
@@ -493,6 +500,32 @@ def test_the_pixel_size_is_written(tmp_path: Path) -> None:
     back = load_image_stack(tmp_path / "a.tif")
     assert back.grid.pitch_mm == pytest.approx(burst.grid.pitch_mm, rel=1e-6)
     np.testing.assert_array_equal(back.amplitude, burst.amplitude)
+
+
+def test_a_pixel_size_that_nobody_told_is_not_written(tmp_path: Path) -> None:
+    """1 mm stands for it; also of a result, whose pixels are a third of that."""
+    frames = np.random.default_rng(0).random((2, 6, 7))
+    for pitch_mm, told in ((1.0, None), (0.3, (0.1, 0.1))):
+        burst = Burst.from_arrays(frames, pitch_mm=pitch_mm)
+        result = reconstruct(burst.select([0]), 3, method="nearest", std=False)
+        assert burst.grid.tells_pitch() is result.grid.tells_pitch(3) is (told is not None)
+        for name in ("a.tif", "a.ome.tif"):
+            export_reconstruction(result, tmp_path / name)
+            found = load_image_stack(tmp_path / name).grid.pitch_mm
+            assert found == pytest.approx(told or (1.0, 1.0))
+
+
+def test_arrays_that_nothing_is_done_with_are_named(tmp_path: Path) -> None:
+    stack = np.ones((2, 6, 7))
+    np.savez(tmp_path / "a.npz", frames=stack, distance_mm=3000 * stack, note=np.ones(3))
+    with pytest.warns(QualityWarning, match=r"done with distance_mm; distances .* distance_m"):
+        load_image_stack(tmp_path / "a.npz")
+
+
+def test_millimetres_are_questioned_without_a_frequency_too() -> None:
+    stack = np.ones((2, 6, 7))
+    with pytest.warns(QualityWarning, match="are they millimetres"):
+        Burst.from_arrays(stack, 3000.0 * stack)
 
 
 def test_frames_of_unknown_shifts_wait_for_registration(tmp_path: Path) -> None:

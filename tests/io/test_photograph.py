@@ -1,5 +1,6 @@
 """Photographs of all kinds come with the levels of their files."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,33 @@ def test_a_tiff_of_colours(tmp_path: Path, dtype: str, planes: str) -> None:
     stored = rgb if planes == "contig" else np.moveaxis(rgb, -1, 0)
     tifffile.imwrite(tmp_path / "a.tif", stored, photometric="rgb", planarconfig=planes)
     np.testing.assert_array_equal(load_photograph(tmp_path / "a.tif"), rgb)
+
+
+@pytest.mark.parametrize("packed", [None, "zlib"])
+def test_each_page_of_colours_is_a_frame(tmp_path: Path, packed: str | None) -> None:
+    pages = np.stack([colours(), 255 - colours()])
+    tifffile.imwrite(tmp_path / "a.tif", pages, photometric="rgb", compression=packed)
+    for frame in (0, 1):
+        found = load_photograph(tmp_path / "a.tif", frame=frame)
+        np.testing.assert_array_equal(found, pages[frame])
+    with pytest.raises(DataError, match="a frame from 0 to 1, got 2"):
+        load_photograph(tmp_path / "a.tif", frame=2)
+    Image.fromarray(pages[0]).save(tmp_path / "a.png")
+    with pytest.raises(DataError, match="expected frame 0, the only one, got 1"):
+        load_photograph(tmp_path / "a.png", frame=1)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_frames_that_tifffile_stored_as_colours_are_frames(tmp_path: Path, count: int) -> None:
+    frames = np.random.default_rng(6).integers(0, 255, (count, *SHAPE)).astype("u1")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # which says what happens
+        tifffile.imwrite(tmp_path / "a.tif", frames)
+    for frame in range(1 if count == 3 else 0, count):
+        found = load_photograph(tmp_path / "a.tif", frame=frame)
+        np.testing.assert_array_equal(found, frames[frame])
+    with pytest.raises(DataError, match=f"a frame from 0 to {count - 1}, got {count}"):
+        load_photograph(tmp_path / "a.tif", frame=count)
 
 
 def test_png_and_jpeg(tmp_path: Path) -> None:

@@ -10,15 +10,23 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mosaic import mosaic_burst
 from numpy.typing import NDArray
 
-from lensshift import Burst, load_burst, reconstruct, save_burst
+from lensshift import (
+    Burst,
+    load_burst,
+    load_reconstruction,
+    reconstruct,
+    save_burst,
+    save_reconstruction,
+)
 from lensshift.camera import PlainOptics, camera_preset, simulate_tof_burst
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.units import distance_to_phase
 from lensshift.evaluation import depth_error
-from lensshift.io import load_image_stack
+from lensshift.io import export_burst, load_image_stack
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
 from lensshift.scene import Cuboid, Plane, Scene
 
@@ -169,6 +177,27 @@ def test_a_wall_is_where_it_is(hz: tuple[float, ...]) -> None:
     assert reconstruct(wall(hz), std=False).distance_m.std is None
 
 
+def test_frames_are_predicted_in_the_turn_where_the_wall_is(tmp_path: Path) -> None:
+    """6.2 m are four turns of 100 MHz and 0.204 m."""
+    result = reconstruct(wall())
+    save_reconstruction(result, tmp_path / "wall.nc")
+    again = load_reconstruction(tmp_path / "wall.nc")
+    for where in (1, (0.1, -0.2)):
+        seen_m = result["distance"].predict(where)
+        np.testing.assert_allclose(seen_m[1:-1, 1:-1], 6.2, atol=1e-3)
+        for key in ("amplitude", "distance"):
+            np.testing.assert_allclose(again[key].predict(where), result[key].predict(where))
+
+
+def test_smaller_pixels_lie_in_the_same_turn() -> None:
+    seen = mosaic_burst(81, (20, 24))
+    z = np.stack([seen.y * np.exp(1j * distance_to_phase(6.2, f)) for f in PAIR_HZ])
+    burst = Burst.from_arrays(z, offset_px=seen.offset_px, modulation_hz=PAIR_HZ)
+    found = reconstruct(burst, 1, channel="phasor")["distance"]
+    assert found.fine is not None
+    np.testing.assert_allclose(found.fine, 6.2, atol=0.05)
+
+
 def test_distances_of_several_frequencies_are_left_to_the_distance_channel() -> None:
     rng = np.random.default_rng(1)
     d = 3.0 + rng.random((4, *SHAPE))
@@ -222,6 +251,8 @@ def test_phasors_travel(tmp_path: Path) -> None:
         modulation_hz=[20e6, 100e6],
     )  # fmt: skip
     np.testing.assert_array_equal(load_image_stack(tmp_path / "b.npz").phasors, burst.phasors)
+    export_burst(burst, tmp_path / "own.npz")
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "own.npz").phasors, burst.phasors)
 
 
 @pytest.mark.parametrize(

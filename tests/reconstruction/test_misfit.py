@@ -217,6 +217,17 @@ def test_what_moves_is_named_and_shown_as_in_the_first_frame(seed: int, by_px: f
     assert errors[0] < errors[1]
 
 
+def test_what_else_looks_like_movement_is_said_beside_it() -> None:
+    """Phasors of two distances in a pixel add up to less than their amplitudes do."""
+    y = moving(1, 3.0)[0]
+    burst = replace(burst_of(y), distance_m=np.ones_like(y))
+    (text,) = warned(burst, channel="amplitude")
+    assert "something moved" in text
+    assert "channel phasor" in text
+    assert "a larger one" not in text
+    assert "channel phasor" not in warned(burst_of(y))[0]
+
+
 def test_frames_of_other_brightness_are_named() -> None:
     seen = mosaic_burst(41, SHAPE)
     gain = np.array([1.0, 1.1, 0.92, 1.0])[:, None, None]

@@ -93,6 +93,32 @@ def test_small_shifts_that_are_told_half_are_doubted() -> None:
     assert doubtful_shifts(y, small_px) is None
 
 
+@pytest.mark.parametrize("times", [0.155, 3.0, 15.0], ids=["mm", "thirds", "um"])
+def test_another_unit_is_named_with_the_factor_that_cures_it(times: float) -> None:
+    doubt = doubtful_shifts(_frames(_weave, SCATTERED_PX, SIGMA), times * SCATTERED_PX)
+    assert doubt is not None
+    assert doubt.mistake == "their unit"
+    assert doubt.factor == pytest.approx(1 / times, rel=0.1)
+    assert f"multiply offset_px by about {doubt.factor:.2g}" in doubt.cure
+
+
+def test_micrometres_on_a_sensor_of_more_than_a_part_are_doubted() -> None:
+    """Frames said to lie 39 px apart lie half a pixel apart."""
+    y = photograph(_weave, (90, 90), SQUARE_PX)
+    y += SIGMA * np.random.default_rng(3).standard_normal(y.shape)
+    doubt = doubtful_shifts(y, 77.5 * SQUARE_PX)
+    assert doubt is not None
+    assert doubt.mistake == "their unit"
+    assert doubt.factor == pytest.approx(1 / 77.5, rel=0.2)
+
+
+def test_frames_that_are_moved_out_of_the_picture_are_named() -> None:
+    offset_px = np.array([[0.0, 0.0], [0.0, 0.5], [0.0, 40.0], [0.5, 0.0]])
+    burst = make_burst(_frames(_weave, SQUARE_PX, SIGMA), offset_px)
+    with pytest.warns(QualityWarning, match=r"of frame 2 nothing is used.*by 40 px"):
+        reconstruct(burst, std=False, method="tikhonov")
+
+
 @pytest.mark.parametrize(("rows", "told"), [(7, False), (8, True)])
 def test_lines_of_eight_pixels_are_enough_to_doubt(rows: int, told: bool) -> None:
     y = photograph(_weave, (rows, 60), SQUARE_PX)

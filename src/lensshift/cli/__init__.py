@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from types import TracebackType
 from typing import Any, TextIO, cast
 
@@ -16,8 +20,41 @@ def main() -> None:
     from lensshift.cli.app import app
 
     sys.excepthook = _one_line
-    sys.stderr = cast(TextIO, _Printable(sys.stderr))
+    if sys.stdout is not None:  # as it is where the caller closed it
+        sys.stdout = cast(TextIO, _Unread(sys.stdout))
+    if sys.stderr is not None:
+        sys.stderr = cast(TextIO, _Printable(sys.stderr))
     get_command(app)(prog_name="lensshift")
+
+
+class _Unread:
+    """A stream that nobody may read to its end, as in `lensshift lens show petzval_a | head`.
+
+    The work goes on, and its files are written; what is said about it is lost.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with self._unless_closed():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._unless_closed():
+            self._stream.flush()
+
+    @contextmanager
+    def _unless_closed(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            with Path(os.devnull).open("w") as nowhere:  # where Python flushes to when it ends, too
+                os.dup2(nowhere.fileno(), self._stream.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 class _Printable:

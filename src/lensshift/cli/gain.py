@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +14,7 @@ from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from lensshift.evaluation.gain import ResolutionGain
 
@@ -57,7 +59,12 @@ def gain(current: Session, asked: GainOptions) -> None:
         else images.measured_image(coarse, asked.pitch_mm, key=of_coarse, frame=asked.frame)
     )
     above, scale = images.finer(images.measured_image(fine, None, key=of_fine), below)
-    pairs = pair_edges(edges_of(above, images.scaled(place, scale)), edges_of(below, place), scale)
+    images.slices_of(place, below.values.shape[-2:])  # which refuses it in pixels of COARSE
+    with _in_file(coarse):
+        edges = edges_of(below, place)
+    with _in_file(fine):
+        finer_edges = edges_of(above, images.scaled(place, scale))
+    pairs = pair_edges(finer_edges, edges, scale)
     if not pairs:
         raise ValueError("expected an edge that both images show, got none; give --region")
     gains = [resolution_gain(first, second) for first, second in pairs]
@@ -70,15 +77,27 @@ def gain(current: Session, asked: GainOptions) -> None:
         _say(current, mean)
     unit = images.Unit("LP/mm" if below.has_pitch else "cycles/px")
     current.result |= {"fine": fine, "coarse": coarse, "scale": scale, "unit": unit.name}
-    edges = [
+    rows = [
         {"gain": asdict(one), "fine": edge_row(first, unit), "coarse": edge_row(second, unit)}
         for (first, second), one in zip(pairs, gains, strict=True)
     ]
-    current.result |= {"gain": asdict(mean), "edges": edges}
+    current.result |= {"gain": asdict(mean), "edges": rows}
     outputs.write_table(current, asked.to.csv, _table(gains))
     outputs.write_plot(
         current, asked.to.plot, "edges.gain_figure", *pairs[0], gains[0], unit=unit.name
     )
+
+
+@contextmanager
+def _in_file(path: Path) -> Iterator[None]:
+    """Let what is warned of and refused begin with the file: each has pixels of its own."""
+    with warnings.catch_warnings(record=True) as caught:
+        try:
+            yield
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+    for one in caught:
+        warnings.warn_explicit(f"{path}: {one.message}", one.category, one.filename, one.lineno)
 
 
 def _say(current: Session, found: ResolutionGain) -> None:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from lensshift.core.grid import Grid
     from lensshift.core.types import Burst
 
 
@@ -102,13 +103,12 @@ def measured_image(
     from lensshift.io.image_file import load_frames, load_named_arrays
 
     kind = kind_of(path)
-    if kind is not Kind.STACK and pitch_mm is not None:
-        raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
     if kind is Kind.BURST:
         burst = load_burst(path)
+        pitch, told = _pitch_of(burst.grid, 1, path, pitch_mm)
         values = _one_frame(_burst_channel(burst, path, key), path, frame)
         valid = None if burst.valid is None else _one_frame(burst.valid, path, frame)
-        return Measured(values, burst.grid.pitch_mm, True, valid)
+        return Measured(values, pitch, told, valid)
     if kind is not Kind.STACK:
         one = kind is Kind.RECONSTRUCTION
         result = load_reconstruction(path) if one else load_window(path, frame)
@@ -116,7 +116,8 @@ def measured_image(
         if name not in result.channels:
             raise DataError(f"expected {' or '.join(result.channels)}, got {name!r}", source=path)
         image = result.channels[name].image
-        return Measured(image, result.grid.pitch_mm, True, scale=result.scale)
+        pitch, told = _pitch_of(result.grid, result.scale, path, pitch_mm)
+        return Measured(image, pitch, told, scale=result.scale)
     if path.suffix.lower() == ".npz":
         arrays = load_named_arrays(path)
         frames = arrays[_image_name(arrays, path, key)]
@@ -125,6 +126,17 @@ def measured_image(
         frames = load_frames(path)
     pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
     return Measured(_one_frame(frames, path, frame), pitch, pitch_mm is not None)
+
+
+def _pitch_of(
+    grid: Grid, scale: int, path: Path, pitch_mm: str | None
+) -> tuple[tuple[float, float], bool]:
+    """Return the pitch of a file, or the one given for it, and whether it is known."""
+    if grid.tells_pitch(scale):
+        if pitch_mm is not None:
+            raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
+        return grid.pitch_mm, True
+    return (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm), pitch_mm is not None
 
 
 def keys_of(key: str | None, *paths: Path) -> tuple[str | None, ...]:
@@ -190,7 +202,7 @@ def measured_frames(path: Path, *, key: str | None = None) -> Measured:
     return Measured(
         _burst_channel(burst, path, key),
         burst.grid.pitch_mm,
-        True,
+        burst.grid.tells_pitch(),
         burst.valid,
         offset_px=burst.offset_px,
     )

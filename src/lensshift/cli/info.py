@@ -18,6 +18,7 @@ from lensshift.cli.verbs import argument, option, verb
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from lensshift.core.grid import Grid
     from lensshift.core.types import Burst, Reconstruction
 
 
@@ -102,9 +103,9 @@ def _say_burst(current: Session, burst: Burst) -> None:
         "meta": dict(burst.meta),
     }
     current.result |= known
-    (rows, cols), pitch = burst.grid.shape, burst.grid.pitch_mm
+    rows, cols = burst.grid.shape
     current.say(f"frames      {burst.frame_count} of {rows} x {cols} px, {known['dtype']}")
-    current.say(f"pitch       {pitch[0]:g} x {pitch[1]:g} mm (row, col)")
+    _say_pitch(current, burst.grid)
     current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
     current.say(f"distance    {_range_text(known['distance_range_m'], ' m')}")
     current.say(f"valid       {100 * known['valid_share']:.2f} % of the pixels")
@@ -126,13 +127,11 @@ def _say_burst(current: Session, burst: Burst) -> None:
 
 def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) -> None:
     """Describe the images even if shifts or pitch are not known yet."""
-    import numpy as np
-
     from lensshift.io.image_stack import load_stack_fields
 
     fields = load_stack_fields(file, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
     frames = fields["amplitude"]
-    with_offsets = stack.offsets is not None or "offset_px" in fields or len(frames) == 1
+    with_offsets = stack.offsets is not None or "offset_px" in fields or frames.shape[-3] == 1
     with_pitch = stack.pitch_mm is not None or "pitch_mm" in fields
     if with_offsets and with_pitch:
         burst = load_input_burst(file, stack)
@@ -141,18 +140,22 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
         return
     current.say(heading)
     known: dict[str, Any] = {
-        "frame_count": frames.shape[0],
-        "shape": frames.shape[1:],
+        "frame_count": frames.shape[-3],
+        "shape": frames.shape[-2:],
         "dtype": str(frames.dtype),
-        "amplitude_range": _finite_range(frames, np.ones(frames.shape, bool)),
+        "amplitude_range": _finite_range(frames),
         "missing": ([] if with_offsets else ["offsets"]) + ([] if with_pitch else ["pitch_mm"]),
     }
     current.result |= known
     rows, cols = known["shape"]
     current.say(f"frames      {known['frame_count']} of {rows} x {cols} px, {known['dtype']}")
     current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
-    options = [f"--{name.replace('_', '-')}" for name in known["missing"]]
-    current.say(f"missing     {' and '.join(options)}, to make a burst of it")
+    if "distance_m" in fields:
+        current.say(f"distance    {_range_text(_finite_range(fields['distance_m']), ' m')}")
+    if not with_offsets:
+        current.say("shifts      not told: --offsets, or `lensshift reconstruct` finds them")
+    if not with_pitch:
+        current.say("pitch       not told: --pitch-mm, if lengths matter")
 
 
 def _say_sequence(current: Session, file: Path) -> None:
@@ -169,9 +172,9 @@ def _say_sequence(current: Session, file: Path) -> None:
 
 
 def _say_result(current: Session, result: Reconstruction) -> None:
-    (rows, cols), pitch = result.grid.shape, result.grid.pitch_mm
+    rows, cols = result.grid.shape
     current.say(f"image       {rows} x {cols} px, x{result.scale} by {result.method}")
-    current.say(f"pitch       {pitch[0]:g} x {pitch[1]:g} mm (row, col)")
+    _say_pitch(current, result.grid, result.scale)
     view = view_of(result.intrinsics, result.grid.shape)
     current.say(f"looks       {view_text(view)}")
     say_channels(current, result)
@@ -180,12 +183,19 @@ def _say_result(current: Session, result: Reconstruction) -> None:
     current.result |= {"view": view, "settings": dict(result.settings)}
 
 
-def _finite_range(values: NDArray[Any] | None, valid: NDArray[Any]) -> tuple[float, float] | None:
+def _say_pitch(current: Session, grid: Grid, scale: int = 1) -> None:
+    text = "{:g} x {:g} mm (row, col)".format(*grid.pitch_mm)
+    current.say(f"pitch       {text if grid.tells_pitch(scale) else 'not told'}")
+
+
+def _finite_range(
+    values: NDArray[Any] | None, valid: NDArray[Any] | None = None
+) -> tuple[float, float] | None:
     from lensshift.io.export import finite_range
 
     if values is None:
         return None
-    inside = values[valid]
+    inside = values if valid is None else values[valid]
     return finite_range(abs(inside) if inside.dtype.kind == "c" else inside)
 
 

@@ -39,6 +39,9 @@ class PointOptions:
                 "--fov-deg, --focal-length-px, --focal-length-mm and --lens all say where the "
                 "pixels look; give one of them"
             )
+        by_mm = "--focal-length-mm" if self.focal_length_mm is not None else "--lens"
+        if (self.focal_length_mm, self.lens) != (None, None) and not grid.tells_pitch():
+            raise typer.BadParameter(f"{by_mm} needs to know how large a pixel is: --pitch-mm")
         try:
             if self.fov_deg is not None:
                 return Pinhole.of_field(grid, *_angles_rad(self.fov_deg))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.core.units import doubt_about_units
+from lensshift.core.units import doubt_about_distance, doubt_about_units
 
 # What SciPy filters in place of half and extended precision, which are formats of files.
 _COMMON: dict[np.dtype[Any], type[np.generic]] = {
@@ -76,7 +76,11 @@ def doubts_about_distances(
 ) -> list[str]:
     """Say what can hardly be meant by frequencies and distances; some of it may be ""."""
     typical_m = None if distance_m is None else float(np.median(distance_m[valid]))
-    doubts = [doubt_about_units(min(frequencies_hz), typical_m)] if frequencies_hz else []
+    doubts = [
+        doubt_about_units(min(frequencies_hz), typical_m)
+        if frequencies_hz
+        else doubt_about_distance(typical_m)
+    ]
     if distance_m is None:
         return doubts
     empty = np.count_nonzero(valid & (amplitude == 0) & (distance_m == 0))

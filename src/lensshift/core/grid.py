@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+UNTOLD_PITCH_MM = 1.0  # taken for a pixel of a frame where nobody says how large it is
+
 
 def hr_to_lr(index_hr_px: ArrayLike, scale: int) -> NDArray[np.float64]:
     """Map HR pixel coordinates to LR pixel coordinates along one axis.
@@ -46,6 +48,15 @@ class Grid:
             raise ValueError(f"expected a grid of at least 1 x 1 pixels, got shape {self.shape}")
         if len(self.pitch_mm) != 2 or not all(np.isfinite(p) and p > 0 for p in self.pitch_mm):
             raise ValueError(f"expected two positive pitches in mm, got {self.pitch_mm}")
+
+    def tells_pitch(self, scale: int = 1) -> bool:
+        """Tell whether somebody told the pitch: lengths in mm mean nothing where nobody did.
+
+        Parameters
+        ----------
+        scale : so many of these pixels lie side by side in one of a frame
+        """
+        return any(scale * pitch_mm != UNTOLD_PITCH_MM for pitch_mm in self.pitch_mm)
 
     def refine(self, scale: int) -> Grid:
         """Return the grid that covers the same area with `scale` times finer pixels."""

@@ -13,6 +13,8 @@ MILLIMETRE_M = 1e-3
 LEAST_MODULATION_HZ = 1e3
 # No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
 MOST_PITCH_MM = 10.0
+# What no camera lights.
+MOST_DISTANCE_M = 1e3
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
 # thousand times too large: even a scene at a twentieth of the range shows.
 _MOST_RANGES = 25.0
@@ -58,6 +60,13 @@ def doubt_about_units(modulation_hz: float, typical_m: float | None) -> str:
         f"distance_m: expected metres, got a median of {typical_m:g} where light of "
         f"{modulation_hz:g} Hz is unambiguous up to {range_m:.4g} m; are they {meant}?"
     )
+
+
+def doubt_about_distance(typical_m: float | None) -> str:
+    """Say why a distance typical for a scene can hardly be in m, whatever lights it; or ""."""
+    if typical_m is None or typical_m <= MOST_DISTANCE_M:
+        return ""
+    return f"distance_m: expected metres, got a median of {typical_m:g}; are they millimetres?"
 
 
 def doubt_about_pitch(pitch_mm: float) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array
-from lensshift.core.units import PhaseScale
+from lensshift.core.units import PhaseScale, unambiguous_range_m
 from lensshift.forward.blur import Blur
 from lensshift.forward.model import forward_model
 
@@ -83,12 +83,45 @@ class PhasorPredictor:
     ----------
     phasor : of an HR image of phasors
     distance : how phases stand for distances, or None for the amplitude
+    turns_m : of an HR image of distances beyond c / 2f, which says how often a phase has turned
     """
 
     phasor: FramePredictor
     distance: PhaseScale | None = None
+    turns_m: FramePredictor | None = None
 
     def __call__(self, frame: int | ArrayLike) -> Array:
         """Return the frame [row col] of that number or at that offset, as `FramePredictor`."""
         seen = self.phasor(frame)
-        return np.abs(seen) if self.distance is None else self.distance.distance_m(np.angle(seen))
+        if self.distance is None:
+            return np.abs(seen)
+        found_m = self.distance.distance_m(np.angle(seen))
+        if self.turns_m is None:
+            return found_m
+        return in_turn_of(found_m, self.turns_m(frame), self.distance.modulation_hz)
+
+
+def phasor_predictors(
+    frame: FramePredictor, distance_m: Array, scale: PhaseScale
+) -> tuple[PhasorPredictor, PhasorPredictor]:
+    """Return what predicts amplitudes and distances, from HR images of both.
+
+    Parameters
+    ----------
+    frame : of the amplitude, complex or not
+    distance_m : [row col] like its image
+    scale : how phases stand for distances
+    """
+    turned = np.exp(1j * scale.rad_per_m * (distance_m - scale.reference_m))
+    phasor = replace(frame, image=np.abs(frame.image) * turned)
+    beyond = scale.circular and bool(distance_m.max() >= unambiguous_range_m(scale.modulation_hz))
+    even = replace(
+        frame, image=distance_m, gain=np.ones_like(frame.gain), bias=np.zeros_like(frame.bias)
+    )
+    return PhasorPredictor(phasor), PhasorPredictor(phasor, scale, even if beyond else None)
+
+
+def in_turn_of(distance_m: Array, near_m: Array, modulation_hz: float) -> Array:
+    """Return distances that are known but for turns of c / 2f, as near to others as these allow."""
+    turn_m = unambiguous_range_m(modulation_hz)
+    return np.asarray(distance_m + turn_m * np.rint((near_m - distance_m) / turn_m))

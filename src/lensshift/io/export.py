@@ -90,6 +90,7 @@ def finite_range(values: NDArray[Any]) -> tuple[float, float]:
 def export_burst(burst: Burst, path: str | Path) -> None:
     """Write a burst as NPZ (every field, readable by `load_image_stack`) or TIFF (amplitude).
 
+    In NPZ phasors of several frequencies stand for the amplitude, as `Burst.from_arrays` takes it.
     OME-TIFF (`.ome.tif`) and FITS hold amplitude and distance.
 
     Raises
@@ -102,6 +103,8 @@ def export_burst(burst: Burst, path: str | Path) -> None:
     if Path(path).suffix.lower() == ".npz":
         fields = {name: getattr(burst, name) for name in _BURST_ARRAYS}
         fields |= {"pitch_mm": burst.grid.pitch_mm, "offset_source": burst.offset_source}
+        if burst.phasors is not None:  # whose amplitudes are those of the highest
+            fields["amplitude"] = burst.phasors
         fields |= intrinsics_fields(burst.intrinsics)
         write_npz(path, fields | {"meta": to_json(burst.meta, "meta")})
     elif is_ome(path):
@@ -109,7 +112,8 @@ def export_burst(burst: Burst, path: str | Path) -> None:
     elif is_fits(path):
         export_fits(burst, path)
     elif Path(path).suffix.lower() in TIFF_SUFFIXES:
-        export_image(burst.amplitude, path, pitch_mm=burst.grid.pitch_mm)
+        told = burst.grid.tells_pitch()
+        export_image(burst.amplitude, path, pitch_mm=burst.grid.pitch_mm if told else None)
     else:
         raise ValueError(
             f"expected a name that ends in .npz, .tif, .ome.tif or .fits, got {Path(path).name!r}"
@@ -158,8 +162,9 @@ def export_reconstruction(
     if Path(path).suffix.lower() != ".npz":
         if not channels:
             raise ValueError("expected a reconstruction with at least one channel, got none")
-        image, pitch_mm = next(iter(channels.values())).image, reconstruction.grid.pitch_mm
-        return export_image(image, path, bits=bits, pitch_mm=pitch_mm)
+        image, grid = next(iter(channels.values())).image, reconstruction.grid
+        told = grid.tells_pitch(reconstruction.scale)
+        return export_image(image, path, bits=bits, pitch_mm=grid.pitch_mm if told else None)
     fields = {name: getattr(reconstruction, name) for name in ("scale", "method", "flying")}
     fields |= {"pitch_mm": reconstruction.grid.pitch_mm}
     fields |= {"settings": to_json(reconstruction.settings, "settings")}

@@ -29,8 +29,12 @@ def is_fits(path: str | Path) -> bool:
     return Path(path).suffix.lower() in FITS_SUFFIXES
 
 
+def _tells_pitch(value: Burst | Reconstruction) -> bool:
+    return value.grid.tells_pitch(value.scale if isinstance(value, Reconstruction) else 1)
+
+
 def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
-    """Write all images as float32 channels of an OME-TIFF, with names and pixel size.
+    """Write all images as float32 channels of an OME-TIFF, with names and pixel size if told.
 
     Raises
     ------
@@ -41,17 +45,16 @@ def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
 
     layers = picture_layers(value)
     stack = np.stack([one.values.astype(np.float32) for one in layers], axis=-3)
-    row_mm, col_mm = value.grid.pitch_mm
-    told = {
+    told: dict[str, Any] = {
         "axes": "TCYX" if stack.ndim == 4 else "CYX",
         "Channel": {
             "Name": [f"{one.name} ({one.unit})" if one.unit else one.name for one in layers]
         },
-        "PhysicalSizeY": 1e3 * row_mm,
-        "PhysicalSizeYUnit": "\u00b5m",
-        "PhysicalSizeX": 1e3 * col_mm,
-        "PhysicalSizeXUnit": "\u00b5m",
     }
+    if _tells_pitch(value):
+        for axis, pitch_mm in zip("YX", value.grid.pitch_mm, strict=True):
+            told[f"PhysicalSize{axis}"] = 1e3 * pitch_mm
+            told[f"PhysicalSize{axis}Unit"] = "\u00b5m"
     with written_whole(path) as part:
         tifffile.imwrite(part, stack, ome=True, photometric="minisblack", metadata=told)
 
@@ -61,8 +64,8 @@ def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
 
     With a pinhole without distortion they are angles to the right and up from the axis of the
     camera, by the gnomonic projection (CMLN-TAN, CMLT-TAN); an alternative, A, which is the only
-    one of other cameras, gives mm on the sensor from the middle of the first pixel. The first row
-    of an image is the first of the file.
+    one of other cameras, gives mm on the sensor from the middle of the first pixel, if the pitch
+    is told. The first row of an image is the first of the file.
 
     Raises
     ------
@@ -108,5 +111,7 @@ def _write_wcs(header: Header, value: Burst | Reconstruction) -> None:
         steps = np.rad2deg((1 / seen.fx_px, -1 / seen.fy_px))
         middle = (seen.cx_px + 1.0, seen.cy_px + 1.0)
         header.update(cards(("CMLN-TAN", "CMLT-TAN"), "deg", middle, steps))
+    if not _tells_pitch(value):
+        return
     on_sensor = (1.0, 1.0), value.grid.pitch_mm[::-1]
     header.update(cards(("X", "Y"), "mm", *on_sensor, "A" if straight else " "))

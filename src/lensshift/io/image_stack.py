@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
 from lensshift.io.image_file import IMAGE_SUFFIXES, load_frames, load_named_arrays
@@ -195,6 +196,7 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
         if stack in arrays and stack != name:
             fields[stack] = _stack(arrays[stack], frame_axis, path, stack)
     _mark_unmeasured(fields)
+    _warn_of_unread(path, arrays, name)
     fields |= {plain: arrays[plain] for plain in _PLAIN if plain in arrays}
     for scalar, convert in _SCALARS.items():
         if scalar in arrays:
@@ -203,6 +205,19 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
     with reading(path):
         intrinsics = intrinsics_of_fields({one: arrays[one] for one in NAMES if one in arrays})
     return fields if intrinsics is None else fields | {"intrinsics": intrinsics}
+
+
+def _warn_of_unread(path: Path, arrays: dict[str, NDArray[Any]], name: str) -> None:
+    """Warn of stacks beside the frames that nothing is done with, as distances of another name."""
+    read = {name, *_STACKS}
+    unread = [one for one in arrays if one not in read and arrays[one].shape == arrays[name].shape]
+    if unread:
+        warnings.warn(
+            f"{path}: nothing is done with {', '.join(unread)}; distances are read from "
+            "distance_m, in metres, and which pixels count from valid",
+            QualityWarning,
+            stacklevel=4,
+        )
 
 
 def _mark_unmeasured(fields: dict[str, Any]) -> None:

@@ -31,7 +31,7 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     Parameters
     ----------
     path : .jpg, .png, or .tif (also of 16 bits a colour)
-    frame : of a grey TIFF with several pages
+    frame : of a TIFF with several pages
 
     Raises
     ------
@@ -41,13 +41,13 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     require_file(path)
     suffix = Path(path).suffix.lower()
     with reading(path):
-        if suffix in TIFF_SUFFIXES and (values := _colour_tiff(path)) is not None:
+        if suffix in TIFF_SUFFIXES and (values := _colour_tiff(path, frame)) is not None:
             return _plain(values)
         if suffix in (*JPEG_SUFFIXES, ".png") and (values := _colour_pillow(path)) is not None:
+            _check_frame(frame, 1)
             return _plain(values)
         frames = load_frames(path)
-        if not 0 <= frame < len(frames):
-            raise DataError(f"expected a frame from 0 to {len(frames) - 1}, got {frame}")
+        _check_frame(frame, len(frames))
         return np.asarray(frames[frame])
 
 
@@ -81,26 +81,43 @@ def _plain(values: NDArray[Any]) -> NDArray[Any]:
     return values[..., 0] if np.all(values == values[..., :1]) else values
 
 
-def _colour_tiff(path: str | Path) -> NDArray[Any] | None:
-    """Return [row col 3] of a TIFF of colours, None if it is none."""
+def _check_frame(frame: int, count: int) -> None:
+    if not 0 <= frame < count:
+        expected = f"a frame from 0 to {count - 1}" if count > 1 else "frame 0, the only one"
+        raise DataError(f"expected {expected}, got {frame}")
+
+
+def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
+    """Return [row col 3] of a page of a TIFF of colours, None if it is none or holds frames.
+
+    tifffile stores three or four frames as planes of colours unasked: they are frames where another
+    than the first is asked for, or where one of them would be a transparency.
+    """
     import tifffile
 
     with strict_tifffile(), tifffile.TiffFile(path) as file:
-        page = file.pages.first
-        if page.photometric != tifffile.PHOTOMETRIC.RGB or len(file.pages) != 1:
+        page: Any = file.pages.first
+        series = file.series[0]
+        if page.photometric != tifffile.PHOTOMETRIC.RGB:
             return None
+        planes = series.axes == "SYX" and series.kind == "shaped"
+        if planes and (frame > 0 or page.samplesperpixel > _COLOURS):
+            return None
+        _check_frame(frame, len(file.pages))
+        page = file.pages[frame]
         if page.compression not in TIFFFILE_COMPRESSIONS:
-            return _colour_pillow(path)
+            return _colour_pillow(path, frame)
         check_unpacked(page.nbytes, Path(path).stat().st_size, "pages")
         values = page.asarray()
         if "S" not in page.axes:
             return None
-        return np.moveaxis(values, page.axes.index("S"), -1)[..., :_COLOURS]
+        return np.asarray(np.moveaxis(values, page.axes.index("S"), -1)[..., :_COLOURS])
 
 
-def _colour_pillow(path: str | Path) -> NDArray[Any] | None:
-    """Return [row col 3] of a JPEG, or of a PNG of colours of 8 bits; None if it is grey."""
+def _colour_pillow(path: str | Path, frame: int = 0) -> NDArray[Any] | None:
+    """Return [row col 3] of a JPEG, or of colours of 8 bits; None if it is grey."""
     with opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
+        image.seek(frame)
         size = Path(path).stat().st_size
         check_unpacked(_COLOURS * image.width * image.height, size, "pixels")
         if image.format == "JPEG":

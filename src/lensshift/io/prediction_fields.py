@@ -22,7 +22,7 @@ from lensshift.core.errors import DataError
 from lensshift.core.types import Estimate
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
-from lensshift.forward.prediction import FramePredictor, PhasorPredictor
+from lensshift.forward.prediction import FramePredictor, PhasorPredictor, phasor_predictors
 from lensshift.io.container_reader import Container
 from lensshift.io.container_writer import Variable, measured
 
@@ -85,11 +85,11 @@ def with_predictions(
     amplitude, distance = channels["amplitude"], channels["distance"]
     if _finest(amplitude).shape != _finest(distance).shape:
         raise DataError("expected as many pixels as amplitude_fine", field="distance_fine")
-    turned = np.exp(1j * phase.rad_per_m * (_finest(distance) - phase.reference_m))
-    phasor = predictor("amplitude", _finest(amplitude) * turned)
+    frame = predictor("amplitude", _finest(amplitude))
+    light, far = phasor_predictors(frame, _finest(distance), phase)
     return {
-        "amplitude": replace(amplitude, predict=PhasorPredictor(phasor)),
-        "distance": replace(distance, predict=PhasorPredictor(phasor, phase)),
+        "amplitude": replace(amplitude, predict=light),
+        "distance": replace(distance, predict=far),
     }
 
 

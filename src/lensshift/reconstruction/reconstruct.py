@@ -165,7 +165,8 @@ def reconstruct(
     found, flying = _estimates(
         burst, part, choice.channel, scale, used, chosen, request, photometric, seen
     )
-    found = _objected(found, doubt, request.refuted)
+    like_movement = _like_movement(part, choice.channel, scale)
+    found = _objected(found, doubt, request.refuted, like_movement)
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -203,6 +204,20 @@ def _estimates(
     return found, None
 
 
+def _warn_of_blind_frames(burst: Burst, used: tuple[int, ...]) -> None:
+    """Warn of frames that lie as far away as the sensor is large, and so tell nothing."""
+    away_px = np.abs(burst.offset_px[list(used)])
+    blind = np.any(away_px >= burst.grid.shape, axis=1)
+    if np.any(blind) and not np.all(blind):  # of which none would see the scene
+        numbers = ", ".join(str(used[k]) for k in np.flatnonzero(blind))
+        warnings.warn(
+            f"of frame {numbers} nothing is used: offset_px moves content out of the picture, by "
+            f"{away_px[blind].max():.4g} px; it is in LR pixels",
+            QualityWarning,
+            stacklevel=4,
+        )
+
+
 def _doubted(
     part: Burst, shifts: Array, scale: int, request: Request
 ) -> tuple[Doubt | None, Request]:
@@ -214,13 +229,27 @@ def _doubted(
     return doubt, replace(request, shifts_doubted=True)
 
 
+def _like_movement(part: Burst, channel: str, scale: int) -> str:
+    """Say what else lets frames contradict a picture in places; nothing if nothing does."""
+    causes = []
+    if channel != "phasor" and part.distance_m is not None:
+        causes.append(
+            "pixels see two distances, whose amplitude is no mean of theirs (channel phasor, with "
+            "modulation_hz, allows for it)"
+        )
+    if part.frame_count > scale**2:
+        causes.append(f"there is detail that scale {scale} cannot show (a larger one may)")
+    return f"; or {', or '.join(causes)}" if causes else ""
+
+
 def _objected(
-    found: dict[str, Estimate], doubt: Doubt | None, refuted: str | None
+    found: dict[str, Estimate], doubt: Doubt | None, refuted: str | None, like_movement: str
 ) -> dict[str, Estimate]:
     """Warn once, where the user called, of what the frames say against the result."""
     said = [refuted, *(estimate.notes.get("contradiction") for estimate in found.values())]
     for wrong in dict.fromkeys(text for text in said if text is not None):
-        warnings.warn(wrong, QualityWarning, stacklevel=3)
+        also = like_movement if "something moved" in wrong else ""
+        warnings.warn(f"{wrong}{also}", QualityWarning, stacklevel=3)
     blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
     if doubt is not None and not (blamed or refuted):  # no frame and no place to blame it on
         warn_of_doubt(doubt, stacklevel=3)
@@ -291,6 +320,7 @@ def _frame_numbers(
         raise ValueError(f"expected frames from 0 to {burst.frame_count - 1}, got {list(numbers)}")
     if len(set(numbers)) != len(numbers):
         raise ValueError(f"expected each frame once, got {list(numbers)}")
+    _warn_of_blind_frames(burst, numbers)
     return numbers
 
 

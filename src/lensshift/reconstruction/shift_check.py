@@ -28,8 +28,9 @@ Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A part of the sensor and some of the frames tell enough, at a bounded price.
-MOST_PX, MOST_FRAMES = 48, 9
+# A part of the sensor and some of the frames tell enough, at a bounded price. Shifts in a unit that
+# is too small go far: frames that they move by more than FAR_PX are asked from where they lie, too.
+MOST_PX, MOST_FRAMES, FAR_PX = 48, 9, 3.0
 LEAST_PX, LEAST_HELD_OUT = 8, 50
 # Of each trial the pixels of one fold, drawn at random, are held out.
 FOLDS, CONFIRMING_FOLDS = 4, 2
@@ -62,13 +63,14 @@ CURES: Mapping[str, str] = {
     "rows and columns swapped, and a sign": "give offset_px as (row, col), positive down and right",
     "their unit (HR pixels)": "divide offset_px by the scale: it is in LR pixels",
     "their unit (too small)": "multiply offset_px by the scale: it is in LR pixels",
+    "their unit": "multiply offset_px by about {factor:.2g}: it is in LR pixels",
     "shifts that did not happen": "the frames lie at one place: check whether the lens moved",
     "shifts that were not told": "let `lensshift.register` find offset_px: the frames lie apart",
     "the order of the frames": "bring the frames into the order of offset_px",
     "frames that turn": "let `lensshift.register` find shifts and turns",
     "no simple mistake": "check offset_px, or let `lensshift.register` find it",
 }
-NO_MISTAKE = "no simple mistake"
+OTHER_UNIT, NO_MISTAKE = "their unit", "no simple mistake"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +81,12 @@ class Doubt:
     ----------
     mistake : the likely one, a key of `CURES`
     ratio : error at unseen pixels under the given shifts over that under the other reading
+    factor : of another unit, by which the given shifts are too small
     """
 
     mistake: str
     ratio: float
+    factor: float = 1.0
 
     @property
     def named(self) -> bool:
@@ -92,7 +96,7 @@ class Doubt:
     @property
     def cure(self) -> str:
         """What to do about it."""
-        return CURES[self.mistake]
+        return CURES[self.mistake].format(factor=self.factor)
 
 
 def warn_of_doubt(doubt: Doubt, *, stacklevel: int = 2) -> None:
@@ -159,8 +163,11 @@ def doubtful_shifts(
 def _doubt(trial: _Trial, smooth: Array, scale: int) -> Doubt | None:
     given = trial.given_px
     found = found_shifts(smooth, given)
-    apart_px = found - given
     span_px = float(np.ptp(given, axis=0).max())
+    if span_px > FAR_PX:  # beyond the reach of the search
+        near = found_shifts(smooth, np.zeros_like(given))
+        found = near if trial.compare(near, 1)[0] > trial.compare(found, 1)[0] else found
+    apart_px = found - given
     if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * span_px or AGREED_PX):
         return None
     first = (found, given / scale, given * scale)
@@ -171,17 +178,17 @@ def _doubt(trial: _Trial, smooth: Array, scale: int) -> Doubt | None:
     for mistake, other in _readings(given, found, scale):
         ratio, sure = trial.compare(other, CONFIRMING_FOLDS)
         if sure >= LEAST_T and ratio >= NAMED:
-            doubts.append(Doubt(mistake, ratio))
+            doubts.append(Doubt(mistake, ratio, _factor(given, other)))
             # What the frames tell holds the errors of the shifts too, and predicts a little better.
             explained = np.sum((other - found) ** 2) <= UNEXPLAINED * np.sum(apart_px**2)
             close += doubts[-1:] if explained else []
     likely = max((doubt.ratio for doubt in doubts), default=0.0) / SUSPICIOUS
     best = next((doubt for doubt in doubts if doubt.ratio >= likely), None)
     best = best if best is None or best.named else close[0]
-    few = off.mean() < LEAST_OFF_SHARE
-    if best is not None and not best.named and (few or best.ratio < UNNAMED):
-        return None
-    return best
+    if best is None or best.mistake not in (OTHER_UNIT, NO_MISTAKE):
+        return best
+    few = off.mean() < LEAST_OFF_SHARE  # as where frames that alias seem to go farther than told
+    return None if few or best.ratio < UNNAMED else best
 
 
 def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
@@ -295,8 +302,27 @@ def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str,
         ("their unit (too small)", given_px * scale),
         ("shifts that did not happen", np.zeros_like(given_px)),
         ("the order of the frames", given_px[linear_sum_assignment(apart)[1]]),
+        *_by_a_factor(given_px, found_px, scale),
         ("shifts that were not told" if untold else NO_MISTAKE, found_px),
     ]
+
+
+def _by_a_factor(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str, Shifts]]:
+    """Return the shifts in the unit in which they come closest to those found, if they do.
+
+    And if that is none of those that have a name.
+    """
+    factor = _factor(given_px, found_px)
+    if any(abs(factor / named - 1.0) < UNEXPLAINED for named in (1.0, scale, 1.0 / scale)):
+        return []
+    rest_px, apart_px = factor * given_px - found_px, given_px - found_px
+    explained = np.vdot(rest_px, rest_px) <= UNEXPLAINED * np.vdot(apart_px, apart_px)
+    return [(OTHER_UNIT, factor * given_px)] if explained and factor > 0 else []
+
+
+def _factor(given_px: Shifts, other_px: Shifts) -> float:
+    """Return how many times as large as the given shifts others are."""
+    return float(np.sum(given_px * other_px)) / max(float(np.sum(given_px**2)), 1e-300)
 
 
 def _alike(values: Array, seen: Mask) -> Array:
@@ -323,7 +349,7 @@ def _lone(values: Array) -> Mask:
 
 
 def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Shifts, Array | None]:
-    """Return the busiest square of some frames, and their shifts about the mean.
+    """Return the busiest part of some frames that overlap in it, and their shifts about the mean.
 
     And by how much [frame row col 2] the pixels' own shifts differ from those, if any do.
     """
@@ -334,13 +360,15 @@ def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Sh
     first = np.where(seen[0], values[0], 0.0)
     down, right = np.gradient(first) if min(first.shape) > 1 else (first, first)
     edge = seen[0] & np.roll(seen[0], 1, 0) & np.roll(seen[0], 1, 1)
-    busy = [uniform_filter(np.where(edge, g, 0.0) ** 2, MOST_PX) for g in (down, right)]
+    span_px = float(np.ptp(offset_px[some], axis=tuple(range(offset_px.ndim - 1))).max())
+    side = MOST_PX + (min(math.ceil(span_px), MOST_PX) if span_px > FAR_PX else 0)
+    busy = [uniform_filter(np.where(edge, g, 0.0) ** 2, side) for g in (down, right)]
     middle = np.unravel_index(int(np.argmax(np.minimum(*busy))), first.shape)
     starts = (
-        max(0, min(int(at) - MOST_PX // 2, size - MOST_PX))
+        max(0, min(int(at) - side // 2, size - side))
         for at, size in zip(middle, first.shape, strict=True)
     )
-    window = tuple(slice(start, start + MOST_PX) for start in starts)
+    window = tuple(slice(start, start + side) for start in starts)
     about_px, offset_px = None, offset_px[some]
     if offset_px.ndim == 4:
         field_px = offset_px[:, *window]

@@ -14,7 +14,12 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Estimate, ShiftField
 from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.blur import Blur
-from lensshift.forward.prediction import FramePredictor, PhasorPredictor
+from lensshift.forward.prediction import (
+    FramePredictor,
+    PhasorPredictor,
+    in_turn_of,
+    phasor_predictors,
+)
 from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.learned.method import solved
 from lensshift.reconstruction.learned.noise import noise_map
@@ -108,14 +113,25 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
     )
     distance_m, std_m = common_distance(pictures)
     highest = each[int(np.argmax(hz))]
+    fine_m = highest.distance_m.fine
+    if fine_m is not None:
+        times = fine_m.shape[0] // distance_m.shape[0]
+        near_m = distance_m.repeat(times, axis=0).repeat(times, axis=1)
+        fine_m = in_turn_of(fine_m, near_m, max(hz))
     notes = dict(highest.distance_m.notes) | {"modulation_hz": list(hz)}
     distance = replace(
         highest.distance_m,
         image=distance_m,
+        fine=fine_m,
         uncertainty=std_m if request.std else None,
         notes=notes,
     )
     amplitude = highest.amplitude if request.std else replace(highest.amplitude, uncertainty=None)
+    seen = highest.distance_m.predict
+    if isinstance(seen, PhasorPredictor) and seen.distance is not None:
+        finest_m = distance_m if fine_m is None else fine_m
+        light, far = phasor_predictors(seen.phasor, finest_m, seen.distance)
+        amplitude, distance = replace(amplitude, predict=light), replace(distance, predict=far)
     return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
 
 
