@@ -15,7 +15,7 @@ from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
-from lensshift.registration.blocks import LEAST_BLOCK_PX, scatter_over_blocks
+from lensshift.registration.blocks import LEAST_BLOCK_PX, Scatter, scatter_over_blocks
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import ShiftFit, likely_shifts
 from lensshift.registration.phase import phase_shifts, rival_shifts
@@ -98,7 +98,7 @@ def register(
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
-    said, affine, apart = bool(np.any(given_px)), None, 1.0
+    said, affine, apart = bool(np.any(given_px)), None, None
     phase_px = phase_shifts(whole, reference)
     if method == "phase":
         fit = _phase_fit(whole, valid, phase_px, reference)
@@ -117,14 +117,15 @@ def register(
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
             apart = _scatter_of_parts(frames, valid, fit, reference, photometric)
-            fit = replace(fit, covariance_px2=fit.covariance_px2 * apart**2)
+            if apart is not None:
+                fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=said)
             fit, affine = _turned(fit, alike, valid, motion, reference)
     rivals_px = np.zeros_like(given_px)
     if method == "phase" or not said:
         rivals_px = rival_shifts(whole, reference)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
-    _warn_if_poor(sigma_px, rivals_px, fit.converged, apart)
+    _warn_if_poor(sigma_px, rivals_px, fit.converged, 1.0 if apart is None else apart.factor)
     offset_px = fit.offset_px + burst.offset_px[reference]
     if burst.offset_source == "unknown":
         offset_px -= offset_px.mean(axis=0)
@@ -252,14 +253,14 @@ def _likely_where_telling(
 
 def _scatter_of_parts(
     frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, photometric: bool
-) -> float:
-    """Return by what factor parts of the sensor scatter more than their errors say, 1 or more.
+) -> Scatter | None:
+    """Return how the parts of the sensor scatter, None where that says nothing.
 
     What moves in the scene says where it was as surely as what rests. Frames that predict each
     other (`better_shifts`) show it themselves; along a single edge parts may lie anywhere.
     """
     if len(frames) >= LEAST_PREDICTING or np.any(fit.sigma_px > UNKNOWN_PX):
-        return 1.0
+        return None
     span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
     part = _telling(filled(frames, valid), *(MOST_PX + span_px))
     run = partial(likely_shifts, reference=reference, photometric=photometric)
@@ -321,7 +322,7 @@ def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -
         found = run(part, part_valid, fit.offset_px, max_iterations=8)
         return found.offset_px, found.sigma_px
 
-    factor = scatter_over_blocks(estimate, frames, valid, fit.offset_px)
+    factor = scatter_over_blocks(estimate, frames, valid, fit.offset_px).factor
     count = len(frames)
     texture = texture_covariance(frames, valid, fit.offset_px, fit.noise_sigma)
     apart = (fit.sigma_px > 0).astype(np.float64)
@@ -341,7 +342,8 @@ def _phase_fit(
     def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
         return phase_shifts(part, reference), 2.0 * PHASE_SIGMA_PX * unit_px
 
-    sigma_px = PHASE_SIGMA_PX * scatter_over_blocks(estimate, frames, valid, phase_px) * unit_px
+    factor = scatter_over_blocks(estimate, frames, valid, phase_px).factor
+    sigma_px = PHASE_SIGMA_PX * factor * unit_px
     covariance = np.diag(sigma_px.ravel() ** 2)
     return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
 
@@ -369,7 +371,8 @@ def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool, apart: f
         warnings.warn(
             f"parts of the frames disagree on shifts by {apart:.1f} times their errors: that of "
             f"frame {worst[0]} is known to {worst_px:.2f} px only (want {POOR_SIGMA_PX} px); does "
-            "something move? Mark it as not valid; or take more light, or give the shifts",
+            "something move (then mark it as not valid), or is there little to see in a part? Take "
+            "a scene with more edges, or give the shifts",
             QualityWarning,
             stacklevel=3,
         )
