@@ -218,6 +218,30 @@ def test_invalid_pixels_count_for_nothing() -> None:
         assert np.sqrt(np.mean((found.offset_px - true_px) ** 2)) < within_px
 
 
+@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.1])
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_frame_that_shows_hardly_anything_says_nothing(
+    given: bool, share: float, lost: int
+) -> None:
+    burst, true_px = taken(scene("random"))
+    seen = np.arange(4) != lost
+    frames = np.array(burst.amplitude, float)
+    frames[lost, :, int(share * frames.shape[2]) :] = np.nan
+    planned = true_px + np.array([0.3, -0.2])
+    blind = Burst.from_arrays(
+        frames, offset_px=planned if given else None, pitch_mm=PITCH_MM, valid=np.isfinite(frames)
+    )
+    with pytest.warns(QualityWarning, match=f"frame {lost}: less than half"):
+        found = register(blind)
+    wrong = (found.offset_px - true_px)[seen]
+    np.testing.assert_allclose(wrong, np.broadcast_to(wrong[0], (3, 2)), atol=0.03)
+    assert np.all(found.offset_sigma_px[lost] > 1.0)
+    np.testing.assert_array_equal(found.offset_px[lost], planned[lost] if given else 0.0)
+    assert found.valid is not None
+    assert found.valid[lost].any() == (given and share > 0.0)
+
+
 @pytest.mark.parametrize(("method", "within_px"), [("auto", 0.02), ("gradient", 0.05)])
 def test_frames_of_other_brightness(method: str, within_px: float) -> None:
     burst, true_px = taken(scene("four boxes"))
@@ -284,6 +308,10 @@ def test_mistakes_are_named(change: dict[str, object], said: str) -> None:
 def test_bursts_that_cannot_be_registered() -> None:
     with pytest.raises(ValueError, match="at least 2 frames"):
         register(burst_of(waves(OFFSETS[:1])))
+    dead = waves(OFFSETS[:2])
+    dead[1] = np.nan
+    with pytest.raises(ValueError, match="valid pixels in at least 2 frames"):
+        register(burst_of(dead, valid=np.isfinite(dead)))
     with pytest.raises(ValueError, match="share at least 4 px"):
         likely_shifts(
             waves(OFFSETS[:2]), np.ones((2, 21, 34), np.bool_), np.array([[0, 0], [18, 0]])

@@ -15,7 +15,7 @@ Shifts = NDArray[np.float64]
 Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]
 
 LEAST_BLOCK_PX = 12  # along an axis, for a shift of its own
-_LEAST_VALID = 0.5  # of the pixels of a block
+LEAST_VALID = 0.5  # of the pixels of a block or frame
 
 
 def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -74,7 +74,7 @@ def scatter_over_blocks(
     away_px, weight = [], []
     for rows, cols in blocks_of(frames.shape[1:]):
         part = valid[:, rows, cols]
-        if part.mean(axis=(1, 2)).min() < _LEAST_VALID:
+        if part.mean(axis=(1, 2)).min() < LEAST_VALID:
             continue
         found_px, sigma_px = estimate(frames[:, rows, cols], part)
         known = (sigma_px > 0) & (sigma_px < 0.2)
@@ -90,3 +90,19 @@ def scatter_over_blocks(
     part_px = w * away / np.maximum(w.sum(axis=0), 1e-300)
     factor = max(1.0, float(np.sqrt(mean * size)))
     return Scatter(factor, np.asarray(size * part_px.T @ part_px))
+
+
+def telling_part(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
+    """Return the part of frames, `sides` px large, with most detail along its poorer axis."""
+    shape = frames.shape[1:]
+    rows, cols = (min(side, size) for side, size in zip(sides, shape, strict=True))
+    if (rows, cols) == shape:
+        return np.s_[:], np.s_[:], np.s_[:]
+    slopes = np.gradient(frames.mean(axis=0))
+    energy = np.pad([np.cumsum(np.cumsum(np.abs(s) ** 2, 0), 1) for s in slopes],
+                    ((0, 0), (1, 0), (1, 0)))  # fmt: skip
+    inside = (energy[:, rows:, cols:] - energy[:, :-rows, cols:]
+              - energy[:, rows:, :-cols] + energy[:, :-rows, :-cols])  # fmt: skip
+    detail = inside.min(axis=0)
+    top, left = np.unravel_index(int(np.argmax(detail)), detail.shape)
+    return np.s_[:], slice(int(top), int(top) + rows), slice(int(left), int(left) + cols)
