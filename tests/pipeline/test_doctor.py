@@ -32,6 +32,7 @@ from lensshift.io.calibration_file import load_calibration
 from lensshift.pipeline.doctor import Diagnosis, Level, examine, examine_rig
 from lensshift.pipeline.doctor.axes import NUDGE_MM, Axes, nudge_findings
 from lensshift.pipeline.doctor.start import rig_text
+from lensshift.pipeline.doctor.view import settings_share
 from lensshift.registration import calibration_scan_mm
 from lensshift.scene import Plane, Scene
 
@@ -264,6 +265,17 @@ def test_a_lens_that_does_not_follow_its_screw(tmp_path: Path) -> None:
     done = examined(tmp_path, replace(QUICK, px_per_mm=per_mm))
     assert verdict(done) == "FAULT stage blocked"
     assert "axis col" in done.verdict
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.03])
+def test_few_frames_of_an_exposure_do_not_make_it_another(gain: float) -> None:
+    """A thousand pixels, of each of which 3 frames of 16 have another exposure, at an SNR of 50."""
+    rng = np.random.default_rng(4)
+    other = np.argsort(rng.random((16, 16, 64)), axis=0) < 3
+    amplitude = 0.5 * np.where(other, gain, 1.0) * rng.normal(1.0, 0.005, other.shape)
+    raw = [{"confidence": one.astype("u2") << 1, "normalization": np.ones(4)} for one in other]
+    share = settings_share(raw, amplitude, np.ones((16, 64), bool))
+    assert share == 0.0 if gain == 1.0 else share > 0.2
 
 
 def test_only_noise_makes_an_image_that_stands_seem_to_move() -> None:
