@@ -242,6 +242,8 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
     assert missing.exit_code == 1
     assert "83000001" in missing.stderr
     assert not (tmp_path / "a.nc").exists()
+    wrong = call("capture", file, "--calibration", tmp_path / "gone.json", "-o", tmp_path / "a.nc")
+    assert "gone.json" in wrong.stderr  # and the stage, which is not there, was not asked
 
 
 @pytest.mark.parametrize(

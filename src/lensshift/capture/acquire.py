@@ -113,7 +113,7 @@ def acquire(
     Raises
     ------
     ValueError
-        If the plan leads out of the travel of the stage.
+        If the plan leads out of the travel of the stage, or the calibration is of another sensor.
     DataError
         If the file cannot be written, exists already, or was begun otherwise: with another plan,
         another calibration, and so on.
@@ -157,6 +157,7 @@ def acquire_at(
     if done is not None:
         return done
     settings = settings or Acquisition()
+    calibration.check_sensor(camera.grid.shape)
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)
     if settings.reorder and not direct:
