@@ -176,8 +176,8 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
     said: list[str] = []
     for number, (found, wrong) in enumerate(_pictures(job, template, burst, shown, start, count)):
         part = slice(number * job.every, number * job.every + job.window)
-        timed = burst is not None and burst.time_s is not None
-        when_s = float(np.mean(burst.time_s[part])) if timed else np.nan
+        time_s = None if burst is None else burst.time_s
+        when_s = np.nan if time_s is None else float(np.mean(time_s[part]))
         rows.append({
             **(_blank(job, template) if found is None else of_sequence(found)),
             "first_frame": np.array(start + part.start),

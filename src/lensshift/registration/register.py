@@ -104,7 +104,7 @@ def register(
     _check(burst, method, motion, reference, use_given)
     everything, kept = burst, _seen(burst)
     if len(kept) < burst.frame_count:
-        burst = burst.select(kept)
+        burst = burst.select(kept.tolist())
         reference = int(np.searchsorted(kept, reference)) % len(kept)
     frames = frames_of(burst, channel)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
@@ -175,7 +175,7 @@ def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict
     if len(kept) == burst.frame_count or burst.valid is None:
         return found
     shown = np.isin(np.arange(burst.frame_count), kept)
-    whole = {
+    whole: dict[str, Any] = {
         "offset_px": np.array(burst.offset_px),
         "offset_sigma_px": np.full(burst.offset_px.shape, USUAL_SHIFT_PX),
         "affine": None if found["affine"] is None else np.zeros((len(shown), 2, 2)),

@@ -138,8 +138,9 @@ def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Ma
         groups = [values[here == one] for one in np.unique(here)]
         told = [one for one in groups if len(one) > 2]
         if len(told) == 2:
-            least = max(_chance(*told, len(changing)), PIXEL_NOISE * values.mean())
-            differing[pixel[0], pixel[1]] = abs(told[0].mean() - told[1].mean()) > least
+            first, second = told
+            least = max(_chance(first, second, len(changing)), PIXEL_NOISE * values.mean())
+            differing[pixel[0], pixel[1]] = abs(first.mean() - second.mean()) > least
     return float(differing.mean())
 
 
