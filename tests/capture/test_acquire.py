@@ -297,6 +297,20 @@ def test_places_out_of_reach_are_refused_before_anything_moves(tmp_path: Path) -
     assert not (tmp_path / "a.nc").exists()
 
 
+def test_the_map_of_another_sensor_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    stage, camera = devices()
+    rows, cols = camera.grid.shape
+    field = np.broadcast_to(np.eye(2), (rows, cols + 1, 2, 2))
+    other = Calibration(StageMap(np.eye(2), field), REST)
+    plan, said = named_plan("square"), rf"\({rows}, {cols}\) pixels, got \({rows}, {cols + 1}\)"
+    with pytest.raises(ValueError, match=said):
+        acquire(stage, camera, plan, other, tmp_path / "a.nc")
+    for stream in (bursts, frames):
+        with pytest.raises(ValueError, match=said):
+            next(stream(stage, camera, plan, other))
+    assert not stage.visited
+
+
 SCAN = np.column_stack([np.array([3.0, 2.9, 3.1, 3.1, 2.9]), np.full(5, 3.0)])
 
 

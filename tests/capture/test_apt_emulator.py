@@ -13,6 +13,7 @@ from lensshift.capture.drivers.apt_codec import Bits, Id, Message
 from lensshift.capture.drivers.apt_framer import Framer
 from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM, travel_time_s
 from lensshift.capture.emulators.apt import AptController, EmulatedStagePair
+from lensshift.capture.emulators.apt_messages import More
 from lensshift.capture.emulators.apt_motion import Motion
 
 PLAY = 200.0
@@ -176,6 +177,23 @@ def test_switches_stop_the_motor_and_are_reported() -> None:
         wait_for(lambda: not status(controller).moving)
         assert status(controller).bits & apt.LIMITS == bit
         assert controller.lens_mm() == pytest.approx(end_mm, abs=1e-4)
+
+
+def test_counts_wrap_and_a_far_zero_is_at_the_other_switch() -> None:
+    controller = AptController(speed=1000.0)
+    answers(controller, ENABLE)
+    last = apt.Target(2**31 - 1).pack()
+    answers(controller, Message(More.SET_POSITION, data=last))
+    place = controller.motor_mm()
+    answers(controller, Message(More.MOVE_RELATIVE, data=apt.Target(5).pack()))
+    wait_for(lambda: controller.motor_mm() != place and status(controller).velocity == 0)
+    assert status(controller).counts == -(2**31) + 4
+    home = apt.Home(2, 1, apt.servo_velocity(100_000), 2**31 - 1)
+    time.sleep(0.01)  # longer than it hangs for, at its own speed
+    answers(controller, Message(Id.HOME - 2, data=home.pack()), HOME)
+    wait_for(lambda: bool(status(controller).bits & Bits.HOMED))
+    assert status(controller).bits & Bits.FORWARD_LIMIT
+    assert controller.motor_mm() < 6.5
 
 
 def test_profiled_stop_takes_its_time() -> None:

@@ -242,6 +242,8 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
     assert missing.exit_code == 1
     assert "83000001" in missing.stderr
     assert not (tmp_path / "a.nc").exists()
+    wrong = call("capture", file, "--calibration", tmp_path / "gone.json", "-o", tmp_path / "a.nc")
+    assert "gone.json" in wrong.stderr  # and the stage, which is not there, was not asked
 
 
 @pytest.mark.parametrize(
@@ -270,6 +272,13 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
             r"calibration\.lens_field: px_per_mm and lens_field both say",
         ),
         ("[camera]\nport = 0\n[stage]\nrow = 1.5\ncol = 'b'\n", r"stage\.row: expected str or int"),
+        ("[acquisition]\napproach_mm = nan\n", "acquisition: expected a finite approach_mm"),
+        (
+            "[acquisition]\nframe_timeout_s = inf\n",
+            "acquisition: expected a positive frame_timeout",
+        ),
+        ("[calibration]\nsigma_px = -1.0\n", "expected a sigma_px of at least 0"),
+        ("[calibration]\nrest_mm = [nan, 3.0]\n", "rest_mm"),
         ("[acquisition]\nframes = 0\n", "acquisition: expected at least one frame"),
         (
             "[calibration]\nrest_mm = [1, 2, 3]\n",

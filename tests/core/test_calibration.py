@@ -103,3 +103,11 @@ def test_a_burst_that_does_not_fit() -> None:
 def test_no_calibration(matrix: np.ndarray, rest: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Calibration(StageMap(matrix), rest)
+
+
+def test_widths_and_errors_are_not_negative() -> None:
+    for name in ("psf_sigma_px", "psf_sigma_sigma_px"):
+        with pytest.raises(ValueError, match=f"{name} of at least 0, got -0.1"):
+            Calibration(StageMap(np.eye(2)), REST_MM, **{name: -0.1})
+    with pytest.raises(ValueError, match="sigma_px of at least 0, got nan"):
+        StageMap(np.eye(2), sigma_px=np.nan)

@@ -1,6 +1,7 @@
 """Image stacks become bursts with the numbers of the files."""
 
 import io
+import logging
 import pickle
 import struct
 import warnings
@@ -359,6 +360,30 @@ def test_files_that_do_not_fit_together(tmp_path: Path) -> None:
     assert "at least one image file" in message_of([])
 
 
+def test_frames_along_the_last_axis_are_noticed(tmp_path: Path) -> None:
+    """An edge across 12 x 30 pixels in four frames, each of its own noise."""
+    row, col = np.indices((12, 30))
+    edge = [np.clip(row - 0.6 * col + 3 + down - 0.6 * right, 0, 1) for down, right in OFFSETS]
+    frames = np.array(edge) + 0.05 * np.random.default_rng(2).normal(size=(4, 12, 30))
+    frames[1, 3, 4] = np.nan
+    turned = np.moveaxis(frames, 0, -1)
+    np.save(tmp_path / "right.npy", frames)
+    np.save(tmp_path / "wrong.npy", turned)
+    np.savez(tmp_path / "wrong.npz", amplitude=turned)
+    np.savez(tmp_path / "said.npz", amplitude=turned, offset_px=np.zeros((12, 2)))
+    for name in ("wrong.npy", "wrong.npz"):
+        with pytest.raises(DataError, match=f"{name}.*--frame-axis last"):
+            load_image_stack(tmp_path / name)
+        assert load_image_stack(tmp_path / name, frame_axis=-1).amplitude.shape == frames.shape
+        assert load_image_stack(tmp_path / name, frame_axis=0).amplitude.shape == turned.shape
+        assert "expected shape (12, 2) for 12 frames" in message_of(tmp_path / name)
+    assert load_image_stack(tmp_path / "said.npz").frame_count == 12
+    assert load_image_stack(tmp_path / "right.npy").frame_count == 4
+    # Noise says nothing of the axis.
+    np.save(tmp_path / "noise.npy", np.random.default_rng(3).normal(size=(40, 30, 3)))
+    assert load_image_stack(tmp_path / "noise.npy").frame_count == 40
+
+
 def test_folders_and_names(tmp_path: Path) -> None:
     assert "holds no image" in message_of(tmp_path)
     assert "no such file" in message_of(tmp_path / "none.tif")
@@ -494,6 +519,38 @@ def test_the_pixel_size_of_microscopes_is_read(
     assert load_image_stack(tmp_path / "a.tif", pitch_mm=3.0).grid.pitch_mm == (3.0, 3.0)
 
 
+@pytest.mark.parametrize(
+    ("options", "good", "bad"),
+    [
+        ({"imagej": True, "resolution": (4, 2), "metadata": {"unit": "micron"}},
+         b"unit=micron", b"unit=\\u00Bz"),
+        ({"ome": True, "metadata": {"axes": "TYX", "PhysicalSizeX": 0.65, "PhysicalSizeY": 0.71}},
+         b'SizeX="0.65"', b'SizeX="+e-."'),
+    ],
+)  # fmt: skip
+def test_a_pixel_size_that_is_damaged_is_said(
+    tmp_path: Path, options: dict[str, Any], good: bytes, bad: bytes
+) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, frames_of("u2"), photometric="minisblack", **options)
+    whole = path.read_bytes()
+    assert whole.count(good) == 1
+    path.write_bytes(whole.replace(good, bad.ljust(len(good), bad[-1:])))
+    assert "damaged" in message_of(path, pitch_mm=None)
+
+
+def test_what_tifffile_logs_reaches_no_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Without the handlers of pytest, which hide what has none of its own.
+    monkeypatch.setattr(logging.getLogger("tifffile"), "propagate", False)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, frames_of("u2"), photometric="minisblack", description="gr\x7f")
+    path.write_bytes(path.read_bytes().replace(b"gr\x7f", b"gr\x9d"))
+    load(path)
+    assert capfd.readouterr().err == ""
+
+
 def test_the_pixel_size_is_written(tmp_path: Path) -> None:
     burst = Burst.from_arrays(frames_of("f4"), pitch_mm=(0.0123, 0.0456))
     export_burst(burst, tmp_path / "a.tif")
@@ -589,6 +646,9 @@ def test_fits_of_our_own_and_wrong_ones(tmp_path: Path) -> None:
     (tmp_path / "junk.fits").write_bytes(b"SIMPLE  = nonsense" * 99)
     table = fits.BinTableHDU.from_columns([fits.Column("a", "D", array=np.ones(3))])
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(tmp_path / "table.fits")
+    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(np.ones((3, 4)))]).writeto(
+        tmp_path / "pages.fits"
+    )
     unlike = [fits.ImageHDU(np.ones((5, cols))) for cols in (3, 4)]
     fits.HDUList([fits.PrimaryHDU(), *unlike]).writeto(tmp_path / "unlike.fits")
     header = fits.PrimaryHDU(np.ones((2, 3, 4), "f4")).header
@@ -596,7 +656,9 @@ def test_fits_of_our_own_and_wrong_ones(tmp_path: Path) -> None:
     (tmp_path / "claims.fits").write_text(header.tostring(padding=True) + " " * 2880)
     assert "one size, got none" in message_of(tmp_path / "table.fits")
     assert "one size, got (5, 3), (5, 4)" in message_of(tmp_path / "unlike.fits")
-    for name in ("cut.fits", "junk.fits", "claims.fits"):
+    whole = (tmp_path / "pages.fits").read_bytes()
+    (tmp_path / "card.fits").write_bytes(whole.replace(b"XTENSION= 'IMAGE", b"XTENSION= IMAGE'"))
+    for name in ("cut.fits", "junk.fits", "claims.fits", "card.fits"):
         message_of(tmp_path / name)
 
 

@@ -30,7 +30,9 @@ from lensshift.cli.app import app
 from lensshift.core.errors import DataError
 from lensshift.io.calibration_file import load_calibration
 from lensshift.pipeline.doctor import Diagnosis, Level, examine, examine_rig
+from lensshift.pipeline.doctor.axes import NUDGE_MM, Axes, nudge_findings
 from lensshift.pipeline.doctor.start import rig_text
+from lensshift.pipeline.doctor.view import settings_share
 from lensshift.registration import calibration_scan_mm
 from lensshift.scene import Plane, Scene
 
@@ -51,7 +53,7 @@ def bench(settings: RigSettings = QUICK, **told: Any) -> Iterator[tuple[Emulated
     """Yield a running rig and its rig file; `told` changes tables of it."""
     with EmulatedRig(settings, camera_port=free_udp_port()) as rig:
         table = tomllib.loads(rig.rig_file())
-        table["acquisition"] = {"frame_timeout_s": 10.0}
+        table["acquisition"] |= {"frame_timeout_s": 10.0}
         for name, changes in told.items():
             table[name] = table.get(name, {}) | changes
         yield rig, table
@@ -265,10 +267,41 @@ def test_a_lens_that_does_not_follow_its_screw(tmp_path: Path) -> None:
     assert "axis col" in done.verdict
 
 
+@pytest.mark.parametrize("gain", [1.0, 1.03])
+def test_few_frames_of_an_exposure_do_not_make_it_another(gain: float) -> None:
+    """A thousand pixels, of each of which 3 frames of 16 have another exposure, at an SNR of 50."""
+    rng = np.random.default_rng(4)
+    other = np.argsort(rng.random((16, 16, 64)), axis=0) < 3
+    amplitude = 0.5 * np.where(other, gain, 1.0) * rng.normal(1.0, 0.005, other.shape)
+    raw = [{"confidence": one.astype("u2") << 1, "normalization": np.ones(4)} for one in other]
+    share = settings_share(raw, amplitude, np.ones((16, 64), bool))
+    assert share == 0.0 if gain == 1.0 else share > 0.2
+
+
+def test_only_noise_makes_an_image_that_stands_seem_to_move() -> None:
+    """Whatever a shift is known to: what a model errs by is in all frames before a still lens."""
+    poorly = np.full((2, 2), 2.0)  # 0.1 px in 50 um
+    for went_px, noise_px, stuck in (
+        (0.18, 0.005, []),
+        (0.02, 0.001, ["col"]),
+        (0.18, 0.06, ["col"]),
+    ):
+        axes = Axes(np.diag([NOMINAL, went_px / NUDGE_MM]), poorly, np.zeros(2))
+        found = [*nudge_findings(axes, np.array([noise_px, 0.0]))]
+        assert [one.said.split()[1] for one in found if one.name == "stage blocked"] == stuck
+
+
+@pytest.mark.usefixtures("glance")
+def test_a_lens_that_somebody_touches(tmp_path: Path) -> None:
+    """Its place is read back to 4 um, and 1 um is allowed for: as if a hand lay on it."""
+    settings = replace(QUICK, encoder_noise_mm=0.004)
+    done = examined(tmp_path, settings, acquisition={"frame_timeout_s": 10.0, "hold_mm": 0.001})
+    assert verdict(done) == "FAULT stage strays", done.verdict
+
+
 @pytest.mark.usefixtures("glance")
 def test_one_stage_for_both_axes(tmp_path: Path) -> None:
-    # Twice as far as usual: a nudge is to be seen, by chance few frames tell it poorly.
-    per_mm = 2.0 * NOMINAL * np.array([[1, 0.9], [0.1, 0.2]])
+    per_mm = NOMINAL * np.array([[1, 0.9], [0.1, 0.2]])
     done = examined(tmp_path, replace(QUICK, px_per_mm=per_mm))
     assert verdict(done) == "FAULT axes parallel", done.verdict
 

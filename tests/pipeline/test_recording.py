@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -234,6 +235,33 @@ def test_what_frames_contradict_is_counted_and_named(tmp_path: Path):
     assert found.said[0].startswith("window 2: ")
     assert load_window(found.path, 2).amplitude.status is Status.CONTRADICTED
     assert load_window(found.path, 3).amplitude.status is Status.COMPLETE
+
+
+@pytest.mark.parametrize("step_px", [0.0, 0.01])
+@pytest.mark.parametrize("every", [4, 3])
+def test_windows_that_show_nothing_stop_no_other(tmp_path: Path, step_px: float, every: int):
+    """The first frames and all of a task are dark; and one frame between."""
+    dark = np.isin(np.arange(60), [*range(7), 13, *range(20, 48)])
+    shut = part(0, 60, step_px=step_px)
+    valid = np.broadcast_to(~dark[:, None, None], shut.amplitude.shape)
+    film = write_recording(tmp_path / "film.nc", 60, [replace(shut, valid=valid)])
+    found = reconstruct_recording(film, tmp_path / "sr.nc", every=every, psf_sigma_px=0.29)
+    said = sequence_numbers(found.path)
+    empty = [bool(dark[first : first + 4].all()) for first in said["first_frame"]]
+    assert any(empty)
+    for number, nothing in enumerate(empty):
+        window = load_window(found.path, number)
+        for one in window.channels.values():
+            assert np.isnan(one.image).all() == nothing
+            assert (one.status is Status.CONTRADICTED) or not nothing
+    assert recording.NOTHING in " ".join(found.said)
+    # Its frames are those of the window alone, no dark place has one of a window before.
+    number = int(np.flatnonzero(said["first_frame"] <= 13)[-1])
+    first = int(said["first_frame"][number])
+    window = range(first, first + 4)
+    alone = lensshift.reconstruct(replace(shut, valid=valid).select(window), psf_sigma_px=0.29)
+    got = load_window(found.path, number).amplitude
+    assert np.sqrt(np.mean((got.image - alone.amplitude.image) ** 2)) < 0.005
 
 
 @pytest.mark.parametrize(

@@ -156,6 +156,27 @@ def test_lost_frames_are_noticed():
     assert all(error(result, truth) < 1.2 * usual for result in found)
 
 
+@pytest.mark.parametrize("full", [False, True])
+def test_a_frame_that_shows_nothing_is_named_and_left_out(full):
+    clean, one = clean_frames(scene(11).truth), camera()
+    dark = np.full(SHAPE, np.nan)
+    with pytest.warns(QualityWarning, match="place 0 has no valid pixel"):
+        one.take(dark)
+    with pytest.raises(ValueError, match="a frame with a valid pixel"):
+        one.picture()
+    run(one, clean, 7 if full else 3, sigma=1e-3, rng=np.random.default_rng(1), first=1)
+    at = 0 if full else 2  # of the round before, or the first of its place
+    one.take(clean[0], place=0)
+    with pytest.warns(QualityWarning, match=f"place {at} has no valid pixel"):
+        found = one.step(dark, place=at)
+    assert found.settings["event"] == "frames lost"
+    assert found.settings["places"] == sorted({0, 1, 2, 3} - {at})
+    kept = one.window
+    alone = lensshift.reconstruct(kept, SCALE, psf_sigma_px=SQUARE_PIXEL_PX)
+    np.testing.assert_array_equal(found.amplitude.image, alone.amplitude.image)
+    assert one.step(clean[at], place=at).settings["places"] == [0, 1, 2, 3]
+
+
 def test_the_misfit_of_a_resting_scene_is_found_once_a_round(monkeypatch):
     """Each frame is held against the picture when it comes."""
     calls, find = [], method.find_misfit

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from scenes import PITCH_MM, checker, scene, taken, waves
 
+from lensshift.camera import QUARTER_SQUARE_PX, RunningCamera, camera_preset
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.registration import likely_shifts, phase_correlation, register
+from lensshift.registration.blocks import blocks_of, scatter_over_blocks
+from lensshift.scene import four_boxes
 
 OFFSETS = np.array([[0.0, 0.0], [0.31, -0.42], [-1.27, 0.66], [2.4, 3.1], [-0.2, 0.9]])
 
@@ -63,6 +66,47 @@ def test_two_frames_know_that_something_moved(seed: int) -> None:
     error_px = found.offset_px[1] - (true_px[1] - true_px[0])
     assert np.abs(error_px).max() > 0.2
     assert np.all(np.abs(error_px) < 3.0 * found.offset_sigma_px[1])
+
+
+def test_parts_say_what_the_whole_errs_by() -> None:
+    """The variance of a weighted mean, whatever errors its four parts believe to have."""
+    rng = np.random.default_rng(5)
+    believed = np.array([0.01, 0.01, 0.02, 0.04])
+    weight = believed**-2 / np.sum(believed**-2)
+    frames, known, told = np.zeros((2, 16, 64)), np.ones((2, 16, 64), np.bool_), []
+    assert len(blocks_of(frames.shape[1:])) == len(believed)
+    for _ in range(400):
+        true = 0.3 * rng.normal(size=(4, 2))
+        parts = iter([np.array([[0.0, 0.0], shift]) for shift in true])
+        errors = iter([np.array([[0.0, 0.0], [one, one]]) for one in believed])
+        found = scatter_over_blocks(
+            lambda *_, parts=parts, errors=errors: (next(parts), next(errors)),
+            frames, known, np.array([[0.0, 0.0], weight @ true]),
+        )  # fmt: skip
+        assert not np.any(found.covariance_px2[:2])  # the reference
+        told.append(np.diag(found.covariance_px2)[2:])
+        # A whole that knows less than its parts believe does not know still less for it.
+        weak = np.diag([0.0, 0.0, 0.1**2, 0.1**2])
+        assert np.all(np.diag(found.widened(weak) - weak - found.covariance_px2) <= 0.0)
+    # Of normal parts: sum of weight^2 (d - mean)^2, of variance s^2 (1 - 2 w + sum of w^2).
+    expected = 4 / 3 * 0.3**2 * np.sum(weight**2 * (1 - 2 * weight + np.sum(weight**2)))
+    np.testing.assert_allclose(np.mean(told), expected, rtol=0.1)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_parts_that_show_little_do_not_spoil_the_errors_of_the_whole(seed: int) -> None:
+    """Two of the four quarters of these boxes disagree by 0.1 px, and more, of their own."""
+    camera = camera_preset("o3m151")
+    true_px = np.array(QUARTER_SQUARE_PX)
+    rng, running = np.random.default_rng(seed), RunningCamera(four_boxes(), camera)
+    frames = np.array([running.frame(one[None], rng).amplitude for one in true_px])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        found = register(burst_of(frames))
+    error_px = (found.offset_px - true_px) - (found.offset_px - true_px)[0]
+    told_px = found.offset_sigma_px
+    assert np.all(np.abs(error_px) <= 3.0 * told_px)
+    assert np.sqrt(np.mean(told_px**2)) < 4.0 * np.sqrt(np.mean(error_px**2))
 
 
 def test_planned_offsets_decide_between_repeats_of_a_pattern() -> None:
@@ -174,6 +218,30 @@ def test_invalid_pixels_count_for_nothing() -> None:
         assert np.sqrt(np.mean((found.offset_px - true_px) ** 2)) < within_px
 
 
+@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.1])
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_frame_that_shows_hardly_anything_says_nothing(
+    given: bool, share: float, lost: int
+) -> None:
+    burst, true_px = taken(scene("random"))
+    seen = np.arange(4) != lost
+    frames = np.array(burst.amplitude, float)
+    frames[lost, :, int(share * frames.shape[2]) :] = np.nan
+    planned = true_px + np.array([0.3, -0.2])
+    blind = Burst.from_arrays(
+        frames, offset_px=planned if given else None, pitch_mm=PITCH_MM, valid=np.isfinite(frames)
+    )
+    with pytest.warns(QualityWarning, match=f"frame {lost}: less than half"):
+        found = register(blind)
+    wrong = (found.offset_px - true_px)[seen]
+    np.testing.assert_allclose(wrong, np.broadcast_to(wrong[0], (3, 2)), atol=0.03)
+    assert np.all(found.offset_sigma_px[lost] > 1.0)
+    np.testing.assert_array_equal(found.offset_px[lost], planned[lost] if given else 0.0)
+    assert found.valid is not None
+    assert found.valid[lost].any() == (given and share > 0.0)
+
+
 @pytest.mark.parametrize(("method", "within_px"), [("auto", 0.02), ("gradient", 0.05)])
 def test_frames_of_other_brightness(method: str, within_px: float) -> None:
     burst, true_px = taken(scene("four boxes"))
@@ -240,6 +308,10 @@ def test_mistakes_are_named(change: dict[str, object], said: str) -> None:
 def test_bursts_that_cannot_be_registered() -> None:
     with pytest.raises(ValueError, match="at least 2 frames"):
         register(burst_of(waves(OFFSETS[:1])))
+    dead = waves(OFFSETS[:2])
+    dead[1] = np.nan
+    with pytest.raises(ValueError, match="valid pixels in at least 2 frames"):
+        register(burst_of(dead, valid=np.isfinite(dead)))
     with pytest.raises(ValueError, match="share at least 4 px"):
         likely_shifts(
             waves(OFFSETS[:2]), np.ones((2, 21, 34), np.bool_), np.array([[0, 0], [18, 0]])

@@ -218,6 +218,14 @@ def test_files_are_read_in_their_unit(tmp_path: Path) -> None:
     [
         ("gone.stl", None, "found none"),
         ("empty.stl", b"", "triangles with an area"),
+        ("plane.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "cannot read as a mesh"),
+        (
+            "list.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+            b"property float z\nelement face 1\nproperty list uchar int other\nend_header\n"
+            b"0 0 0\n3 0 0 0\n",
+            "cannot read as a mesh",
+        ),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "triangles with an area"),
         ("outside.obj", b"v 0 0 0\nf 1 2 3\n", "cannot read as a mesh"),
         ("cut.ply", b"ply\n", "cannot read as a mesh"),

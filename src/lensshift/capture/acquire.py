@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -55,8 +56,10 @@ class Acquisition:
         if self.discard < 0:
             raise ValueError(f"expected discard of at least 0, got {self.discard}")
         for name in ("frame_timeout_s", "hold_mm"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"expected a positive {name}, got {getattr(self, name)}")
+        if not abs(self.approach_mm) < math.inf:
+            raise ValueError(f"expected a finite approach_mm, got {self.approach_mm}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +113,7 @@ def acquire(
     Raises
     ------
     ValueError
-        If the plan leads out of the travel of the stage.
+        If the plan leads out of the travel of the stage, or the calibration is of another sensor.
     DataError
         If the file cannot be written, exists already, or was begun otherwise: with another plan,
         another calibration, and so on.
@@ -154,6 +157,7 @@ def acquire_at(
     if done is not None:
         return done
     settings = settings or Acquisition()
+    calibration.check_sensor(camera.grid.shape)
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)
     if settings.reorder and not direct:

@@ -40,7 +40,7 @@ def bursts(
         As `acquire`.
     """
     settings = settings or Acquisition()
-    order, positions = _in_order(stage, plan, calibration, settings)
+    order, positions = _in_order(stage, camera, plan, calibration, settings)
     header = capture_header(stage, camera, positions, calibration, asdict(settings), plan.name)
     each = len(order) * (1 if settings.average else settings.frames)
     with returning(stage, calibration.rest_mm) as ending:
@@ -68,7 +68,7 @@ def frames(
         As `acquire`.
     """
     settings = settings or Acquisition()
-    order, positions = _in_order(stage, plan, calibration, settings)
+    order, positions = _in_order(stage, camera, plan, calibration, settings)
     with returning(stage, calibration.rest_mm) as ending:
         for record in _rounds(stage, camera, positions, calibration, settings):
             ending.check()
@@ -76,9 +76,10 @@ def frames(
 
 
 def _in_order(
-    stage: Stage, plan: ShiftPlan, calibration: Calibration, settings: Acquisition
+    stage: Stage, camera: Camera, plan: ShiftPlan, calibration: Calibration, settings: Acquisition
 ) -> tuple[list[int], Array]:
     """Return the places of a plan in the order of endless visits, and where they are."""
+    calibration.check_sensor(camera.grid.shape)
     positions = calibration.stage_mm(plan.target_px)
     check_travel(stage, positions)
     order = list(range(len(positions)))

@@ -79,6 +79,7 @@ def capture(current: Session, asked: CaptureOptions) -> None:
         raise typer.BadParameter("expected --resume or --restart, not both")
     from lensshift.capture.journal import set_aside
     from lensshift.capture.opening import open_rig
+    from lensshift.io.calibration_file import load_calibration
 
     if asked.restart and (aside := set_aside(asked.out)) is not None:
         current.say(f"the unfinished capture is now {aside}")
@@ -86,8 +87,10 @@ def capture(current: Session, asked: CaptureOptions) -> None:
     wanted = None if asked.scan else _plan(asked.plan)
     if _nothing_to_do(current, asked, wanted):
         return
+    calibration = None if asked.calibration is None else load_calibration(asked.calibration)
     with open_rig(asked.rig, on_homing=homing_asked(yes=asked.yes)) as opened:
         _adjust(opened, asked)
+        opened.calibration = calibration or opened.calibration
         if asked.continuous and wanted is not None:
             _stream(current, opened, wanted, asked)
             return
@@ -150,10 +153,6 @@ def _adjust(rig: Rig, asked: CaptureOptions) -> None:
     given = {name: getattr(asked, name) for name in ("frames", "average", "discard")}
     changes = {name: value for name, value in given.items() if value is not None}
     rig.acquisition = replace(rig.acquisition, **changes)
-    if asked.calibration is not None:
-        from lensshift.io.calibration_file import load_calibration
-
-        rig.calibration = load_calibration(asked.calibration)
 
 
 def _take(rig: Rig, plan: ShiftPlan | None, asked: CaptureOptions, show: Show) -> Burst:

@@ -28,7 +28,7 @@ PatternOption = Annotated[
     Literal["square", "3x3", "4x4", "still"],  # of `lensshift.core.pattern`
     typer.Option("--pattern", help="Where the image is sent."),
 ]
-FRAME_AXES = {"first": 0, "last": -1}
+FRAME_AXES = {None: None, "first": 0, "last": -1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +40,9 @@ class StackOptions:
     )
     pitch_mm: str | None = option(None, "Pixel pitch of an image stack: one number, or row,col.")
     key: str | None = option(None, "Name of the frames in an NPZ file.")
-    frame_axis: Literal["first", "last"] = option(
-        "first", "Where the frames lie in an NPY or NPZ array."
+    frame_axis: Literal["first", "last"] | None = option(
+        None,
+        "Where the frames lie in an NPY or NPZ array; default: first, if that can be.",
     )
     modulation_hz: list[float] | None = option(
         None, "Modulation frequency of an image stack; again for each further one."

@@ -56,6 +56,10 @@ class Calibration:
             if value.shape != (2,) or not np.all(np.isfinite(value)):
                 raise ValueError(f"expected two finite numbers {name} (row, col), got {value}")
             object.__setattr__(self, name, frozen(value))
+        for name in ("psf_sigma_px", "psf_sigma_sigma_px"):
+            width_px = getattr(self, name)
+            if width_px is not None and not 0.0 <= width_px < np.inf:
+                raise ValueError(f"expected a {name} of at least 0, got {width_px}")
         if self.px_per_mm_sigma is not None:
             object.__setattr__(self, "px_per_mm_sigma", frozen(self.px_per_mm_sigma))
         if abs(np.linalg.det(self.stage_map.px_per_mm)) < 1e-12:
@@ -145,11 +149,18 @@ class Calibration:
             offset_sigma_px=np.full((burst.frame_count, 2), self.stage_map.sigma_px),
             offset_source=self.offset_source,
         )
+        self.check_sensor(burst.grid.shape)
+        one = self.stage_map.field_px_per_mm is None
+        return told, None if one else self.shift_field(burst.stage_mm)
+
+    def check_sensor(self, shape: tuple[int, int]) -> None:
+        """Refuse a sensor of another shape than the map over the sensor has.
+
+        Raises
+        ------
+        ValueError
+            With both shapes.
+        """
         per_mm = self.stage_map.field_px_per_mm
-        if per_mm is None:
-            return told, None
-        if per_mm.shape[:2] != burst.grid.shape:
-            raise ValueError(
-                f"expected a calibration of {burst.grid.shape} pixels, got {per_mm.shape[:2]}"
-            )
-        return told, self.shift_field(burst.stage_mm)
+        if per_mm is not None and per_mm.shape[:2] != shape:
+            raise ValueError(f"expected a calibration of {shape} pixels, got {per_mm.shape[:2]}")

@@ -137,6 +137,8 @@ class StageMap:
             raise ValueError(
                 f"expected field_px_per_mm [row col 2 2], got {self.field_px_per_mm.shape}"
             )
+        if not 0.0 <= self.sigma_px < np.inf:
+            raise ValueError(f"expected a sigma_px of at least 0, got {self.sigma_px}")
         object.__setattr__(self, "px_per_mm", frozen(self.px_per_mm))
         if self.field_px_per_mm is not None:
             object.__setattr__(self, "field_px_per_mm", frozen(self.field_px_per_mm))

@@ -125,6 +125,12 @@ class Recording:
             )
         return _burst(self._container, (slice(first, first + count),))
 
+    def shown(self, first: int, count: int) -> NDArray[np.bool_]:
+        """Return which of some frames [frame] have a valid pixel; a burst has one that does."""
+        part = (slice(first, first + count),)
+        valid = (self._container.array("flags", kinds="ui", part=part) & _INVALID) == 0
+        return np.asarray(valid.any(axis=(1, 2)))
+
 
 @contextmanager
 def open_recording(path: str | Path) -> Iterator[Recording]:

@@ -96,21 +96,27 @@ def _load_fits(path: str | Path) -> NDArray[Any]:
         from astropy.io import fits
     except ImportError as error:
         raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
-    size = Path(path).stat().st_size
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about cards
         warnings.filterwarnings("error", ".*truncated")
         with Path(path).open("rb") as raw, fits.open(raw) as file:  # its own it may leave open
-            images = [page for page in file if page.is_image and page.shape]
-            images = [page for page in images if page.name == "AMPLITUDE"] or images
-            sizes = {page.shape[-2:] for page in images}
-            if len(sizes) != 1 or any(len(page.shape) not in (2, 3) for page in images):
-                shapes = ", ".join(str(page.shape) for page in images) or "none"
-                raise DataError(f"expected images or a cube of images of one size, got {shapes}")
-            bits = sum(abs(page.header["BITPIX"]) * math.prod(page.shape) for page in images)
-            check_unpacked(bits // 8, size, "images")
-            stacks = [page.data.reshape(-1, *page.shape[-2:]) for page in images]
-            return np.concatenate([one.astype(one.dtype.newbyteorder("=")) for one in stacks])
+            try:
+                return _fits_images(file, Path(path).stat().st_size)
+            except fits.VerifyError as error:  # no kin of any other
+                raise DataError(f"damaged: {error!s:.200}") from error
+
+
+def _fits_images(pages: Any, file_bytes: int) -> NDArray[Any]:
+    images = [page for page in pages if page.is_image and page.shape]
+    images = [page for page in images if page.name == "AMPLITUDE"] or images
+    sizes = {page.shape[-2:] for page in images}
+    if len(sizes) != 1 or any(len(page.shape) not in (2, 3) for page in images):
+        shapes = ", ".join(str(page.shape) for page in images) or "none"
+        raise DataError(f"expected images or a cube of images of one size, got {shapes}")
+    bits = sum(abs(page.header["BITPIX"]) * math.prod(page.shape) for page in images)
+    check_unpacked(bits // 8, file_bytes, "images")
+    stacks = [page.data.reshape(-1, *page.shape[-2:]) for page in images]
+    return np.concatenate([one.astype(one.dtype.newbyteorder("=")) for one in stacks])
 
 
 def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:

@@ -22,6 +22,8 @@ from lensshift.io.tiff_scale import pixel_size_mm
 
 FRAME_KEYS = ("amplitude", "frames", "LR")
 _GREATEST = 1e15  # beyond it sums of squares leave single precision
+# Frames of one scene vary 2 to 20 times less from one to the next than columns do.
+_ALIKE = 0.5
 _STACKS = ("distance_m", "valid")
 _PLAIN = ("offset_px", "offset_sigma_px", "affine", "stage_mm", "stage_commanded_mm", "time_s")
 _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
@@ -38,7 +40,7 @@ def load_image_stack(
     *,
     pitch_mm: float | tuple[float, float] | None = None,
     key: str | None = None,
-    frame_axis: int = 0,
+    frame_axis: int | None = None,
     modulation_hz: float | Sequence[float] | None = None,
     offset_source: OffsetSource | None = None,
 ) -> Burst:
@@ -53,7 +55,8 @@ def load_image_stack(
     pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file, the
         pixel size of a TIFF of ImageJ, OME or this package, or 1
     key : name of the array in an NPZ file; None looks for amplitude, frames, LR, or the only stack
-    frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]
+    frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]; None: the first,
+        unless without offsets the last one seems to be it, which is refused
     modulation_hz : modulation frequency, or all of them
     offset_source : where the offsets come from; None: as the file says, else "planned", or
         "unknown" where there are none
@@ -66,7 +69,8 @@ def load_image_stack(
     DataError
         If a file is missing, damaged, not greyscale, or does not fit the others.
     """
-    fields = load_stack_fields(source, key=key, frame_axis=frame_axis)
+    axis = 0 if frame_axis is None and offsets is not None else frame_axis
+    fields = load_stack_fields(source, key=key, frame_axis=axis)
     fields |= _offset_fields(source, offsets, fields)
     given: dict[str, Any] = {
         "pitch_mm": pitch_mm,
@@ -83,7 +87,10 @@ def _label(source: str | Path | Sequence[str | Path]) -> Path:
 
 
 def load_stack_fields(
-    source: str | Path | Sequence[str | Path], *, key: str | None = None, frame_axis: int = 0
+    source: str | Path | Sequence[str | Path],
+    *,
+    key: str | None = None,
+    frame_axis: int | None = None,
 ) -> dict[str, Any]:
     """Read the fields of `Burst` that image files hold, at least `amplitude` [frame row col].
 
@@ -154,7 +161,9 @@ def _concatenate(paths: list[Path]) -> NDArray[Any]:
     return np.concatenate(stacks)
 
 
-def _stack(values: NDArray[Any], frame_axis: int, path: Path, field: str = "") -> NDArray[Any]:
+def _stack(
+    values: NDArray[Any], frame_axis: int | None, path: Path, field: str = ""
+) -> NDArray[Any]:
     if values.ndim == 2:
         return values[np.newaxis]
     if values.ndim == 4 and values.dtype.kind == "c":  # phasors [frequency frame row col]
@@ -165,7 +174,31 @@ def _stack(values: NDArray[Any], frame_axis: int, path: Path, field: str = "") -
         )
     if path.suffix.lower() not in (".npy", ".npz"):
         return values
-    return np.ascontiguousarray(np.moveaxis(values, frame_axis, 0))
+    if frame_axis is None and _lie_last(values):
+        raise DataError(
+            f"the {values.shape[-1]} slices of {values.shape} along the last axis are as alike as "
+            "frames: if it is [row col frame], give frame axis -1 (--frame-axis last), else 0 "
+            "(first)",
+            field=field,
+            source=path,
+        )
+    return np.ascontiguousarray(np.moveaxis(values, frame_axis or 0, 0))
+
+
+def _lie_last(values: NDArray[Any]) -> bool:
+    """Tell whether frames seem to lie along the last axis of a stack of numbers, not the first.
+
+    Few frames of larger pictures, which change much less along the one axis than along the other:
+    the variance about the mean along an axis, noise alone has as much along both.
+    """
+    count = values.shape
+    if values.dtype.kind not in "iuf" or not 1 < count[2] < min(count[:2]):
+        return False
+    plain = np.where(np.isfinite(values), values, 0).astype(np.float32)
+    first, last = (
+        float(np.mean(np.var(plain, axis=axis, ddof=1, dtype=np.float64))) for axis in (0, 2)
+    )
+    return last < _ALIKE * first
 
 
 def _usable(frames: NDArray[Any], path: Path, field: str = "") -> NDArray[Any]:
@@ -187,9 +220,11 @@ def _usable(frames: NDArray[Any], path: Path, field: str = "") -> NDArray[Any]:
     return frames
 
 
-def _npz_fields(path: Path, key: str | None, frame_axis: int) -> dict[str, Any]:
+def _npz_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str, Any]:
     arrays = load_named_arrays(path)
     name = _frames_name(path, arrays, key)
+    if frame_axis is None and "offset_px" in arrays:
+        frame_axis = 0
     frames = _usable(_stack(arrays[name], frame_axis, path, name), path, name)
     fields: dict[str, Any] = {"amplitude": frames}
     for stack in _STACKS:

@@ -6,6 +6,9 @@ import re
 from pathlib import Path
 from typing import Any
 
+from lensshift.io.image_file import TIFF_SUFFIXES, strict_tifffile
+from lensshift.io.reading import reading
+
 SOFTWARE = "lensshift"
 _MM = {
     "nm": 1e-6, "um": 1e-3, "micron": 1e-3, "microns": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3,
@@ -17,12 +20,17 @@ def pixel_size_mm(path: str | Path) -> tuple[float, float] | None:
     """Return the pixel size (row, col) in mm, or None where no file of a known origin tells it.
 
     The resolution of other files is that of a printer or a screen, 72 or 96 to the inch.
+
+    Raises
+    ------
+    DataError
+        If what tells it is damaged.
     """
     import tifffile
 
-    if Path(path).suffix.lower() not in (".tif", ".tiff"):
+    if Path(path).suffix.lower() not in TIFF_SUFFIXES:
         return None
-    with tifffile.TiffFile(path) as file:
+    with reading(path), strict_tifffile(), tifffile.TiffFile(path) as file:
         if file.ome_metadata:
             found = _of_ome(file.ome_metadata)
         else:

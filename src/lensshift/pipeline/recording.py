@@ -29,6 +29,7 @@ from lensshift.reconstruction.stream import Pace, stream
 TASK_BYTES, MOST_WINDOWS = 16_000_000, 256
 SAME_PLACE_PX = 1e-9  # rounding
 AHEAD = 3  # tasks for each worker that are under way
+NOTHING = "none of its frames has a valid pixel"
 SAID = 3  # contradictions of a task that are told in words
 
 
@@ -41,6 +42,7 @@ class Windows:
     recording : burst file, at a path that all workers know
     window, every : frames of a picture, and from the first one of a picture to that of the next
     count : pictures
+    example : first frame of a window that shows something
     periodic : whether the shifts return after each window, so that a stream serves
     scale, method, pace, settings : as in `lensshift.stream`
     """
@@ -49,6 +51,7 @@ class Windows:
     window: int
     every: int
     count: int
+    example: int
     periodic: bool
     scale: int
     method: str
@@ -137,10 +140,14 @@ def reconstruct_recording(
         count = (source.frame_count - window) // step + 1
         whole = source.offset_px[: source.frame_count // window * window].reshape(-1, window, 2)
         periodic = bool(np.ptp(whole, axis=0).max() <= SAME_PLACE_PX)
-        several = source.burst(0, 1).phasors is not None  # a stream has one frequency
+        example = _showing(source, window)
+        # A stream has one frequency.
+        several = source.burst(example, window).phasors is not None
         place = str(Path(recording).resolve())
         served = periodic and not several
-        job = Windows(place, window, step, count, served, scale, method, pace, dict(settings))
+        job = Windows(
+            place, window, step, count, example, served, scale, method, pace, dict(settings)
+        )
         job, file, tasks = _begun(stack, source, job, out)
         resumed = done = int(file.written.sum())
         solved: Iterator[Solved] = (solve_windows(job, first, count) for first, count in tasks)
@@ -160,20 +167,22 @@ def reconstruct_recording(
 
 def solve_windows(job: Windows, first: int, count: int) -> Solved:
     """Return the pictures of some windows; what a worker does."""
-    start = first * job.every
+    start, length = first * job.every, (count - 1) * job.every + job.window
     with open_recording(job.recording) as source:
-        template = source.burst(0, job.window)
-        burst = source.burst(start, (count - 1) * job.every + job.window)
+        template = source.burst(job.example, job.window)
+        shown = source.shown(start, length)
+        burst = source.burst(start, length) if shown.any() else None
     rows: list[dict[str, Array]] = []
     said: list[str] = []
-    for number, (found, wrong) in enumerate(_pictures(job, template, burst, start, count)):
+    for number, (found, wrong) in enumerate(_pictures(job, template, burst, shown, start, count)):
         part = slice(number * job.every, number * job.every + job.window)
-        when_s = np.nan if burst.time_s is None else float(np.mean(burst.time_s[part]))
+        time_s = None if burst is None else burst.time_s
+        when_s = np.nan if time_s is None else float(np.mean(time_s[part]))
         rows.append({
-            **of_sequence(found),
+            **(_blank(job, template) if found is None else of_sequence(found)),
             "first_frame": np.array(start + part.start),
             "time": np.array(when_s),
-            "refined": np.array(found.settings.get("pace", "refined") == "refined"),
+            "refined": np.array(found is None or found.settings.get("pace") != "live"),
         })  # fmt: skip
         said.extend(f"window {first + number}: {text}" for text in wrong)
     fields = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
@@ -181,14 +190,20 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
 
 
 def _pictures(
-    job: Windows, template: Burst, burst: Burst, start: int, count: int
-) -> Iterator[tuple[Reconstruction, list[str]]]:
-    """Yield the picture of each window of a burst, and what was said of it."""
+    job: Windows, template: Burst, burst: Burst | None, shown: Array, start: int, count: int
+) -> Iterator[tuple[Reconstruction | None, list[str]]]:
+    """Yield the picture of each window of a burst, and what was said of it.
+
+    None where no frame shows anything.
+    """
     told: dict[str, Any] = {"scale": job.scale, "method": job.method} | dict(job.settings)
     camera = stream(template, pace=job.pace, **told) if job.periodic else None
     taken = 0
     for number in range(count):
         begin = number * job.every
+        if burst is None or not shown[begin : begin + job.window].any():
+            yield None, [NOTHING]
+            continue
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", QualityWarning)
             if camera is None:
@@ -201,11 +216,32 @@ def _pictures(
         yield found, [str(one.message) for one in said]
 
 
+def _blank(job: Windows, template: Burst) -> dict[str, Array]:
+    """Return the fields of a window that shows nothing: no number, which frames contradict."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        like = of_sequence(reconstruct(template, job.scale, job.method, **dict(job.settings)))
+    blank = {
+        name: np.full_like(one, np.nan if one.dtype.kind == "f" else 0)
+        for name, one in like.items()
+    }
+    return blank | {"contradicted": np.array(True)}
+
+
 def _frame(burst: Burst, k: int) -> Frame:
     distance_m = None if burst.distance_m is None else burst.distance_m[k]
     valid = np.ones(burst.grid.shape, bool) if burst.valid is None else burst.valid[k]
     time_s = float("nan") if burst.time_s is None else float(burst.time_s[k])
     return Frame(burst.amplitude[k], distance_m, valid, time_s)
+
+
+def _showing(source: Recording, window: int) -> int:
+    """Return where the first window is, side by side, of which any pixel is valid.
+
+    0 if there is none, of which reading says so.
+    """
+    starts = range(0, source.frame_count - window + 1, window)
+    return next((one for one in starts if source.shown(one, window).any()), 0)
 
 
 def _begun(
@@ -215,7 +251,7 @@ def _begun(
 
     A pixel response that the first window shows is that of the whole recording.
     """
-    template = source.burst(0, job.window)
+    template = source.burst(job.example, job.window)
     stream(template, job.scale, job.method, pace=job.pace, **dict(job.settings))  # refuses
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)

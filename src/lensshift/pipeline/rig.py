@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lensshift.capture.acquire import Acquisition, Progress
+from lensshift.capture.acquire import Progress
 from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 from lensshift.capture.opening import nominal_calibration, open_rig
@@ -203,12 +203,13 @@ def _take(
     told = tomllib.loads(emulated.rig_file())
     told["calibration"]["px_per_mm"] = NOMINAL_PX_PER_MM
     with open_rig(told) as rig:
-        rig.acquisition = Acquisition(_SCAN_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
+        patient = replace(rig.acquisition, average=True, frame_timeout_s=_PATIENCE_S)
+        rig.acquisition = replace(patient, frames=_SCAN_FRAMES)
         places = calibration_scan_mm(rig.calibration.rest_mm, SCAN_SPAN_MM, steps=USUAL_STEPS)
         scan = rig.scan(places, files["scan"], on_step=on_step and partial(on_step, "scan"))
         found = calibrate_rig(scan, report=folder / "calibration.html")
         rig.calibration = found.calibration
-        rig.acquisition = Acquisition(_FRAMES, average=True, frame_timeout_s=_PATIENCE_S)
+        rig.acquisition = replace(patient, frames=_FRAMES)
         burst = rig.capture(plan, files["burst"], on_step=taken)
         return _Taken(burst, rig.calibration, np.stack(true), dict(rig.camera.counts()))
 

@@ -67,7 +67,7 @@ class Stream:
         """
         places = sorted(self._frames)
         if not places:
-            raise ValueError("expected a frame before the first picture")
+            raise ValueError("expected a frame with a valid pixel before the first picture")
         return _burst_of(self._template, places, [self._frames[k] for k in places])
 
     @property
@@ -89,6 +89,8 @@ class Stream:
     def take(self, frame: Frame | ArrayLike, *, place: int | None = None) -> None:
         """Take one frame and do nothing else, where not every frame needs a picture.
 
+        One without a valid pixel is lost: its place is not in the picture until the next round.
+
         Parameters
         ----------
         frame : a `Frame`, or its amplitudes or phasors [row col]
@@ -104,12 +106,14 @@ class Stream:
             raise ValueError(
                 f"expected a frame of {self._template.grid.shape}, got {one.amplitude.shape}"
             )
-        at, event, rests = self._placed(one, place)
+        shows = bool(one.valid.any())
+        at, event, rests = self._placed(one, place, shows)
         if event == "scene changed":
             self._frames.clear()
         self._rests = self._rests and rests and len(self._frames) == self._template.frame_count
         self._frames.pop(at, None)
-        self._frames[at] = one
+        if shows:
+            self._frames[at] = one
         self._next = (at + 1) % self._template.frame_count
         self._event = event or self._event
 
@@ -140,12 +144,15 @@ class Stream:
         self._result = replace(found, settings=dict(found.settings) | said)
         return self._result
 
-    def _placed(self, frame: Frame, place: int | None) -> tuple[int, str | None, bool]:
+    def _placed(self, frame: Frame, place: int | None, shows: bool) -> tuple[int, str | None, bool]:
         """Return where a frame was taken, what happened, and whether the scene rests."""
         count = self._template.frame_count
         if place is not None and not 0 <= place < count:
             raise ValueError(f"expected a place from 0 to {count - 1}, got {place}")
         at = self._next if place is None else place
+        if not shows:
+            self._warn(f"the frame of place {at} has no valid pixel and is left out")
+            return at, "frames lost", False
         if self._result is None or at not in self._frames:  # what nobody saw may be anything
             return at, None, False
         seen = self._seen(frame, at)
@@ -232,8 +239,11 @@ def stream(
     """
     one_of("auto", "live", "refined").check("pace", pace)
     name = make_method(method, dict(settings.pop("options", {}))).name
-    if isinstance(plan, Burst):
-        template = plan
+    if isinstance(plan, Burst):  # of which a place may have shown nothing
+        template = replace(
+            plan, amplitude=np.zeros(plan.amplitude.shape), valid=None, distance_m=None,
+            phasors=None, raw={},
+        )  # fmt: skip
     else:
         offset_px = np.asarray(plan, np.float64)
         if offset_px.ndim != 2 or offset_px.shape[1] != 2 or not len(offset_px):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ Shifts = NDArray[np.float64]
 Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]
 
 LEAST_BLOCK_PX = 12  # along an axis, for a shift of its own
-_LEAST_VALID = 0.5  # of the pixels of a block
+LEAST_VALID = 0.5  # of the pixels of a block or frame
 
 
 def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -38,28 +39,70 @@ def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     ]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Scatter:
+    """What parts of the sensor, each on its own, say of the errors of the whole.
+
+    Parameters
+    ----------
+    factor : how much more the parts scatter than their errors say, 1 or more
+    covariance_px2 : [2 frame, 2 frame] of the shifts of the whole, by that scatter alone
+    """
+
+    factor: float
+    covariance_px2: NDArray[np.float64]
+
+    def widened(self, covariance_px2: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a covariance with that part of the scatter which the errors do not explain."""
+        return np.asarray(covariance_px2 + (1.0 - self.factor**-2) * self.covariance_px2)
+
+
 def scatter_over_blocks(
     estimate: Estimate, frames: Array, valid: NDArray[np.bool_], offset_px: Shifts
-) -> float:
-    """Return by what factor the parts of the sensor scatter more than their errors say, 1 or more.
+) -> Scatter:
+    """Return how the parts of the sensor scatter about the whole.
 
         factor^2 = n / (n - 1) mean over blocks, frames, axes of ((d_block - d) / sigma_block)^2
+        covariance = n / (n - 1) sum over blocks of g g^T,   g = w (d_block - d) / sum of w
 
-    A model that does not fit the scene (edges are no random field, line pairs have lines in
-    their spectrum) makes estimates scatter more than noise does; the parts show by how much.
-    Parts without texture are left out.
+    with w = 1 / sigma_block^2. A model that does not fit the scene (edges are no random field,
+    line pairs have lines in their spectrum) makes estimates scatter more than noise does; the
+    parts show by how much. Parts without texture are left out.
+
+    Source of the covariance: Liang and Zeger (1986), each part a cluster.
     """
-    square, blocks = [], 0
+    away_px, weight = [], []
     for rows, cols in blocks_of(frames.shape[1:]):
         part = valid[:, rows, cols]
-        if part.mean(axis=(1, 2)).min() < _LEAST_VALID:
+        if part.mean(axis=(1, 2)).min() < LEAST_VALID:
             continue
         found_px, sigma_px = estimate(frames[:, rows, cols], part)
         known = (sigma_px > 0) & (sigma_px < 0.2)
         if np.any(known):
-            blocks += 1
-            square.append((found_px - offset_px)[known] ** 2 / sigma_px[known] ** 2)
+            away_px.append((found_px - offset_px).ravel())
+            weight.append(np.where(known, sigma_px, np.inf).ravel() ** -2)
+    blocks = len(weight)
     if blocks < 2:
-        return 1.0
-    mean = float(np.mean(np.concatenate(square)))
-    return max(1.0, float(np.sqrt(mean * blocks / (blocks - 1))))
+        return Scatter(1.0, np.zeros((offset_px.size, offset_px.size)))
+    away, w = np.array(away_px), np.array(weight)
+    size = blocks / (blocks - 1)
+    mean = float(np.mean((w * away**2)[w > 0]))
+    part_px = w * away / np.maximum(w.sum(axis=0), 1e-300)
+    factor = max(1.0, float(np.sqrt(mean * size)))
+    return Scatter(factor, np.asarray(size * part_px.T @ part_px))
+
+
+def telling_part(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
+    """Return the part of frames, `sides` px large, with most detail along its poorer axis."""
+    shape = frames.shape[1:]
+    rows, cols = (min(side, size) for side, size in zip(sides, shape, strict=True))
+    if (rows, cols) == shape:
+        return np.s_[:], np.s_[:], np.s_[:]
+    slopes = np.gradient(frames.mean(axis=0))
+    energy = np.pad([np.cumsum(np.cumsum(np.abs(s) ** 2, 0), 1) for s in slopes],
+                    ((0, 0), (1, 0), (1, 0)))  # fmt: skip
+    inside = (energy[:, rows:, cols:] - energy[:, :-rows, cols:]
+              - energy[:, rows:, :-cols] + energy[:, :-rows, :-cols])  # fmt: skip
+    detail = inside.min(axis=0)
+    top, left = np.unravel_index(int(np.argmax(detail)), detail.shape)
+    return np.s_[:], slice(int(top), int(top) + rows), slice(int(left), int(left) + cols)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +22,8 @@ _SPECTRUM_PASSES = 6  # for the first spectrum; later ones begin at the last
 # The image power is freed from the power law in this many rounds, once the shifts are near.
 _FREE_ROUNDS = 6
 _FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0
+# A burst moves by some pixels; where the frames tell nothing, this is what is known of a shift.
+USUAL_SHIFT_PX = 2.0
 # For differences of the score.
 _STEP_PX = 0.02
 
@@ -134,6 +136,23 @@ def likely_shifts(
         curvature = _curvature(taper, state, tapered, kinds, reference)
         _, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
     return _fit_of(state, spread * tapered.inflation, reference, converged=converged)
+
+
+def with_given(fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool) -> ShiftFit:
+    """Return the fit with what is known beside the frames.
+
+    Measured offsets count by their errors; planned ones, or that there are none, say at least that
+    no shift is larger than some pixels.
+    """
+    told = np.full(given_px.shape, USUAL_SHIFT_PX) if sigma_px is None else sigma_px
+    covariance = fit.covariance_px2
+    gain = np.linalg.solve(covariance + np.diag(told.ravel() ** 2), covariance).T
+    away_px = (gain @ (fit.offset_px - given_px).ravel()).reshape(-1, 2)
+    return replace(
+        fit,
+        offset_px=fit.offset_px - away_px if said else fit.offset_px,
+        covariance_px2=covariance - gain @ covariance,
+    )
 
 
 def _fit_of(state: _State, spread: Array, reference: int, *, converged: bool) -> ShiftFit:

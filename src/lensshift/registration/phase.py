@@ -7,11 +7,15 @@ from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
 from lensshift.core.gaussian import MAD_TO_SIGMA
+from lensshift.registration.blocks import scatter_over_blocks
+from lensshift.registration.likelihood import ShiftFit
 from lensshift.registration.spectrum import Frequencies
 from lensshift.registration.taper import taper_frames
 
 Shifts = NDArray[np.float64]
 
+# The least error that phase correlation is believed to have.
+PHASE_SIGMA_PX = 0.005
 # Aliases share the high frequencies with the scene; what lies below this is mostly scene.
 LOW_PASS_CYCLES_PER_PX = 0.18
 # Bins weaker than this part of the strongest one hold more noise than scene.
@@ -62,6 +66,24 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
 def phase_shifts(frames: Array, reference: int) -> Shifts:
     """Return the offsets [frame 2] of frames [frame row col] against one of them."""
     return np.stack([phase_correlation(frames[reference], frame) for frame in frames])
+
+
+def phase_fit(
+    frames: Array, valid: NDArray[np.bool_], phase_px: Shifts, reference: int
+) -> ShiftFit:
+    """Return phase correlation with one standard error for all, from parts of the sensor."""
+    count = len(frames)
+    unit_px = np.ones((count, 2))
+    unit_px[reference] = 0.0
+
+    # Four parts scatter twice as much as the whole.
+    def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+        return phase_shifts(part, reference), 2.0 * PHASE_SIGMA_PX * unit_px
+
+    factor = scatter_over_blocks(estimate, frames, valid, phase_px).factor
+    sigma_px = PHASE_SIGMA_PX * factor * unit_px
+    covariance = np.diag(sigma_px.ravel() ** 2)
+    return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
 
 
 def rival_shifts(frames: Array, reference: int) -> Shifts:

@@ -136,7 +136,7 @@ def picture_shifts(frames: Array, valid: Mask, start_px: Shifts, *, reference: i
         alone = _shifts_of(alternate(part, part_valid, start_px, reference), reference)
         return alone.offset_px, alone.sigma_px
 
-    factor = scatter_over_blocks(estimate, frames, valid, found.offset_px)
+    factor = scatter_over_blocks(estimate, frames, valid, found.offset_px).factor
     return replace(found, covariance_px2=found.covariance_px2 * factor**2)
 
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,21 @@ from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
-from lensshift.registration.blocks import LEAST_BLOCK_PX, scatter_over_blocks
+from lensshift.registration.blocks import (
+    LEAST_BLOCK_PX,
+    LEAST_VALID,
+    Scatter,
+    scatter_over_blocks,
+    telling_part,
+)
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
-from lensshift.registration.likelihood import ShiftFit, likely_shifts
-from lensshift.registration.phase import phase_shifts, rival_shifts
+from lensshift.registration.likelihood import (
+    USUAL_SHIFT_PX,
+    ShiftFit,
+    likely_shifts,
+    with_given,
+)
+from lensshift.registration.phase import phase_fit, phase_shifts, rival_shifts
 from lensshift.registration.picture import (
     LEAST_FRAMES,
     LEAST_PREDICTING,
@@ -34,10 +45,6 @@ Channel = Literal["amplitude", "distance"]
 Run = Callable[..., ShiftFit]
 
 POOR_SIGMA_PX = 0.05  # more than twice the budget of a calibration
-# The least error that phase correlation is believed to have.
-PHASE_SIGMA_PX = 0.005
-# A burst moves by some pixels; where the frames tell nothing, this is what is known of a shift.
-USUAL_SHIFT_PX = 2.0
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 AGREES_PX = 0.5
 # Of larger frames the likelihood is asked of a part: its time goes with their pixels.
@@ -66,7 +73,8 @@ def register(
         "gradient": least squares on low-passed frames (`gradient_shifts`), faster; "phase": phase
         correlation with one frame, roughest
     reference : number of the frame whose offset is kept; the others are relative to it, and so
-        are the standard errors, which are 0 there. Where no offset is known, their mean is 0
+        are the standard errors, which are 0 there. Where no offset is known, their mean is 0.
+        A frame that shows less than half of what others do is none: the next one that does
     channel : "amplitude" (complex phasors are used whole) or "distance"
     motion : "affine": frames also turn, grow and shear against the reference, which `reconstruct`
         then allows for (method "auto", four frames and more); "auto": if they show that they do;
@@ -89,19 +97,23 @@ def register(
     -----
     QualityWarning
         If a shift has a standard error above 0.05 px or may be another one (scenes that repeat,
-        without planned offsets), the frames turn or grow though nobody said so, or the search
-        did not settle.
+        without planned offsets), the frames turn or grow though nobody said so, the search
+        did not settle, or a frame has less than half of the valid pixels of others.
     """
     expect_burst(burst)
-    frames = frames_of(burst, channel)
     _check(burst, method, motion, reference, use_given)
+    everything, kept = burst, _seen(burst)
+    if len(kept) < burst.frame_count:
+        burst = burst.select(kept.tolist())
+        reference = int(np.searchsorted(kept, reference)) % len(kept)
+    frames = frames_of(burst, channel)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
-    said, affine, apart = bool(np.any(given_px)), None, 1.0
+    said, affine, apart = bool(np.any(given_px)), None, None
     phase_px = phase_shifts(whole, reference)
     if method == "phase":
-        fit = _phase_fit(whole, valid, phase_px, reference)
+        fit = phase_fit(whole, valid, phase_px, reference)
     else:
         run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
         if method == "auto":
@@ -117,24 +129,63 @@ def register(
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
             apart = _scatter_of_parts(frames, valid, fit, reference, photometric)
-            fit = replace(fit, covariance_px2=fit.covariance_px2 * apart**2)
+            if apart is not None:
+                fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=said)
             fit, affine = _turned(fit, alike, valid, motion, reference)
     rivals_px = np.zeros_like(given_px)
     if method == "phase" or not said:
         rivals_px = rival_shifts(whole, reference)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
-    _warn_if_poor(sigma_px, rivals_px, fit.converged, apart)
+    factor = 1.0 if apart is None else apart.factor
+    _warn_if_poor(sigma_px, rivals_px, kept, converged=fit.converged, apart=factor)
     offset_px = fit.offset_px + burst.offset_px[reference]
     if burst.offset_source == "unknown":
         offset_px -= offset_px.mean(axis=0)
-    return replace(
-        burst,
-        offset_px=offset_px,
-        offset_sigma_px=sigma_px,
-        offset_source="registered",
-        affine=affine,
-    )
+    found = {"offset_px": offset_px, "offset_sigma_px": sigma_px, "affine": affine}
+    return replace(everything, **_of_all(everything, kept, found), offset_source="registered")
+
+
+def _seen(burst: Burst) -> NDArray[np.intp]:
+    """Return the numbers of the frames whose valid pixels tell a shift; warn of others."""
+    if burst.valid is None:
+        return np.arange(burst.frame_count)
+    count = burst.valid.sum(axis=(1, 2))
+    seen = count >= max(1.0, LEAST_VALID * count.max())
+    kept, lost = np.flatnonzero(seen), np.flatnonzero(~seen)
+    if len(kept) < 2:
+        raise ValueError(f"expected valid pixels in at least 2 frames, got {len(kept)}")
+    if len(lost):
+        done = "left out" if burst.offset_source == "unknown" else "taken as given"
+        warnings.warn(
+            f"frame {', '.join(map(str, lost[:9]))}: less than half as many pixels as in others "
+            f"are valid, which does not tell its shift; {done}",
+            QualityWarning,
+            stacklevel=3,
+        )
+    return kept
+
+
+def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict[str, Any]:
+    """Return fields of all frames from those of some of them.
+
+    The others keep their shift, which is as good as unknown; where none was given they are not
+    valid.
+    """
+    if len(kept) == burst.frame_count or burst.valid is None:
+        return found
+    shown = np.isin(np.arange(burst.frame_count), kept)
+    whole: dict[str, Any] = {
+        "offset_px": np.array(burst.offset_px),
+        "offset_sigma_px": np.full(burst.offset_px.shape, USUAL_SHIFT_PX),
+        "affine": None if found["affine"] is None else np.zeros((len(shown), 2, 2)),
+    }
+    for name, values in found.items():
+        if values is not None:
+            whole[name][shown] = values
+    if burst.offset_source == "unknown":
+        whole["valid"] = burst.valid & shown[:, None, None]
+    return whole
 
 
 def frames_of(burst: Burst, channel: str) -> Array:
@@ -244,7 +295,7 @@ def _likely_where_telling(
 ) -> ShiftFit:
     """Return the likeliest shifts; of large frames those of the part that shows most of them."""
     span = np.ceil(np.ptp(start_px, axis=0)).astype(int)
-    part = _telling(filled(frames, valid), *(MOST_PX + span))
+    part = telling_part(filled(frames, valid), *(MOST_PX + span))
     return likely_shifts(
         frames[part], valid[part], start_px, reference=reference, photometric=photometric
     )
@@ -252,16 +303,16 @@ def _likely_where_telling(
 
 def _scatter_of_parts(
     frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, photometric: bool
-) -> float:
-    """Return by what factor parts of the sensor scatter more than their errors say, 1 or more.
+) -> Scatter | None:
+    """Return how the parts of the sensor scatter, None where that says nothing.
 
     What moves in the scene says where it was as surely as what rests. Frames that predict each
     other (`better_shifts`) show it themselves; along a single edge parts may lie anywhere.
     """
     if len(frames) >= LEAST_PREDICTING or np.any(fit.sigma_px > UNKNOWN_PX):
-        return 1.0
+        return None
     span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
-    part = _telling(filled(frames, valid), *(MOST_PX + span_px))
+    part = telling_part(filled(frames, valid), *(MOST_PX + span_px))
     run = partial(likely_shifts, reference=reference, photometric=photometric)
 
     def estimate(block: Array, block_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
@@ -273,45 +324,12 @@ def _scatter_of_parts(
     return scatter_over_blocks(estimate, frames[part], valid[part], fit.offset_px)
 
 
-def _telling(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
-    """Return the part of the frames, `sides` px large, with most detail along its poorer axis."""
-    shape = frames.shape[1:]
-    rows, cols = (min(side, size) for side, size in zip(sides, shape, strict=True))
-    if (rows, cols) == shape:
-        return np.s_[:], np.s_[:], np.s_[:]
-    slopes = np.gradient(frames.mean(axis=0))
-    energy = np.pad([np.cumsum(np.cumsum(np.abs(s) ** 2, 0), 1) for s in slopes],
-                    ((0, 0), (1, 0), (1, 0)))  # fmt: skip
-    inside = (energy[:, rows:, cols:] - energy[:, :-rows, cols:]
-              - energy[:, rows:, :-cols] + energy[:, :-rows, :-cols])  # fmt: skip
-    detail = inside.min(axis=0)
-    top, left = np.unravel_index(int(np.argmax(detail)), detail.shape)
-    return np.s_[:], slice(int(top), int(top) + rows), slice(int(left), int(left) + cols)
-
-
 def _alike(frames: Array, fit: ShiftFit, photometric: bool) -> Array:
     """Return the frames without their own gain and level, where these may differ."""
     if not photometric:
         return frames
     level = frames.mean(axis=(1, 2), keepdims=True)
     return np.asarray((frames - level) / fit.gain[:, None, None])
-
-
-def with_given(fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool) -> ShiftFit:
-    """Return the fit with what is known beside the frames.
-
-    Measured offsets count by their errors; planned ones, or that there are none, say at least that
-    no shift is larger than some pixels.
-    """
-    told = np.full(given_px.shape, USUAL_SHIFT_PX) if sigma_px is None else sigma_px
-    covariance = fit.covariance_px2
-    gain = np.linalg.solve(covariance + np.diag(told.ravel() ** 2), covariance).T
-    away_px = (gain @ (fit.offset_px - given_px).ravel()).reshape(-1, 2)
-    return replace(
-        fit,
-        offset_px=fit.offset_px - away_px if said else fit.offset_px,
-        covariance_px2=covariance - gain @ covariance,
-    )
 
 
 def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -> ShiftFit:
@@ -321,7 +339,7 @@ def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -
         found = run(part, part_valid, fit.offset_px, max_iterations=8)
         return found.offset_px, found.sigma_px
 
-    factor = scatter_over_blocks(estimate, frames, valid, fit.offset_px)
+    factor = scatter_over_blocks(estimate, frames, valid, fit.offset_px).factor
     count = len(frames)
     texture = texture_covariance(frames, valid, fit.offset_px, fit.noise_sigma)
     apart = (fit.sigma_px > 0).astype(np.float64)
@@ -329,24 +347,10 @@ def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -
     return replace(fit, covariance_px2=fit.covariance_px2 * factor**2 + floor)
 
 
-def _phase_fit(
-    frames: Array, valid: NDArray[np.bool_], phase_px: Shifts, reference: int
-) -> ShiftFit:
-    """Return phase correlation with one standard error for all, from parts of the sensor."""
-    count = len(frames)
-    unit_px = np.ones((count, 2))
-    unit_px[reference] = 0.0
-
-    # Four parts scatter twice as much as the whole.
-    def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
-        return phase_shifts(part, reference), 2.0 * PHASE_SIGMA_PX * unit_px
-
-    sigma_px = PHASE_SIGMA_PX * scatter_over_blocks(estimate, frames, valid, phase_px) * unit_px
-    covariance = np.diag(sigma_px.ravel() ** 2)
-    return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
-
-
-def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool, apart: float) -> None:
+def _warn_if_poor(
+    sigma_px: Shifts, rivals_px: Shifts, kept: NDArray[np.intp], *, converged: bool, apart: float
+) -> None:
+    """Warn of shifts [frame 2] that are poorly known, of the frames with these numbers."""
     if not converged:
         warnings.warn(
             "the search for the shifts did not settle; are these frames of one still scene?",
@@ -357,26 +361,27 @@ def _warn_if_poor(sigma_px: Shifts, rivals_px: Shifts, converged: bool, apart: f
     if np.any(rivals_px):
         down, right = rivals_px[unsure]
         warnings.warn(
-            f"the scene repeats or shows little: frame {unsure} may as well lie "
+            f"the scene repeats or shows little: frame {kept[unsure]} may as well lie "
             f"({down:+.0f}, {right:+.0f}) px elsewhere; planned offset_px would tell",
             QualityWarning,
             stacklevel=3,
         )
         return
     worst = np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)
-    worst_px = float(sigma_px[worst])
+    worst_px, number = float(sigma_px[worst]), int(kept[worst[0]])
     if worst_px > POOR_SIGMA_PX and apart**2 > 2.0:  # the larger part of the variance
         warnings.warn(
             f"parts of the frames disagree on shifts by {apart:.1f} times their errors: that of "
-            f"frame {worst[0]} is known to {worst_px:.2f} px only (want {POOR_SIGMA_PX} px); does "
-            "something move? Mark it as not valid; or take more light, or give the shifts",
+            f"frame {number} is known to {worst_px:.2f} px only (want {POOR_SIGMA_PX} px); does "
+            "something move (then mark it as not valid), or is there little to see in a part? Take "
+            "a scene with more edges, or give the shifts",
             QualityWarning,
             stacklevel=3,
         )
     elif not worst_px <= POOR_SIGMA_PX:
         along = ("row", "col")[int(worst[1])]
         warnings.warn(
-            f"too little texture along {along}: the shift of frame {worst[0]} is known to "
+            f"too little texture along {along}: the shift of frame {number} is known to "
             f"{worst_px:.2f} px only (want {POOR_SIGMA_PX} px); take more light or a scene with "
             "edges across it, or give the shifts",
             QualityWarning,

@@ -25,6 +25,7 @@ _UNREADABLE = (
     LookupError,
     TypeError,
     AttributeError,
+    NameError,
     NotImplementedError,
     OSError,
     struct.error,
@@ -109,11 +110,14 @@ def load_mesh(path: str | Path, *, unit_m: float = 1.0, **shape: Any) -> Mesh:
         raise DataError("expected a mesh file, found none", source=path)
     try:
         loaded = trimesh.load(path, force="mesh")
+        vertices_m = unit_m * np.asarray(loaded.vertices, dtype=np.float64)
+        triangles = np.asarray(loaded.faces)
+        if len(triangles) and np.all(np.isfinite(vertices_m)):
+            Mesh(vertices_m=vertices_m, triangles=triangles, centre_m=(0.0, 0.0, 0.0))
     except _UNREADABLE as error:
         raise DataError(f"cannot read as a mesh: {error}", source=path) from error
-    if not (len(loaded.faces) and loaded.area > 0):
+    if not len(triangles):
         raise DataError("expected triangles with an area, found none", source=path)
-    vertices_m = unit_m * np.asarray(loaded.vertices, dtype=np.float64)
     if not np.all(np.isfinite(vertices_m)):
         raise DataError("expected finite vertices, got infinity or NaN", source=path)
-    return Mesh(vertices_m=vertices_m, triangles=np.asarray(loaded.faces), **shape)
+    return Mesh(vertices_m=vertices_m, triangles=triangles, **shape)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import threading
 import time
@@ -75,10 +76,10 @@ class O3MCamera(ReceivingCamera):
             udp.bind((self._host, self.port))
         except OSError as error:
             udp.close()
-            raise self._error(
-                f"cannot listen at {self._host}: {error.strerror}; close other programs that "
-                "receive from the camera"
-            ) from error
+            taken = error.errno == errno.EADDRINUSE
+            cure = "close other programs that receive from the camera" if taken else "look at host"
+            problem = f"cannot listen at {self._host}: {error.strerror}; {cure}"
+            raise self._error(problem) from error
         # The system may have granted less; Linux tells twice what it holds.
         self._held_bytes = udp.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         udp.settimeout(LOOK_S)

@@ -15,6 +15,7 @@ from lensshift.capture.drivers import apt_codec as apt
 from lensshift.capture.drivers.apt_codec import Bits, Id, Message
 from lensshift.capture.drivers.apt_framer import Framer
 from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM
+from lensshift.capture.drivers.receiver import counter_steps
 from lensshift.capture.emulators.apt_messages import ADDRESSES, SIZES, Jog, More, records
 from lensshift.capture.emulators.apt_motion import Motion
 
@@ -286,7 +287,8 @@ class AptController:
         servo = self._record(apt.Velocity, Id.VELOCITY).acceleration
         acceleration = max(servo / (apt.SAMPLE_S**2 * 65536), 1.0)
         self._motion.brake(now_s, acceleration)
-        for end in (self._switches[0], self._switches[0] + home.offset):
+        low, high = self._switches
+        for end in (low, min(max(low + home.offset, low), high)):
             self._motion.go(max(now_s, self._motion.end_s), end, speed, acceleration)
         self._sets_out(Id.HOMED, now_s)
 
@@ -322,7 +324,8 @@ class AptController:
         motor, velocity = self._motion.motor(now_s), self._motion.velocity(now_s)
         noise = self._random.gauss(0.0, self._noise_mm) * self._counts_per_mm
         per_cycle = min(max(round(velocity * apt.SAMPLE_S), -(2**15)), 2**15 - 1)
-        return apt.Status(round(motor - self._zero + noise), per_cycle, 0, self._bits())
+        counts = counter_steps(round(motor - self._zero + noise), 0)  # of 32 bits, which wrap
+        return apt.Status(counts, per_cycle, 0, self._bits())
 
     def _bits(self) -> int:
         now_s = self._time()

@@ -156,7 +156,8 @@ class EmulatedRig:
             f"tolerance_mm = {max(0.001, 5.0 * one.encoder_noise_mm):g}\n\n"
             f'[camera]\nkind = "o3m"\nport = {self._port}\nhost = "127.0.0.1"\n'
             f"modulation_hz = {one.camera.illumination.modulation_hz[0]:g}\n\n"
-            f"[calibration]\nrest_mm = [{rest}]\n"
+            f"[calibration]\nrest_mm = [{rest}]\n\n"
+            f"[acquisition]\nhold_mm = {max(0.005, 5.0 * one.encoder_noise_mm):g}\n"
         )
 
     def __enter__(self) -> Self:

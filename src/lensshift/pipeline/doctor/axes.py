@@ -151,15 +151,23 @@ def _axes(offset_px: Floats, sigma_px: Floats, read_mm: Floats) -> Axes:
     return Axes(per_mm, sigma, play_mm)
 
 
-def nudge_findings(axes: Axes) -> Iterator[Finding]:
-    """Yield what is wrong with a stage that was nudged: the image must follow both axes."""
+def nudge_findings(axes: Axes, noise_px: Floats) -> Iterator[Finding]:
+    """Yield what is wrong with a stage that was nudged: the image must follow both axes.
+
+    Before a lens that stands still frames differ by their noise only, and what a model of the
+    scene may err by is the same in all of them.
+
+    Parameters
+    ----------
+    noise_px : [2] error of a shift along (row, col) by the noise of a position's frames
+    """
     size_px = axes.gain_px_per_mm * NUDGE_MM
-    error_px = np.linalg.norm(axes.sigma_px_per_mm, axis=0) * NUDGE_MM
-    stuck = size_px < np.maximum(_UNSEEN_PX, _UNSEEN_SIGMAS * error_px)
+    error_px = float(np.sqrt(2.0) * np.linalg.norm(noise_px))
+    stuck = size_px < max(_UNSEEN_PX, _UNSEEN_SIGMAS * error_px)
     for axis in np.flatnonzero(stuck):
         said = (
             f"axis {_NAMES[axis]} says that it went {1e3 * NUDGE_MM:.0f} um, the image went "
-            f"{size_px[axis]:.3f} +- {error_px[axis]:.3f} px"
+            f"{size_px[axis]:.3f} +- {error_px:.3f} px"
         )
         cure = "look whether the screw touches the mount, for a clamp, for play above 50 um"
         yield Finding(Level.FAULT, "stage blocked", said, cure)

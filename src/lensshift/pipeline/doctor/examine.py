@@ -239,7 +239,7 @@ def _calibrated(
     settings = replace(told.acquisition, frames=averages, average=True)
     say("nudging each axis by 50 um", None)
     done.axes = nudge(stage, camera, told.calibration, settings)
-    done.findings += nudge_findings(done.axes)
+    done.findings += nudge_findings(done.axes, done.view.sigma_px / np.sqrt(averages))
     if done.level == Level.FAULT:
         return
     rough = Calibration(StageMap(done.axes.px_per_mm), told.calibration.rest_mm)

@@ -52,6 +52,7 @@ _STAGE = (
     ("no usb device", "stage missing", "plug it in; Windows: tick Load VCP in its driver"),
     ("nobody has allowed", "homing", "look that the lens may go there, then --yes"),
     ("connection lost", "stage lost", "look at its cable and power"),
+    ("strayed", "stage strays", "who touched it? Weight against its approach_direction? hold_mm"),
     ("contradict", "second process", "close other programs that use it; look at the cable"),
     ("does not know its zero", "homing", 'home = "ask" in the rig file'),
 )  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from lensshift.capture.rig import Camera, CameraFrame
 from lensshift.core.arrays import Array, Floats, Mask
@@ -23,6 +24,7 @@ LEAST_AVERAGES, MOST_AVERAGES = 2, 64  # one may be a frame that is out of the o
 # What a scene with texture gives: with this much light its shifts are known.
 _FAIR_SNR = 50.0
 _MOST_LOST = 1 / 3  # then everything takes half as long again
+_CHANCE = 0.01  # that a camera which is well is said to switch
 _MOST_INVALID = 0.5  # half of the pixels see nothing
 
 
@@ -104,7 +106,7 @@ def _view(frames: list[CameraFrame]) -> View:
         snr=0.0,
         sigma_px=np.full(2, np.inf),
         brightness_jump=0.0,
-        settings_share=_settings_share([one.raw for one in frames], amplitude, always),
+        settings_share=settings_share([one.raw for one in frames], amplitude, always),
     )
     if not always.any():
         return dark
@@ -124,22 +126,36 @@ def _view(frames: list[CameraFrame]) -> View:
     return replace(dark, snr=snr, sigma_px=sigma_px, brightness_jump=jump)
 
 
-def _settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Mask) -> float:
+def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Mask) -> float:
     """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
     if not all({"confidence", "normalization"} <= set(one) for one in raw):
         return 0.0
     setting = (np.stack([one["confidence"] for one in raw]).astype(int) >> 1) & 3
     differing = np.zeros(always.shape, np.bool_)
-    for pixel in zip(*np.nonzero(always & np.any(setting != setting[0], axis=0)), strict=True):
+    changing = np.argwhere(always & np.any(setting != setting[0], axis=0))
+    for pixel in changing:
         here, values = setting[:, *pixel], amplitude[:, *pixel]
         groups = [values[here == one] for one in np.unique(here)]
         told = [one for one in groups if len(one) > 2]
         if len(told) == 2:
-            error = np.hypot(*(one.std(ddof=1) / len(one) ** 0.5 for one in told))
-            differing[pixel] = abs(told[0].mean() - told[1].mean()) > max(
-                4.0 * error, PIXEL_NOISE * values.mean()
-            )
+            first, second = told
+            least = max(_chance(first, second, len(changing)), PIXEL_NOISE * values.mean())
+            differing[pixel[0], pixel[1]] = abs(first.mean() - second.mean()) > least
     return float(differing.mean())
+
+
+def _chance(first: Floats, second: Floats, pixels: int) -> float:
+    """Return by how much the means of two groups differ by chance in one of so many pixels.
+
+    By Welch's test: of groups of three or four frames one scatters little by chance.
+    """
+    variance = np.array([one.var(ddof=1) / len(one) for one in (first, second)])
+    freedom = np.array([len(first) - 1, len(second) - 1])
+    if not variance.any():
+        return 0.0
+    together = variance.sum() ** 2 / np.sum(variance**2 / freedom)
+    likely = stdtrit(together, 1.0 - 0.5 * _CHANCE / pixels)
+    return float(likely * np.sqrt(variance.sum()))
 
 
 def view_findings(
