@@ -45,6 +45,7 @@ class Windows:
     example : first frame of a window that shows something
     periodic : whether the shifts return after each window, so that a stream serves
     scale, method, pace, settings : as in `lensshift.stream`
+    response : width of the pixel response that the example showed, with its error, as in `meta`
     """
 
     recording: str
@@ -57,6 +58,12 @@ class Windows:
     method: str
     pace: Pace
     settings: Mapping[str, Any] = field(default_factory=dict)
+    response: Mapping[str, float] = field(default_factory=dict)
+
+    def burst(self, source: Recording, first: int, count: int) -> Burst:
+        """Return frames that tell the response."""
+        burst = source.burst(first, count)
+        return replace(burst, meta=dict(burst.meta) | dict(self.response))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,9 +176,9 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
     """Return the pictures of some windows; what a worker does."""
     start, length = first * job.every, (count - 1) * job.every + job.window
     with open_recording(job.recording) as source:
-        template = source.burst(job.example, job.window)
+        template = job.burst(source, job.example, job.window)
         shown = source.shown(start, length)
-        burst = source.burst(start, length) if shown.any() else None
+        burst = job.burst(source, start, length) if shown.any() else None
     rows: list[dict[str, Array]] = []
     said: list[str] = []
     for number, (found, wrong) in enumerate(_pictures(job, template, burst, shown, start, count)):
@@ -257,8 +264,8 @@ def _begun(
         warnings.simplefilter("ignore", QualityWarning)
         example = reconstruct(template, job.scale, job.method, **dict(job.settings))
     if example.settings["psf_source"] == "frames":
-        read = {"psf_sigma_px": example.settings["psf_sigma_px"]}
-        job = replace(job, settings=dict(job.settings) | read)
+        read = {name: example.settings[name] for name in ("psf_sigma_px", "psf_std_px")}
+        job = replace(job, response=read)
     changed_ns = Path(job.recording).stat().st_mtime_ns  # another one may have taken its name
     settings = asdict(job) | {"frames": source.frame_count, "changed_ns": changed_ns}
     file = stack.enter_context(

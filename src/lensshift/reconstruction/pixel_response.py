@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
@@ -28,7 +29,6 @@ from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.problem import (
     MOST_PIXELS,
     NOMINAL_BLUR_PX,
-    QUESTIONED_BLUR_PX,
     SQUARE_PIXEL_PX,
     blur_width_px,
     make_problem,
@@ -68,28 +68,37 @@ def told_response(
         return {"psf_sigma_px": width_px, "psf_source": "assumed"}
     if isinstance(told, bool) or not isinstance(told, Real):
         raise DataError(f"expected a number, got {told!r:.40}", field="meta.psf_sigma_px")
-    return {"psf_sigma_px": float(told), "psf_source": "burst"}
+    error_px = burst.meta.get("psf_std_px")
+    error = {"psf_std_px": float(error_px)} if isinstance(error_px, Real) else {}
+    return {"psf_sigma_px": float(told), "psf_source": "burst"} | error
 
 
-def told_of(response: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a request holds of a response: of too wide a one the user was told."""
-    return {"shifts_doubted": response["psf_sigma_px"] > QUESTIONED_BLUR_PX}
-
-
-def read_response(
-    part: Burst, channel: str, request: Request, **seen: Any
+def as_seen(
+    part: Burst,
+    channel: str,
+    request: Request,
+    response: dict[str, Any],
+    blur: Blur,
+    scale: int,
+    seen: Mapping[str, Any],
 ) -> tuple[dict[str, Any], Request]:
     """Return the width that the frames of `part` show, if they show one; else the usual one.
 
-    And the request with the noise of the light that was found for it, unless it was known.
+    Of a response that was told: that, with what the frames say against it in the request. And the
+    noise of the light that was found for it, unless it was known.
 
     Parameters
     ----------
     channel : what is reconstructed
-    seen : scale, blur, shift_field, noise_sigma and pixel_variance, as in `make_problem`, with what
-        is undone if the frames do not tell; noise that may be that of distances says nothing of the
-        light
+    response : as from `told_response`
+    blur : the whole of it; a fill factor was always told
+    scale, seen : scale, blur, shift_field, noise_sigma and pixel_variance, as in `make_problem`,
+        with what is undone if the frames do not tell; noise that may be that of distances says
+        nothing of the light
     """
+    seen = {"scale": scale} | dict(seen)
+    if response["psf_source"] != "assumed" or isinstance(blur, ApertureBlur):
+        return response, _questioned(part, channel, request, response, blur, seen)
     found, request = _found(part, channel, request, seen)
     refuted = abs(found.width_px - SQUARE_PIXEL_PX) > REFUTED * found.std_px
     if found.std_px > TELLING_PX and not refuted:
@@ -98,15 +107,18 @@ def read_response(
     return read, request
 
 
-def questioned(part: Burst, channel: str, request: Request, told: Blur, **seen: Any) -> Request:
+def _questioned(
+    part: Burst,
+    channel: str,
+    request: Request,
+    response: Mapping[str, Any],
+    told: Blur,
+    seen: Mapping[str, Any],
+) -> Request:
     """Return the request with what the frames say against the response that was told, if they do.
 
-    And with the noise of the light, as in `read_response`. Of a response that is wider than any
-    that the reader knows the frames have to say that they are as soft as the widest of these.
-
-    Parameters
-    ----------
-    channel, seen : as in `read_response`
+    Of a response that is wider than any that the reader knows the frames have to say that they are
+    as soft as the widest of these.
     """
     if part.distance_m is not None and channel != "phasor":
         return request  # An amplitude of two distances is no mean of theirs, and seems too sharp.
@@ -115,11 +127,12 @@ def questioned(part: Burst, channel: str, request: Request, told: Blur, **seen: 
         return request  # It was said when a step was last computed anew.
     told_px, named = blur_width_px(told), ""
     off_px = found.width_px - float(np.clip(told_px, *known_widths_px()))
+    std_px = math.hypot(found.std_px, response.get("psf_std_px", 0.0))
     if isinstance(told, ApertureBlur):
         named = f"fill_factor {told.fill_factor:g}"
         if told.optics_sigma_px == 0:  # of the lens nothing was told
             off_px = min(off_px, 0.0)
-    if abs(off_px) <= OBJECTED * found.std_px:
+    if abs(off_px) <= OBJECTED * std_px:
         return request
     named = named or f"psf_sigma_px {told_px:g}"
     refuted = (

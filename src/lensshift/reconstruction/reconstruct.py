@@ -13,23 +13,21 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
-from lensshift.forward.blur import Blur
 from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import positive, truth
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
-from lensshift.reconstruction.phasor.choice import Channel, choose_channel
+from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
 from lensshift.reconstruction.pixel_response import (
-    questioned,
-    read_response,
-    told_of,
+    as_seen,
     told_response,
     undone,
 )
 from lensshift.reconstruction.problem import (
+    QUESTIONED_BLUR_PX,
     Problem,
     make_blur,
     make_problem,
@@ -137,15 +135,15 @@ def reconstruct(
     response = told_response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames, field)
-    there = on_device(device, name)
-    request = replace(request, frames=used, memory=memory, device=there, **told_of(response))
+    request = replace(request, frames=used, memory=memory, device=on_device(device, name))
     part = burst if frames is None else burst.select(used)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
     shifts = part.offset_px if field is None else field.offset_px
-    doubt = None
+    too_wide = response["psf_sigma_px"] > QUESTIONED_BLUR_PX  # of which the user was told
+    doubt, request = None, replace(request, shifts_doubted=too_wide)
     if (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick):
         doubt, request = _doubted(part, shifts, scale, request)
     seen: dict[str, Any] = {"blur": undone(blur, response, chosen, lens_field),
@@ -153,20 +151,13 @@ def reconstruct(
                             "pixel_variance": variance}  # fmt: skip
     # Gains would look like edges, and spots vary.
     if chosen.reads_response and not photometric and lens_field is None:
-        known = response["psf_source"] != "assumed" or fill_factor is not None
-        seen_at = {"scale": scale} | seen
-        if known:
-            request = questioned(part, choice.channel, request, blur, **seen_at)
-        else:
-            response, request = read_response(part, choice.channel, request, **seen_at)
-            seen["blur"] = undone(blur, response, chosen, lens_field)
-    settings = _settings(seen["blur"], used, request, photometric, noise_sigma, field)
-    settings |= response | {"channel": choice.channel, "channel_reason": choice.reason}
+        response, request = as_seen(part, choice.channel, request, response, blur, scale, seen)
+        seen["blur"] = undone(blur, response, chosen, lens_field)
+    settings = _settings(seen, used, request, photometric, choice) | response
     found, flying = _estimates(
         burst, part, choice.channel, scale, used, chosen, request, photometric, seen
     )
-    like_movement = _like_movement(part, choice.channel, scale)
-    found = _objected(found, doubt, request.refuted, like_movement)
+    found = _objected(found, doubt, request.refuted, _like_movement(part, choice.channel, scale))
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -352,22 +343,23 @@ def _check(scale: int, noise_sigma: float | None, photometric: bool) -> None:
 
 
 def _settings(
-    blur: Blur,
+    seen: dict[str, Any],
     used: tuple[int, ...],
     request: Request,
     photometric: bool,
-    noise_sigma: float | None,
-    field: ShiftField | None,
+    choice: Choice,
 ) -> dict[str, Any]:
     return {
-        "blur": blur,
+        "blur": seen["blur"],
         "frames": list(used),
         "prior_weight": request.prior_weight,
-        "noise_sigma": noise_sigma,
+        "noise_sigma": seen["noise_sigma"],
         "non_negative": request.non_negative,
         "photometric": photometric,
-        "shift_field": field is not None,
+        "shift_field": seen["shift_field"] is not None,
         "seed": request.seed,
         "device": None if request.device is None else request.device.name,
         **request.options,
+        "channel": choice.channel,
+        "channel_reason": choice.reason,
     }
