@@ -1,6 +1,7 @@
 """Lens files and glass catalogues as other programs write them, construct by construct."""
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -180,6 +181,31 @@ def test_the_temperature_of_a_file_counts_only_where_it_is_adjusted_to() -> None
         assert read("80 0 0") == pytest.approx(cold, abs=1e-12)
     with pytest.warns(QualityWarning, match="air of 0 atm"):
         read("20 0 1")
+
+
+def test_a_pupil_wider_than_the_clear_aperture_of_its_stop_is_clipped() -> None:
+    stop = "STOP; TYPE STANDARD; CURV 0; DISZ 2; CLAP 0 4 0; DIAM 6 1"
+    text = zmx(FAR, stop, FRONT.replace("STOP; ", ""), BACK, IMAGE, aperture="ENPD 10")
+    with pytest.warns(QualityWarning, match="stop of 10 mm clipped to what is clear at it, 8 mm"):
+        assert parse_zmx(text).stop.diameter_mm == 8.0
+
+
+def test_a_stop_may_be_wider_than_the_mirror_in_front_of_it() -> None:
+    # f -60 mm, and 60 mm on the beam is twice as wide.
+    text = zmx(
+        FAR,
+        f"TYPE STANDARD; CURV {1 / 120!r}; DISZ -60; GLAS MIRROR; DIAM 12 1",
+        f"STOP; TYPE STANDARD; CURV {1 / 150!r}; DISZ 200; GLAS MIRROR; DIAM 25 1",
+        IMAGE,
+        aperture="ENPD 20",
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lens = parse_zmx(text)
+    assert lens.stop.diameter_mm == pytest.approx(40.0, rel=1e-12)
+    assert paraxial(lens).entrance_pupil_diameter_mm == pytest.approx(20.0, rel=1e-12)
+    assert trace(lens, AXIS, POINTS).passed.all()
+    check_written_again(lens)
 
 
 def test_edges_that_cross_are_clipped_with_a_note() -> None:

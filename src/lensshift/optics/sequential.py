@@ -208,10 +208,12 @@ def _stop_place(
 
 def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: list[str]) -> Lens:
     kind, value = aperture
-    widest_mm = 2.0 * min(surface.semi_diameter_mm for surface in lens.beside_stop())
+    widest_mm = min(lens.widest_stop_mm(), 2.0 * stop.clear_mm)
     if kind == "FLOA":
-        diameter_mm = 2.0 * min(stop.semi_diameter_mm or math.inf, stop.clear_mm)
-        diameter_mm = min(diameter_mm, widest_mm)
+        diameter_mm = min(2.0 * stop.semi_diameter_mm or math.inf, widest_mm)
+        if math.isinf(diameter_mm):  # nowhere told: what every surface lets through
+            surfaces = (surface for element in lens.elements for surface in element.surfaces)
+            diameter_mm = 2.0 * min(surface.semi_diameter_mm for surface in surfaces)
     else:
         position_mm, scale = entrance_pupil(lens)
         pupil_mm = value
@@ -225,7 +227,7 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
         diameter_mm = pupil_mm / abs(scale)
         if diameter_mm > widest_mm * (1.0 + 2.0 * _ROUNDING):
             notes.append(
-                f"stop of {diameter_mm:.4g} mm clipped to the surface beside it, {widest_mm:.4g} mm"
+                f"stop of {diameter_mm:.4g} mm clipped to what is clear at it, {widest_mm:.4g} mm"
             )
         diameter_mm = min(diameter_mm, widest_mm)
     with about(stop.where()):
