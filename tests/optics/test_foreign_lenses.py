@@ -1,6 +1,7 @@
 """Lens files and glass catalogues as other programs write them, construct by construct."""
 
 import math
+import re
 import warnings
 from pathlib import Path
 
@@ -378,6 +379,12 @@ def test_formulas_of_catalogues(tmp_path: Path) -> None:
     check_written_again(lens)
     assert 'name = "T-SELL3"' in format_lens(lens)  # the file brings its glass with it
     assert parse_agf(AGF.replace(" ", "\t")) == parse_agf(AGF)
+
+
+def test_entries_of_catalogues_that_go_on_in_further_lines() -> None:
+    wrapped = re.sub(r"^((?:CD|TD)(?: \S+){3}) ", r"\1 \n", AGF, flags=re.MULTILINE)
+    assert wrapped.count("\n") > AGF.count("\n") + 8
+    assert parse_agf(wrapped) == parse_agf(AGF)
 
 
 @pytest.mark.parametrize(
