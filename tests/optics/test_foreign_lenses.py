@@ -11,7 +11,8 @@ from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import load_glass_catalogue, parse_agf
-from lensshift.optics.glass import glass_called, model_glass, refractive_index
+from lensshift.optics.glass import model_glass, refractive_index
+from lensshift.optics.glass_called import glass_called
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import format_lens, parse_lens
 from lensshift.optics.paraxial import paraxial

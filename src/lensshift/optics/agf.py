@@ -30,8 +30,8 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
 
     Parameters
     ----------
-    path : text in UTF-8, UTF-16 or ISO-8859-1; entries NM, CD, TD, LD count, also where they go on in
-        further lines, the others do not
+    path : text in UTF-8, UTF-16 or ISO-8859-1; entries NM, CD, TD, LD count, with the
+        lines in which they go on
 
     Returns
     -------

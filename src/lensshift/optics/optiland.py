@@ -11,7 +11,8 @@ import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
-from lensshift.optics.glass import GLASSES, glass_called, refractive_index
+from lensshift.optics.glass import GLASSES, refractive_index
+from lensshift.optics.glass_called import glass_called
 from lensshift.optics.lens import Lens, Surface
 from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 from lensshift.optics.trace import rotations_of

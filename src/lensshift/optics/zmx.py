@@ -14,15 +14,14 @@ from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
+    AS_USUAL,
     BY_CODE,
     D_UM,
     REFERENCE_TEMPERATURE_C,
-    glass_called,
     glass_data,
-    glass_in_light,
     model_glass,
-    successor,
 )
+from lensshift.optics.glass_called import glass_called, glass_in_light, successor
 from lensshift.optics.lens import Lens
 from lensshift.optics.sequential import Entry, Frame, about, lens_of_entries
 
@@ -250,9 +249,13 @@ def _glass(
     if "CDGM" in catalogues[: (*catalogues, "SCHOTT").index("SCHOTT")]:
         known = glass_called(f"{name}_CDGM") or known  # a name that SCHOTT has for another glass
     if known is not None:
-        by_code = glass_data(known).source.startswith(BY_CODE)
-        note = f"surface {entry.number}: glass {name} is known by index and Abbe number only"
-        return known, note if by_code and not name[:1].isdigit() else ""
+        source = glass_data(known).source
+        told = ""
+        if source.startswith(BY_CODE) and not known.startswith("model:"):
+            told = f"surface {entry.number}: glass {name} is known by index and Abbe number only"
+        elif source == AS_USUAL:
+            told = f"surface {entry.number}: glass {name} is {AS_USUAL}"
+        return known, told
     newer = successor(name)
     if newer is not None:
         return newer, f"surface {entry.number}: glass {name} taken as {newer}, which replaced it"
