@@ -11,6 +11,7 @@ from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import load_glass_catalogue, parse_agf
+from lensshift.optics.forbes import forbes_terms
 from lensshift.optics.glass import model_glass, refractive_index
 from lensshift.optics.glass_called import glass_called
 from lensshift.optics.lens import Lens
@@ -102,6 +103,49 @@ def test_extended_asphere() -> None:
     )
     rays = [trace(parse_zmx(zmx(FAR, f, BACK, IMAGE)), FIELD, POINTS) for f in (extended, even)]
     assert rays[0].position_mm == pytest.approx(rays[1].position_mm, abs=1e-10)
+
+
+def q_type(kind: int, unit: float, *terms: float) -> str:
+    data = (kind, len(terms), unit, *terms)
+    told = "; ".join(f"XDAT {i} {value!r}" for i, value in enumerate(data, start=1))
+    return FRONT.replace("TYPE STANDARD", f"TYPE QED_TYPE; CONI -0.6; {told}")
+
+
+def test_q_type_aspheres_are_the_shapes_that_forbes_defines() -> None:
+    unit, first, second = 14.0, 0.3, -0.05
+    heights = np.linspace(0.0, 12.0, 40)
+    square = (heights / unit) ** 2
+    slope = (0.02 * heights) ** 2 / (1.0 - 0.4 * (0.02 * heights) ** 2)  # of the conic, squared
+    series = first + second * (13.0 - 16.0 * square) / math.sqrt(19.0)
+    added = {
+        0: square * (1.0 - square) * series * np.sqrt(1.0 + slope),
+        1: square**2 * (first + second * (6.0 * square - 5.0)),
+    }
+    conic = parse_zmx(zmx(FAR, FRONT.replace("CURV", "CONI -0.6; CURV"), BACK, IMAGE))
+    for kind, wanted in added.items():
+        lens = parse_zmx(zmx(FAR, q_type(kind, unit, first, second), BACK, IMAGE))
+        one, other = (a.elements[0].surfaces[0].sag_mm(heights) for a in (lens, conic))
+        assert one - other == pytest.approx(wanted, abs=2e-9)
+        check_written_again(lens)
+    with pytest.raises(DataError, match=r"surface 1, line .*: expected a conic up to the edge"):
+        parse_zmx(zmx(FAR, q_type(0, unit, first).replace("CURV 0.02", "CURV 0.2"), BACK, IMAGE))
+
+
+def test_the_slopes_of_q_type_aspheres_are_orthonormal() -> None:
+    nodes = np.cos(math.pi * (np.arange(200) + 0.5) / 200)  # weight 1 / sqrt(1 - u^2)
+    slopes = []
+    for number in range(6):
+        terms = forbes_terms(False, [0.0] * number + [1.0], 1.0, (0.0, 0.0), 1.0)
+        slopes.append(sum(2 * i * a * nodes ** (2 * i - 1) for i, a in enumerate(terms, start=1)))
+    products = np.mean(np.array(slopes)[:, None] * np.array(slopes), axis=-1)
+    assert products == pytest.approx(np.eye(6), abs=1e-9)
+
+
+def test_more_powers_than_an_even_asphere_has_are_written_as_an_extended_one() -> None:
+    terms = "; ".join(f"XDAT {2 + i} {1e-3 / i}" for i in range(1, 11))
+    for kind in ("XASPHERE", "XODDASPH"):
+        front = FRONT.replace("TYPE STANDARD", f"TYPE {kind}; XDAT 1 10; XDAT 2 13; {terms}")
+        check_written_again(parse_zmx(zmx(FAR, front, BACK, IMAGE)))
 
 
 def test_model_glass() -> None:

@@ -24,24 +24,10 @@ from lensshift.optics.glass import (
 from lensshift.optics.glass_called import glass_called, glass_in_light, successor
 from lensshift.optics.lens import Lens
 from lensshift.optics.sequential import Entry, Frame, about, lens_of_entries
+from lensshift.optics.zmx_shapes import MOST_PARAMETERS, is_traced, shape
 
 _LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 _FAR_MM = 1e9  # programs write such a distance for infinity
-_KNOWN = ("STANDARD", "EVENASPH", "ODDASPHE", "XASPHERE", "XODDASPH", "COORDBRK")
-_REASONS = {  # by what the names of types begin with or contain
-    "GRIN|GRADI": "in which the index varies",
-    "BINARY|GRAT|HOLO|PHA|ZONE": "which diffracts light",
-    "FRESNEL": "whose grooves scatter light",
-    "PARAX|ABCD": "an ideal lens, which has no surfaces to trace",
-    "USER|DLL": "whose shape is in a program of its own",
-    "NONSEQ": "in which light takes no fixed order of surfaces",
-    "BIREF|JONES": "which treats polarisations differently",
-    "TORO|CYL|BICON|TILTS|IRREG|POLY|ZERN|CHEB|GRID|OFFAX|SLIDE|PERIOD|NURB|FREEF":
-        "which is no surface of revolution",
-}  # fmt: skip
-_LIKE_ASPHERE = ("BINARY_1", "BINARY_2")  # even aspheres, where their phase is 0
-_TERMS_PER_POWER = {"XASPHERE": 2, "XODDASPH": 1}  # steps of the powers of r / unit
-_MOST_PARAMETERS = 8  # an even asphere ends with r^16, an odd one with r^8
 _DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
 
 
@@ -187,9 +173,9 @@ def _read_surface_line(
         entry.conic = _finite(values[0])
     elif key in ("PARM", "XDAT"):
         number = int(values[0])
-        if key == "PARM" and not 0 <= number <= _MOST_PARAMETERS and float(values[1]):
+        if key == "PARM" and not 0 <= number <= MOST_PARAMETERS and float(values[1]):
             raise DataError(
-                f"line {line}: expected a parameter up to {_MOST_PARAMETERS}, got {number}",
+                f"line {line}: expected a parameter up to {MOST_PARAMETERS}, got {number}",
                 field=entry.where(),
             )
         table = entry.parameters if key == "PARM" else entry.extra
@@ -218,7 +204,7 @@ def _read_surface_line(
     elif key == "GLAS":
         if values[0].upper() == "MIRROR":
             entry.mirror = True
-        elif entry.type in (*_KNOWN, *_LIKE_ASPHERE):  # others are refused for what they are
+        elif is_traced(entry.type):  # others are refused for what they are
             entry.glass, note = _glass(values, entry, line, content.catalogues)
             content.notes += [note] if note else []
     elif key == "STOP":
@@ -282,7 +268,7 @@ def _lens(content: _File) -> Lens:
     if content.aperture is None:
         content.notes.append("no aperture is given: the stop is taken as wide as its surface")
     for entry in content.entries[1:-1]:
-        _shape(entry, content.mm)
+        shape(entry, content.mm)
         if entry.glass:
             _glass_of_light(entry, wavelength_nm, content.notes)
     image = content.entries[-1]
@@ -307,47 +293,6 @@ def _glass_of_light(entry: Entry, wavelength_nm: float, notes: list[str]) -> Non
     """Replace a glass whose constants do not hold for the light by one that is like it."""
     entry.glass, note = glass_in_light(entry.glass, wavelength_nm)
     notes += [] if note is None else [f"surface {entry.number}: {note}"]
-
-
-def _shape(entry: Entry, mm: float) -> None:
-    """Turn the parameters of a surface into the terms of its sag, or refuse it."""
-    value = entry.parameters
-    phase = [term for number, term in entry.extra.items() if number > 2]  # after count and radius
-    if entry.type in _LIKE_ASPHERE and not (any(phase) and value.get(0, 1.0)):
-        entry.type = "EVENASPH"
-    if entry.type == "COORDBRK":
-        value.update({axis: mm * value.get(axis, 0.0) for axis in (1, 2)})
-    elif entry.type == "EVENASPH":
-        entry.radial = _trimmed([0.0, value.get(1, 0.0) / mm])
-        terms = [value.get(i, 0.0) * mm ** (1 - 2 * i) for i in range(2, _MOST_PARAMETERS + 1)]
-        entry.asphere = _trimmed(terms)
-    elif entry.type == "ODDASPHE":
-        terms = [value.get(i, 0.0) * mm ** (1 - i) for i in range(1, _MOST_PARAMETERS + 1)]
-        entry.radial = _trimmed(terms)
-    elif entry.type in _TERMS_PER_POWER:  # of r / unit
-        step = _TERMS_PER_POWER[entry.type]
-        count, unit_mm = int(entry.extra.get(1, 0.0)), mm * entry.extra.get(2, 1.0)
-        if not (0 <= count <= 240 and unit_mm > 0):
-            raise DataError("expected terms and a radius above 0", field=entry.where())
-        terms = [
-            mm * entry.extra.get(2 + i, 0.0) / unit_mm ** (step * i) for i in range(1, count + 1)
-        ]
-        entry.radial = _trimmed([0.0, *terms[:1]] if step == 2 else terms)
-        entry.asphere = _trimmed(terms[1:]) if step == 2 else ()
-    elif entry.type != "STANDARD":
-        told = (why for names, why in _REASONS.items() if re.search(names, entry.type))
-        reason = next(told, "whose shape is not known here")
-        raise DataError(
-            f"line {entry.line_of_type}: expected a surface of type {', '.join(_KNOWN)}, got "
-            f"{entry.type}, {reason}",
-            field=entry.where(),
-        )
-
-
-def _trimmed(terms: list[float]) -> tuple[float, ...]:
-    """Return the terms without zeros at the end."""
-    last = max((number for number, term in enumerate(terms, start=1) if term), default=0)
-    return tuple(terms[:last])
 
 
 def _frames(entries: list[Entry]) -> list[Frame]:
