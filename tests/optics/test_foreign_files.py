@@ -107,6 +107,25 @@ def test_a_catalogue_knows_better_than_a_code(tmp_path: Path) -> None:
     assert 'name = "FEL7"' in format_lens(lens)
 
 
+def test_an_image_beside_the_axis() -> None:
+    """Part of the field of a centred lens is traced, part of a mirror beside its axis is not."""
+    aside = "TYPE COORDBRK; PARM 2 3; DISZ 0"
+    with pytest.warns(QualityWarning, match="the image lies 3 mm aside: taken on the axis"):
+        lens = parse_zmx(zmx(FAR, FRONT, BACK, aside, IMAGE))
+    same_rays(parse_zmx(zmx(*SINGLET)), lens)
+    parabola = zmx(
+        FAR,
+        "STOP; TYPE STANDARD; CURV 0; DISZ 200",
+        "TYPE COORDBRK; PARM 2 -100; DISZ 0",
+        "TYPE STANDARD; CURV -0.01; CONI -1; DISZ -50; GLAS MIRROR; DIAM 20",
+        "TYPE STANDARD; SCBD 1 0 0 0 0 90 0 0; DISZ 0",
+    )
+    with pytest.raises(
+        DataError, match=r"got one 100 mm aside.*part of a mirror beside"
+    ):
+        parse_zmx(parabola)
+
+
 def test_a_name_that_two_makers_have_goes_by_the_catalogues_of_the_file() -> None:
     front = FRONT.replace("N-BK7", "F4")
     for catalogues, index_d in (("SCHOTT MISC", 1.61659), ("CDGM MISC", 1.62005)):

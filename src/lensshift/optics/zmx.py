@@ -44,6 +44,7 @@ class _File:
     catalogues: tuple[str, ...] = ()
     temperature_c: float = REFERENCE_TEMPERATURE_C
     notes: list[str] = field(default_factory=list)
+    turned: DataError | None = None  # about a surface that is turned by its properties
 
 
 def load_zmx(path: str | Path) -> Lens:
@@ -194,7 +195,7 @@ def _read_surface_line(
     elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
         content.notes.append(f"surface {entry.number}: aperture {key} is left out")
     elif key == "SCBD" and any(map(float, values[3:])):
-        raise DataError(
+        content.turned = content.turned or DataError(
             f"line {line}: expected a coordinate break, got a tilt or decentre as a property of "
             "the surface",
             field=entry.where(),
@@ -278,7 +279,7 @@ def _lens(content: _File) -> Lens:
         content.notes.append(f"surface {image.number}, the last, has more behind it: a part?")
     if content.entries[0].distance_mm >= _FAR_MM:
         content.entries[0].distance_mm = math.inf
-    return lens_of_entries(
+    lens = lens_of_entries(
         content.entries,
         _frames(content.entries),
         content.aperture or ("FLOA", 0.0),
@@ -287,6 +288,9 @@ def _lens(content: _File) -> Lens:
         temperature_c=content.temperature_c,
         notes=content.notes,
     )
+    if content.turned:  # of no account where the lens is refused for what it is
+        raise content.turned
+    return lens
 
 
 def _glass_of_light(entry: Entry, wavelength_nm: float, notes: list[str]) -> None:
