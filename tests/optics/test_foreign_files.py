@@ -120,9 +120,7 @@ def test_an_image_beside_the_axis() -> None:
         "TYPE STANDARD; CURV -0.01; CONI -1; DISZ -50; GLAS MIRROR; DIAM 20",
         "TYPE STANDARD; SCBD 1 0 0 0 0 90 0 0; DISZ 0",
     )
-    with pytest.raises(
-        DataError, match=r"got one 100 mm aside.*part of a mirror beside"
-    ):
+    with pytest.raises(DataError, match=r"got one 100 mm aside.*part of a mirror beside"):
         parse_zmx(parabola)
 
 
