@@ -133,7 +133,7 @@ def fields_for_image(
         error = wanted - np.einsum("...r,...rc->...c", share, landing_mm)
         field = field + error / slope_mm
         if np.abs(error).max() < tolerance_mm:
-            return field
+            return np.asarray(field)
     raise ValueError(
         f"expected points that the lens can image, but after {_FIELD_STEPS} steps one is "
         f"{np.abs(error).max():.2g} mm away"
