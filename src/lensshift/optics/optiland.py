@@ -180,6 +180,8 @@ def _from_object(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
     entries[0].distance_mm = math.inf if far else 0.0
     from_mm = np.zeros(3) if far else frames[0].origin
     placed = [Frame(frame.origin - from_mm, frame.axes) for frame in frames]
+    if far:
+        placed[0] = placed[1]  # an infinite place cannot be turned
     for number, entry in enumerate(entries[:-1]):
         if not entry.glass:
             continue
