@@ -315,7 +315,7 @@ def test_a_rig_takes_its_travel_from_a_lens_field(tmp_path: Path) -> None:
     device: Any = SimpleNamespace(name="", describe=dict, grid=own.grid, modulation_hz=None)
     taken = {"frames": 1, "average": False}
     header = capture_header(device, device, np.zeros((1, 2)), nominal, taken, "square")
-    assert header["meta"]["optics"] == {"lens": "Petzval B", "element": 0}
+    assert header["meta"]["optics"] == own.optics
 
 
 def test_a_rig_file_that_is_not_there(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from lensshift.optics.field import equivalent_px2, lens_field
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Lens, Stop, cover_glass
 from lensshift.optics.lens_file import load_lens
-from lensshift.optics.mtf import fast_mtf
+from lensshift.optics.mtf import fast_mtf, fast_otf
 from lensshift.optics.shift import decenter_for_shift, moving, shift_map
 from lensshift.optics.spots import fields_for_image
 
@@ -89,6 +89,26 @@ def test_a_tilted_plate_moves_the_image_as_the_closed_form_says() -> None:
     assert found_mm == pytest.approx(expected_mm, rel=2e-3)
 
 
+def test_a_tilt_that_blurs_far_from_rest_is_told_near_it() -> None:
+    """At one pixel of shift the contrast is gone; the field reaches half of one instead."""
+    lens, grid = load_lens("petzval_a"), Grid((16, 64), (0.155, 0.155))
+    field = lens_field(lens, grid, 0, motion="tilt")
+    state = field.states([[0.25, 0.25]])
+    build = moving(lens, 0, state, tilt=True)
+    contrast = fast_otf(lens, np.zeros(2), [1.0, 2.0, 3.226], build=build).real[0, 0]
+    width_px = np.sqrt(field.at(state).spot_px2[0, 7:9, 31:33].mean())
+    gaussian = np.exp(-2.0 * (np.pi * width_px * 0.155 * np.array([1.0, 2.0, 3.226])) ** 2)
+    assert gaussian == pytest.approx(contrast, abs=0.02)
+    with pytest.warns(QualityWarning, match="widths of the spot are fitted to 0.0.* px only"):
+        lens_field(lens, grid, 0, motion="tilt", reach_px=1.0)
+
+
+def test_a_lens_without_power_is_refused_before_the_work() -> None:
+    plate = cover_glass("N-BK7", 3.0)
+    with pytest.raises(ValueError, match="expected a lens with power"):
+        lens_field(Lens((plate,), (10.0,), Stop(5.0)), SENSOR, 0)
+
+
 def test_a_moving_sensor_moves_the_whole_image_the_other_way() -> None:
     field = lens_field(load_lens("petzval_a"), SENSOR, None)
     offset_px = field.at([[0.1, -0.2]]).offset_px
@@ -125,6 +145,16 @@ def test_a_burst_of_something_else_is_refused_with_the_cure() -> None:
             "make it with --element 2",
         ),
         (burst_of(field, meta={"optics": {"focal_length_mm": 42.7}}), "meta.optics", "plain lens"),
+        (
+            burst_of(field, meta={"optics": field.optics | {"motion": "tilt"}}),
+            "meta.optics.motion",
+            "make it with --tilt",
+        ),
+        (
+            burst_of(field, meta={"optics": field.optics | {"wavelength_nm": 940.0}}),
+            "meta.optics.wavelength_nm",
+            "make it with --wavelength-nm 940",
+        ),
         (
             burst_of(field, stage_mm=stage_mm[[0, 1, 2, 4, 3]]),
             "offset_px",

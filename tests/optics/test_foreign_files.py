@@ -1,6 +1,7 @@
 """Zemax files as others write them: glasses of several makers, prisms, encodings, what is said."""
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ from lensshift.camera import LensOptics
 from lensshift.cli.optics import LightOptions, read_lens
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid
-from lensshift.optics.glass import glass_called, refractive_index, successor
+from lensshift.optics.agf import load_glass_catalogue
+from lensshift.optics.glass import refractive_index
+from lensshift.optics.glass_called import glass_called, successor
 from lensshift.optics.lens import Lens
-from lensshift.optics.lens_file import load_lens
+from lensshift.optics.lens_file import format_lens, load_lens, parse_lens
 from lensshift.optics.movers import which_mover
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
@@ -54,6 +57,71 @@ def test_glasses_that_files_of_others_name(
     name = glass_called(glass) or successor(glass)
     assert name is not None
     assert refractive_index(name, wavelength_nm) == pytest.approx(index, abs=within)
+
+
+def test_moulded_glass_is_lower_by_the_same_in_all_light() -> None:
+    """As its makers state; by the usual where nobody does, and then it is said."""
+    for name, solid, index_d in (
+        ("D-ZK3M", "D-ZK3", 1.58642),
+        ("D-ZLAF52LA_M", "D-ZLAF52LA", 1.80588),
+        ("L-TIM28_MOLD", "L-TIM28", 1.68403),
+    ):
+        lens = parse_zmx(zmx(FAR, FRONT.replace("N-BK7", name), BACK, IMAGE))
+        assert lens.elements[0].glass == (name,)
+        lower = refractive_index(solid, D_NM) - index_d
+        assert 0.002 < lower < 0.006
+        for nm in (450.0, D_NM, 850.0, 940.0):
+            got = refractive_index(solid, nm) - refractive_index(name, nm)
+            assert got == pytest.approx(lower, abs=1e-6)  # and its air is warmer
+    with pytest.warns(QualityWarning, match="N-SK16_MOLD is moulded: index lower by 0.0044, as us"):
+        lens = parse_zmx(zmx(FAR, FRONT.replace("N-BK7", "N-SK16_MOLD"), BACK, IMAGE))
+    assert lens.indices()[0][0] == pytest.approx(refractive_index("N-SK16", D_NM) - 0.0044)
+    assert parse_lens(format_lens(lens)) == lens
+    assert glass_called("UNHEARDM") is None
+    assert glass_called("M") is None
+
+
+def test_quartz_is_the_crystal_and_silica_the_glass() -> None:
+    for name, index in (("QUARTZ", 1.54426), ("SILICA", 1.45846)):
+        lens = parse_zmx(zmx(FAR, FRONT.replace("N-BK7", name), BACK, IMAGE))
+        assert lens.indices()[0][0] == pytest.approx(index, abs=2e-5)
+
+
+@pytest.mark.parametrize("glass", ["___BLANK 1 0 1.5 0", "___BLANK 1 0 1.5 0.0 0.0", "N15"])
+def test_an_index_without_dispersion_is_the_same_in_all_light(glass: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        lens = parse_zmx(zmx(FAR, FRONT.replace("N-BK7 0 0 1.5 40", glass), BACK, IMAGE))
+    for nm in (450.0, 850.0, 1550.0):
+        assert lens.indices(nm)[0][0] == pytest.approx(1.5, abs=2e-5)
+
+
+def test_a_catalogue_knows_better_than_a_code(tmp_path: Path) -> None:
+    front = FRONT.replace("N-BK7", "FEL7")
+    with pytest.warns(QualityWarning, match="FEL7 is known by index and Abbe number only"):
+        parse_zmx(zmx(FAR, front, BACK, IMAGE))
+    (tmp_path / "own.agf").write_text("NM FEL7 1 0 1.5 60\nCD 2.25\nLD 0.3 2.5\n")
+    load_glass_catalogue(tmp_path / "own.agf")
+    lens = parse_zmx(zmx(FAR, front, BACK, IMAGE))
+    assert lens.indices(850.0)[0][0] == pytest.approx(1.5, abs=1e-12)
+    assert 'name = "FEL7"' in format_lens(lens)
+
+
+def test_an_image_beside_the_axis() -> None:
+    """Part of the field of a centred lens is traced, part of a mirror beside its axis is not."""
+    aside = "TYPE COORDBRK; PARM 2 3; DISZ 0"
+    with pytest.warns(QualityWarning, match="the image lies 3 mm aside: taken on the axis"):
+        lens = parse_zmx(zmx(FAR, FRONT, BACK, aside, IMAGE))
+    same_rays(parse_zmx(zmx(*SINGLET)), lens)
+    parabola = zmx(
+        FAR,
+        "STOP; TYPE STANDARD; CURV 0; DISZ 200",
+        "TYPE COORDBRK; PARM 2 -100; DISZ 0",
+        "TYPE STANDARD; CURV -0.01; CONI -1; DISZ -50; GLAS MIRROR; DIAM 20",
+        "TYPE STANDARD; SCBD 1 0 0 0 0 90 0 0; DISZ 0",
+    )
+    with pytest.raises(DataError, match=r"got one 100 mm aside.*part of a mirror beside"):
+        parse_zmx(parabola)
 
 
 def test_a_name_that_two_makers_have_goes_by_the_catalogues_of_the_file() -> None:

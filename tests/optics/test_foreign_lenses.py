@@ -1,6 +1,8 @@
 """Lens files and glass catalogues as other programs write them, construct by construct."""
 
 import math
+import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,9 @@ from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import load_glass_catalogue, parse_agf
-from lensshift.optics.glass import glass_called, model_glass, refractive_index
+from lensshift.optics.forbes import forbes_terms
+from lensshift.optics.glass import model_glass, refractive_index
+from lensshift.optics.glass_called import glass_called
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import format_lens, parse_lens
 from lensshift.optics.paraxial import paraxial
@@ -101,6 +105,49 @@ def test_extended_asphere() -> None:
     assert rays[0].position_mm == pytest.approx(rays[1].position_mm, abs=1e-10)
 
 
+def q_type(kind: int, unit: float, *terms: float) -> str:
+    data = (kind, len(terms), unit, *terms)
+    told = "; ".join(f"XDAT {i} {value!r}" for i, value in enumerate(data, start=1))
+    return FRONT.replace("TYPE STANDARD", f"TYPE QED_TYPE; CONI -0.6; {told}")
+
+
+def test_q_type_aspheres_are_the_shapes_that_forbes_defines() -> None:
+    unit, first, second = 14.0, 0.3, -0.05
+    heights = np.linspace(0.0, 12.0, 40)
+    square = (heights / unit) ** 2
+    slope = (0.02 * heights) ** 2 / (1.0 - 0.4 * (0.02 * heights) ** 2)  # of the conic, squared
+    series = first + second * (13.0 - 16.0 * square) / math.sqrt(19.0)
+    added = {
+        0: square * (1.0 - square) * series * np.sqrt(1.0 + slope),
+        1: square**2 * (first + second * (6.0 * square - 5.0)),
+    }
+    conic = parse_zmx(zmx(FAR, FRONT.replace("CURV", "CONI -0.6; CURV"), BACK, IMAGE))
+    for kind, wanted in added.items():
+        lens = parse_zmx(zmx(FAR, q_type(kind, unit, first, second), BACK, IMAGE))
+        one, other = (a.elements[0].surfaces[0].sag_mm(heights) for a in (lens, conic))
+        assert one - other == pytest.approx(wanted, abs=2e-9)
+        check_written_again(lens)
+    with pytest.raises(DataError, match=r"surface 1, line .*: expected a conic up to the edge"):
+        parse_zmx(zmx(FAR, q_type(0, unit, first).replace("CURV 0.02", "CURV 0.2"), BACK, IMAGE))
+
+
+def test_the_slopes_of_q_type_aspheres_are_orthonormal() -> None:
+    nodes = np.cos(math.pi * (np.arange(200) + 0.5) / 200)  # weight 1 / sqrt(1 - u^2)
+    slopes = []
+    for number in range(6):
+        terms = forbes_terms(False, [0.0] * number + [1.0], 1.0, (0.0, 0.0), 1.0)
+        slopes.append(sum(2 * i * a * nodes ** (2 * i - 1) for i, a in enumerate(terms, start=1)))
+    products = np.mean(np.array(slopes)[:, None] * np.array(slopes), axis=-1)
+    assert products == pytest.approx(np.eye(6), abs=1e-9)
+
+
+def test_more_powers_than_an_even_asphere_has_are_written_as_an_extended_one() -> None:
+    terms = "; ".join(f"XDAT {2 + i} {1e-3 / i}" for i in range(1, 11))
+    for kind in ("XASPHERE", "XODDASPH"):
+        front = FRONT.replace("TYPE STANDARD", f"TYPE {kind}; XDAT 1 10; XDAT 2 13; {terms}")
+        check_written_again(parse_zmx(zmx(FAR, front, BACK, IMAGE)))
+
+
 def test_model_glass() -> None:
     front = FRONT.replace("N-BK7 0 0 1.5 40", "___BLANK 1 0 1.5168 64.17")
     lens = parse_zmx(zmx(FAR, front, BACK, IMAGE))
@@ -180,6 +227,31 @@ def test_the_temperature_of_a_file_counts_only_where_it_is_adjusted_to() -> None
         assert read("80 0 0") == pytest.approx(cold, abs=1e-12)
     with pytest.warns(QualityWarning, match="air of 0 atm"):
         read("20 0 1")
+
+
+def test_a_pupil_wider_than_the_clear_aperture_of_its_stop_is_clipped() -> None:
+    stop = "STOP; TYPE STANDARD; CURV 0; DISZ 2; CLAP 0 4 0; DIAM 6 1"
+    text = zmx(FAR, stop, FRONT.replace("STOP; ", ""), BACK, IMAGE, aperture="ENPD 10")
+    with pytest.warns(QualityWarning, match="stop of 10 mm clipped to what is clear at it, 8 mm"):
+        assert parse_zmx(text).stop.diameter_mm == 8.0
+
+
+def test_a_stop_may_be_wider_than_the_mirror_in_front_of_it() -> None:
+    # f -60 mm, and 60 mm on the beam is twice as wide.
+    text = zmx(
+        FAR,
+        f"TYPE STANDARD; CURV {1 / 120!r}; DISZ -60; GLAS MIRROR; DIAM 12 1",
+        f"STOP; TYPE STANDARD; CURV {1 / 150!r}; DISZ 200; GLAS MIRROR; DIAM 25 1",
+        IMAGE,
+        aperture="ENPD 20",
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lens = parse_zmx(text)
+    assert lens.stop.diameter_mm == pytest.approx(40.0, rel=1e-12)
+    assert paraxial(lens).entrance_pupil_diameter_mm == pytest.approx(20.0, rel=1e-12)
+    assert trace(lens, AXIS, POINTS).passed.all()
+    check_written_again(lens)
 
 
 def test_edges_that_cross_are_clipped_with_a_note() -> None:
@@ -352,6 +424,12 @@ def test_formulas_of_catalogues(tmp_path: Path) -> None:
     check_written_again(lens)
     assert 'name = "T-SELL3"' in format_lens(lens)  # the file brings its glass with it
     assert parse_agf(AGF.replace(" ", "\t")) == parse_agf(AGF)
+
+
+def test_entries_of_catalogues_that_go_on_in_further_lines() -> None:
+    wrapped = re.sub(r"^((?:CD|TD)(?: \S+){3}) ", r"\1 \n", AGF, flags=re.MULTILINE)
+    assert wrapped.count("\n") > AGF.count("\n") + 8
+    assert parse_agf(wrapped) == parse_agf(AGF)
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensshift.optics.glass import (
-    GLASSES,
-    air_index,
-    glass_in_light,
-    glass_names,
-    refractive_index,
-)
+from lensshift.optics.glass import GLASSES, air_index, glass_names, refractive_index
+from lensshift.optics.glass_called import glass_in_light
 
 
 @pytest.mark.parametrize(

@@ -320,6 +320,17 @@ def test_distortion_and_field_inversion() -> None:
         fields_for_image(lens, [[40.0, 0.0]])
 
 
+def test_points_at_which_a_ray_meets_an_edge_are_found() -> None:
+    # On one side of such a point its light has one ray more, and its centroid jumps.
+    front, back = (Surface(radius, semi_diameter_mm=12.0) for radius in (50.0, -100.0))
+    lens = Lens((Element((front, back), ("N-BK7",), (4.0,)),), (60.0,), Stop(10.0, -15.0))
+    image_mm = np.stack([np.zeros(400), np.linspace(0.0, 27.0, 400)], axis=-1)
+    found = spots(lens, fields_for_image(lens, image_mm), rings=2)
+    away_mm = np.linalg.norm(found.centroid_mm - image_mm, axis=-1)
+    assert (away_mm > 1e-7).mean() < 0.02
+    assert (away_mm < found.rms_radius_mm).all()
+
+
 @pytest.mark.parametrize("stop", [Stop(10.0), Stop(8.0, -20.0), Stop(8.0, 20.0), Stop(3.0, 50.5)])
 @pytest.mark.parametrize("relayed", [False, True])
 def test_image_per_field_is_the_derivative_of_traced_chief_rays(stop: Stop, relayed: bool) -> None:

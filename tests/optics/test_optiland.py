@@ -2,6 +2,7 @@
 
 import math
 import sys
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -127,3 +128,10 @@ def test_a_cover_glass_of_infinite_size() -> None:
     back = from_optiland(optic)
     assert [one.glass for one in back.elements] == [("N-BK7",), ("fused silica",)]
     assert math.isinf(back.elements[1].surfaces[0].semi_diameter_mm)
+
+
+def test_a_far_object_is_no_cause_for_warnings() -> None:
+    pytest.importorskip("optiland")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert math.isinf(from_optiland(to_optiland(load_lens("al2550"))).object_mm)

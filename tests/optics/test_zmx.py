@@ -227,7 +227,7 @@ def test_files_that_are_no_lens(tmp_path: Path) -> None:
         load_zmx(tmp_path / "binary.zmx")
     with pytest.raises(DataError, match="cannot write"):
         save_zmx(load_lens("al2550"), tmp_path / "missing" / "lens.zmx")
-    image = DOUBLET.replace("SURF 4", "SURF 4\n  TYPE COORDBRK\n  PARM 1 1.0\n  DISZ 0\nSURF 5")
+    image = DOUBLET.replace("SURF 4", "SURF 4\n  TYPE COORDBRK\n  PARM 3 1.0\n  DISZ 0\nSURF 5")
     with pytest.raises(DataError, match=r"surface 5, .*image plane centred"):
         parse_zmx(image)
     moved = load_lens("petzval_a").with_decenter(0, (0.1, 0.0))

@@ -371,5 +371,7 @@ def _plain(group: Any) -> Any:
         return None
     if isinstance(group, LensOptics):
         told = {one.name: getattr(group, one.name) for one in fields(group)}
-        return told | {"lens": group.lens.name}
+        motion = "sensor" if group.element is None else "decentre"
+        light = {"wavelength_nm": group.lens.wavelength_nm}
+        return told | light | {"lens": group.lens.name, "motion": motion}
     return asdict(group)

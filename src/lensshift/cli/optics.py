@@ -57,7 +57,7 @@ class LensOptions:
 
 def read_lens(name: str, light: LightOptions | None = None) -> Lens:
     """Read a lens file or a built-in lens."""
-    from lensshift.optics.glass import glass_in_light
+    from lensshift.optics.glass_called import glass_in_light
     from lensshift.optics.lens_file import load_lens
 
     lens = load_lens(name)

@@ -24,6 +24,7 @@ _INVERSE_STEPS = 20
 _INVERSE_PX = 1e-9  # rounding
 # Beyond the fitted range by rounding, and by the error of a shift that was planned at its end.
 _BEYOND = 1.02
+_SAME_LIGHT_NM = 1.0  # as makers round it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +88,9 @@ class LensField:
     @property
     def optics(self) -> dict[str, Any]:
         """What a burst says of the lens that took it, in `Burst.meta`."""
-        return {"lens": self.lens, "element": self.element}
+        told = {"lens": self.lens, "element": self.element, "motion": self.motion}
+        light_nm = (self.notes or {}).get("wavelength_nm")
+        return told if light_nm is None else told | {"wavelength_nm": light_nm}
 
     @property
     def middle_px2(self) -> float:
@@ -276,6 +279,24 @@ class LensField:
                 f"in the lens field {_part(mine)} moves, in the burst {_part(theirs)}; make it "
                 f"with --element {theirs}",
                 field="meta.optics.element",
+            )
+        self._check_look(told)
+
+    def _check_look(self, told: Mapping[str, Any]) -> None:
+        """Refuse another way of moving the same element, or another light."""
+        if told.get("motion", self.motion) != self.motion:
+            how = "with --tilt" if told["motion"] == "tilt" else "without --tilt"
+            raise DataError(
+                f"the lens field is of a {self.motion}, the burst of a {told['motion']}; make it "
+                f"{how}",
+                field="meta.optics.motion",
+            )
+        mine_nm, theirs_nm = (one.get("wavelength_nm") for one in (self.optics, told))
+        if mine_nm and theirs_nm and abs(mine_nm - theirs_nm) > _SAME_LIGHT_NM:
+            raise DataError(
+                f"the lens field is of light of {mine_nm:g} nm, the burst of {theirs_nm:g} nm; "
+                f"make it with --wavelength-nm {theirs_nm:g}",
+                field="meta.optics.wavelength_nm",
             )
 
 

@@ -30,7 +30,8 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
 
     Parameters
     ----------
-    path : text in UTF-8, UTF-16 or ISO-8859-1; entries NM, CD, TD, LD count, the others do not
+    path : text in UTF-8, UTF-16 or ISO-8859-1; entries NM, CD, TD, LD count, with the
+        lines in which they go on
 
     Returns
     -------
@@ -72,8 +73,13 @@ def parse_agf(text: str, wrong: list[DataError] | None = None) -> dict[str, Glas
     """
     glasses: dict[str, Glass] = {}
     lines: dict[str, tuple[int, list[str]]] = {}
+    words: list[str] = []
     for number, line in enumerate([*text.splitlines(), "NM"], start=1):
         key, *rest = line.split() or [""]  # at spaces or tabs
+        if _is_number(key):  # the entry goes on in this line
+            words += [key, *rest]
+            continue
+        words = rest
         if key == "NM":
             if "NM" in lines:
                 try:
@@ -85,8 +91,16 @@ def parse_agf(text: str, wrong: list[DataError] | None = None) -> dict[str, Glas
                     wrong.append(error)
             lines = {}
         if key in ("NM", "CD", "TD", "LD", "GC"):
-            lines[key] = (number, rest)
+            lines[key] = (number, words)
     return glasses
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _glass(lines: dict[str, tuple[int, list[str]]]) -> tuple[str, Glass]:

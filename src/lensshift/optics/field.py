@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -16,6 +16,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.lens_field import MOTIONS, LensField, Motion
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import fast_otf
+from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import NEAR, PROBE_MM, central_slope, moving
 from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
 from lensshift.optics.trace import Build
@@ -31,6 +32,7 @@ _CONVERGES = 0.3  # of the error that the degree before left: what is no polynom
 _SHIFT_PX = 1e-7  # what a shift may be off by: a tenth of what is promised
 _REACH_PX = 1.0  # all patterns reach less than half of it
 _DOUBTFUL_PX = 1e-3  # far below what costs anything (docs/lens.md)
+_DOUBTFUL_WIDTH_PX = 0.03  # beside the 0.29 px of a pixel a change of 0.5 %
 _SPOT_PX2 = 1e-4  # and a variance: a width of 0.3 px by 2e-4 px
 _CHECKED = (5, 4)  # places and states along an axis where a fit is checked
 # Cycles per pixel at which the spot is compared with a Gaussian.
@@ -60,7 +62,7 @@ def lens_field(
     element : number of the element that moves, counted from 0; None: the sensor moves
     motion : "decentre" (the default) or "tilt" of the element
     reach_px : largest shift along each axis that the field is to hold for; by default one pixel,
-        or half of one where the lens cuts off light beyond it
+        or half of one where the lens cuts off light beyond it or blurs it away
 
     Raises
     ------
@@ -70,52 +72,72 @@ def lens_field(
     Warns
     -----
     QualityWarning
-        If the fit of the shifts is no better than 0.001 px, as where the lens cuts off light.
+        If the fit of the shifts is no better than 0.001 px, as where the lens cuts off light, or
+        that of the widths of the spot no better than 0.03 px.
     """
+    paraxial(lens)  # refuses a lens without power before the work
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*of its light", QualityWarning)  # once, in our words
-        if reach_px is not None:
-            mover = _mover(lens, grid, element, motion, reach_px)
-            shift_px, shift_error_px = _fit(mover.shifts, _DEGREES, _SHIFT_PX)
+        if reach_px is None:
+            found = _reaching(lens, grid, element, motion)
         else:
-            mover, shift_px, shift_error_px = _reaching(lens, grid, element, motion)
-        spot_px2, _ = _fit(mover.spots, _SPOT_DEGREES, _SPOT_PX2)
-        spot_error_px, contrast_error = _spot_errors(mover, spot_px2)
-    if shift_error_px > _DOUBTFUL_PX:
-        warnings.warn(
-            f"the shifts are fitted to {shift_error_px:.2g} px only: does the lens cut off light "
-            "at the edge of the sensor? A smaller reach_px or sensor may help",
-            QualityWarning,
-            stacklevel=2,
-        )
+            found = _fitted(_mover(lens, grid, element, motion, reach_px))
+    for what, error_px, most_px in zip(
+        ("shifts", "widths of the spot"),
+        (found.shift_error_px, found.spot_error_px),
+        (_DOUBTFUL_PX, _DOUBTFUL_WIDTH_PX),
+        strict=True,
+    ):
+        if error_px > most_px:
+            warnings.warn(
+                f"the {what} are fitted to {error_px:.2g} px only: does the lens cut off light or "
+                "blur it away, far from rest or at the edge of the sensor? A smaller reach_px or "
+                "sensor may help",
+                QualityWarning,
+                stacklevel=2,
+            )
     return LensField(
         grid=grid,
-        shift_px=shift_px,
-        spot_px2=spot_px2,
-        reach=mover.reach,
-        motion=mover.motion,
+        shift_px=found.shift_px,
+        spot_px2=found.spot_px2,
+        reach=found.mover.reach,
+        motion=found.mover.motion,
         element=element,
         lens=lens.name,
-        shift_error_px=shift_error_px,
-        spot_error_px=spot_error_px,
-        contrast_error=contrast_error,
+        shift_error_px=found.shift_error_px,
+        spot_error_px=found.spot_error_px,
+        contrast_error=found.contrast_error,
         notes={"wavelength_nm": lens.wavelength_nm, "temperature_c": lens.temperature_c},
     )
 
 
-def _reaching(
-    lens: Lens, grid: Grid, element: int | None, motion: Motion | None
-) -> tuple[_Mover, Floats, float]:
-    """Return what moves, coefficients of the shift and their error for the reach that it allows."""
+class _Fitted(NamedTuple):
+    """What moves, the coefficients of shift and spot, and how well they fit."""
+
+    mover: _Mover
+    shift_px: Floats
+    shift_error_px: float
+    spot_px2: Floats
+    spot_error_px: float
+    contrast_error: float
+
+
+def _fitted(mover: _Mover) -> _Fitted:
+    shift_px, shift_error_px = _fit(mover.shifts, _DEGREES, _SHIFT_PX)
+    spot_px2, _ = _fit(mover.spots, _SPOT_DEGREES, _SPOT_PX2)
+    return _Fitted(mover, shift_px, shift_error_px, spot_px2, *_spot_errors(mover, spot_px2))
+
+
+def _reaching(lens: Lens, grid: Grid, element: int | None, motion: Motion | None) -> _Fitted:
+    """Return the fit for the reach that the lens allows."""
     mover = _mover(lens, grid, element, motion, _REACH_PX)
     try:
-        found = _fit(mover.shifts, _DEGREES, _SHIFT_PX)
-        if found[1] < _DOUBTFUL_PX:
-            return mover, *found
+        found = _fitted(mover)
+        if found.shift_error_px < _DOUBTFUL_PX and found.spot_error_px < _DOUBTFUL_WIDTH_PX:
+            return found
     except ValueError:  # no light at all so far away
         pass
-    mover = _mover(lens, grid, element, motion, 0.5 * _REACH_PX)
-    return mover, *_fit(mover.shifts, _DEGREES, _SHIFT_PX)
+    return _fitted(_mover(lens, grid, element, motion, 0.5 * _REACH_PX))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 
@@ -13,10 +13,14 @@ import numpy as np
 REFERENCE_TEMPERATURE_C = 20.0  # of most catalogues
 AIR = "air"
 
-D_UM, _F_UM, _C_UM, _G_UM = 0.5875618, 0.4861327, 0.6562725, 0.4358343
-_SAME_INDEX = 5e-4  # a usual tolerance of n_d from melt to melt
+D_UM, F_UM, C_UM, _G_UM = 0.5875618, 0.4861327, 0.6562725, 0.4358343
 _MODEL_RANGE_NM = (350.0, 2000.0)  # about the visible; beyond 1 um it is a guess
+_LARGEST_ABBE = 100.0  # of a glass; more is written for an index that does not change
 BY_CODE = "index and Abbe number"  # all that is known of a glass
+# Fast cooling leaves an index that is lower, by nearly the same at all wavelengths: of 57 glasses
+# whose makers state it 0.001 to 0.010, half of them 0.0030 to 0.0052.
+_MOULDED, _USUALLY_LOWER = ("_MOLD", "(M)", "M"), 0.0044
+AS_USUAL = f"moulded: index lower by {_USUALLY_LOWER}, as usual"
 NO_CHANGE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 # Exponents of the wavelength in the polynomials for n^2.
@@ -52,6 +56,7 @@ class Glass:
     reference_c : temperature at which the constants were measured
     range_nm : wavelengths for which the constants hold
     source : where they were published
+    lower_by : what its index is lower than by the formula, since it was moulded
 
     Raises
     ------
@@ -65,6 +70,7 @@ class Glass:
     reference_c: float = REFERENCE_TEMPERATURE_C
     range_nm: tuple[float, float] = _MODEL_RANGE_NM
     source: str = ""
+    lower_by: float = 0.0
 
     def __post_init__(self) -> None:
         if self.formula not in CONSTANT_COUNTS:
@@ -76,7 +82,7 @@ class Glass:
                 f"expected up to {CONSTANT_COUNTS[self.formula]} constants and 6 thermal ones, got "
                 f"{len(self.constants)} and {len(self.thermal)}"
             )
-        numbers = (*self.constants, *self.thermal, self.reference_c, *self.range_nm)
+        numbers = (*self.constants, *self.thermal, self.reference_c, *self.range_nm, self.lower_by)
         if not np.all(np.isfinite(numbers)) or not 0 < self.range_nm[0] < self.range_nm[1]:
             raise ValueError(f"expected finite constants and a range of wavelengths, got {numbers}")
 
@@ -113,39 +119,6 @@ GLASSES = {
     ),
 }
 
-_OTHER_NAMES = {
-    **dict.fromkeys(
-        ("F_SILICA", "FUSED SILICA", "SILICA", "UVFS", "SUPRASIL", "INFRASIL", "QUARTZ", "SIO2",
-         "COR7980", "C79-80", "7980", "HPFS", "FUSEDSILICA", "FS", "LITHOSIL-Q", "JGS1",
-         "HERASIL", "HOMOSIL", "CORNING7980"),
-        "fused silica",
-    ),
-    **dict.fromkeys(("BK7", "NBK7", "N-BK7HT", "BK7HT"), "N-BK7"),
-    **dict.fromkeys(("ACRYLIC", "PLEXIGLASS"), "PMMA"),
-    **dict.fromkeys(("POLYCARBONATE", "PC"), "POLYCARB"),
-    **dict.fromkeys(("POLYSTYRENE", "STYRENE", "PS"), "POLYSTYR"),
-    **dict.fromkeys(("ZEONEX", "ZEONEX_E48R", "COP"), "E48R"),
-    **dict.fromkeys(("SI", "SILICON_SPECIAL"), "SILICON"),
-    **dict.fromkeys(("GE", "GERMANIUM_SPECIAL", "GE_OLD"), "GERMANIUM"),
-    **dict.fromkeys(("ZNS_BROAD", "ZNS_IR", "CLEARTRAN", "ZNS_CLEAR", "ZNS_VIS"), "ZNS"),
-    **dict.fromkeys(("ZNSE_IR",), "ZNSE"),
-    **dict.fromkeys(("AL2O3", "SAPHIRE"), "SAPPHIRE"),
-    "BD2": "BD-2",
-    "BD-6": "BD6",
-    # Known by index and Abbe number as SCHOTT, LightPath, Osaka Gas Chemicals, Mitsubishi Gas
-    # Chemical, Mitsui, Zeon and Polyplastics state them; not compared with a second source.
-    "B270": "model:1.523:58.57:0",
-    **dict.fromkeys(("C0550", "CO550", "CO-550"), "model:1.605:50.42:0"),
-    **dict.fromkeys(("ECO550", "ECO-550"), "model:1.6055:50.28:0"),
-    "OKP4": "model:1.607:27.0:0",
-    "OKP4HT": "model:1.632:23.4:0",
-    **dict.fromkeys(("EP5000", "EP-5000"), "model:1.636:23.9:0"),
-    "APL5014CL": "model:1.5445:56.0:0",
-    **dict.fromkeys(("480R", "ZEONEX_480R"), "model:1.525:56.2:0"),
-    **dict.fromkeys(("K26R", "ZEONEX_K26R"), "model:1.535:55.8:0"),
-    **dict.fromkeys(("TOPAS5013", "TOPAS_5013LS-01", "COC"), "model:1.533:56.2:0"),
-}  # fmt: skip
-
 _added: dict[str, Glass] = {}
 
 
@@ -153,12 +126,43 @@ _added: dict[str, Glass] = {}
 def _shipped() -> dict[str, Glass]:
     from lensshift.optics.agf import parse_agf
 
-    text = (resources.files("lensshift.optics") / "glasses.agf").read_text(encoding="utf-8")
-    return parse_agf(text) | GLASSES
+    known = parse_agf(lines_of("glasses.agf")) | GLASSES
+    for name, *numbers in map(str.split, lines_of("glass_codes.txt").splitlines()):
+        index_d, abbe = map(float, numbers)
+        made_from = _unmoulded(name)
+        solid = known.get(made_from)
+        known[name] = (
+            _model(f"model:{index_d!r}:{abbe!r}:0")
+            if solid is None
+            else replace(
+                solid, lower_by=_index(solid, D_UM) - index_d, source=f"{made_from}, moulded"
+            )
+        )
+    return known
+
+
+def lines_of(file: str) -> str:
+    """Return the lines of a file of the package that are no comments."""
+    text = (resources.files("lensshift.optics") / file).read_text(encoding="utf-8")
+    return re.sub("#.*\n", "", text)
+
+
+def _unmoulded(name: str) -> str:
+    """Return the name of the glass that a moulded one was made from; "" for others."""
+    return re.sub(r"(_MOLD|_M|\(M\)|M)?$", "", name) if name.endswith(_MOULDED) else ""
+
+
+@lru_cache(maxsize=256)
+def _moulded(name: str) -> Glass | None:
+    """Return the known glass that was moulded, if no more of it is known than that."""
+    solid = _shipped().get(_unmoulded(name))
+    return solid and replace(solid, lower_by=_USUALLY_LOWER, source=AS_USUAL)
 
 
 def add_glasses(glasses: dict[str, Glass]) -> None:
     """Make more glasses known by their names, in upper case; those that are known stay.
+
+    They replace those of which only index and Abbe number are known.
 
     Raises
     ------
@@ -169,74 +173,30 @@ def add_glasses(glasses: dict[str, Glass]) -> None:
         known = _added.get(name)
         if known is not None and known != glass:
             raise ValueError(f"expected one set of constants for glass {name}, got two")
-        if name not in _shipped():
+        shipped = _shipped().get(name)
+        if shipped is None or shipped.source.startswith(BY_CODE):
             _added[name] = glass
 
 
 def glass_names() -> tuple[str, ...]:
     """Return the names that `refractive_index` knows."""
-    return (AIR, *GLASSES, *(name for name in _shipped() if name not in GLASSES), *_added)
+    return tuple(dict.fromkeys((AIR, *GLASSES, *_shipped(), *_added)))
 
 
 def is_shipped(name: str) -> bool:
     """Tell whether a glass comes with the package or says itself what it is."""
-    return name.startswith("model:") or name in _shipped()
+    if name in _added:
+        return False
+    return name.startswith("model:") or name in _shipped() or _moulded(name) is not None
 
 
-def glass_called(name: str) -> str | None:
-    """Return the glass that design programs call `name`, or None if it is not known."""
-    upper = name.upper()
-    own = next((name for name in GLASSES if name.upper() == upper.replace("_", " ")), None)
-    for known in (_OTHER_NAMES.get(upper), upper, own):
-        if known is not None and (is_shipped(known) or known in _added):
-            return known
-    code = re.fullmatch(r"(\d{3})[.\-]?(\d{3})", name)
-    if code:  # six digits: n_d - 1 and Abbe number
-        return model_glass(1.0 + int(code[1]) / 1e3, int(code[2]) / 10.0)
-    return None
+def is_known(name: str) -> bool:
+    """Tell whether `glass_data` knows a glass."""
+    return name in _added or is_shipped(name)
 
 
-def successor(name: str) -> str | None:
-    """Return the lead-free glass that took the place of an older one of SCHOTT, or None."""
-    upper = name.upper()
-    for newer in (f"N-{upper}", re.sub(r"^([A-Z]+)N(\d)", r"N-\1\2", upper), upper.rstrip("MAB")):
-        for one in (newer, f"{newer}A"):
-            if one not in (upper, f"{upper}A") and one in _shipped():
-                return one
-    return None
-
-
-def glass_in_light(name: str, wavelength_nm: float) -> tuple[str, str | None]:
-    """Return a glass, or one that is like it where its constants end before the light, and says so.
-
-    The successor if its n_d is within 5e-4, else the model glass of n_d and Abbe number; the glass
-    itself where it is known, or nothing is known of the visible, or the light is far from it.
-    """
-    taken = _alike(name, wavelength_nm)
-    if taken == name:
-        return name, None
-    low_nm, high_nm = glass_data(name).range_nm
-    told = "from its index and Abbe number" if ":" in taken else f"as {taken}"
-    return taken, f"{name}, known from {low_nm:g} to {high_nm:g} nm, taken {told}"
-
-
-def _alike(name: str, wavelength_nm: float) -> str:
-    low_nm, high_nm = glass_data(name).range_nm
-    if _holds(name, wavelength_nm) or not low_nm < 1e3 * _C_UM < high_nm:
-        return name
-    at_d, at_f, at_c = (refractive_index(name, 1e3 * um) for um in (D_UM, _F_UM, _C_UM))
-    newer = successor(name)
-    if (
-        newer is not None
-        and _holds(newer, wavelength_nm)
-        and abs(refractive_index(newer, 1e3 * D_UM) - at_d) < _SAME_INDEX
-    ):
-        return newer
-    made = model_glass(at_d, (at_d - 1.0) / (at_f - at_c))
-    return made if _holds(made, wavelength_nm) else name
-
-
-def _holds(name: str, wavelength_nm: float) -> bool:
+def holds(name: str, wavelength_nm: float) -> bool:
+    """Tell whether the constants of a glass hold for the light."""
     low_nm, high_nm = glass_data(name).range_nm
     return low_nm <= wavelength_nm <= high_nm
 
@@ -272,7 +232,7 @@ def glass_data(name: str) -> Glass:
     """
     if name.startswith("model:"):
         return _model(name)
-    found = GLASSES.get(name) or _shipped().get(name) or _added.get(name)
+    found = _added.get(name) or _shipped().get(name) or _moulded(name)
     if found is None:
         from difflib import get_close_matches
 
@@ -294,9 +254,9 @@ def _model(name: str) -> Glass:
     if not (1.0 < index_d < 5.0 and 0 < abbe < 1e6 and abs(partial) < 1.0):
         raise ValueError(f"expected an index above 1 and an Abbe number above 0, got {name!r}")
     width = (index_d - 1.0) / abbe
-    um = np.array([D_UM, _F_UM, _C_UM, _G_UM])
+    um = np.array([D_UM, F_UM, C_UM, _G_UM])
     terms = np.stack([np.ones(4), 1.0 / um, um**-3.5], axis=-1)
-    ratio = 0.6438 - 0.001682 * abbe + partial
+    ratio = 0.6438 - 0.001682 * min(abbe, _LARGEST_ABBE) + partial
     system = np.stack([terms[0], terms[1] - terms[2], terms[3] - terms[1]])
     constants = np.linalg.solve(system, [index_d, width, ratio * width])
     return Glass("conrady", tuple(map(float, constants)), source=BY_CODE)
@@ -331,7 +291,7 @@ def refractive_index(
     if glass == AIR:
         return 1.0
     data = glass_data(glass)
-    if not _holds(glass, wavelength_nm):
+    if not holds(glass, wavelength_nm):
         raise ValueError(
             f"expected a wavelength from {data.range_nm[0]:g} to {data.range_nm[1]:g} nm for "
             f"{glass}, got {wavelength_nm} nm"
@@ -364,7 +324,12 @@ def air_index(wavelength_nm: float, temperature_c: float) -> float:
 
 
 def _index(data: Glass, um: float) -> float:
-    """Return the index at the temperature of the constants.
+    """Return the index at the temperature of the constants."""
+    return _of_formula(data, um) - data.lower_by
+
+
+def _of_formula(data: Glass, um: float) -> float:
+    """Return what the formula gives.
 
     Source: the formulas of AGF catalogues as the maker of that format documents them.
     """

@@ -12,6 +12,7 @@ from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, glass_data, refracti
 
 WAVELENGTH_NM = 850.0  # near infrared of time-of-flight cameras: 9 of 11 in prescriptions
 _ABSOLUTE_ZERO_C = -273.15
+_CLOSE_MM = 1e-9  # of the stop to a vertex: rounding
 _CHECKED_HEIGHTS = np.linspace(0.0, 1.0, 33)  # of the smaller semi-diameter
 
 
@@ -215,7 +216,7 @@ class Lens:
     ------
     ValueError
         If a gap is negative, surfaces overlap, or the stop lies in glass, behind the lens, or
-        is larger than the surfaces beside it; if there is no such temperature.
+        is larger than a surface that all of its light meets; if there is no such temperature.
     """
 
     elements: tuple[Element, ...]
@@ -264,18 +265,27 @@ class Lens:
                 f"expected a stop between object and sensor, got {self.stop.position_mm:g} mm, in "
                 f"front of an object {self.object_mm:g} mm away"
             )
-        smallest_mm = min(surface.semi_diameter_mm for surface in self.beside_stop())
-        if self.stop.diameter_mm > 2.0 * smallest_mm:
+        widest_mm = self.widest_stop_mm()
+        if self.stop.diameter_mm > widest_mm:
             raise ValueError(
                 f"expected a stop no larger than the surface beside it, "
-                f"{2.0 * smallest_mm:g} mm, got {self.stop.diameter_mm:g} mm"
+                f"{widest_mm:g} mm, got {self.stop.diameter_mm:g} mm"
             )
 
-    def beside_stop(self) -> tuple[Surface, ...]:
-        """Return the surfaces next to the stop, one or two."""
+    def widest_stop_mm(self) -> float:
+        """Return the diameter of the narrowest surface that all light through the stop meets.
+
+        Those are the surfaces at the stop, and the first one behind a stop in front of the lens.
+        Farther ones may be narrower than the stop: light can come together on its way to them.
+        """
         before = self.elements_before_stop()
-        front = [one.surfaces[-1] for one in self.elements[:before][-1:]]
-        return (*front, *(one.surfaces[0] for one in self.elements[before : before + 1]))
+        starts_mm = self.positions_mm()
+        beside = [] if before else [self.elements[0].surfaces[0]]
+        for number, element in enumerate(self.elements):
+            ends_mm = (starts_mm[number], starts_mm[number] + element.length_mm)
+            vertices = zip(ends_mm, (element.surfaces[0], element.surfaces[-1]), strict=True)
+            beside += [one for at, one in vertices if abs(at - self.stop.position_mm) < _CLOSE_MM]
+        return 2.0 * min((one.semi_diameter_mm for one in beside), default=math.inf)
 
     def positions_mm(self) -> Floats:
         """Return where the first vertex of each element and the sensor lie, [element + 1]."""
@@ -308,7 +318,7 @@ class Lens:
         for start_mm, element in zip(starts_mm, self.elements, strict=False):
             if stop_mm <= start_mm:
                 break
-            if stop_mm < start_mm + element.length_mm - 1e-9:
+            if stop_mm < start_mm + element.length_mm - _CLOSE_MM:
                 raise ValueError(
                     f"expected a stop in air, got {stop_mm} mm, which is inside element "
                     f"{count + 1} ({element.name})"

@@ -48,7 +48,7 @@ _SURFACE: _Fields = {
 _GLASS: _Fields = {
     "name": (str, ...), "formula": (str, ...), "constants": (tuple, ...),
     "thermal": (6, NO_CHANGE), "reference_c": (float, REFERENCE_TEMPERATURE_C),
-    "range_nm": (2, ...), "source": (str, ""),
+    "range_nm": (2, ...), "source": (str, ""), "lower_by": (float, 0.0),
 }  # fmt: skip
 
 

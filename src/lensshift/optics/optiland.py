@@ -11,7 +11,8 @@ import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
-from lensshift.optics.glass import GLASSES, glass_called, refractive_index
+from lensshift.optics.glass import GLASSES, refractive_index
+from lensshift.optics.glass_called import glass_called
 from lensshift.optics.lens import Lens, Surface
 from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 from lensshift.optics.trace import rotations_of
@@ -179,6 +180,8 @@ def _from_object(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
     entries[0].distance_mm = math.inf if far else 0.0
     from_mm = np.zeros(3) if far else frames[0].origin
     placed = [Frame(frame.origin - from_mm, frame.axes) for frame in frames]
+    if far:
+        placed[0] = placed[1]  # an infinite place cannot be turned
     for number, entry in enumerate(entries[:-1]):
         if not entry.glass:
             continue

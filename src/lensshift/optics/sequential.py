@@ -110,7 +110,7 @@ def lens_of_entries(
         _element([entries[i] for i in group], [frames[i] for i in group], notes) for group in groups
     ]
     starts_mm = np.array([frames[group[0]].origin[2] for group in groups])
-    _check_image(frames[-1], entries[-1])
+    _check_image(frames[-1], entries[-1], elements, notes)
     ends_mm = starts_mm + [element.length_mm for element in elements]
     gaps_mm = np.append(starts_mm[1:], frames[-1].origin[2]) - ends_mm
     gaps_mm[np.abs(gaps_mm) < _CLOSE] = 0.0
@@ -132,13 +132,21 @@ def lens_of_entries(
     return _with_aperture(lens, aperture, entries[stops[0]], notes)
 
 
-def _check_image(image: Frame, entry: Entry) -> None:
+def _check_image(image: Frame, entry: Entry, elements: list[Element], notes: list[str]) -> None:
+    """Refuse an image that the axis does not meet in its middle; say what else is left out."""
+    aside_mm = float(np.linalg.norm(image.origin[:2]))
     away = np.abs(np.abs(image.axes[:, 2]) - [0.0, 0.0, 1.0])
-    if np.abs(image.origin[:2]).max() > _CLOSE or away.max() > _CLOSE:
+    centred = not any(any((*one.decenter_mm, *one.tilt_rad)) for one in elements)
+    if away.max() > _CLOSE or (aside_mm > _CLOSE and not centred):
+        turned_deg = math.degrees(math.acos(min(1.0, abs(float(image.axes[2, 2])))))
         raise DataError(
-            "expected an image plane centred on and across the axis of the object",
+            "expected an image plane centred on and across the axis of the object, got one "
+            f"{aside_mm:.4g} mm aside and {turned_deg:.4g} degrees turned: light that leaves the "
+            "axis, as by a part of a mirror beside its own axis, is not traced",
             field=entry.where(),
         )
+    if aside_mm > _CLOSE:  # fields beside the axis of a centred lens
+        notes.append(f"the image lies {aside_mm:.4g} mm aside: taken on the axis of the lens")
 
 
 def _clear_edges(
@@ -208,10 +216,12 @@ def _stop_place(
 
 def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: list[str]) -> Lens:
     kind, value = aperture
-    widest_mm = 2.0 * min(surface.semi_diameter_mm for surface in lens.beside_stop())
+    widest_mm = min(lens.widest_stop_mm(), 2.0 * stop.clear_mm)
     if kind == "FLOA":
-        diameter_mm = 2.0 * min(stop.semi_diameter_mm or math.inf, stop.clear_mm)
-        diameter_mm = min(diameter_mm, widest_mm)
+        diameter_mm = min(2.0 * stop.semi_diameter_mm or math.inf, widest_mm)
+        if math.isinf(diameter_mm):  # nowhere told: what every surface lets through
+            surfaces = (surface for element in lens.elements for surface in element.surfaces)
+            diameter_mm = 2.0 * min(surface.semi_diameter_mm for surface in surfaces)
     else:
         position_mm, scale = entrance_pupil(lens)
         pupil_mm = value
@@ -225,7 +235,7 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
         diameter_mm = pupil_mm / abs(scale)
         if diameter_mm > widest_mm * (1.0 + 2.0 * _ROUNDING):
             notes.append(
-                f"stop of {diameter_mm:.4g} mm clipped to the surface beside it, {widest_mm:.4g} mm"
+                f"stop of {diameter_mm:.4g} mm clipped to what is clear at it, {widest_mm:.4g} mm"
             )
         diameter_mm = min(diameter_mm, widest_mm)
     with about(stop.where()):

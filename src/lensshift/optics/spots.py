@@ -17,6 +17,7 @@ from lensshift.optics.trace import Build, RayBundle, trace
 
 CENTROID_RINGS = 2  # of the pupil: the centroid is smooth
 _FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
+_SETTLING_STEPS = 10  # after which the same rays count: one at an edge would come and go
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +106,8 @@ def fields_for_image(
     """Return the fields [... 2] whose spots have their centroids at points of the sensor.
 
     Newton's method with the derivative of the paraxial lens: the error falls by the relative
-    distortion in every step.
+    distortion in every step. Where a ray is stopped by an edge on one side of the point and not on
+    the other, its centroid is that with or without this ray.
 
     Parameters
     ----------
@@ -122,11 +124,16 @@ def fields_for_image(
     wanted = np.asarray(image_mm, dtype=np.float64)
     slope_mm = image_per_field_mm(lens)
     field = wanted / slope_mm
-    for _ in range(_FIELD_STEPS):
-        error = wanted - spots(lens, field, build=build, rings=rings).centroid_mm
+    points, weight = pupil_quadrature(rings)
+    for step in range(_FIELD_STEPS):
+        rays = trace(lens, field, points, build=build)
+        if step < _SETTLING_STEPS:
+            share = spots_of_rays(lens, rays, weight).weight
+        landing_mm = np.where(share[..., None] > 0, rays.position_mm, 0.0)
+        error = wanted - np.einsum("...r,...rc->...c", share, landing_mm)
         field = field + error / slope_mm
         if np.abs(error).max() < tolerance_mm:
-            return field
+            return np.asarray(field)
     raise ValueError(
         f"expected points that the lens can image, but after {_FIELD_STEPS} steps one is "
         f"{np.abs(error).max():.2g} mm away"

@@ -14,35 +14,20 @@ from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
+    AS_USUAL,
     BY_CODE,
     D_UM,
     REFERENCE_TEMPERATURE_C,
-    glass_called,
     glass_data,
-    glass_in_light,
     model_glass,
-    successor,
 )
+from lensshift.optics.glass_called import glass_called, glass_in_light, successor
 from lensshift.optics.lens import Lens
 from lensshift.optics.sequential import Entry, Frame, about, lens_of_entries
+from lensshift.optics.zmx_shapes import MOST_PARAMETERS, is_traced, shape
 
 _LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 _FAR_MM = 1e9  # programs write such a distance for infinity
-_KNOWN = ("STANDARD", "EVENASPH", "ODDASPHE", "XASPHERE", "XODDASPH", "COORDBRK")
-_REASONS = {  # by what the names of types begin with or contain
-    "GRIN|GRADI": "in which the index varies",
-    "BINARY|GRAT|HOLO|PHA|ZONE": "which diffracts light",
-    "FRESNEL": "whose grooves scatter light",
-    "PARAX|ABCD": "an ideal lens, which has no surfaces to trace",
-    "USER|DLL": "whose shape is in a program of its own",
-    "NONSEQ": "in which light takes no fixed order of surfaces",
-    "BIREF|JONES": "which treats polarisations differently",
-    "TORO|CYL|BICON|TILTS|IRREG|POLY|ZERN|CHEB|GRID|OFFAX|SLIDE|PERIOD|NURB|FREEF":
-        "which is no surface of revolution",
-}  # fmt: skip
-_LIKE_ASPHERE = ("BINARY_1", "BINARY_2")  # even aspheres, where their phase is 0
-_TERMS_PER_POWER = {"XASPHERE": 2, "XODDASPH": 1}  # steps of the powers of r / unit
-_MOST_PARAMETERS = 8  # an even asphere ends with r^16, an odd one with r^8
 _DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
 
 
@@ -59,6 +44,7 @@ class _File:
     catalogues: tuple[str, ...] = ()
     temperature_c: float = REFERENCE_TEMPERATURE_C
     notes: list[str] = field(default_factory=list)
+    turned: DataError | None = None  # about a surface that is turned by its properties
 
 
 def load_zmx(path: str | Path) -> Lens:
@@ -188,9 +174,9 @@ def _read_surface_line(
         entry.conic = _finite(values[0])
     elif key in ("PARM", "XDAT"):
         number = int(values[0])
-        if key == "PARM" and not 0 <= number <= _MOST_PARAMETERS and float(values[1]):
+        if key == "PARM" and not 0 <= number <= MOST_PARAMETERS and float(values[1]):
             raise DataError(
-                f"line {line}: expected a parameter up to {_MOST_PARAMETERS}, got {number}",
+                f"line {line}: expected a parameter up to {MOST_PARAMETERS}, got {number}",
                 field=entry.where(),
             )
         table = entry.parameters if key == "PARM" else entry.extra
@@ -209,7 +195,7 @@ def _read_surface_line(
     elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
         content.notes.append(f"surface {entry.number}: aperture {key} is left out")
     elif key == "SCBD" and any(map(float, values[3:])):
-        raise DataError(
+        content.turned = content.turned or DataError(
             f"line {line}: expected a coordinate break, got a tilt or decentre as a property of "
             "the surface",
             field=entry.where(),
@@ -219,7 +205,7 @@ def _read_surface_line(
     elif key == "GLAS":
         if values[0].upper() == "MIRROR":
             entry.mirror = True
-        elif entry.type in (*_KNOWN, *_LIKE_ASPHERE):  # others are refused for what they are
+        elif is_traced(entry.type):  # others are refused for what they are
             entry.glass, note = _glass(values, entry, line, content.catalogues)
             content.notes += [note] if note else []
     elif key == "STOP":
@@ -250,9 +236,13 @@ def _glass(
     if "CDGM" in catalogues[: (*catalogues, "SCHOTT").index("SCHOTT")]:
         known = glass_called(f"{name}_CDGM") or known  # a name that SCHOTT has for another glass
     if known is not None:
-        by_code = glass_data(known).source.startswith(BY_CODE)
-        note = f"surface {entry.number}: glass {name} is known by index and Abbe number only"
-        return known, note if by_code and not name[:1].isdigit() else ""
+        source = glass_data(known).source
+        told = ""
+        if source.startswith(BY_CODE) and not known.startswith("model:"):
+            told = f"surface {entry.number}: glass {name} is known by index and Abbe number only"
+        elif source == AS_USUAL:
+            told = f"surface {entry.number}: glass {name} is {AS_USUAL}"
+        return known, told
     newer = successor(name)
     if newer is not None:
         return newer, f"surface {entry.number}: glass {name} taken as {newer}, which replaced it"
@@ -279,7 +269,7 @@ def _lens(content: _File) -> Lens:
     if content.aperture is None:
         content.notes.append("no aperture is given: the stop is taken as wide as its surface")
     for entry in content.entries[1:-1]:
-        _shape(entry, content.mm)
+        shape(entry, content.mm)
         if entry.glass:
             _glass_of_light(entry, wavelength_nm, content.notes)
     image = content.entries[-1]
@@ -289,7 +279,7 @@ def _lens(content: _File) -> Lens:
         content.notes.append(f"surface {image.number}, the last, has more behind it: a part?")
     if content.entries[0].distance_mm >= _FAR_MM:
         content.entries[0].distance_mm = math.inf
-    return lens_of_entries(
+    lens = lens_of_entries(
         content.entries,
         _frames(content.entries),
         content.aperture or ("FLOA", 0.0),
@@ -298,53 +288,15 @@ def _lens(content: _File) -> Lens:
         temperature_c=content.temperature_c,
         notes=content.notes,
     )
+    if content.turned:  # of no account where the lens is refused for what it is
+        raise content.turned
+    return lens
 
 
 def _glass_of_light(entry: Entry, wavelength_nm: float, notes: list[str]) -> None:
     """Replace a glass whose constants do not hold for the light by one that is like it."""
     entry.glass, note = glass_in_light(entry.glass, wavelength_nm)
     notes += [] if note is None else [f"surface {entry.number}: {note}"]
-
-
-def _shape(entry: Entry, mm: float) -> None:
-    """Turn the parameters of a surface into the terms of its sag, or refuse it."""
-    value = entry.parameters
-    phase = [term for number, term in entry.extra.items() if number > 2]  # after count and radius
-    if entry.type in _LIKE_ASPHERE and not (any(phase) and value.get(0, 1.0)):
-        entry.type = "EVENASPH"
-    if entry.type == "COORDBRK":
-        value.update({axis: mm * value.get(axis, 0.0) for axis in (1, 2)})
-    elif entry.type == "EVENASPH":
-        entry.radial = _trimmed([0.0, value.get(1, 0.0) / mm])
-        terms = [value.get(i, 0.0) * mm ** (1 - 2 * i) for i in range(2, _MOST_PARAMETERS + 1)]
-        entry.asphere = _trimmed(terms)
-    elif entry.type == "ODDASPHE":
-        terms = [value.get(i, 0.0) * mm ** (1 - i) for i in range(1, _MOST_PARAMETERS + 1)]
-        entry.radial = _trimmed(terms)
-    elif entry.type in _TERMS_PER_POWER:  # of r / unit
-        step = _TERMS_PER_POWER[entry.type]
-        count, unit_mm = int(entry.extra.get(1, 0.0)), mm * entry.extra.get(2, 1.0)
-        if not (0 <= count <= 240 and unit_mm > 0):
-            raise DataError("expected terms and a radius above 0", field=entry.where())
-        terms = [
-            mm * entry.extra.get(2 + i, 0.0) / unit_mm ** (step * i) for i in range(1, count + 1)
-        ]
-        entry.radial = _trimmed([0.0, *terms[:1]] if step == 2 else terms)
-        entry.asphere = _trimmed(terms[1:]) if step == 2 else ()
-    elif entry.type != "STANDARD":
-        told = (why for names, why in _REASONS.items() if re.search(names, entry.type))
-        reason = next(told, "whose shape is not known here")
-        raise DataError(
-            f"line {entry.line_of_type}: expected a surface of type {', '.join(_KNOWN)}, got "
-            f"{entry.type}, {reason}",
-            field=entry.where(),
-        )
-
-
-def _trimmed(terms: list[float]) -> tuple[float, ...]:
-    """Return the terms without zeros at the end."""
-    last = max((number for number, term in enumerate(terms, start=1) if term), default=0)
-    return tuple(terms[:last])
 
 
 def _frames(entries: list[Entry]) -> list[Frame]:

@@ -9,6 +9,7 @@ from lensshift.core.errors import DataError
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Surface
 from lensshift.optics.paraxial import entrance_pupil
+from lensshift.optics.zmx_shapes import MOST_PARAMETERS
 
 _GLASS_NAMES = {"fused silica": "F_SILICA"}
 
@@ -135,8 +136,12 @@ def _surface(surface: Surface, glass: str, distance_mm: float) -> list[str]:
     lines = [f"TYPE {kind}", f"CURV {_number(surface.curvature_per_mm)}"]
     if surface.conic:
         lines.append(f"CONI {_number(surface.conic)}")
+    key = "PARM"
+    if len(parameters) > MOST_PARAMETERS:  # the extended ones begin with their number and a unit
+        lines[0] = f"TYPE {'XASPHERE' if kind == 'EVENASPH' else 'XODDASPH'}"
+        key, parameters = "XDAT", (float(len(parameters)), 1.0, *parameters)
     for number, coefficient in enumerate(parameters, start=1):
-        lines.append(f"PARM {number} {_number(coefficient)}")
+        lines.append(f"{key} {number} {_number(coefficient)}")
     lines.append(f"DISZ {_number(distance_mm)}")
     if glass.startswith("model:"):
         index, abbe, partial = glass.split(":")[1:]
