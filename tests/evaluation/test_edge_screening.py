@@ -64,10 +64,22 @@ def test_what_is_not_one_edge_is_refused(image: Image, message: str) -> None:
         measure_edge(noisy(image, 0.01), region=(0, SHAPE[0], 0, SHAPE[1]))
 
 
+@pytest.mark.parametrize("level", [0.1, 1.0 / 3.0, 7.0])
+def test_a_level_that_has_no_exact_mean_is_flat(level: float) -> None:
+    flat = np.full(SHAPE, level)
+    with pytest.raises(ValueError, match="found no slanted edge"):
+        measure_edge(flat)
+    with pytest.raises(ValueError, match="a flat region"):
+        measure_edge(flat, region=(0, SHAPE[0], 0, SHAPE[1]))
+
+
 def test_grey_levels_are_not_taken_for_clipping() -> None:
     fine = noisy(step(0.3), 0.0005)
     counts = np.round(150.0 * fine + 40.0)
     assert not any("clipped" in note for note in measure_edge(counts).notes)
+    photograph = 255.0 * (0.2 + 0.6 * noisy(step(0.3), 0.002)) ** (1 / 2.2)
+    dithered = np.round(photograph + np.random.default_rng(8).normal(0.0, 0.3, SHAPE))
+    assert not any("clipped" in note for note in measure_edge((dithered / 255) ** 2.2).notes)
     bright = np.round(230.0 * noisy(step(0.3), 0.01) + 40.0)
     with pytest.warns(QualityWarning, match="bright pixels are clipped at 255"):
         assert not measure_edge(np.clip(bright, 0.0, 255.0)).usable
