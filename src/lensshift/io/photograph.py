@@ -23,6 +23,7 @@ from lensshift.io.reading import check_unpacked, reading, require_file
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 PHOTOGRAPH_SUFFIXES = (*JPEG_SUFFIXES, ".png", *TIFF_SUFFIXES)
 _COLOURS = 3  # red, green, blue
+_COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 
 
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
@@ -31,7 +32,7 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     Parameters
     ----------
     path : .jpg, .png, or .tif (also of 16 bits a colour)
-    frame : of a grey TIFF with several pages
+    frame : of a grey TIFF with several pages; others have one
 
     Raises
     ------
@@ -41,11 +42,12 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     require_file(path)
     suffix = Path(path).suffix.lower()
     with reading(path):
-        if suffix in TIFF_SUFFIXES and (values := _colour_tiff(path)) is not None:
-            return _plain(values)
-        if suffix in (*JPEG_SUFFIXES, ".png") and (values := _colour_pillow(path)) is not None:
-            return _plain(values)
-        frames = load_frames(path)
+        values = None
+        if suffix in TIFF_SUFFIXES:
+            values = _colour_tiff(path)
+        elif suffix in PHOTOGRAPH_SUFFIXES:
+            values = _colour_pillow(path)
+        frames = load_frames(path) if values is None else _plain(values)[None]
         if not 0 <= frame < len(frames):
             raise DataError(f"expected a frame from 0 to {len(frames) - 1}, got {frame}")
         return np.asarray(frames[frame])
@@ -99,12 +101,15 @@ def _colour_tiff(path: str | Path) -> NDArray[Any] | None:
 
 
 def _colour_pillow(path: str | Path) -> NDArray[Any] | None:
-    """Return [row col 3] of a JPEG, or of a PNG of colours of 8 bits; None if it is grey."""
+    """Return [row col 3] of a JPEG, or of a PNG of colours of 8 bits; None if it is grey.
+
+    How opaque it is says nothing of its light.
+    """
     with opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
         size = Path(path).stat().st_size
         check_unpacked(_COLOURS * image.width * image.height, size, "pixels")
         if image.format == "JPEG":
             return np.asarray(image.convert("RGB"))
-        if image.mode != "RGB" or any("16" in str(tile[3]) for tile in image.tile):
+        if image.mode not in _COLOUR_MODES or any("16" in str(tile[3]) for tile in image.tile):
             return None
-        return np.asarray(image)
+        return np.asarray(image.convert("RGB"))
