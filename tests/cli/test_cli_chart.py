@@ -104,6 +104,7 @@ def test_a_jpeg_of_unknown_curve_is_questioned(call: Call, tmp_path: Path) -> No
         (["--channel", "red"], 1, "this one is grey"),
         (["--focus", "1,2"], 2, "a focus for each of 1 photographs"),
         (["--order", "3"], 1, "order"),
+        (["--pitch-mm", "0"], 2, "a pitch like 0.1"),
         (["--csv", "photo.png"], 2, "photo.png"),
         (["--bayer", "RGBW", "--csv", "none/edges.csv"], 1, "no folder"),  # before the work
         (["--bayer", "RGBW", "--report", "none/lens.html"], 1, "no folder"),
