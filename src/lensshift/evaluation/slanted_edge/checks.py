@@ -87,7 +87,7 @@ def doubted(
     if min(asymmetry.low, asymmetry.value) > _LARGEST_ASYMMETRY:
         found.append(
             f"the edge profile is asymmetric by {100 * asymmetry.value:.1f} % of the contrast: "
-            "is the response linear (no gamma)?"
+            "is the response linear (no gamma)? A second edge, a ghost and coma show so, too"
         )
     if result.aliasing_px > _LARGEST_ALIASING_PX:
         found.append(
