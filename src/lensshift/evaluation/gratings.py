@@ -220,7 +220,7 @@ def _found(pixels: Pixels, frequency_lpmm: float) -> Box:
             best, strongest = near, float(near.max())
             last = int(np.ceil(_END_CYCLES * period_px))
             inset_px = (last, _SIDE_PX) if axis == 0 else (_SIDE_PX, last)
-    if strongest < _LEAST_SHARE * float(np.std(image)) or strongest <= 0.0:
+    if strongest < _LEAST_SHARE * float(np.std(image)) or np.ptp(pixels.values) == 0.0:
         raise ValueError(f"found no bars of frequency {frequency_lpmm:.4g}; give their region")
     labels, _ = ndimage.label(best >= _FOUND_SHARE * strongest)
     own = labels == labels[np.unravel_index(int(np.argmax(best)), best.shape)]
