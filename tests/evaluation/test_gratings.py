@@ -106,6 +106,12 @@ def test_what_does_not_fit_is_refused(
         gratings_mtf(groups(), frequencies, pitch_mm=1.0, **options)  # type: ignore[arg-type]
 
 
+def test_the_region_of_another_group_is_refused() -> None:
+    regions = [(r + 4, s - 4, c + 4, d - 4) for r, s, c, d in (*BOXES[1:], BOXES[0])]
+    with pytest.raises(ValueError, match="the region of another group"):
+        gratings_mtf(groups(), FREQUENCIES, pitch_mm=1.0, regions=regions, levels=(LOW, HIGH))
+
+
 @pytest.mark.parametrize("level", [1.0, 1.0 / 3.0, 0.1])
 def test_a_flat_picture_holds_no_bars(level: float) -> None:
     with pytest.raises(ValueError, match="found no bars"):
