@@ -48,6 +48,17 @@ def test_a_photograph_to_numbers_a_table_a_page_and_a_picture(call: Call, tmp_pa
         assert picture.size[0] > 500
 
 
+def test_photographs_of_one_name_are_drawn_apart(call: Call, tmp_path: Path) -> None:
+    names = [tmp_path / folder / "photo.png" for folder in ("left", "right")]
+    for name in names:
+        name.parent.mkdir()
+        save_square(name)
+    seen = tmp_path / "seen"
+    done = call("evaluate", "chart", *names, "--gamma", "2.2", "--workers", 1, "--annotate", seen)
+    assert done.exit_code == 0, done.output
+    assert len(list(seen.iterdir())) == 2
+
+
 def test_through_focus(call: Call, tmp_path: Path) -> None:
     names = []
     for place, sigma_px in ((0, 1.0), (10, 0.6), (20, 1.0)):
@@ -93,7 +104,10 @@ def test_a_jpeg_of_unknown_curve_is_questioned(call: Call, tmp_path: Path) -> No
         (["--channel", "red"], 1, "this one is grey"),
         (["--focus", "1,2"], 2, "a focus for each of 1 photographs"),
         (["--order", "3"], 1, "order"),
+        (["--pitch-mm", "0"], 2, "a pitch like 0.1"),
         (["--csv", "photo.png"], 2, "photo.png"),
+        (["--bayer", "RGBW", "--csv", "none/edges.csv"], 1, "no folder"),  # before the work
+        (["--bayer", "RGBW", "--report", "none/lens.html"], 1, "no folder"),
     ],
 )
 def test_wrong_arguments(

@@ -62,6 +62,7 @@ def test_all_frames_of_a_burst_together(call: Call, tmp_path: Path) -> None:
     ("options", "code", "message"),
     [
         (["--region", "1,2"], 2, "expected a region like"),
+        (["--region", "nan,9,0,9"], 2, "expected a region like"),
         (["--region", "0,99,0,9"], 1, "rows of the region within 0 to 16"),
         (["--joint"], 2, "needs a burst file"),
         (["--pitch-mm", "x"], 2, "expected a pitch like"),

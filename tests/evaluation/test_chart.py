@@ -89,6 +89,13 @@ def test_zones_count_usable_edges_only(edges: list[ChartEdge]) -> None:
     assert rows[0]["worst_mtf50_lpmm"] == min(values)
 
 
+def test_a_zone_of_edges_too_sharp_for_an_mtf50_has_a_row(edges: list[ChartEdge]) -> None:
+    unknown = replace(edges[0].result, mtf50_lpmm=Interval(float("nan")))
+    [row] = zone_rows([replace(edges[0], result=unknown)])
+    assert row["edges"] == 1
+    assert np.isnan([row["worst_mtf50_lpmm"], row["mtf50_lpmm"].value]).all()
+
+
 def test_rows_of_a_table_are_in_the_unit(edges: list[ChartEdge]) -> None:
     [row, *_] = edge_rows(edges, [0.1], factor=20.0)
     found = edges[0].result

@@ -24,14 +24,22 @@ def noisy(image: Image, noise: float, seed: int = 4) -> Image:
     return image + noise * np.random.default_rng(seed).standard_normal(SHAPE)
 
 
-@pytest.mark.parametrize("dust", [False, True])
-def test_pixels_that_stand_out_do_not_move_the_result(dust: bool) -> None:
+HOT = np.random.default_rng(7).random(SHAPE) < 0.003
+
+
+@pytest.mark.parametrize(
+    ("out", "level"),
+    [
+        (HOT, 1.4),
+        (np.s_[20:24, 40:44], 0.6),
+        (np.s_[5:11, 28:34], -0.4),  # on the edge, where a bend is the first thought
+        (np.s_[14:20, 26:34], 1.8),
+    ],
+)
+def test_pixels_that_stand_out_do_not_move_the_result(out: Image, level: float) -> None:
     image = noisy(step(0.3), 0.01)
     spoiled = image.copy()
-    if dust:
-        spoiled[20:24, 40:44] -= 0.4
-    else:
-        spoiled[np.random.default_rng(7).random(SHAPE) < 0.003] = 1.4
+    spoiled[out] = level
     clean = measure_edge(image).mtf50_lpmm
     with pytest.warns(QualityWarning, match=r"\d+ pixels stand out"):
         found = measure_edge(spoiled)
@@ -56,10 +64,23 @@ def test_what_is_not_one_edge_is_refused(image: Image, message: str) -> None:
         measure_edge(noisy(image, 0.01), region=(0, SHAPE[0], 0, SHAPE[1]))
 
 
+@pytest.mark.parametrize("level", [0.1, 1.0 / 3.0, 7.0])
+def test_a_level_that_has_no_exact_mean_is_flat(level: float) -> None:
+    flat = np.full(SHAPE, level)
+    with pytest.raises(ValueError, match="found no slanted edge"):
+        measure_edge(flat)
+    with pytest.raises(ValueError, match="a flat region"):
+        measure_edge(flat, region=(0, SHAPE[0], 0, SHAPE[1]))
+
+
 def test_grey_levels_are_not_taken_for_clipping() -> None:
     fine = noisy(step(0.3), 0.0005)
     counts = np.round(150.0 * fine + 40.0)
     assert not any("clipped" in note for note in measure_edge(counts).notes)
+    # Quiet dark pixels beside noisy bright ones: one in 13 lies at the lowest level.
+    sigma = 0.35 + 5.0 * step(0.3)
+    quiet = np.round(40.0 + 150.0 * step(0.3) + sigma * noisy(np.zeros(SHAPE), 1.0))
+    assert not any("clipped" in note for note in measure_edge(quiet).notes)
     bright = np.round(230.0 * noisy(step(0.3), 0.01) + 40.0)
     with pytest.warns(QualityWarning, match="bright pixels are clipped at 255"):
         assert not measure_edge(np.clip(bright, 0.0, 255.0)).usable

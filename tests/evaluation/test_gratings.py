@@ -106,9 +106,16 @@ def test_what_does_not_fit_is_refused(
         gratings_mtf(groups(), frequencies, pitch_mm=1.0, **options)  # type: ignore[arg-type]
 
 
-def test_a_flat_picture_holds_no_bars() -> None:
+def test_the_region_of_another_group_is_refused() -> None:
+    regions = [(r + 4, s - 4, c + 4, d - 4) for r, s, c, d in (*BOXES[1:], BOXES[0])]
+    with pytest.raises(ValueError, match="the region of another group"):
+        gratings_mtf(groups(), FREQUENCIES, pitch_mm=1.0, regions=regions, levels=(LOW, HIGH))
+
+
+@pytest.mark.parametrize("level", [1.0, 1.0 / 3.0, 0.1])
+def test_a_flat_picture_holds_no_bars(level: float) -> None:
     with pytest.raises(ValueError, match="found no bars"):
-        gratings_mtf(np.ones(SHAPE), [0.1], pitch_mm=1.0, levels=(LOW, HIGH))
+        gratings_mtf(np.full(SHAPE, level), [0.1], pitch_mm=1.0, levels=(LOW, HIGH))
 
 
 def test_bars_that_are_not_there_are_not_measured_at_the_ends_of_others() -> None:

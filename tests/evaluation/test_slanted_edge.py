@@ -361,6 +361,7 @@ def test_aliasing_that_is_left_shows() -> None:
         ({"valid": np.ones((2, 2))}, "expected a mask"),
         ({"region": (0, 16, 8)}, "expected a region of whole row start"),
         ({"region": (0, 16, 8.7, 60)}, "expected a region of whole row start"),
+        ({"region": (np.nan, 16, 8, 60)}, "expected a region of whole row start"),
         ({"frequency_lpmm": [0.3, 0.1]}, "expected frequency_lpmm"),
     ],
 )
@@ -368,6 +369,13 @@ def test_bad_input_is_told(change: dict[str, object], message: str) -> None:
     options: dict[str, object] = {"image": box_edge((16, 64)), "pitch_mm": 1.0} | change
     with pytest.raises(ValueError, match=message):
         measure_edges(**options)  # type: ignore[arg-type]
+
+
+def test_a_single_line_is_measured_without_a_word_of_empty_means() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        warnings.simplefilter("ignore", QualityWarning)
+        assert not measure_edge(box_edge((1, 64))).usable
 
 
 def test_a_given_region_is_kept() -> None:

@@ -66,6 +66,19 @@ def test_png_and_jpeg(tmp_path: Path) -> None:
     assert np.abs(found.astype(int) - smooth).max() <= 2
 
 
+def test_a_png_of_colours_may_have_a_palette_or_be_opaque_in_part(tmp_path: Path) -> None:
+    rgb = colours()
+    opaque = np.full((*rgb.shape[:2], 1), 200, "u1")
+    Image.fromarray(np.concatenate([rgb, opaque], axis=-1)).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(load_photograph(tmp_path / "a.png"), rgb)
+    few = Image.fromarray(rgb).quantize(16)
+    few.save(tmp_path / "b.png")
+    expected = np.asarray(few.convert("RGB"))
+    np.testing.assert_array_equal(load_photograph(tmp_path / "b.png"), expected)
+    with pytest.raises(DataError, match="expected frame 0, the only one, got 1"):
+        load_photograph(tmp_path / "b.png", frame=1)
+
+
 @pytest.mark.parametrize("name", ["grey.png", "grey.tif"])
 def test_sixteen_bits_of_grey_stay(tmp_path: Path, name: str) -> None:
     grey = np.random.default_rng(0).integers(0, 60000, SHAPE).astype("u2")

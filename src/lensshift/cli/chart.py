@@ -20,7 +20,7 @@ from lensshift.cli.images import (
     interval_row,
     measured_photograph,
 )
-from lensshift.cli.inputs import parse_numbers, parse_pitch_mm, refuse_overwriting
+from lensshift.cli.inputs import check_files, parse_numbers, parse_pitch_mm, refuse_overwriting
 from lensshift.cli.mtf import EdgeOptions
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb
@@ -62,8 +62,9 @@ def chart(current: Session, asked: ChartOptions) -> None:
     """
     from lensshift.core.processes import ready_with
 
-    written = [path for path in (asked.report, asked.csv) if path is not None]
-    refuse_overwriting([*asked.images, asked.photo.oecf], written)
+    read, seen = [*asked.images, asked.photo.oecf], _annotated_files(asked)
+    check_files(read, [path for path in (asked.report, asked.csv) if path is not None])
+    refuse_overwriting(read, seen)
     # Processes get ready while this one imports what it measures with.
     context = None if asked.workers == 1 else ready_with("lensshift.evaluation.chart_series")
 
@@ -93,7 +94,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
         for zone, one in fits.items()
     }
     _write_rows(current, asked.csv, edges, wanted, unit)
-    _annotated(current, asked.annotate, pictures, edges, unit)
+    _annotate(current, seen, pictures, edges, unit)
     if asked.report is not None:
         from lensshift.report.chart import chart_page
 
@@ -206,19 +207,31 @@ def _write_rows(
     outputs.write_table(current, csv, columns)
 
 
-def _annotated(
+def _annotated_files(asked: ChartOptions) -> list[Path]:
+    """Return where each photograph is written with what was measured; numbered where names meet."""
+    if asked.annotate is None:
+        return []
+    from lensshift.pipeline.run import writable_folder
+
+    writable_folder(asked.annotate)
+    stems = [path.stem for path in asked.images]
+    if len(set(stems)) < len(stems):
+        stems = [f"{stem}_{number}" for number, stem in enumerate(stems)]
+    return [asked.annotate / f"{stem}_edges.png" for stem in stems]
+
+
+def _annotate(
     current: Session,
-    folder: Path | None,
+    files: Sequence[Path],
     pictures: Sequence[Photograph],
     edges: Sequence[ChartEdge],
     unit: Unit,
 ) -> None:
-    if folder is None:
+    if not files:
         return
-    from lensshift.pipeline.run import made_folder, writable_folder
+    from lensshift.pipeline.run import made_folder
 
-    made_folder(writable_folder(folder))
-    for one in pictures:
+    made_folder(files[0].parent)
+    for file, one in zip(files, pictures, strict=True):
         here = [edge for edge in edges if edge.image == one.name]
-        name = folder / f"{Path(one.name).stem}_edges.png"
-        outputs.write_plot(current, name, "chart.annotated_figure", one.first, here, unit.name)
+        outputs.write_plot(current, file, "chart.annotated_figure", one.first, here, unit.name)

@@ -249,7 +249,7 @@ def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
     if text is None:
         return None
     numbers = parse_numbers(text, 4, "a region like 0,16,20,50")
-    if any(number != int(number) for number in numbers):
+    if not all(number.is_integer() for number in numbers):  # NaN is none
         raise typer.BadParameter(f"expected a region like 0,16,20,50, got {text!r}")
     row_start, row_stop, col_start, col_stop = (int(number) for number in numbers)
     return row_start, row_stop, col_start, col_stop

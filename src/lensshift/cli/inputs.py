@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -112,7 +113,10 @@ def _load(path: Path, options: StackOptions) -> Burst:
 
 def parse_pitch_mm(text: str) -> tuple[float, float]:
     """Return the pitch (row, col) from "0.1" or "0.1,0.2"."""
-    numbers = parse_numbers(text, 1 if "," not in text else 2, "a pitch like 0.1 or 0.1,0.2")
+    expected = "a pitch like 0.1 or 0.1,0.2"
+    numbers = parse_numbers(text, 1 if "," not in text else 2, expected)
+    if not all(0.0 < number < math.inf for number in numbers):
+        raise typer.BadParameter(f"expected {expected}, got {text!r}")
     return numbers[0], numbers[-1]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensshift.cli.inputs import refuse_overwriting
+from lensshift.cli.inputs import check_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,7 +34,7 @@ class Outputs:
 
 def check(inputs: Sequence[Path | None], csv: Path | None = None, plot: Path | None = None) -> None:
     """Complain before the work about files that cannot be written."""
-    refuse_overwriting(inputs, [path for path in (csv, plot) if path is not None])
+    check_files(inputs, [path for path in (csv, plot) if path is not None])
     if plot is not None:
         from lensshift.report.save import check_ending
 

@@ -139,7 +139,8 @@ def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
             ]
             if here:
                 mean = _mean_of_places(here)
-                worst = min(one.value for one in here if np.isfinite(one.value))
+                known = [one.value for one in here if np.isfinite(one.value)]
+                worst = min(known, default=float("nan"))  # of edges too sharp to fall to a half
                 rows.append(
                     {"zone": zone, "direction": direction, "edges": len(here), "mtf50_lpmm": mean}
                     | {"worst_mtf50_lpmm": worst}

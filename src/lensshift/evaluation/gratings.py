@@ -110,6 +110,9 @@ def gratings_mtf(
     order = np.argsort(wanted)
     wanted, places = wanted[order], [places[k] for k in order]
     groups = [_measured(pixels, f, place, profile) for f, place in zip(wanted, places, strict=True)]
+    for one, at in zip(groups, places, strict=True):
+        if at is not None:
+            _refuse_other_bars(pixels, one)
     _refuse_same_place([one for one, at in zip(groups, places, strict=True) if at is None])
     fits = [one.fit for one in groups]
     outer = max(_FEWEST_TO_EXTRAPOLATE, (len(fits) + 1) // 2)
@@ -185,6 +188,32 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     return _Group(fit, region, float(best[0]), float(f))
 
 
+def _refuse_other_bars(pixels: Pixels, group: _Group) -> None:
+    """Refuse a region most of whose light waves with another frequency than was told."""
+    top, bottom, left, right = group.region
+    inside = (pixels.row_px >= top) & (pixels.row_px < bottom)
+    inside &= (pixels.col_px >= left) & (pixels.col_px < right)
+    row, col = (pixels.row_px[inside] - top).astype(int), (pixels.col_px[inside] - left).astype(int)
+    light = np.linalg.qr(np.column_stack([np.ones(row.size), row, col]))[0]
+    box = np.zeros((bottom - top, right - left))
+    box[row, col] = pixels.values[inside] - light @ (light.T @ pixels.values[inside])
+    power = np.abs(np.fft.fft2(box)) ** 2
+    near = ndimage.uniform_filter(power, 3, mode="wrap") * 9.0
+    bins = [np.fft.fftfreq(n, 1.0 / n) for n in box.shape]
+    # A cycle over the region is uneven light, and tells no frequency.
+    near[np.hypot(bins[0][:, None], bins[1]) < _LEAST_CYCLES] = 0.0
+    at = np.unravel_index(int(np.argmax(near)), box.shape)
+    extent_mm = [n * pitch for n, pitch in zip(box.shape, pixels.pitch_mm, strict=True)]
+    there = float(np.hypot(bins[0][at[0]] / extent_mm[0], bins[1][at[1]] / extent_mm[1]))
+    slack = float(np.hypot(1.0 / extent_mm[0], 1.0 / extent_mm[1]))
+    most = 2.0 * near[at] > 0.5 * power.sum()  # with its mirrored twin
+    if most and abs(there - group.frequency_lpmm) > slack + _MOST_OFF * group.frequency_lpmm:
+        raise ValueError(
+            f"expected bars of {group.frequency_lpmm:.4g} in {group.region}, those there have "
+            f"about {there:.3g}: is it the region of another group?"
+        )
+
+
 def _refuse_same_place(found: Sequence[_Group]) -> None:
     """Refuse groups found at one place: strong bars have some of every frequency at their ends."""
     for one, other in itertools.combinations(found, 2):
@@ -220,7 +249,7 @@ def _found(pixels: Pixels, frequency_lpmm: float) -> Box:
             best, strongest = near, float(near.max())
             last = int(np.ceil(_END_CYCLES * period_px))
             inset_px = (last, _SIDE_PX) if axis == 0 else (_SIDE_PX, last)
-    if strongest < _LEAST_SHARE * float(np.std(image)) or strongest <= 0.0:
+    if strongest < _LEAST_SHARE * float(np.std(image)) or np.ptp(pixels.values) == 0.0:
         raise ValueError(f"found no bars of frequency {frequency_lpmm:.4g}; give their region")
     labels, _ = ndimage.label(best >= _FOUND_SHARE * strongest)
     own = labels == labels[np.unravel_index(int(np.argmax(best)), best.shape)]

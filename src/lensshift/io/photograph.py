@@ -23,6 +23,7 @@ from lensshift.io.reading import check_unpacked, reading, require_file
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 PHOTOGRAPH_SUFFIXES = (*JPEG_SUFFIXES, ".png", *TIFF_SUFFIXES)
 _COLOURS = 3  # red, green, blue
+_COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 
 
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
@@ -115,13 +116,16 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
 
 
 def _colour_pillow(path: str | Path, frame: int = 0) -> NDArray[Any] | None:
-    """Return [row col 3] of a JPEG, or of colours of 8 bits; None if it is grey."""
+    """Return [row col 3] of a JPEG, or of colours of 8 bits; None if it is grey.
+
+    How opaque it is says nothing of its light.
+    """
     with opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
         image.seek(frame)
         size = Path(path).stat().st_size
         check_unpacked(_COLOURS * image.width * image.height, size, "pixels")
         if image.format == "JPEG":
             return np.asarray(image.convert("RGB"))
-        if image.mode != "RGB" or any("16" in str(tile[3]) for tile in image.tile):
+        if image.mode not in _COLOUR_MODES or any("16" in str(tile[3]) for tile in image.tile):
             return None
-        return np.asarray(image)
+        return np.asarray(image.convert("RGB"))

@@ -123,7 +123,7 @@ def reconstruct(
     QualityWarning
         If the frames fit another sign, order of axes, unit or order of frames better, or contradict
         the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
-        changes. If they show another pixel response than the one that was told.
+        changes. Or if they show another pixel response than was told.
     """
     expect_burst(burst)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
@@ -246,7 +246,10 @@ def _objected(
         warn_of_doubt(doubt, stacklevel=3)
     elif refuted is None:
         return found
-    return {key: replace(one, status=Status.CONTRADICTED) for key, one in found.items()}
+    return {
+        key: one if one.status is Status.NOT_FINITE else replace(one, status=Status.CONTRADICTED)
+        for key, one in found.items()
+    }
 
 
 def _solve(

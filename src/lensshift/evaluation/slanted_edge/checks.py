@@ -87,7 +87,7 @@ def doubted(
     if min(asymmetry.low, asymmetry.value) > _LARGEST_ASYMMETRY:
         found.append(
             f"the edge profile is asymmetric by {100 * asymmetry.value:.1f} % of the contrast: "
-            "is the response linear (no gamma)?"
+            "is the response linear (no gamma)? A second edge, a ghost and coma show so, too"
         )
     if result.aliasing_px > _LARGEST_ALIASING_PX:
         found.append(
@@ -120,29 +120,29 @@ def _shape(values: Vector, result: EdgeResult) -> list[str]:
 
 
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:
-    """A clipped plateau holds its extreme value far more often than the value opposite to it.
+    """A clipped plateau holds its extreme value more often than the value next to it.
 
-    Where the noise is below a grey level any value is frequent; then the extreme one must be the
-    end of a range of whole numbers.
+    That of noise is rarer than its neighbour. Where the noise is below the step between the two any
+    value is frequent; then the extreme one must be the end of a range of whole numbers.
     """
     if result.noise < _NO_NOISE:
         return []  # computed, not taken: plateaus are level without being clipped
     found = []
     middle = 0.5 * (result.dark + result.bright)
-    for side, name, outer, inner in (
-        (values[values > middle], "bright", np.max, np.min),
-        (values[values <= middle], "dark", np.min, np.max),
+    for side, name, end, inwards in (
+        (values[values > middle], "bright", -1, -1),
+        (values[values <= middle], "dark", 0, 1),
     ):
-        levels = np.unique(side)
+        levels, counts = np.unique(side, return_counts=True)
         if levels.size < 4:  # no noise to be cut off
             continue
-        coarse = result.noise * (result.bright - result.dark) < np.min(np.diff(levels))
-        if coarse and outer(side) not in _ENDS_OF_RANGE:
+        outer, step = levels[end], abs(levels[end + inwards] - levels[end])
+        coarse = result.noise * (result.bright - result.dark) < step
+        if coarse and outer not in _ENDS_OF_RANGE:
             continue
-        share = float(np.mean(side == outer(side)))
-        other = float(np.mean(side == inner(side)))
-        if share > _CLIPPED_SHARE + 3.0 * other:
-            found.append(f"{100 * share:.0f} % of the {name} pixels are clipped at {outer(side):g}")
+        share = counts[end] / side.size
+        if share > _CLIPPED_SHARE and counts[end] > counts[end + inwards]:
+            found.append(f"{100 * share:.0f} % of the {name} pixels are clipped at {outer:g}")
     return found
 
 

@@ -86,7 +86,7 @@ def explained_share(
     near_rad : direction of its normal to within a few degrees, any if None
     """
     variance = float(np.var(values)) * values.size
-    if variance <= 0.0:
+    if np.ptp(values) == 0.0 or variance <= 0.0:  # the mean of equal values is rounded
         return 0.0
     if near_rad is None:
         return _best_step(x_px, y_px, values)[0] / variance
@@ -97,7 +97,7 @@ def explained_share(
 def _best_split(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, float]:
     """Return the line (angle, position) that explains most of the variance as two levels."""
     explained, angle_rad, position_px = _best_step(x_px, y_px, values)
-    if explained <= 0.0:
+    if np.ptp(values) == 0.0 or explained <= 0.0:
         raise ValueError("expected an edge between two levels, got a flat region")
     return angle_rad, position_px
 

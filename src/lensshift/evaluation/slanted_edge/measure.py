@@ -171,7 +171,7 @@ def _likely(given: dict[str, Any], scale: int) -> LikelySettings:
 
 def _given(region: Region | Sequence[int], frames: EdgeFrames) -> Region:
     ends = astuple(region) if isinstance(region, Region) else tuple(region)
-    if len(ends) != 4 or any(end != int(end) for end in ends):
+    if len(ends) != 4 or not all(float(end).is_integer() for end in ends):
         raise ValueError(
             f"expected a region of whole row start, row stop, col start, col stop, got {ends}"
         )

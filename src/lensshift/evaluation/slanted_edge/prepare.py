@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -114,6 +114,18 @@ class UprightEdge:
         """What tells ESF and LSF from the pixels alone."""
         return self.response_without(None)
 
+    def without(self, out: Mask) -> UprightEdge:
+        """Return the edge of the pixels but those out [n]."""
+        left = self.pixels
+        kept = Pixels(left.places[~out], left.row_px[~out], left.col_px[~out], left.values[~out])
+        return replace(
+            self,
+            pixels=kept,
+            across_px=self.across_px[~out],
+            along_px=self.along_px[~out],
+            scaled=self.scaled[~out],
+        )
+
     def response_without(self, out: Mask | None) -> FreeResponse:
         """Return `free_response` as the pixels but those out [n] tell it."""
         normal_px, used = self.normal_px, None if out is None else ~out
@@ -131,7 +143,9 @@ class UprightEdge:
         return [normal_px < -half, normal_px > half]  # a narrow region: nearer to the edge
 
 
-def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> UprightEdge:
+def turn_upright(
+    pixels: Pixels, aperture_px: float, most_bends: int, out: Mask | None = None
+) -> UprightEdge:
     """Find the edge of a region and turn it upright.
 
     Parameters
@@ -139,13 +153,15 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
     pixels : the region
     aperture_px : side of the pixel
     most_bends : largest number of bending terms of the edge, 0 for a straight one
+    out : [n] pixels that the edge is found without
 
     Raises
     ------
     ValueError
         If there is no edge.
     """
-    line = find_edge(pixels.col_px, pixels.row_px, pixels.values, aperture_px)
+    told = np.ones(pixels.values.size, dtype=bool) if out is None else ~out
+    line = find_edge(pixels.col_px[told], pixels.row_px[told], pixels.values[told], aperture_px)
     cosine, sine = np.cos(line.angle_rad), np.sin(line.angle_rad)
     vertical = bool(abs(cosine) >= abs(sine))
     x_px, y_px = (pixels.col_px, pixels.row_px) if vertical else (pixels.row_px, pixels.col_px)
@@ -160,7 +176,8 @@ def turn_upright(pixels: Pixels, aperture_px: float, most_bends: int) -> Upright
         half_length_px = max(float(np.max(np.abs(y_px))), 1.0)
         unit_px = max(1.0, line.sigma_px)
         basis = splines_for(_HALF_WIDTH, unit_px)
-        geometry = bend_edge(across_px, y_px, scaled, geometry, basis, half_length_px, most_bends)
+        seen = across_px[told], y_px[told], scaled[told]
+        geometry = bend_edge(*seen, geometry, basis, half_length_px, most_bends)
     return UprightEdge(
         pixels=pixels,
         line=line,

@@ -118,6 +118,8 @@ def find_regions(image: Image) -> list[Region]:
 
 def _noise_of(image: Image) -> float:
     """Return the deviation of white noise: from second differences, most of which see no edge."""
+    if min(image.shape) < 2:
+        return 0.0
     mixed = np.diff(np.diff(image, axis=0), axis=1)
     return float(np.median(np.abs(mixed))) / 0.6745 / 2.0
 

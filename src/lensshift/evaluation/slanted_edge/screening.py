@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lensshift.evaluation.slanted_edge.edge_model import Vector
+from lensshift.evaluation.slanted_edge.noise_model import Mask
 from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_upright
 from lensshift.evaluation.steps import OF_NORMAL
 
 _STANDS_OUT = 6.0  # deviations; of 1e6 pixels of normal noise, none does
+_MOST_PASSES = 6
 _MOST_OUT = 0.05  # of the pixels; what is more frequent is no exception
 _LEAST_OUT = 0.01  # of the contrast, as a deviation: the blocks of a JPEG are no dust
 _OF_GREY_LEVEL = 0.3  # as a deviation, that of rounding
@@ -38,23 +40,43 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
     ValueError
         If there is no edge, or a second one.
     """
-    edge = turn_upright(pixels, aperture_px, most_bends)
-    out = np.zeros(edge.scaled.size, dtype=bool)
-    for _ in range(2):  # the worst hide others
-        more = _standing_out(edge, out)
-        if np.array_equal(more, out) or np.mean(more) > _MOST_OUT:
-            break
-        out = more
-    if out.any():
-        kept = Pixels(
-            pixels.places[~out], pixels.row_px[~out], pixels.col_px[~out], pixels.values[~out]
-        )
-        edge = turn_upright(kept, aperture_px, most_bends)
+    none = np.zeros(pixels.values.size, dtype=bool)
+    edge, out = _told_apart(pixels, aperture_px, most_bends, none)
+    if out.any() and most_bends:
+        # Dust on an edge looks like a bend of it, and pixels beside it stand out instead.
+        straight = _told_apart(pixels, aperture_px, 0, none)[1]
+        other = _told_apart(pixels, aperture_px, most_bends, straight)
+        edge, out = min((edge, out), other, key=lambda one: _left_over(*one))
+    edge = edge.without(out)
     _refuse_others(edge)
     return edge, int(out.sum())
 
 
-def _standing_out(edge: UprightEdge, out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _told_apart(
+    pixels: Pixels, aperture_px: float, most_bends: int, out: Mask
+) -> tuple[UprightEdge, Mask]:
+    """Return the edge as the pixels that do not stand out tell it, and which do.
+
+    Each time the edge is found without them, all are asked again: the worst hide others. `out` are
+    those of a first guess.
+    """
+    edge = turn_upright(pixels, aperture_px, most_bends, out)
+    for _ in range(_MOST_PASSES):
+        more = _standing_out(edge, out)
+        if np.array_equal(more, out) or np.mean(more) > _MOST_OUT:
+            break
+        out = more
+        edge = turn_upright(pixels, aperture_px, most_bends, out)
+    return edge, out
+
+
+def _left_over(edge: UprightEdge, out: Mask) -> float:
+    """Return what a free ESF leaves of the pixels that are not out, rms."""
+    rest = edge.scaled - edge.response_without(out).of(edge.scaled)[0]
+    return float(np.sqrt(np.mean(rest[~out] ** 2)))
+
+
+def _standing_out(edge: UprightEdge, out: Mask) -> Mask:
     response = edge.response_without(out) if out.any() else edge.free_response
     rest = edge.scaled - response.of(edge.scaled)[0]
     levels = np.unique(edge.scaled)  # neighbouring grey levels are no exception
