@@ -191,6 +191,18 @@ def test_a_fill_factor_and_every_method_are_held_against_the_frames(method: str)
         reconstruct(whole, method=method, fill_factor=0.2, psf_sigma_px=0.02)
 
 
+@pytest.mark.parametrize("channel", ["amplitude", "auto", "phasor"])
+def test_frames_of_distances_object_in_every_channel(channel: str) -> None:
+    seen = simulate_tof(
+        named_scene("four_boxes"), camera_preset("o3m151"), named_pattern_px("square"), seed=17
+    ).burst
+    with pytest.warns(lensshift.QualityWarning, match="sharper than psf_sigma_px 0.5"):
+        reconstruct(seen, method="tikhonov", channel=channel, psf_sigma_px=0.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        reconstruct(seen, method="tikhonov", channel=channel)
+
+
 @pytest.mark.parametrize("seed", [14, 15])
 def test_four_boxes_of_an_unknown_camera(seed: int) -> None:
     """Light and distances within what they are with the width that the camera has."""

@@ -120,9 +120,13 @@ def _questioned(
     Of a response that is wider than any that the reader knows the frames have to say that they are
     as soft as the widest of these.
     """
-    if part.distance_m is not None and channel != "phasor":
-        return request  # An amplitude of two distances is no mean of theirs, and seems too sharp.
-    found, request = _found(part, channel, request, seen)
+    if part.distance_m is None or channel == "phasor":
+        found, request = _found(part, channel, request, seen)
+    elif part.frequencies_hz:  # An amplitude of two distances is no mean of theirs.
+        light = dict(seen) | {"noise_sigma": None, "pixel_variance": None}
+        found, _ = _found(part, "phasor", request, light)
+    else:
+        return request
     if request.memory is not None and request.memory.quick:
         return request  # It was said when a step was last computed anew.
     told_px, named = blur_width_px(told), ""
