@@ -34,8 +34,8 @@ def frames_in(file: Path) -> int:
         return 0
 
 
-def killed(bench: Bench, number: int, after_s: float, *, under_way: bool) -> tuple[int, int]:
-    """Resume the capture, kill it after a while; return its status and the frames it told of.
+def killed(bench: Bench, number: int, after_s: float, *, under_way: bool) -> tuple[int, int, str]:
+    """Resume the capture, kill it after a while; return its status, frames told of, and words.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def killed(bench: Bench, number: int, after_s: float, *, under_way: bool) -> tup
     # Python reports, and swallows, what a signal raises while it cleans up an object.
     assert "Traceback" not in said or "Exception ignored" in said, said
     done = POSITION.findall(said)
-    return process.returncode, FRAMES * len(done)
+    return process.returncode, FRAMES * len(done), said
 
 
 def kill_often(bench: Bench, count: int, seed: int, *, under_way: bool = False) -> None:
@@ -74,11 +74,11 @@ def kill_often(bench: Bench, count: int, seed: int, *, under_way: bool = False) 
         number = signals[turn % 3] if under_way else rng.choice(signals)
         before = frames_in(bench.out)
         after_s = rng.uniform(0.0, longest_s)
-        status, told = killed(bench, number, after_s, under_way=under_way)
+        status, told, said = killed(bench, number, after_s, under_way=under_way)
         after = frames_in(bench.out)
         assert after >= before + told - FRAMES  # the first position told of may have been there
         assert after >= before, "a finished frame is lost"
-        assert status in (0, -number, 128 + number)
+        assert status in (0, -number, 128 + number), said
         if number != signal.SIGKILL:
             assert bench.still()
             if told:  # it had been homed, and under way

@@ -108,6 +108,25 @@ def test_a_signal_that_python_swallows_is_not_lost(arguments: list[str], said: l
     assert done.returncode == 128 + signal.SIGTERM
 
 
+HALF_DONE = """
+import io, signal, zipfile
+from lensshift.core.ending import ended_by_signals
+
+with ended_by_signals():
+    with zipfile.ZipFile(io.BytesIO(), "w") as file:  # a frame's arrays are packed so
+        entry = file.open("frame", "w")
+        signal.raise_signal(signal.SIGTERM)
+"""
+
+
+def test_what_a_signal_leaves_half_done_does_not_hide_it() -> None:
+    """A ZIP file that is being written cannot be closed, and says so instead of the signal."""
+    command = [sys.executable, "-c", HALF_DONE]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + signal.SIGTERM
+    assert done.stderr == ""
+
+
 def test_ctrl_c_during_the_return_of_a_capture_that_is_done() -> None:
     code, lines, said = run([("returning", "SIGINT")])
     assert lines == ["capturing", "returning", "at rest"]

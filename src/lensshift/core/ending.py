@@ -88,6 +88,10 @@ def ended_by_signals(
         signal.signal(number, ending)
     try:
         yield ending
+    except Exception as error:
+        if ending.number and at_once:  # what it left half done, such as a ZIP, failed to close
+            raise ending.error() from error
+        raise
     finally:
         if threading.current_thread() is threading.main_thread():  # a generator may end elsewhere
             for number in ours:
