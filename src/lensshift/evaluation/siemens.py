@@ -31,6 +31,7 @@ from lensshift.evaluation.known_phase import (
 
 Floats = NDArray[np.float64]
 
+_FEWEST_CYCLES = 5  # below, the wave is one of the terms of uneven light or next to it
 _MIN_RINGS = 3
 _RIM_PX = 2.0
 _SURE = 3.0  # deviations
@@ -89,7 +90,8 @@ def siemens_star_mtf(
     in rings one pixel wide; c1 .. c4 take up uneven light. The odd harmonics of a square star are
     fitted too, up to the Nyquist frequency. `contrast` is the modulation at frequency 0: from
     `levels` (high - low) / (high + low), times 4 / pi for a square star; else extrapolated from
-    the outer half of the radii by log m = log contrast - q f^2, exact for a Gaussian blur.
+    the outer half of the radii by log m = log contrast - q f^2, exact for a Gaussian blur. Its
+    error says how far another fall, as by diffraction, that fits as well would be off.
 
     Parameters
     ----------
@@ -108,7 +110,8 @@ def siemens_star_mtf(
     Raises
     ------
     ValueError
-        If an argument is out of range, or fewer than three rings can be fitted.
+        If an argument is out of range, fewer than three rings can be fitted, or the star has
+        another number of cycles.
 
     Warns
     -----
@@ -138,6 +141,8 @@ def siemens_star_mtf(
     frequency_lpmm = star.frequency_lpmm(rings_mm)
     outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
     contrast = contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
+    places = [center, *(() if center_px else _starts_px(pixels))]
+    _refuse_other_star(pixels, places, radii_mm[1], cycles)
     warn_if_out_of_step(fits, f"the number of {cycles} cycles")
     curves = []
     for k in range(sectors):
@@ -242,8 +247,37 @@ def _find_center_px(
         _, fits = star.measure(pixels, waves_about(start_px, *place_mm), np.hypot(*place_mm))
         return sum(fit.count * fit.modulation**2 for fit in fits)
 
-    start_px = max((symmetry_center_px(pixels, parity) for parity in (1, -1)), key=energy)
+    start_px = max(_starts_px(pixels), key=energy)
     return refine_center_px(pixels, start_px, partial(waves_about, start_px))
+
+
+def _starts_px(pixels: Pixels) -> list[tuple[float, float]]:
+    return [symmetry_center_px(pixels, parity) for parity in (1, -1)]
+
+
+def _refuse_other_star(
+    pixels: Pixels, places_px: Sequence[tuple[float, float]], rim_mm: float, cycles: int
+) -> None:
+    """Refuse a star whose pixels wave with another number of cycles than was told.
+
+    The phase of a star is the same at all radii: the outer half of the pixels, added up by their
+    angle alone, is its wave, about the right one of some places for its centre.
+    """
+    count = int(2.0 * np.pi * rim_mm / min(pixels.pitch_mm))  # as many angles as pixels at the rim
+    powers = []
+    for place_px in places_px:
+        row_mm, col_mm = pixels.place_mm(place_px)
+        radius_mm = np.hypot(row_mm, col_mm)
+        outer = (radius_mm <= rim_mm) & (radius_mm >= 0.5 * rim_mm)
+        turn = np.arctan2(row_mm, col_mm)[outer] / (2.0 * np.pi) % 1.0
+        values = pixels.values[outer] - pixels.values[outer].mean()
+        wave = np.bincount((turn * count).astype(np.intp), values, minlength=count)
+        powers.append(np.abs(np.fft.rfft(wave)[: count // 2]))
+    power = np.max([one[: min(map(len, powers))] for one in powers], axis=0)
+    power[:_FEWEST_CYCLES] = 0.0
+    seen = int(np.argmax(power))
+    if seen != cycles:
+        raise ValueError(f"expected a star of {cycles} cycles, got one of {seen}")
 
 
 def _default_range_mm(
@@ -321,7 +355,7 @@ def _against_mean(fits: Sequence[HarmonicFit]) -> Floats:
 def _check_star(
     cycles: int, profile: str, sectors: int, radii_mm: tuple[float, float] | None
 ) -> None:
-    if cycles < 5:  # below, the wave is one of the terms of uneven light or next to it
+    if cycles < _FEWEST_CYCLES:
         raise ValueError(f"expected a star of 5 cycles or more, got {cycles}")
     if profile not in ("sine", "square"):
         raise ValueError(f"expected the profile 'sine' or 'square', got {profile!r}")
