@@ -80,7 +80,7 @@ def doubted(
         )
     usable = not found
     if out:
-        found.append(f"{out} pixels stand out (hot, dead or dusty) and are left out")
+        found.append(f"{out} pixels stand out (hot, dead, dusty, of a corner) and are left out")
     if result.bend_px > _LEAST_BEND_PX:
         found.append(f"the edge is not straight: it bends by {result.bend_px:.2f} px rms")
     asymmetry = result.asymmetry
