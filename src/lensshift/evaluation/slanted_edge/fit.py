@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import sici
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
@@ -49,7 +50,7 @@ class EdgeFit:
     edge, noise : the region and its noise
     geometry : [g k] angle, position, bends
     dark, contrast : level and height of the edge, spline included, in units of the first guess
-    modulation : [f k]
+    transform : [f k] of the LSF, 1 at frequency 0
     normal_px, esf : [d], [d k] from 0 (dark) to 1 (bright)
     lsf : [d k] per pixel
     residual : [n] pixels minus model, in units of the contrast
@@ -60,7 +61,7 @@ class EdgeFit:
     geometry: Matrix
     dark: float
     contrast: float
-    modulation: Matrix
+    transform: NDArray[np.complex128]
     normal_px: Vector
     esf: Matrix
     lsf: Matrix
@@ -107,7 +108,7 @@ def fit_edge(
     # The optimum follows the tail's law beyond the region, half of the draws only in part.
     drawn = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
     missing = np.append(0.0, np.maximum(drawn, 0.0))
-    modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
+    transform, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
     factors = levels[:, 0], coefficients[:, 0]
     return EdgeFit(
         edge=edge,
@@ -117,7 +118,7 @@ def fit_edge(
         contrast=float(
             levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
         ),
-        modulation=modulation,
+        transform=transform,
         normal_px=curves.normal_px,
         esf=esf,
         lsf=lsf,
@@ -238,7 +239,7 @@ def _beyond(frequency_cpp: Vector, end_px: float) -> Vector:
 
 
 class _Curves:
-    """Turns draws of the edge into MTF, ESF and LSF."""
+    """Turns draws of the edge into OTF, ESF and LSF."""
 
     def __init__(self, likelihood: EdgeLikelihood, frequency_cpp: Vector, ends_px: Vector) -> None:
         self._base, self._frequency_cpp = likelihood.base, frequency_cpp
@@ -255,8 +256,8 @@ class _Curves:
 
     def of(
         self, parameters: Matrix, factor: Vector, coefficients: Matrix, missing: Vector
-    ) -> tuple[Matrix, Matrix, Matrix]:
-        """Return MTF [f k], ESF [d k] and LSF [d k].
+    ) -> tuple[NDArray[np.complex128], Matrix, Matrix]:
+        """Return the transform of the LSF [f k], ESF [d k] and LSF [d k].
 
         Of the light that the base model sends beyond the region, a share `missing` [k] is none.
         """
@@ -277,4 +278,4 @@ class _Curves:
         rise = (response[2::2] - response[:-2:2]) / steps_px[:, None]
         esf = (factor * response[1::2] + self._integrals @ coefficients) / contrast
         lsf = (factor * rise + self._values @ coefficients) / contrast
-        return np.abs(transform) / np.abs(contrast), esf, lsf
+        return transform / contrast, esf, lsf
