@@ -8,9 +8,8 @@ from scipy.special import ndtr
 from scipy.stats import norm
 
 from lensshift.evaluation.slanted_edge import measure_edge
-from lensshift.evaluation.slanted_edge.gathering import gather
+from lensshift.evaluation.slanted_edge.gathering import gather, nodes_for
 from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
-from lensshift.evaluation.slanted_edge.nodes import nodes_for
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
     TYPICAL_STEPS,

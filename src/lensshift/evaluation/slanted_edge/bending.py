@@ -7,7 +7,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.nodes import Nodes
+from lensshift.evaluation.slanted_edge.gathering import Nodes
 from lensshift.evaluation.slanted_edge.samples import distance_px
 
 _STEPS = 6
@@ -31,15 +31,8 @@ def bend_edge(
     """Return the geometry of the edge with as many bending terms as the pixels ask for.
 
     The ESF is free (a spline), so that its shape is not mistaken for a bend. Terms are added, two
-    at a try, while the Bayesian information criterion falls.
-
-    Parameters
-    ----------
-    across_px, along_px, values : [n] the region, the edge along the second axis
-    line : angle and position of the straight edge
-    basis : splines of the LSF, wide enough for the bend
-    half_length_px : half the length of the edge
-    most : largest number of bending terms
+    at a try, while the Bayesian information criterion falls, from the angle and position `line`.
+    `basis` is wide enough for the bend; the edge runs along the second axis.
     """
     straight_px = distance_px(across_px, along_px, line, half_length_px)
     near = np.flatnonzero(np.abs(straight_px) < basis.reach_px)
@@ -123,14 +116,7 @@ def _moves(x: Vector, y: Vector, geometry: Vector, half_length_px: float) -> Mat
 
 
 class FreeResponse:
-    """ESF and LSF at every pixel when nothing but the pixels says what they are.
-
-    Parameters
-    ----------
-    normal_px : [n] distances of pixels from the edge
-    basis, nodes : splines of the LSF, and nodes that reach as far as the pixels
-    used : [n] the pixels that say so, None for all
-    """
+    """ESF and LSF at every pixel when nothing but those used (a mask [n]) says what they are."""
 
     def __init__(
         self,

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from scipy.special import sici
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.gathering import gather
+from lensshift.evaluation.slanted_edge.gathering import Nodes, gather, nodes_for
 from lensshift.evaluation.slanted_edge.likelihood import Conditional, EdgeLikelihood
 from lensshift.evaluation.slanted_edge.lsf_prior import PLACE
-from lensshift.evaluation.slanted_edge.nodes import Nodes, nodes_for
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
     TYPICAL_STEPS,
@@ -81,12 +80,10 @@ def fit_edge(
 
     Parameters
     ----------
-    edge : the region
     frequency_cpp : [f] where the MTF is wanted, the first at 0
     aperture_px : side of the pixel of the base model
-    tilt : whether the illumination may be uneven, None to let the plateaus tell
+    tilt, noise_covariance : of the light, of the noise; None to let the plateaus tell
     seed : of the draws
-    noise_covariance : of the noise, None to let the plateaus tell
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     lights = [light]

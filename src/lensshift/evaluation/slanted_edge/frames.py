@@ -38,10 +38,7 @@ class EdgeFrames:
     def pixels(self, region: Region) -> Pixels:
         """Return the valid pixels of a region, with coordinates from its centre.
 
-        Raises
-        ------
-        ValueError
-            If there are too few.
+        Raises `ValueError` if there are too few.
         """
         part = self.values[(slice(None), *region.slices)]
         frame, row, col = np.nonzero(np.isfinite(part))

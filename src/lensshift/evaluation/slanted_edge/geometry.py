@@ -45,17 +45,8 @@ def find_edge(
 ) -> EdgeLine:
     """Find the straight edge that splits the pixels best, then fit its place and width.
 
-    Parameters
-    ----------
-    x_px, y_px : [n] coordinates of the pixels
-    values : [n] the pixels
-    aperture_px : side of the pixel that the edge response assumes
-    seed : for the choice of pixels in large regions
-
-    Raises
-    ------
-    ValueError
-        If the pixels do not split into a bright and a dark side.
+    From n pixels at x, y, of which large regions give a random choice. Raises `ValueError` if they
+    do not split into a bright and a dark side.
     """
     if values.size > _MOST_PIXELS:
         keep = np.random.default_rng(seed).choice(values.size, _MOST_PIXELS, replace=False)
@@ -80,10 +71,7 @@ def explained_share(
 ) -> float:
     """Return the share of the variance that one straight step explains, 0 to 1.
 
-    Parameters
-    ----------
-    x_px, y_px, values : [n] the pixels
-    near_rad : direction of its normal to within a few degrees, any if None
+    Its normal has a direction to within a few degrees of `near_rad`, or any.
     """
     variance = float(np.var(values)) * values.size
     if np.ptp(values) == 0.0 or variance <= 0.0:  # the mean of equal values is rounded

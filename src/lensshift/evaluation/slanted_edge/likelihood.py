@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lensshift.evaluation.slanted_edge.base_model import BaseModel, SeenBase
 from lensshift.evaluation.slanted_edge.edge_model import (
+    BaseModel,
     Matrix,
+    SeenBase,
     SplineBasis,
     Vector,
 )
@@ -141,14 +142,8 @@ class EdgeLikelihood:
 
     with flat priors for the levels b, which are integrated out with the coefficients c. Among
     the levels are turn and bends of the edge, to first order. The parameters q are the
-    hyper-parameters of `lsf_prior` and the log noise.
-
-    Parameters
-    ----------
-    gathered : the pixels
-    basis : splines of the LSF
-    aperture_px : side of the largest pixel that the base model allows
-    unit_px : width by which the prior is scaled, 1 for an edge a pixel wide
+    hyper-parameters of `lsf_prior` and the log noise. The base model allows pixels up to
+    `aperture_px`; `unit_px`, 1 for an edge a pixel wide, scales the prior.
     """
 
     def __init__(

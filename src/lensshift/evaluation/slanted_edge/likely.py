@@ -57,20 +57,7 @@ class LikelySettings:
 def measure_likely(
     frames: EdgeFrames, region: Region, wanted_lpmm: Vector | None, settings: LikelySettings
 ) -> EdgeResult:
-    """Measure one region by maximum likelihood.
-
-    Parameters
-    ----------
-    frames : the images
-    region : around one edge
-    wanted_lpmm : [f] frequencies of the curve, None for the default
-    settings : options
-
-    Raises
-    ------
-    ValueError
-        If there is no edge in the region.
-    """
+    """Measure one region by maximum likelihood; `ValueError` if there is no edge in it."""
     pixels = frames.pixels(region)
     edge, out = screened(pixels, settings.aperture_px, settings.most_bends)
     if min(int(np.sum(edge.normal_px < 0)), int(np.sum(edge.normal_px > 0))) < _FEWEST_ASIDE:

@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.slanted_edge.average import average_curves
 from lensshift.evaluation.slanted_edge.checks import warn_of
 from lensshift.evaluation.slanted_edge.frames import EdgeFrames, take_frames
 from lensshift.evaluation.slanted_edge.likely import LikelySettings, measure_likely
 from lensshift.evaluation.slanted_edge.regions import find_regions
-from lensshift.evaluation.slanted_edge.result import EdgeResult, Region
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Region, average_curves
 
 Method = Literal["ml", "sfrmat3", "sfrmat5"]
 METHODS: tuple[Method, ...] = ("ml", "sfrmat3", "sfrmat5")
@@ -145,7 +144,7 @@ def measure_edges(
         if likely is not None:
             result = measure_likely(frames, place, wanted, likely)
         else:
-            from lensshift.evaluation.slanted_edge.binned import measure_binned
+            from lensshift.evaluation.slanted_edge.sfrmat import measure_binned
 
             result = measure_binned(frames, place, wanted, method, given)
         warn_of(list(result.notes), result.region)

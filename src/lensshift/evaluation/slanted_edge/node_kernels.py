@@ -13,14 +13,9 @@ Array = NDArray[Any]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def between_nodes(place: Array, nodes: Array, first: Array, shares: Array) -> None:
-    """Fill in the cubic interpolation of each place from four nodes.
+    """Fill in the shares [n 4] of four nodes [g] in each place [n], by cubic interpolation.
 
-    Parameters
-    ----------
-    place : [n]
-    nodes : [g] rising
-    first : [n] number of the first of the four; given: that of the node after the place
-    shares : [n 4]
+    `first` is the node after the place before, the first of the four afterwards.
     """
     last = nodes.size - 4
     for i in range(place.size):
@@ -64,15 +59,9 @@ def node_products(
 
         products[k, l] = sum W_k^T A^T A W_l,   with_right[k] = sum W_k^T A^T R
 
-    with the whitener A and the interpolation W_k from the nodes, times the factor k of a pixel.
-
-    Parameters
-    ----------
-    pointers, taps, weights : A [m n] in compressed rows
-    first, shares : [n], [n 4] of `between_nodes`
-    powers : [n k] the factors
-    right : R [m q]
-    products, with_right : [k k g g], [k g q], zero before
+    with the whitener A [m n] in compressed rows and the interpolation W_k from the nodes, times the
+    factor k of a pixel in `powers` [n k]; products [k k g g] and with_right [k g q] are zero
+    before.
     """
     kinds, nodes, columns = with_right.shape
     row = np.zeros((kinds, nodes))
@@ -109,12 +98,7 @@ def node_products(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def node_reach(products: Array, reach: Array) -> None:
-    """Fill in [g 2]: the first node and the last but one that share pixels with each.
-
-    Parameters
-    ----------
-    products : [k k g g] of `node_products`
-    """
+    """Fill in [g 2]: the first node and the last but one that share pixels with each."""
     nodes = products.shape[2]
     for a in range(nodes):
         reach[a] = a, a + 1
@@ -137,16 +121,9 @@ def times_nodes(products: Array, reach: Array, right: Array, out: Array) -> None
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def across_nodes(products: Array, reach: Array, power: Array, seen: Array, out: Array) -> None:
-    """Fill in what pixels see of columns, times each of their factors.
+    """Fill in [k s g] what pixels see of columns [s g], each of a power, times all their factors.
 
-        out[k, m] = products[k, power_m] seen[m]
-
-    Parameters
-    ----------
-    products, reach : [k k g g], [g 2]
-    power : [s]
-    seen : [s g]
-    out : [k s g]
+    out[k, m] = products[k, power_m] seen[m]
     """
     for k in range(products.shape[0]):
         for a in range(seen.shape[1]):

@@ -57,14 +57,7 @@ class Posterior:
 
 
 def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Posterior:
-    """Maximise the posterior from `start`, then draw around the optimum.
-
-    Parameters
-    ----------
-    likelihood : the model
-    start : [p] near the optimum
-    seed : of the draws
-    """
+    """Maximise the posterior from near the optimum, then draw around it."""
     best, directions = start, np.diag(TYPICAL_STEPS)
     for _ in range(_ROUNDS):
         value, gradient = likelihood.with_gradient(best)
@@ -157,10 +150,7 @@ def descended(
 ) -> tuple[Vector, float, Matrix]:
     """Return the optimum, its value, and directions along which the posterior is about round.
 
-    Parameters
-    ----------
-    likelihood, start : the model, and where to begin
-    directions : [p p] columns of steps of like worth
+    The descent goes along columns [p p] of steps of like worth.
     """
 
     def along(z: Vector) -> tuple[float, Vector]:

@@ -15,9 +15,8 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     Vector,
     core_slopes,
 )
+from lensshift.evaluation.slanted_edge.gathering import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
-from lensshift.evaluation.slanted_edge.near_noise import with_edge
-from lensshift.evaluation.slanted_edge.nodes import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.noise_model import (
     NOISELESS,
     Mask,
@@ -28,6 +27,7 @@ from lensshift.evaluation.slanted_edge.noise_model import (
     noise_of_covariance,
     plateau_tilt_matters,
     rounding_of,
+    with_edge,
 )
 from lensshift.evaluation.slanted_edge.samples import (
     EdgeSamples,
@@ -146,19 +146,9 @@ class UprightEdge:
 def turn_upright(
     pixels: Pixels, aperture_px: float, most_bends: int, out: Mask | None = None
 ) -> UprightEdge:
-    """Find the edge of a region and turn it upright.
+    """Find the edge of a region, without the pixels `out` [n], and turn it upright.
 
-    Parameters
-    ----------
-    pixels : the region
-    aperture_px : side of the pixel
-    most_bends : largest number of bending terms of the edge, 0 for a straight one
-    out : [n] pixels that the edge is found without
-
-    Raises
-    ------
-    ValueError
-        If there is no edge.
+    It bends with `most_bends` terms at most. Raises `ValueError` if there is no edge.
     """
     told = np.ones(pixels.values.size, dtype=bool) if out is None else ~out
     line = find_edge(pixels.col_px[told], pixels.row_px[told], pixels.values[told], aperture_px)
@@ -197,11 +187,7 @@ def learn_noise(
 ) -> tuple[NoiseModel, int]:
     """Return the noise of the plateaus, and the order of uneven light: even, plane, bowl.
 
-    Parameters
-    ----------
-    edge : the region
-    tilt : whether to model uneven illumination; None asks the plateaus
-    covariance : of the noise, if it is known; see `noise_of_covariance`
+    `tilt` says whether light is uneven, None asks the plateaus; a known noise has a `covariance`.
     """
     sides, places = edge.plateaus(), edge.pixels.places
     step_sigma = edge.rounding.sigma
@@ -266,14 +252,7 @@ def _share_taken(response: FreeResponse, sides: list[Mask]) -> float:
 def take_samples(
     edge: UprightEdge, noise: NoiseModel, aperture_px: float, light: int
 ) -> EdgeSamples:
-    """Return the samples of a region, whitened.
-
-    Parameters
-    ----------
-    edge, noise : the region and its noise
-    aperture_px : side of the pixel
-    light : order of the uneven illumination
-    """
+    """Return the samples of a region, whitened, with so many orders of uneven light."""
     relative = np.ones(edge.scaled.size)
     normal_px = edge.normal_px
     if noise.dark_sigma != noise.bright_sigma or noise.near is not None:

@@ -57,17 +57,11 @@ class EdgeSamples:
 def distance_px(
     across_px: Vector, along_px: Vector, geometry: Vector, half_length_px: float
 ) -> Vector:
-    """Return the signed distance from an edge.
+    """Return the signed distance from an edge of geometry t, rho, g_2, g_3, ...
 
         d = x cos t + y sin t - rho - sum_k g_k P_k(y / half length)
 
-    with Legendre polynomials P_2, P_3, ...
-
-    Parameters
-    ----------
-    across_px, along_px : [n] x and y
-    geometry : angle t in radian, rho in px, then the bending terms g_k in px
-    half_length_px : where the polynomials end
+    with Legendre polynomials P_k.
     """
     normal_px: Vector = across_px * np.cos(geometry[0]) + along_px * np.sin(geometry[0])
     normal_px -= geometry[1]

@@ -29,17 +29,8 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
     """Return the upright edge without the pixels that stand out, and their number.
 
     Hot pixels and dust are told by their distance from a free ESF, in units of the median distance
-    of the pixels that lie as far from the edge.
-
-    Parameters
-    ----------
-    pixels : the region
-    aperture_px, most_bends : as in `turn_upright`
-
-    Raises
-    ------
-    ValueError
-        If there is no edge, or a second one.
+    of the pixels that lie as far from the edge. Raises `ValueError` if there is no edge, or a
+    second one.
     """
     none = np.zeros(pixels.values.size, dtype=bool)
     edge, out = _told_apart(pixels, aperture_px, most_bends, none)
@@ -110,14 +101,7 @@ def _standing_out(edge: UprightEdge, out: Mask) -> Mask:
 
 
 class _Bins(NamedTuple):
-    """The pixels by their distance from the edge.
-
-    Parameters
-    ----------
-    number : [n] of the bin
-    size : [b] of the bins
-    large : [b] whether they tell a median
-    """
+    """Bins of pixels by distance from the edge: of each pixel [n]; size [b]; if large enough."""
 
     number: NDArray[np.intp]
     size: NDArray[np.intp]
