@@ -55,20 +55,12 @@ class Pixels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waves:
-    """What a target should look like at n pixels, up to amplitude and phase of each ring.
+    """What a target should look like at n pixels, up to amplitude and phase of each ring."""
 
-    Parameters
-    ----------
-    ring : [n] from 0, -1 for pixels not used
-    phase_rad : [n] of the wave
-    slope : [n 2] change of the phase towards (row, col), in rad per mm
-    background : [n m] columns of the uneven light; the first is 1
-    """
-
-    ring: NDArray[np.int64]
-    phase_rad: Floats
-    slope: Floats
-    background: Floats
+    ring: NDArray[np.int64]  # [n] from 0, -1 for pixels not used
+    phase_rad: Floats  # [n] of the wave
+    slope: Floats  # [n 2] change of the phase towards (row, col), in rad per mm
+    background: Floats  # [n m] columns of the uneven light; the first is 1
 
 
 @dataclass(frozen=True, slots=True)

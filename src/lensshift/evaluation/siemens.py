@@ -13,21 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.known_phase import (
-    HarmonicFit,
-    Pixels,
-    Waves,
-    contrast_at_zero,
-    fit_harmonic,
-    list_pixels,
-    mtf_curve,
-    printed_count,
-    printed_orders,
-    refine_center_px,
-    ring_indices,
-    symmetry_center_px,
-    warn_if_out_of_step,
-)
+from lensshift.evaluation import known_phase
+from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
 
 Floats = NDArray[np.float64]
 
@@ -123,7 +110,7 @@ def siemens_star_mtf(
     """
     _check_star(cycles, profile, sectors, radius_range_mm)
     star = _Star(cycles, profile)
-    pixels = list_pixels(image, pitch_mm, valid)
+    pixels = known_phase.list_pixels(image, pitch_mm, valid)
     center, radii_mm = _place(star, pixels, center_px, radius_range_mm)
     if radii_mm[0] >= radii_mm[1]:
         raise ValueError(
@@ -140,18 +127,20 @@ def siemens_star_mtf(
     _warn_if_coarse(pixels_per_cycle)
     frequency_lpmm = star.frequency_lpmm(rings_mm)
     outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
-    contrast = contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
+    contrast = known_phase.contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
     places = [center, *(() if center_px else _starts_px(pixels))]
     _refuse_other_star(pixels, places, radii_mm[1], cycles)
-    warn_if_out_of_step(fits, f"the number of {cycles} cycles")
+    known_phase.warn_if_out_of_step(fits, f"the number of {cycles} cycles")
     curves = []
     for k in range(sectors):
         part = _sector(waves, angle_rad - 2 * np.pi * k / sectors, np.pi / sectors)
         part_mm, part_fits = star.measure(pixels, part, radius_mm)
         part_lpmm = star.frequency_lpmm(part_mm)
-        curves.append(mtf_curve(part_lpmm, part_fits, contrast, f"sector {k} of {sectors}"))
+        curves.append(
+            known_phase.mtf_curve(part_lpmm, part_fits, contrast, f"sector {k} of {sectors}")
+        )
     return SiemensResult(
-        mtf=mtf_curve(frequency_lpmm, fits, contrast, "Siemens star"),
+        mtf=known_phase.mtf_curve(frequency_lpmm, fits, contrast, "Siemens star"),
         center_px=center,
         contrast=contrast[0],
         contrast_std=contrast[1],
@@ -202,13 +191,13 @@ class _Star:
         self, pixels: Pixels, waves: Waves, radius_mm: Floats
     ) -> tuple[Floats, list[HarmonicFit]]:
         radii_mm, fits = [], []
-        for index in ring_indices(waves.ring):
+        for index in known_phase.ring_indices(waves.ring):
             mean_mm = radius_mm[index].mean()
-            orders = printed_orders(
+            orders = known_phase.printed_orders(
                 self.profile, float(self.pixels_per_cycle(mean_mm, pixels.pitch_mm))
             )
             phases = [k * waves.phase_rad[index] for k in orders]
-            fit = fit_harmonic(pixels.values[index], waves.background[index], phases)
+            fit = known_phase.fit_harmonic(pixels.values[index], waves.background[index], phases)
             if fit is not None:
                 radii_mm.append(mean_mm)
                 fits.append(fit)
@@ -248,11 +237,11 @@ def _find_center_px(
         return sum(fit.count * fit.modulation**2 for fit in fits)
 
     start_px = max(_starts_px(pixels), key=energy)
-    return refine_center_px(pixels, start_px, partial(waves_about, start_px))
+    return known_phase.refine_center_px(pixels, start_px, partial(waves_about, start_px))
 
 
 def _starts_px(pixels: Pixels) -> list[tuple[float, float]]:
-    return [symmetry_center_px(pixels, parity) for parity in (1, -1)]
+    return [known_phase.symmetry_center_px(pixels, parity) for parity in (1, -1)]
 
 
 def _refuse_other_star(
@@ -328,7 +317,7 @@ def _printed(
             f"expected at least {_MIN_RINGS} rings with enough valid pixels between "
             f"{radii_mm[0]:.4g} and {radii_mm[1]:.4g} mm, got {len(fits)}"
         )
-    printed = printed_count(star.frequency_lpmm(rings_mm), fits, _BLUR_PX)
+    printed = known_phase.printed_count(star.frequency_lpmm(rings_mm), fits, _BLUR_PX)
     if cut and printed < len(fits):
         rings_mm, fits = rings_mm[:printed], fits[:printed]
         waves = replace(waves, ring=np.where(radius_mm < rings_mm[-1], -1, waves.ring))

@@ -33,17 +33,11 @@ class Tail(NamedTuple):
 
     Diffraction and rough surfaces fall as slowly as the first, light scattered in glass and
     between pixels as fast as the second; k below 0 falls faster still.
-
-    Parameters
-    ----------
-    share : of all light; negative for sharpening
-    width_px : w
-    slow : k
     """
 
-    share: float | Vector
-    width_px: float | Vector
-    slow: float | Vector
+    share: float | Vector  # of all light; negative for sharpening
+    width_px: float | Vector  # w
+    slow: float | Vector  # k
 
     @property
     def shares(self) -> Vector:
@@ -131,19 +125,13 @@ class SplineBasis:
     Wide splines far from the edge are sums of narrow ones, so that all pixels see narrow ones on
     an even grid. Two that stand opposite each other are taken as (right + left) / sqrt(2) and
     (right - left) / sqrt(2): first all even functions, the middle before, then all odd ones.
-
-    Parameters
-    ----------
-    step_px : distance between the narrow splines
-    number : [h+1] centres of the splines on one side, in steps from the middle, 0 first
-    narrow_px : [i] centres of the narrow ones
-    parts : [i 2h+1] of which narrow ones an even or odd function is made
     """
 
-    step_px: float
+    step_px: float  # distance between the narrow splines
+    # [h+1] centres of the splines on one side, in steps from the middle, 0 first
     number: NDArray[np.intp]
-    narrow_px: Vector
-    parts: Matrix
+    narrow_px: Vector  # [i] centres of the narrow ones
+    parts: Matrix  # [i 2h+1] of which narrow ones an even or odd function is made
 
     @classmethod
     def covering(cls, half_width_px: float, step_px: float, unit_px: float) -> SplineBasis:

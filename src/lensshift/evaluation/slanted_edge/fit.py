@@ -42,29 +42,18 @@ _SPARE_PX = 4.0  # by which the edge may move until pixels leave the nodes
 
 @dataclass(frozen=True, slots=True)
 class EdgeFit:
-    """One edge: column 0 of every table is the optimum, the others are draws.
+    """One edge: column 0 of every table is the optimum, the others are draws."""
 
-    Parameters
-    ----------
-    edge, noise : the region and its noise
-    geometry : [g k] angle, position, bends
-    dark, contrast : level and height of the edge, spline included, in units of the first guess
-    transform : [f k] of the LSF, 1 at frequency 0
-    normal_px, esf : [d], [d k] from 0 (dark) to 1 (bright)
-    lsf : [d k] per pixel
-    residual : [n] pixels minus model, in units of the contrast
-    """
-
-    edge: UprightEdge
+    edge: UprightEdge  # the region
     noise: NoiseModel
-    geometry: Matrix
-    dark: float
-    contrast: float
-    transform: NDArray[np.complex128]
-    normal_px: Vector
-    esf: Matrix
-    lsf: Matrix
-    residual: Vector
+    geometry: Matrix  # [g k] angle, position, bends
+    dark: float  # level of the edge in units of the first guess
+    contrast: float  # its height, spline included
+    transform: NDArray[np.complex128]  # [f k] of the LSF, 1 at frequency 0
+    normal_px: Vector  # [d]
+    esf: Matrix  # [d k] from 0 (dark) to 1 (bright)
+    lsf: Matrix  # [d k] per pixel
+    residual: Vector  # [n] pixels minus model, in units of the contrast
 
 
 def fit_edge(

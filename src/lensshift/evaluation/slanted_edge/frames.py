@@ -15,20 +15,12 @@ _FEWEST_PIXELS = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeFrames:
-    """Frames of one scene.
+    """Frames of one scene."""
 
-    Parameters
-    ----------
-    values : [frame row col], NaN where invalid
-    offset_px : [frame 2] how far the content moved in each
-    pitch_mm : (row, col)
-    scale : pixels per LR pixel
-    """
-
-    values: NDArray[np.float64]
-    offset_px: NDArray[np.float64]
-    pitch_mm: tuple[float, float]
-    scale: int
+    values: NDArray[np.float64]  # [frame row col], NaN where invalid
+    offset_px: NDArray[np.float64]  # [frame 2] how far the content moved in each
+    pitch_mm: tuple[float, float]  # (row, col)
+    scale: int  # pixels per LR pixel
 
     @property
     def first(self) -> NDArray[np.float64]:

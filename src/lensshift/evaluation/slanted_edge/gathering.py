@@ -16,14 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from lensshift.evaluation.slanted_edge import node_kernels
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.node_kernels import (
-    between_nodes,
-    interpolated,
-    node_products,
-    node_reach,
-    times_nodes,
-)
 from lensshift.evaluation.slanted_edge.samples import EdgeSamples
 
 # Up to the first number of units from the edge, steps of the second: a pixel as narrow as the prior
@@ -36,43 +30,31 @@ _KNOT_STEP = 1 / 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Between:
-    """Where pixels lie between nodes.
+    """Where pixels lie between nodes."""
 
-    Parameters
-    ----------
-    first : [n] the first of the four nodes around each
-    shares : [n 4] of these
-    """
-
-    first: NDArray[np.intp]
-    shares: NDArray[np.float64]
+    first: NDArray[np.intp]  # [n] the first of the four nodes around each
+    shares: NDArray[np.float64]  # [n 4] of these
 
     def of(self, values: Vector) -> Vector:
         """Return at the pixels what is `values` [g] at the nodes."""
         out = np.empty(self.first.size)
-        interpolated(self.first, self.shares, values, out)
+        node_kernels.interpolated(self.first, self.shares, values, out)
         return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """Places along the normal, and the splines there.
+    """Places along the normal, and the splines there."""
 
-    Parameters
-    ----------
-    place_px : [g] rising, symmetric about the edge
-    integrals, values : [g j] of the splines
-    """
-
-    place_px: Vector
-    integrals: Matrix
+    place_px: Vector  # [g] rising, symmetric about the edge
+    integrals: Matrix  # [g j] of the splines
     values: Matrix
 
     def between(self, normal_px: Vector) -> Between:
         """Return where distances [n] lie."""
         first = np.searchsorted(self.place_px, normal_px)
         shares = np.empty((normal_px.size, 4))
-        between_nodes(normal_px, self.place_px, first, shares)
+        node_kernels.between_nodes(normal_px, self.place_px, first, shares)
         return Between(first, shares)
 
 
@@ -117,54 +99,33 @@ def _near(units: float, core: float) -> Nodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a column that follows the response is: P_k(along) times a factor times the response.
+    """What a column that follows the response is: P_k(along) times a factor times the response."""
 
-    Parameters
-    ----------
-    power : k
-    factor : [g] at the nodes
-    """
-
-    power: int
-    factor: Vector
+    power: int  # k
+    factor: Vector  # [g] at the nodes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gathered:
-    """Sums over the pixels, whitened.
+    """Sums over the pixels, whitened."""
 
-    Parameters
-    ----------
-    geometry : of the edge, about which its moves are counted
-    nodes : along its normal
-    pixels : between which nodes the pixels lie
-    fixed : [n f] columns F as the pixels see them: a level, turn and bends of the edge, light
-    powers : [n k] Legendre polynomials along the edge
-    seen : the columns V, the response itself first
-    count : number of whitened pixels, those rounded alike as one
-    squares, fixed_values, fixed_fixed : y^T y, F^T y [f], F^T F [f f]
-    splines : [j+f+1 j] and
-    node_sums : of each power [j+f+1 g]: sums of splines, fixed columns and values with both
-    node_node, reach : of each pair of powers [k k g g]; between which nodes [g 2] they are not 0
-    precision, centre : [f] prior of the factors of F: those of bends are normal about `centre`
-    """
-
-    geometry: Vector
-    nodes: Nodes
-    pixels: Between
+    geometry: Vector  # of the edge, about which its moves are counted
+    nodes: Nodes  # along its normal
+    pixels: Between  # between which nodes the pixels lie
+    # [n f] columns F as the pixels see them: a level, turn and bends of the edge, light
     fixed: Matrix
-    powers: Matrix
-    seen: tuple[Seen, ...]
-    count: float
-    squares: float
-    fixed_values: Vector
-    fixed_fixed: Matrix
-    splines: Matrix
-    node_sums: list[Matrix]
-    node_node: NDArray[np.float64]
-    reach: NDArray[np.intp]
-    precision: Vector
-    centre: Vector
+    powers: Matrix  # [n k] Legendre polynomials along the edge
+    seen: tuple[Seen, ...]  # the columns V, the response itself first
+    count: float  # number of whitened pixels, those rounded alike as one
+    squares: float  # y^T y
+    fixed_values: Vector  # F^T y [f]
+    fixed_fixed: Matrix  # F^T F [f f]
+    splines: Matrix  # [j+f+1 j] sums of splines, fixed columns and values with splines
+    node_sums: list[Matrix]  # of each power [j+f+1 g]: the same with nodes
+    node_node: NDArray[np.float64]  # of each pair of powers [k k g g]
+    reach: NDArray[np.intp]  # between which nodes [g 2] these are not 0
+    precision: Vector  # [f] prior of the factors of F: those of bends
+    centre: Vector  # are normal about these
 
     @property
     def moves(self) -> slice:
@@ -196,12 +157,14 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     products = np.zeros((kinds, kinds, size, size))
     with_right = np.zeros((kinds, size, right.shape[1]))
     rows = (whitener.indptr, whitener.indices, whitener.data)
-    node_products(*rows, pixels.first, pixels.shares, powers, right, products, with_right)
+    node_kernels.node_products(
+        *rows, pixels.first, pixels.shares, powers, right, products, with_right
+    )
     reach = np.empty((size, 2), dtype=np.intp)
-    node_reach(products, reach)
+    node_kernels.node_reach(products, reach)
     node_sums, splines = [], np.empty_like(nodes.integrals)
     for row, own in zip(products, with_right, strict=True):
-        times_nodes(row[0], reach, nodes.integrals, splines)
+        node_kernels.times_nodes(row[0], reach, nodes.integrals, splines)
         node_sums.append(np.vstack([splines.T, own.T]))
     sums = right.T @ right
     precision, centre = np.zeros(fixed.shape[1]), np.zeros(fixed.shape[1])

@@ -23,21 +23,13 @@ _SIGMA_BOUNDS_PX = (0.08, 30.0)
 
 @dataclass(frozen=True, slots=True)
 class EdgeLine:
-    """A straight edge x cos t + y sin t = rho; x along the columns, y along the rows.
+    """A straight edge x cos t + y sin t = rho; x along the columns, y along the rows."""
 
-    Parameters
-    ----------
-    angle_rad : direction t of the normal, which points to the bright side
-    position_px : rho, from the origin of the coordinates
-    sigma_px : width of the Gaussian that fits best, beside the pixel aperture
-    low, high : levels of the plateaus
-    """
-
-    angle_rad: float
-    position_px: float
-    sigma_px: float
-    low: float
-    high: float
+    angle_rad: float  # direction t of the normal, which points to the bright side
+    position_px: float  # rho, from the origin of the coordinates
+    sigma_px: float  # width of the Gaussian that fits best, beside the pixel aperture
+    low: float  # level of the dark plateau
+    high: float  # of the bright one
 
 
 def find_edge(

@@ -30,38 +30,23 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class NearNoise:
-    """Noise near an edge that is not that of the plateaus.
+    """Noise near an edge that is not that of the plateaus."""
 
-    Parameters
-    ----------
-    variance : over that of the plateaus, in steps of the distance from the edge
-    order, prediction : as those of `NoiseModel`
-    innovation : variance that this prediction leaves, over that of the plateaus' own
-    """
-
-    variance: Vector
-    order: int
+    variance: Vector  # over that of the plateaus, in steps of the distance from the edge
+    order: int  # as those of `NoiseModel`
     prediction: Vector
-    innovation: float
+    innovation: float  # variance that this prediction leaves, over that of the plateaus' own
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """What whitens the noise of a region.
+    """What whitens the noise of a region."""
 
-    Parameters
-    ----------
-    dark_sigma, bright_sigma : standard deviation on the plateaus
-    order : reach in pixels of the prediction from earlier neighbours; 0 for white noise
-    prediction : [k] factors of those neighbours, in the order of `_half_plane`
-    near : noise near the edge, None where it is that of the plateaus
-    """
-
-    dark_sigma: float
-    bright_sigma: float
-    order: int
-    prediction: Vector
-    near: NearNoise | None = None
+    dark_sigma: float  # standard deviation on the dark plateau
+    bright_sigma: float  # on the bright one
+    order: int  # reach in pixels of the prediction from earlier neighbours; 0 for white noise
+    prediction: Vector  # [k] factors of those neighbours, in the order of `_half_plane`
+    near: NearNoise | None = None  # noise near the edge, None where it is that of the plateaus
 
     @property
     def is_plain(self) -> bool:
@@ -117,16 +102,10 @@ def _widened(order: int, prediction: Vector, wanted: int) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """What whole numbers do to pixels whose noise is too small to dither them.
+    """What whole numbers do to pixels whose noise is too small to dither them."""
 
-    Parameters
-    ----------
-    sigma : deviation of a single pixel by rounding; 0 where values are not whole numbers of a step
-    alike : [n] how many pixels have the value of each
-    """
-
-    sigma: float
-    alike: Vector
+    sigma: float  # of a single pixel; 0 where values are not whole numbers of a step
+    alike: Vector  # [n] how many pixels have the value of each
 
     def shared(self, sigma: Vector) -> Vector:
         """Return [n]: the variance by which to raise that of pixels of deviation `sigma` [n].

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.evaluation.slanted_edge import noise_model
 from lensshift.evaluation.slanted_edge.bending import FreeResponse, bend_edge
 from lensshift.evaluation.slanted_edge.edge_model import (
     Matrix,
@@ -17,18 +18,7 @@ from lensshift.evaluation.slanted_edge.edge_model import (
 )
 from lensshift.evaluation.slanted_edge.gathering import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
-from lensshift.evaluation.slanted_edge.noise_model import (
-    NOISELESS,
-    Mask,
-    NoiseModel,
-    Rounding,
-    estimate_noise,
-    few_factors,
-    noise_of_covariance,
-    plateau_tilt_matters,
-    rounding_of,
-    with_edge,
-)
+from lensshift.evaluation.slanted_edge.noise_model import Mask, NoiseModel
 from lensshift.evaluation.slanted_edge.samples import (
     EdgeSamples,
     distance_px,
@@ -44,48 +34,29 @@ _MOST_TAKEN = 0.5  # of the noise, by a free ESF: where it takes more, pixels ar
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """The valid pixels of a region in all frames.
+    """The valid pixels of a region in all frames."""
 
-    Parameters
-    ----------
-    places : [n 3] frame, row, column within the region
-    row_px, col_px : [n] where each looks at the reference frame, from the region's centre
-    values : [n]
-    """
-
-    places: NDArray[np.intp]
-    row_px: Vector
+    places: NDArray[np.intp]  # [n 3] frame, row, column within the region
+    row_px: Vector  # [n] where each looks at the reference frame, from the region's centre
     col_px: Vector
-    values: Vector
+    values: Vector  # [n]
 
 
 @dataclass(frozen=True)
 class UprightEdge:
-    """A region turned so that its edge runs along the second axis, bright at positive x.
+    """A region turned so that its edge runs along the second axis, bright at positive x."""
 
-    Parameters
-    ----------
-    pixels : the region
-    line : the first guess, in the region's own axes
-    vertical : whether the edge is nearer to the columns than to the rows
-    start_angle_rad : of the first guess, which is the origin of `across_px`
-    sign : +1 if columns (rows) count towards the bright side, else -1
-    geometry : angle of the edge against the columns (rows) in the turned axes, position, bends
-    across_px, along_px : [n] turned coordinates, from the middle of the edge
-    scaled : [n] pixels, dark plateau 0 and bright plateau 1
-    unit_px : width by which spline and prior are scaled, at least 1
-    """
-
-    pixels: Pixels
-    line: EdgeLine
-    vertical: bool
-    start_angle_rad: float
-    sign: float
+    pixels: Pixels  # the region
+    line: EdgeLine  # the first guess, in the region's own axes
+    vertical: bool  # whether the edge is nearer to the columns than to the rows
+    start_angle_rad: float  # of the first guess, which is the origin of `across_px`
+    sign: float  # +1 if columns (rows) count towards the bright side, else -1
+    # angle of the edge against the columns (rows) in the turned axes, position, bends
     geometry: Vector
-    across_px: Vector
+    across_px: Vector  # [n] turned coordinates, from the middle of the edge
     along_px: Vector
-    scaled: Vector
-    unit_px: float
+    scaled: Vector  # [n] pixels, dark plateau 0 and bright plateau 1
+    unit_px: float  # width by which spline and prior are scaled, at least 1
 
     @cached_property
     def half_length_px(self) -> float:
@@ -98,9 +69,9 @@ class UprightEdge:
         return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
 
     @cached_property
-    def rounding(self) -> Rounding:
+    def rounding(self) -> noise_model.Rounding:
         """How the pixels are rounded."""
-        return rounding_of(self.scaled)
+        return noise_model.rounding_of(self.scaled)
 
     @cached_property
     def basis(self) -> SplineBasis:
@@ -200,24 +171,26 @@ def learn_noise(
     along = np.column_stack([place, place**2 - 1.0 / 3.0])
     moves = along * slope[:, None]  # the first guess of the edge is turned a little, and bent
     both = np.hstack([along, along * free[:, None], moves])
-    factors = few_factors(both, rest)
+    factors = noise_model.few_factors(both, rest)
     even = rest - both @ factors
     bowl = even + both[:, 1::2] @ factors[1::2]
     if tilt is not None:
         order = int(tilt)
-    elif plateau_tilt_matters(bowl, places, sides, along[:, 1:], step_sigma):
+    elif noise_model.plateau_tilt_matters(bowl, places, sides, along[:, 1:], step_sigma):
         order = 2
     else:
-        order = int(plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
+        order = int(noise_model.plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
     if covariance is not None:
-        return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
+        return noise_model.noise_of_covariance(covariance, edge.line.high - edge.line.low), order
     left = (even if order else rest) / np.sqrt(1.0 - _share_taken(response, sides))
-    noise = estimate_noise(left, places, sides)
+    noise = noise_model.estimate_noise(left, places, sides)
     terms = both if order else moves
-    taken = terms @ few_factors(terms, rest)
+    taken = terms @ noise_model.few_factors(terms, rest)
     if order:  # the free ESF took some of the light, which shows where it is steep
         free = response.of(edge.scaled - taken)[0]
-    return with_edge(noise, edge.scaled - taken - free, free, edge.normal_px, places), order
+    return noise_model.with_edge(
+        noise, edge.scaled - taken - free, free, edge.normal_px, places
+    ), order
 
 
 def slopes_across(edge: UprightEdge) -> bool:
@@ -234,7 +207,9 @@ def slopes_across(edge: UprightEdge) -> bool:
         if squares > 0.0:
             slope = float(place_px @ values) / squares
             rest = values - slope * place_px
-            if slope**2 * squares > _SLOPES * max(float(np.mean(rest**2)), NOISELESS**2):
+            if slope**2 * squares > _SLOPES * max(
+                float(np.mean(rest**2)), noise_model.NOISELESS**2
+            ):
                 return True
     return False
 

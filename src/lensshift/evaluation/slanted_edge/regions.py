@@ -38,15 +38,10 @@ _LEAST_CROSSED_PX = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Ridges:
-    """Where the gradient is largest across an edge that runs near the rows' direction.
+    """Where the gradient is largest across an edge that runs near the rows' direction."""
 
-    Parameters
-    ----------
-    strength : [line place] gradient
-    crest : [line place] where it is largest across the edge and stands out of the noise
-    """
-
-    strength: Image
+    strength: Image  # [line place] gradient
+    # [line place] where it is largest across the edge and stands out of the noise
     crest: NDArray[np.bool_]
 
 

@@ -15,25 +15,15 @@ _BENDING_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class EdgeSamples:
-    """Pixels of one or several frames, in units of the contrast, the bright side at positive x.
+    """Pixels of one or several frames, in units of the contrast, the bright side at positive x."""
 
-    Parameters
-    ----------
-    across_px, along_px : [n] coordinates of the pixels, from the edge's middle
-    half_length_px : half the length of the edge along `along_px`
-    light : order of the uneven illumination: 0 even, 1 a plane, 2 a bowl
-    values : [n] the pixels
-    whitener : [m n] what makes their noise white, None for nothing
-    unlike : share of the pixels that tell something of their own, see `Rounding`
-    """
-
-    across_px: Vector
+    across_px: Vector  # [n] coordinates of the pixels, from the edge's middle
     along_px: Vector
-    half_length_px: float
-    light: int
-    values: Vector
-    whitener: sparse.csr_array | None
-    unlike: float = 1.0
+    half_length_px: float  # half the length of the edge along `along_px`
+    light: int  # order of the uneven illumination: 0 even, 1 a plane, 2 a bowl
+    values: Vector  # [n] the pixels
+    whitener: sparse.csr_array | None  # [m n] what makes their noise white, None for nothing
+    unlike: float = 1.0  # share of the pixels that tell something of their own, see `Rounding`
 
     def normal_px(self, geometry: Vector) -> Vector:
         """Return the signed distance of each pixel from the edge."""

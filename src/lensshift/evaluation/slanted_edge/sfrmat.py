@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.slanted_edge import sfrmat_steps as steps
 from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_px
 from lensshift.evaluation.slanted_edge.frames import EdgeFrames
 from lensshift.evaluation.slanted_edge.result import (
@@ -26,25 +27,7 @@ from lensshift.evaluation.slanted_edge.result import (
     numbers_of,
     steps_to,
 )
-from lensshift.evaluation.slanted_edge.sfrmat_steps import (
-    BINS_PER_PX,
-    LEAST_LINES,
-    Matrix,
-    Vector,
-    Window,
-    bin_centroid_of_sfrmat3,
-    edge_of_sfrmat3,
-    edge_of_sfrmat5,
-    hamming,
-    hann,
-    modulation_of,
-    polarity,
-    project,
-    rounded,
-    shifted,
-    upright_edge,
-    whole_phases,
-)
+from lensshift.evaluation.slanted_edge.sfrmat_steps import Matrix, Vector
 
 _CLIP_CPP = 0.495  # above it the original of sfrmat5 reports the clip
 _LARGEST_ORDER = 5
@@ -54,41 +37,29 @@ _REMEDY = "take more lines, a larger angle or a lower order, or use method='ml'"
 
 @dataclass(frozen=True, slots=True)
 class SfrmatResult:
-    """What sfrmat3 or sfrmat5 finds.
+    """What sfrmat3 or sfrmat5 finds."""
 
-    Parameters
-    ----------
-    frequency_cpp : [n] cycles per pixel along the normal of the edge, from 0, as far as returned
-    modulation : [n] 1 at 0
-    esf : [m] mean pixel per bin, dark to bright or bright to dark as in the image; in sfrmat5 NaN
-        where bins at its start were empty and play no part
-    lsf : [m] half the difference of the ESF two bins apart, positive at the edge, before it is
-        centred and windowed
-    bin_px : distance of two bins along the normal
-    edge_px : [order+1] column = p(line), highest power first, both from 0, of the turned image
-    slope : of the straight line through the edge, columns per line
-    angle_rad : between the edge and the lines' normal, arctan of the slope
-    lines_used : lines that hold a whole number of pixel phases
-    empty_bins : bins of the ESF that no pixel fell into
-    rotated : whether the image was turned by 90 degrees counterclockwise
-    mtf50_cpp, mtf10_cpp : first crossing of 0.5 and 0.1 anywhere on the curve; NaN without one
-    sampling_efficiency : `mtf10_cpp` over half the sampling frequency, 1 at most. sfrmat3 takes its
-        last frequency below 0.5 / cos(angle) for that, sfrmat5 takes 0.495.
-    """
-
+    # [n] cycles per pixel along the normal of the edge, from 0, as far as returned
     frequency_cpp: Vector
-    modulation: Vector
+    modulation: Vector  # [n] 1 at 0
+    # [m] mean pixel per bin, dark to bright or bright to dark as in the image; in sfrmat5 NaN where
+    # bins at its start were empty and play no part
     esf: Vector
+    # [m] half the difference of the ESF two bins apart, positive at the edge, before it is centred
+    # and windowed
     lsf: Vector
-    bin_px: float
+    bin_px: float  # distance of two bins along the normal
+    # [order+1] column = p(line), highest power first, both from 0, of the turned image
     edge_px: Vector
-    slope: float
-    angle_rad: float
-    lines_used: int
-    empty_bins: int
-    rotated: bool
-    mtf50_cpp: float
+    slope: float  # of the straight line through the edge, columns per line
+    angle_rad: float  # between the edge and the lines' normal, arctan of the slope
+    lines_used: int  # lines that hold a whole number of pixel phases
+    empty_bins: int  # bins of the ESF that no pixel fell into
+    rotated: bool  # whether the image was turned by 90 degrees counterclockwise
+    mtf50_cpp: float  # first crossing of 0.5 and 0.1 anywhere on the curve; NaN without one
     mtf10_cpp: float
+    # `mtf10_cpp` over half the sampling frequency, 1 at most. sfrmat3 takes its last frequency
+    # below 0.5 / cos(angle) for that, sfrmat5 takes 0.495.
     sampling_efficiency: float
 
 
@@ -117,34 +88,34 @@ def sfrmat3(image: ArrayLike) -> SfrmatResult:
 
     Source: Burns, Proc. IS&T PICS (2000) 135.
     """
-    upright, turned = upright_edge(image, LEAST_LINES)
-    sign = polarity(upright)
-    edge, missing = edge_of_sfrmat3(sign * upright)
+    upright, turned = steps.upright_edge(image, steps.LEAST_LINES)
+    sign = steps.polarity(upright)
+    edge, missing = steps.edge_of_sfrmat3(sign * upright)
     if missing:
         _warn(f"sfrmat3 finds no edge in {missing} of {len(upright)} lines and sets it to the left")
     slope = float(edge[1])
     used = _lines_used(upright, edge, slope)
     displacement_px = slope * np.arange(used, dtype=np.float64)
     run_px = slope * (used - 1)
-    esf, empty = project(upright[:used], displacement_px, run_px, interpolate_sums=False)
+    esf, empty = steps.project(upright[:used], displacement_px, run_px, interpolate_sums=False)
     lsf = np.zeros(esf.size)
     lsf[2:] = sign * (esf[2:] - esf[:-2]) / 2
     lsf[1] = lsf[2]
     _refuse_undefined(lsf, empty)
-    centred = _centred(lsf, rounded(bin_centroid_of_sfrmat3(lsf)), empty)
+    centred = _centred(lsf, steps.rounded(steps.bin_centroid_of_sfrmat3(lsf)), empty)
     if empty:
         _warn(
             f"{_empty(empty, esf, used, slope)}; sfrmat3 sets the ESF to 0 there, which bends the "
             "whole curve"
         )
-    modulation = modulation_of(centred * hamming(lsf.size, (lsf.size - 1) / 2)[0])
+    modulation = steps.modulation_of(centred * steps.hamming(lsf.size, (lsf.size - 1) / 2)[0])
     frequency_cpp = _frequency_cpp(modulation.size, lsf.size, slope)
     half_cpp = float(frequency_cpp[(upright.shape[1] - 1) // 2])
     found = _Curve(frequency_cpp, modulation, esf, lsf, half_cpp)
     return _result(found, edge, slope, used, empty, turned)
 
 
-def sfrmat5(image: ArrayLike, *, order: int = 5, window: Window = "tukey") -> SfrmatResult:
+def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey") -> SfrmatResult:
     """Measure the MTF of one slanted edge as sfrmat5 does, in the manner of ISO 12233:2023.
 
         MTF(f) = | F[w LSF](f) | / | F[w LSF](0) | * D(f)
@@ -174,15 +145,15 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: Window = "tukey") -> Sf
         raise ValueError(f"expected an order from 1 to {_LARGEST_ORDER}, got {order!r}")
     if window not in ("tukey", "hamming"):
         raise ValueError(f"expected the window 'tukey' or 'hamming', got {window!r}")
-    upright, turned = upright_edge(image, max(LEAST_LINES, order + 1))
-    sign = polarity(upright)
-    edge, straight = edge_of_sfrmat5(sign * upright, order, window)
+    upright, turned = steps.upright_edge(image, max(steps.LEAST_LINES, order + 1))
+    sign = steps.polarity(upright)
+    edge, straight = steps.edge_of_sfrmat5(sign * upright, order, window)
     slope = float(straight[1])
     used = _lines_used(upright, edge, slope)
     displacement_px = polyval(np.arange(used, dtype=np.float64), edge) - edge[0]
     # The original takes the slope at line 0 for the slope of the edge.
     run_px = float(edge[1]) * (used - 1)
-    esf, empty = project(upright[:used], displacement_px, run_px, interpolate_sums=True)
+    esf, empty = steps.project(upright[:used], displacement_px, run_px, interpolate_sums=True)
     lsf = np.empty(esf.size)
     lsf[1:-1] = sign * (esf[2:] - esf[:-2]) / 2
     lsf[[0, -1]] = lsf[[1, -2]]
@@ -192,8 +163,12 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: Window = "tukey") -> Sf
     if empty:
         _warn(f"{_empty(empty, esf, used, slope)}; sfrmat5 interpolates the ESF there")
     middle_px = (lsf.size - 1) / 2
-    taper = hamming(lsf.size, middle_px) if window == "hamming" else hann(lsf.size, middle_px - 0.5)
-    modulation = modulation_of(centred * taper[0])
+    taper = (
+        steps.hamming(lsf.size, middle_px)
+        if window == "hamming"
+        else steps.hann(lsf.size, middle_px - 0.5)
+    )
+    modulation = steps.modulation_of(centred * taper[0])
     found = _Curve(
         _frequency_cpp(modulation.size, lsf.size, slope), modulation, esf, lsf, _CLIP_CPP
     )
@@ -225,7 +200,7 @@ def _lines_used(upright: Matrix, edge: Vector, slope: float) -> int:
             f"expected an edge that stays within {columns} pixels, got one that runs over "
             f"{run_px:.0f}; cut out one edge between two flat sides, or use method='ml'"
         )
-    return whole_phases(lines, slope)
+    return steps.whole_phases(lines, slope)
 
 
 def _empty(empty: int, esf: Vector, lines: int, slope: float) -> str:
@@ -244,7 +219,7 @@ def _refuse_undefined(lsf: Vector, empty: int) -> None:
 
 def _centred(lsf: Vector, number: int, empty: int) -> Vector:
     """Move the bin of this number, counted from 1, to the middle."""
-    moved = shifted(lsf, number - rounded((lsf.size + 1) / 2))
+    moved = steps.shifted(lsf, number - steps.rounded((lsf.size + 1) / 2))
     if not moved.any():
         raise ValueError(
             f"expected the centre of the LSF within its {lsf.size} bins, got bin {number} "
@@ -254,7 +229,7 @@ def _centred(lsf: Vector, number: int, empty: int) -> Vector:
 
 
 def _frequency_cpp(count: int, bins: int, slope: float) -> Vector:
-    step_cpp = BINS_PER_PX / (bins * float(np.cos(np.arctan(slope))))
+    step_cpp = steps.BINS_PER_PX / (bins * float(np.cos(np.arctan(slope))))
     return step_cpp * np.arange(count, dtype=np.float64)
 
 
@@ -271,7 +246,7 @@ def _result(
         modulation=found.modulation,
         esf=found.esf,
         lsf=found.lsf,
-        bin_px=float(np.cos(angle_rad)) / BINS_PER_PX,
+        bin_px=float(np.cos(angle_rad)) / steps.BINS_PER_PX,
         edge_px=edge[::-1].copy(),
         slope=slope,
         angle_rad=angle_rad,
