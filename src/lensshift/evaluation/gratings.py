@@ -133,8 +133,7 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     top, bottom, left, right = region
     if not (0 <= top < bottom <= pixels.shape[0] and 0 <= left < right <= pixels.shape[1]):
         raise ValueError(f"expected a region within {pixels.shape}, got {region}")
-    inside = (pixels.row_px >= top) & (pixels.row_px < bottom)
-    inside &= (pixels.col_px >= left) & (pixels.col_px < right)
+    inside = pixels.within(region)
     middle = 0.5 * (top + bottom - 1), 0.5 * (left + right - 1)
     row_mm, col_mm = (one[inside] for one in pixels.place_mm(middle))
     values = pixels.values[inside]
@@ -184,8 +183,7 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
 def _refuse_other_bars(pixels: Pixels, group: _Group) -> None:
     """Refuse a region most of whose light waves with another frequency than was told."""
     top, bottom, left, right = group.region
-    inside = (pixels.row_px >= top) & (pixels.row_px < bottom)
-    inside &= (pixels.col_px >= left) & (pixels.col_px < right)
+    inside = pixels.within(group.region)
     row, col = (pixels.row_px[inside] - top).astype(int), (pixels.col_px[inside] - left).astype(int)
     light = np.linalg.qr(np.column_stack([np.ones(row.size), row, col]))[0]
     box = np.zeros((bottom - top, right - left))

@@ -45,6 +45,12 @@ class Pixels:
         col_mm = (self.col_px - center_px[1]) * self.pitch_mm[1]
         return np.asarray(row_mm), np.asarray(col_mm)
 
+    def within(self, box: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+        """Return which pixels lie in row start, row stop, col start, col stop [n]."""
+        top, bottom, left, right = box
+        rows = (self.row_px >= top) & (self.row_px < bottom)
+        return np.asarray(rows & (self.col_px >= left) & (self.col_px < right))
+
     def reach_mm(self, center_px: tuple[float, float]) -> tuple[float, float]:
         """Return how far the image reaches on both sides of a centre, along (row, col)."""
         row_px, col_px = (min(c, n - 1 - c) for c, n in zip(center_px, self.shape, strict=True))
@@ -247,10 +253,7 @@ def warn_if_out_of_step(fits: Sequence[HarmonicFit], wrong: str) -> None:
 
 
 def mtf_curve(
-    frequency_lpmm: Floats,
-    fits: Sequence[HarmonicFit],
-    contrast: tuple[float, float],
-    label: str,
+    frequency_lpmm: Floats, fits: Sequence[HarmonicFit], contrast: tuple[float, float], label: str
 ) -> MtfCurve:
     """Divide modulations by the contrast (value, std); both scatter into the standard deviation."""
     modulation = np.array([fit.modulation for fit in fits]) / contrast[0]

@@ -32,16 +32,14 @@ class EdgeLine:
     high: float  # of the bright one
 
 
-def find_edge(
-    x_px: Vector, y_px: Vector, values: Vector, aperture_px: float, seed: int = 0
-) -> EdgeLine:
+def find_edge(x_px: Vector, y_px: Vector, values: Vector, aperture_px: float) -> EdgeLine:
     """Find the straight edge that splits the pixels best, then fit its place and width.
 
     From n pixels at x, y, of which large regions give a random choice. Raises `ValueError` if they
     do not split into a bright and a dark side.
     """
     if values.size > _MOST_PIXELS:
-        keep = np.random.default_rng(seed).choice(values.size, _MOST_PIXELS, replace=False)
+        keep = np.random.default_rng(0).choice(values.size, _MOST_PIXELS, replace=False)
         angle_rad, position_px = _best_split(x_px[keep], y_px[keep], values[keep])
     else:
         angle_rad, position_px = _best_split(x_px, y_px, values)

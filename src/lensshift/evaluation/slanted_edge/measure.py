@@ -134,7 +134,11 @@ def measure_edges(
     """
     if method not in METHODS:
         raise ValueError(f"expected a method of {', '.join(METHODS)}, got {method!r}")
-    given = _known(method, options)
+    foreign = sorted(set(options) - set(_OPTIONS[method]))
+    if foreign:
+        known = ", ".join(_OPTIONS[method]) or "none"
+        raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
+    given: dict[str, Any] = dict(options)
     likely = _likely(given, scale) if method == "ml" else None
     frames = take_frames(image, pitch_mm, offset_px=offset_px, valid=valid, scale=scale)
     places = [_given(region, frames)] if region is not None else find_regions(frames.first)
@@ -150,14 +154,6 @@ def measure_edges(
         warn_of(list(result.notes), result.region)
         results.append(result)
     return sorted(results, key=lambda one: (one.usable, one.extent_px[0]), reverse=True)
-
-
-def _known(method: Method, options: MethodOptions) -> dict[str, Any]:
-    foreign = sorted(set(options) - set(_OPTIONS[method]))
-    if foreign:
-        known = ", ".join(_OPTIONS[method]) or "none"
-        raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
-    return dict(options)
 
 
 def _likely(given: dict[str, Any], scale: int) -> LikelySettings:

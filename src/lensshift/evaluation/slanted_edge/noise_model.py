@@ -134,11 +134,7 @@ def rounding_of(values: Vector) -> Rounding:
 
 
 def plateau_tilt_matters(
-    values: Vector,
-    places: NDArray[np.intp],
-    sides: list[Mask],
-    columns: Matrix,
-    least: float = 0.0,
+    values: Vector, places: NDArray[np.intp], sides: list[Mask], columns: Matrix, least: float = 0.0
 ) -> bool:
     """Tell whether planes describe the plateaus better than constants do (F test).
 

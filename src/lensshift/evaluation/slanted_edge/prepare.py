@@ -10,19 +10,11 @@ from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge import noise_model
 from lensshift.evaluation.slanted_edge.bending import FreeResponse, bend_edge
-from lensshift.evaluation.slanted_edge.edge_model import (
-    Matrix,
-    SplineBasis,
-    Vector,
-    core_slopes,
-)
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector, core_slopes
 from lensshift.evaluation.slanted_edge.gathering import nodes_for, splines_for
 from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
 from lensshift.evaluation.slanted_edge.noise_model import Mask, NoiseModel
-from lensshift.evaluation.slanted_edge.samples import (
-    EdgeSamples,
-    distance_px,
-)
+from lensshift.evaluation.slanted_edge.samples import EdgeSamples, distance_px
 
 _SHARED = 0.1  # of the variance: less is not worth a weight
 # In units of the edge's own width:

@@ -251,20 +251,8 @@ def crossings(frequency: Vector, modulation: NDArray[np.float64], level: float) 
 def rises(normal_px: Vector, esf: NDArray[np.float64], share: float = 0.1) -> Vector:
     """Return the width from `share` to 1 - `share` of each column [d k], from the middle."""
     middle = int(np.argmin(np.abs(normal_px)))
-    up = _outward(normal_px[middle:], esf[middle:], 1.0 - share, 1.0)
-    down = _outward(-normal_px[middle::-1], esf[middle::-1], share, -1.0)
-    return up + down
-
-
-def _outward(distance_px: Vector, values: NDArray[np.float64], level: float, sign: float) -> Vector:
-    passed = sign * (values - level) >= 0
-    first = np.maximum(np.argmax(passed, axis=0), 1)
-    columns = np.arange(values.shape[1])
-    before, after = values[first - 1, columns], values[first, columns]
-    rise = np.where(after != before, after - before, 1.0)
-    share = np.where(passed[0], 0.0, (level - before) / rise)
-    place = distance_px[first - 1] + share * (distance_px[first] - distance_px[first - 1])
-    return np.where(passed.any(axis=0), place, np.nan)
+    up = crossings(normal_px[middle:], -esf[middle:], share - 1.0)
+    return up + crossings(-normal_px[middle::-1], esf[middle::-1], share)
 
 
 def usable_edges(results: Sequence[EdgeResult]) -> list[EdgeResult]:

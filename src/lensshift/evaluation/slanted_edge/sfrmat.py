@@ -108,11 +108,9 @@ def sfrmat3(image: ArrayLike) -> SfrmatResult:
             f"{_empty(empty, esf, used, slope)}; sfrmat3 sets the ESF to 0 there, which bends the "
             "whole curve"
         )
-    modulation = steps.modulation_of(centred * steps.hamming(lsf.size, (lsf.size - 1) / 2)[0])
-    frequency_cpp = _frequency_cpp(modulation.size, lsf.size, slope)
-    half_cpp = float(frequency_cpp[(upright.shape[1] - 1) // 2])
-    found = _Curve(frequency_cpp, modulation, esf, lsf, half_cpp)
-    return _result(found, edge, slope, used, empty, turned)
+    windowed = centred * steps.hamming(lsf.size, (lsf.size - 1) / 2)[0]
+    half = (upright.shape[1] - 1) // 2
+    return _result(esf, lsf, windowed, edge, slope, used, empty, turned, half)
 
 
 def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey") -> SfrmatResult:
@@ -168,26 +166,13 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey")
         if window == "hamming"
         else steps.hann(lsf.size, middle_px - 0.5)
     )
-    modulation = steps.modulation_of(centred * taper[0])
-    found = _Curve(
-        _frequency_cpp(modulation.size, lsf.size, slope), modulation, esf, lsf, _CLIP_CPP
-    )
-    result = _result(found, edge, slope, used, empty, turned)
+    result = _result(esf, lsf, centred * taper[0], edge, slope, used, empty, turned)
     if result.mtf50_cpp > _CLIP_CPP:
         _warn(
             f"MTF50 is {result.mtf50_cpp:.3f} cycles per pixel; the original of sfrmat5 reports "
             f"its clip of {_CLIP_CPP}"
         )
     return result
-
-
-@dataclass(frozen=True, slots=True)
-class _Curve:
-    frequency_cpp: Vector
-    modulation: Vector
-    esf: Vector
-    lsf: Vector
-    half_cpp: float  # what the efficiency of sampling is measured against
 
 
 def _lines_used(upright: Matrix, edge: Vector, slope: float) -> int:
@@ -228,25 +213,31 @@ def _centred(lsf: Vector, number: int, empty: int) -> Vector:
     return moved
 
 
-def _frequency_cpp(count: int, bins: int, slope: float) -> Vector:
-    step_cpp = steps.BINS_PER_PX / (bins * float(np.cos(np.arctan(slope))))
-    return step_cpp * np.arange(count, dtype=np.float64)
-
-
 def _result(
-    found: _Curve, edge: Vector, slope: float, used: int, empty: int, turned: bool
+    esf: Vector,
+    lsf: Vector,
+    windowed: Vector,
+    edge: Vector,
+    slope: float,
+    used: int,
+    empty: int,
+    turned: bool,
+    half: int | None = None,
 ) -> SfrmatResult:
+    """Return the result; `half` is the number of the frequency that efficiency is taken over."""
+    angle_rad, modulation = float(np.arctan(slope)), steps.modulation_of(windowed)
+    bin_px = float(np.cos(angle_rad)) / steps.BINS_PER_PX
+    frequency_cpp = np.arange(modulation.size) / (lsf.size * bin_px)
+    half_cpp = _CLIP_CPP if half is None else float(frequency_cpp[half])
     mtf50_cpp, mtf10_cpp = (
-        float(crossings(found.frequency_cpp, found.modulation[:, None], level)[0])
-        for level in (0.5, 0.1)
+        float(crossings(frequency_cpp, modulation[:, None], level)[0]) for level in (0.5, 0.1)
     )
-    angle_rad = float(np.arctan(slope))
     return SfrmatResult(
-        frequency_cpp=found.frequency_cpp,
-        modulation=found.modulation,
-        esf=found.esf,
-        lsf=found.lsf,
-        bin_px=float(np.cos(angle_rad)) / steps.BINS_PER_PX,
+        frequency_cpp=frequency_cpp,
+        modulation=modulation,
+        esf=esf,
+        lsf=lsf,
+        bin_px=bin_px,
         edge_px=edge[::-1].copy(),
         slope=slope,
         angle_rad=angle_rad,
@@ -255,7 +246,7 @@ def _result(
         rotated=turned,
         mtf50_cpp=mtf50_cpp,
         mtf10_cpp=mtf10_cpp,
-        sampling_efficiency=float(np.fmin(mtf10_cpp / found.half_cpp, 1.0)),
+        sampling_efficiency=float(np.fmin(mtf10_cpp / half_cpp, 1.0)),
     )
 
 
@@ -293,7 +284,7 @@ def measure_binned(
         inside = np.interp(frequency_lpmm, own_lpmm, found.modulation, right=np.nan)
         curve = MtfCurve(frequency_lpmm, inside, None, method)
     result = _as_edge(found, region, frames, curve, method)
-    lines = np.arange(min(image.shape) if found.rotated else image.shape[0], dtype=np.float64)
+    lines = np.arange(image.shape[1 if found.rotated else 0], dtype=np.float64)
     gap_px = largest_phase_gap_px(lines, found.angle_rad)
     return doubted(result, lines.size, gap_px, image.ravel())
 
