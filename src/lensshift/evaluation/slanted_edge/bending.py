@@ -9,8 +9,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.gathering import Nodes
-from lensshift.evaluation.slanted_edge.samples import distance_px
+from lensshift.evaluation.slanted_edge.gathering import Nodes, distance_px
 
 _STEPS = 6
 _SETTLED_PX = 1e-3

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import sici
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.gathering import Nodes, gather, nodes_for
+from lensshift.evaluation.slanted_edge.gathering import EdgeSamples, Nodes, gather, nodes_for
 from lensshift.evaluation.slanted_edge.likelihood import Conditional, EdgeLikelihood
 from lensshift.evaluation.slanted_edge.lsf_prior import PLACE
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
@@ -26,7 +26,6 @@ from lensshift.evaluation.slanted_edge.prepare import (
     slopes_across,
     take_samples,
 )
-from lensshift.evaluation.slanted_edge.samples import EdgeSamples
 
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width

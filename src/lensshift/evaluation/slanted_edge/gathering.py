@@ -16,16 +16,65 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lensshift.evaluation.slanted_edge import node_kernels
+from lensshift.evaluation.slanted_edge import kernels
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.samples import EdgeSamples
 
+# Prior standard deviation of the bending terms, as a share of the half length of the edge.
+_BENDING_SHARE = 0.05
 # Up to the first number of units from the edge, steps of the second: a pixel as narrow as the prior
 # allows, then a quarter of the distance of the splines, then half of it.
 _ZONES = ((2.0, 1 / 32), (6.0, 1 / 16), (16.0, 1 / 4))
 _FAR_STEP, _FARTHEST_STEP = 1 / 2, 1.0  # up to the end of the splines, and beyond
 _MARGIN = 2
 _KNOT_STEP = 1 / 4
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSamples:
+    """Pixels of one or several frames, in units of the contrast, the bright side at positive x."""
+
+    across_px: Vector  # [n] coordinates of the pixels, from the edge's middle
+    along_px: Vector
+    half_length_px: float  # half the length of the edge along `along_px`
+    light: int  # order of the uneven illumination: 0 even, 1 a plane, 2 a bowl
+    values: Vector  # [n] the pixels
+    whitener: sparse.csr_array | None  # [m n] what makes their noise white, None for nothing
+    unlike: float = 1.0  # share of the pixels that tell something of their own, see `Rounding`
+
+    def normal_px(self, geometry: Vector) -> Vector:
+        """Return the signed distance of each pixel from the edge."""
+        return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
+
+    def turn_px(self, angle_rad: float) -> Vector:
+        """Return the slope of that distance by the angle of the edge."""
+        return np.asarray(self.along_px * np.cos(angle_rad) - self.across_px * np.sin(angle_rad))
+
+    def powers(self, highest: int) -> Matrix:
+        """Return [n k]: Legendre polynomials 0 to `highest` of the place along the edge."""
+        place = self.along_px / self.half_length_px
+        return np.asarray(np.polynomial.legendre.legvander(place, highest))
+
+    @property
+    def bend_spread_px(self) -> float:
+        """Prior standard deviation of the bending terms."""
+        return _BENDING_SHARE * self.half_length_px
+
+
+def distance_px(
+    across_px: Vector, along_px: Vector, geometry: Vector, half_length_px: float
+) -> Vector:
+    """Return the signed distance from an edge of geometry t, rho, g_2, g_3, ...
+
+        d = x cos t + y sin t - rho - sum_k g_k P_k(y / half length)
+
+    with Legendre polynomials P_k.
+    """
+    normal_px: Vector = across_px * np.cos(geometry[0]) + along_px * np.sin(geometry[0])
+    normal_px -= geometry[1]
+    if geometry.size > 2:
+        bending = np.concatenate([[0.0, 0.0], geometry[2:]])
+        normal_px -= np.polynomial.legendre.legval(along_px / half_length_px, bending)
+    return normal_px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +87,7 @@ class Between:
     def of(self, values: Vector) -> Vector:
         """Return at the pixels what is `values` [g] at the nodes."""
         out = np.empty(self.first.size)
-        node_kernels.interpolated(self.first, self.shares, values, out)
+        kernels.interpolated(self.first, self.shares, values, out)
         return out
 
 
@@ -54,7 +103,7 @@ class Nodes:
         """Return where distances [n] lie."""
         first = np.searchsorted(self.place_px, normal_px)
         shares = np.empty((normal_px.size, 4))
-        node_kernels.between_nodes(normal_px, self.place_px, first, shares)
+        kernels.between_nodes(normal_px, self.place_px, first, shares)
         return Between(first, shares)
 
 
@@ -157,14 +206,12 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     products = np.zeros((kinds, kinds, size, size))
     with_right = np.zeros((kinds, size, right.shape[1]))
     rows = (whitener.indptr, whitener.indices, whitener.data)
-    node_kernels.node_products(
-        *rows, pixels.first, pixels.shares, powers, right, products, with_right
-    )
+    kernels.node_products(*rows, pixels.first, pixels.shares, powers, right, products, with_right)
     reach = np.empty((size, 2), dtype=np.intp)
-    node_kernels.node_reach(products, reach)
+    kernels.node_reach(products, reach)
     node_sums, splines = [], np.empty_like(nodes.integrals)
     for row, own in zip(products, with_right, strict=True):
-        node_kernels.times_nodes(row[0], reach, nodes.integrals, splines)
+        kernels.times_nodes(row[0], reach, nodes.integrals, splines)
         node_sums.append(np.vstack([splines.T, own.T]))
     sums = right.T @ right
     precision, centre = np.zeros(fixed.shape[1]), np.zeros(fixed.shape[1])

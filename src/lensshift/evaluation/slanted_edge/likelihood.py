@@ -18,8 +18,8 @@ from lensshift.evaluation.slanted_edge.edge_model import (
     Vector,
 )
 from lensshift.evaluation.slanted_edge.gathering import Gathered
+from lensshift.evaluation.slanted_edge.kernels import across_nodes
 from lensshift.evaluation.slanted_edge.lsf_prior import BASE_HYPERS, HYPERS
-from lensshift.evaluation.slanted_edge.node_kernels import across_nodes
 
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.

@@ -12,8 +12,7 @@ from lensshift.evaluation.slanted_edge.bending import rms_bend_px
 from lensshift.evaluation.slanted_edge.checks import displacement_px, doubted, largest_phase_gap_px
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
-from lensshift.evaluation.slanted_edge.frames import EdgeFrames
-from lensshift.evaluation.slanted_edge.prepare import UprightEdge
+from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, UprightEdge
 from lensshift.evaluation.slanted_edge.result import (
     EdgeResult,
     Interval,

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.checks import warn_of
-from lensshift.evaluation.slanted_edge.frames import EdgeFrames, take_frames
 from lensshift.evaluation.slanted_edge.likely import LikelySettings, measure_likely
+from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, take_frames
 from lensshift.evaluation.slanted_edge.regions import find_regions
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Region, average_curves
 

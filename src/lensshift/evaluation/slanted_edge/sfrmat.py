@@ -17,7 +17,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge import sfrmat_steps as steps
 from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_px
-from lensshift.evaluation.slanted_edge.frames import EdgeFrames
+from lensshift.evaluation.slanted_edge.prepare import EdgeFrames
 from lensshift.evaluation.slanted_edge.result import (
     EdgeResult,
     Interval,
