@@ -249,10 +249,7 @@ def _off_fitted_m(
 def _two_planes_m(place_px: NDArray[np.int64], values_m: Floats) -> Floats | None:
     """Return the near and the far surface at place 0, None if a side has too few pixels.
 
-    Parameters
-    ----------
-    place_px : [n 2] against the middle
-    values_m : [n] distances
+    From distances [n] at places [n 2] against the middle.
     """
     ordered_m = np.sort(values_m)
     split = split_index(ordered_m)

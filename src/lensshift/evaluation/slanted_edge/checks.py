@@ -38,14 +38,8 @@ def doubted(
     """Return the result with what speaks against it.
 
     Contrast, clipping, how the lines cross the pixels and frames that do not lie on one another
-    make an edge unusable; what its profile shows may be true of the whole image.
-
-    Parameters
-    ----------
-    lines, gap_px : number of lines that cross it, and see `largest_phase_gap_px`
-    values : [n] the pixels of the region
-    out : number of pixels that were left out as they stand out
-    apart_px : by how much the edge moves from frame to frame, rms, beside their offsets
+    make an edge unusable; what its profile shows may be true of the whole image. `out` pixels stand
+    out and were left out; from frame to frame the edge moves by `apart_px` beside the offsets.
     """
     found = _shape(values, result)
     if result.dark + result.bright <= 0.0:

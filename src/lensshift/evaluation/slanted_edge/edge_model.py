@@ -239,14 +239,8 @@ class BaseModel(NamedTuple):
     """A Gaussian with a tail, seen by a square pixel.
 
     Its parameters are log sigma, the root r of the pixel's shrinkage (its side is exp(-r^2) of the
-    aperture), the root v of the tail's share v |v|, log width and speed of the tail, and the place
-    of it all; lengths in units of `unit_px`.
-
-    Parameters
-    ----------
-    angle_rad : of the edge
-    aperture_px : side of the largest pixel
-    unit_px : width of the edge
+    aperture, the side of the largest pixel), the root v of the tail's share v |v|, log width and
+    speed of the tail, and the place of it all; lengths in units of `unit_px`, the edge's width.
     """
 
     angle_rad: float

@@ -64,14 +64,10 @@ def fit_edge(
     seed: int,
     noise_covariance: Matrix | None = None,
 ) -> EdgeFit:
-    """Fit an upright edge.
+    """Fit an upright edge; the MTF is wanted at frequencies [f], the first 0.
 
-    Parameters
-    ----------
-    frequency_cpp : [f] where the MTF is wanted, the first at 0
-    aperture_px : side of the pixel of the base model
-    tilt, noise_covariance : of the light, of the noise; None to let the plateaus tell
-    seed : of the draws
+    `aperture_px` is the side of the largest pixel of the base model; None of `tilt` and
+    `noise_covariance` lets the plateaus tell.
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     lights = [light]

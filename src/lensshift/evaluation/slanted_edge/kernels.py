@@ -20,14 +20,10 @@ _FAR = 7.0  # standard deviations; what is left of the normal distribution there
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def edge_slopes(normal_px: Array, p: float, q: float, sigma_px: float, out: Array) -> None:
-    """Fill `out` with the response of an edge, a trapezium and a Gaussian, and its slopes.
+    """Fill `out` [4 n] with the response of an edge, a trapezium and a Gaussian, and its slopes.
 
-    Parameters
-    ----------
-    normal_px : [n]
-    p, q : half the sides of the pixel as the edge's normal sees them: half widths of the trapezium
-    sigma_px : of the Gaussian
-    out : [4 n] response; slopes by log sigma, by the log of the pixel's side, by the distance
+    These are by log sigma, by the log of the pixel's side, by the distance. The edge's normal sees
+    half sides p, q of the pixel: the half widths of the trapezium are p + q and |p - q|.
     """
     reach_px, area = p + q + _FAR * sigma_px, 4.0 * p * q
     for i in range(normal_px.size):
@@ -55,15 +51,11 @@ def edge_slopes(normal_px: Array, p: float, q: float, sigma_px: float, out: Arra
 def tail_slopes(
     normal_px: Array, p: float, q: float, grows: tuple[float, float], w: float, out: Array
 ) -> None:
-    """Fill `out` with the responses of an edge, a trapezium and either law of a tail; their slopes.
+    """Fill `out` [2 4 n] with the responses of an edge, a trapezium and either law of a tail.
 
-    Parameters
-    ----------
-    normal_px, p, q : as in `edge_slopes`
-    w : width of the Lorentzian w / (pi (x^2 + w^2)) and of the Laplacian exp(-|x| / w) / 2 w
-    grows : whether p and q follow the side of the pixel (1) or are at a limit (0)
-    out : [2 4 n] of Lorentzian and Laplacian: response; slopes by the log of the width, by the log
-        of the pixel's side, by the distance
+    These are the Lorentzian w / (pi (x^2 + w^2)) and the Laplacian exp(-|x| / w) / 2 w, of each the
+    response and its slopes as in `edge_slopes`, by log w first. `grows` says of p and q whether
+    they follow the side of the pixel (1) or are at a limit (0).
     """
     far_px, half_variance, area = _FAR_SIDES * max(p, q), (p * p + q * q) / 6.0, 4.0 * p * q
     wider = (grows[0] * p * p + grows[1] * q * q) / 3.0

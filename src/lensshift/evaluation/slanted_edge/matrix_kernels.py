@@ -124,11 +124,8 @@ def heights_covariance(
 ) -> None:
     """Fill in the covariance [j j] of the heights.
 
-    Parameters
-    ----------
-    number : [j] n, rising places of the knots in steps from the middle
-    weight, near : [j], [l] e times area at every knot, k at every lag
-    symmetry : m
+    Of knots at n [j], rising steps from the middle; `weight` is e times the area at each, `near`
+    k at every lag.
     """
     for i in range(number.size):
         total = 0.0
@@ -153,11 +150,8 @@ def heights_slopes(
 ) -> tuple[float, float, float, float]:
     """Return how a value changes with the logs of amplitude, length and tail, and with m.
 
-    Parameters
-    ----------
-    sensitivity : [j j] its derivative by the covariance of the heights; destroyed
-    number, weight, near, symmetry : as in `heights_covariance`
-    longer, wider : [l], [j] slopes of `near` and of the log envelope
+    `sensitivity` [j j], its derivative by the covariance of the heights, is destroyed; `longer` [l]
+    and `wider` [j] are slopes of `near` and of the log envelope.
     """
     count = number.size
     by_amplitude = by_length = by_tail = by_symmetry = 0.0

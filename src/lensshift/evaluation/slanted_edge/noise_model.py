@@ -138,14 +138,8 @@ def plateau_tilt_matters(
 ) -> bool:
     """Tell whether planes describe the plateaus better than constants do (F test).
 
-    The test takes the means of blocks of pixels, which correlated noise does not deceive.
-
-    Parameters
-    ----------
-    values, places : [n], [n 3]
-    sides : masks of the plateaus
-    columns : [n k] the slopes
-    least : deviation of what is not worth a plane, as that of rounding
+    The test takes the means of blocks of pixels, which correlated noise does not deceive. Planes
+    have slopes [n k]; a deviation below `least`, as that of rounding, is not worth them.
     """
     least = max(least, NOISELESS)
     plain = tilted = 0.0
@@ -254,10 +248,7 @@ def _best_prediction(
 ) -> tuple[int, Vector, float]:
     """Return order and factors of the prediction at some pixels, and the variance it leaves.
 
-    Parameters
-    ----------
-    scaled : [n] noise of even variance at places [n 3], NaN where it is not known
-    sites : numbers of the pixels to foretell
+    From noise [n] of even variance at places [n 3], NaN where it is not known.
     """
     index, widest = _index_of(places), _half_plane(_LARGEST_ORDER)
     sites = sites[:: max(1, sites.size // _MOST_SITES)]

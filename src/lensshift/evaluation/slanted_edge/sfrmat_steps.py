@@ -185,14 +185,9 @@ def project(
     """Return the ESF [4 columns], the mean of the pixels in quarter-pixel bins, and the empty bins.
 
     The count of an empty bin becomes the mean of its neighbours', filled ones included. Its sum
-    does so only in sfrmat5; in sfrmat3 the ESF is 0 there. It is NaN where no count is found.
-
-    Parameters
-    ----------
-    upright : [line column] the lines used
-    displacement_px : [line] edge minus edge at line 0
-    run_px : how far the edge runs over these lines; says where the ESF starts
-    interpolate_sums : whether the sums are filled as well
+    does so only in sfrmat5; in sfrmat3 the ESF is 0 there. It is NaN where no count is found. The
+    edge lies `displacement_px` from where it is at line 0, and runs over `run_px` in all, which
+    says where the ESF starts.
     """
     columns = upright.shape[1]
     place_px = np.arange(columns) - displacement_px[:, None]
