@@ -202,6 +202,20 @@ def test_noise_near_the_edge_is_read_there(seed: int) -> None:
     assert learned(step * (1.0 + 0.1 * row[:, None] / 45.0) + quiet).near is None
 
 
+def test_correlated_noise_hides_no_louder_noise_at_the_edge() -> None:
+    """As a JPEG of quality 95: its pixels were counted as a 25th of their number."""
+    rng = np.random.default_rng(5)
+    row, col = (np.arange(n) - (n - 1) / 2 for n in (60, 80))
+    normal = col * np.cos(ANGLE) + row[:, None] * np.sin(ANGLE)
+    smooth = gaussian_filter(rng.standard_normal((60, 80)), 0.6)
+    noise = 0.004 * smooth / smooth.std()
+    assert learned(ndtr(normal / 0.6) + noise).near is None
+    louder = learned(ndtr(normal / 0.6) + np.where(np.abs(normal) < 5.0, 1.6, 1.0) * noise)
+    assert louder.order > 0
+    assert louder.near is not None
+    np.testing.assert_allclose(louder.near.variance[:2], 1.6**2, rtol=0.4)
+
+
 def test_intervals_hold_where_noise_is_larger_at_the_edge() -> None:
     frequency = np.linspace(0.0, 1.5, 30_001)
     pixel = np.sinc(frequency * np.cos(ANGLE)) * np.sinc(frequency * np.sin(ANGLE))

@@ -208,6 +208,13 @@ def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]
     return NoiseModel(together, together, order, prediction)
 
 
+def _by_distance(values: Vector, normal_px: Vector) -> tuple[Vector, NDArray[np.intp]]:
+    """Return sums of squares [b], and counts, in steps of the distance from the edge."""
+    number = np.minimum(np.abs(normal_px) / _NEAR_STEP_PX, _NEAR_STEPS).astype(np.intp)
+    sums = np.bincount(number, values**2, minlength=_NEAR_STEPS + 1).astype(np.float64)
+    return sums, np.bincount(number, minlength=_NEAR_STEPS + 1)
+
+
 def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
     """Return what whitens noise of a known autocovariance, as `noise_autocovariance` returns.
 
@@ -320,19 +327,23 @@ def with_edge(
     """
     if noise.dark_sigma <= NOISELESS:
         return noise
-    scaled = residual / noise.relative_sigma(response, normal_px)
-    number = np.minimum(np.abs(normal_px) / _NEAR_STEP_PX, _NEAR_STEPS).astype(np.intp)
-    counts = np.bincount(number, minlength=_NEAR_STEPS + 1)
-    sums = np.bincount(number, weights=scaled**2, minlength=_NEAR_STEPS + 1)
+    relative = noise.relative_sigma(response, normal_px)
+    # What their neighbours foretell of the pixels would make fewer of them independent.
+    whitener = noise.whitener(places, relative, normal_px)
+    which = np.maximum.reduceat(whitener.indices, whitener.indptr[:-1])
+    sums, counts = _by_distance(whitener @ residual, normal_px[which])
     near, far = int(counts[:_NEAREST].sum()), int(counts[_NEAR_STEPS])
     level = float(sums[_NEAR_STEPS]) / max(far, 1)
     if min(near, far) < _FEWEST_SITES or level <= 0.0:
         return noise
     most = float(sums[:_NEAREST].sum()) / near - _FREE_ERROR**2
-    freedom = (1 + 2 * noise.order) ** 2
-    if fdtrc(near / freedom, far / freedom, most / level) > _SIGNIFICANT:
+    if fdtrc(near, far, most / level) > _SIGNIFICANT:
         return noise
+    sums, counts = _by_distance(residual / relative, normal_px)
+    level = float(sums[_NEAR_STEPS]) / counts[_NEAR_STEPS]
     each = (sums / np.maximum(counts, 1) - _FREE_ERROR**2)[:_NEAR_STEPS] / level
+    if np.max(each) <= 1.0:  # the pixels scatter less there: neighbours merely foretell less
+        return noise
     louder = NearNoise(np.append(np.maximum(each, 1.0), 1.0), 0, np.zeros(0), 1.0)
     noise = replace(noise, near=louder)
     scaled = residual / noise.relative_sigma(response, normal_px)
