@@ -139,13 +139,15 @@ def siemens_star_mtf(
         curves.append(
             known_phase.mtf_curve(part_lpmm, part_fits, contrast, f"sector {k} of {sectors}")
         )
+    phasors = np.exp(1j * np.array([fit.phase_rad for fit in fits]))
+    mean = np.array([fit.modulation for fit in fits]) @ phasors
     return SiemensResult(
         mtf=known_phase.mtf_curve(frequency_lpmm, fits, contrast, "Siemens star"),
         center_px=center,
         contrast=contrast[0],
         contrast_std=contrast[1],
         radius_mm=rings_mm,
-        phase_rad=_against_mean(fits),
+        phase_rad=np.angle(phasors * np.conj(mean)),
         count=np.array([fit.count for fit in fits], dtype=np.int64),
         residual=np.array([fit.residual for fit in fits]),
         pixels_per_cycle=pixels_per_cycle,
@@ -333,12 +335,6 @@ def _sector(waves: Waves, angle_rad: Floats, half_rad: float) -> Waves:
     away = np.angle(np.exp(1j * angle_rad)) / half_rad
     background = np.column_stack([np.ones_like(away), away])
     return replace(waves, ring=np.where(np.abs(away) < 1, waves.ring, -1), background=background)
-
-
-def _against_mean(fits: Sequence[HarmonicFit]) -> Floats:
-    phasors = np.array([np.exp(1j * fit.phase_rad) for fit in fits])
-    weights = np.array([fit.modulation for fit in fits])
-    return np.asarray(np.angle(phasors * np.conj(weights @ phasors)))
 
 
 def _check_star(

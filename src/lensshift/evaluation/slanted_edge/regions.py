@@ -191,9 +191,8 @@ def _around(
     line, place = lines[inside], places[inside]
     slope = float(np.polyfit(line, place, 1)[0])
     bend = np.polyfit(line, place, 2)
-    straight = np.std(place - np.polyval(bend, line)) < _STRAIGHT_PX
     angle, crossed_px = abs(np.arctan(slope)), abs(slope) * (last - first)
-    if not straight or not _LEAST_ANGLE <= angle <= _LARGEST_ANGLE:
+    if _off_bend_px(line, place) >= _STRAIGHT_PX or not _LEAST_ANGLE <= angle <= _LARGEST_ANGLE:
         return None, 0.0
     if crossed_px < _LEAST_CROSSED_PX:
         return None, 0.0
