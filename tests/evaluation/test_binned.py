@@ -45,3 +45,12 @@ def test_what_no_binning_can_do_is_told() -> None:
     image[3, 4] = np.nan
     with pytest.raises(ValueError, match="1 invalid"):
         measure_edge(image, method="sfrmat5")
+
+
+def test_lines_across_an_edge_along_the_rows_are_its_columns() -> None:
+    """The rows were counted: 16 of them, at 2.5 degrees, leave 0.3 px unsampled, 80 none."""
+    row, col = np.mgrid[:16, :80].astype(float)
+    level = np.clip(row - 8.2 + np.tan(np.deg2rad(2.5)) * (col - 40.0), 0.0, 1.0)
+    found = measure_edge(level, region=(0, 16, 0, 80), method="sfrmat3")
+    assert found.orientation == "horizontal"
+    assert found.usable

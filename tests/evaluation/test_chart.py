@@ -138,6 +138,17 @@ def test_a_parabola_is_found_whatever_the_order(top: float, bend: float, order: 
     assert fit.sigma == pytest.approx(0.0, abs=1e-5)
 
 
+@pytest.mark.parametrize("focus", [(-30.0, 0.0, 10.0, 20.0, 40.0), (-15.0, 0.0, 15.0)])
+def test_blur_that_adds_up_in_squares_is_followed_from_uneven_places(
+    focus: tuple[float, ...],
+) -> None:
+    """A parabola through MTF50 itself was 5.9 and 1.6 off."""
+    place, sharpest = np.array(focus), 3.7
+    fit = best_focus(focus, (0.5**-2 / 40.0**2 * (0.5**2 + (0.06 * (place - 3.7)) ** 2)) ** -0.5)
+    assert fit.focus == pytest.approx(sharpest, abs=1e-6)
+    assert fit.mtf50_lpmm == pytest.approx(40.0)
+
+
 def test_the_error_of_the_focus_is_its_scatter() -> None:
     rng = np.random.default_rng(2)
     focus = np.arange(-2.0, 3.0)

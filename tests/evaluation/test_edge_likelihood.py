@@ -8,9 +8,8 @@ from scipy.special import ndtr
 from scipy.stats import norm
 
 from lensshift.evaluation.slanted_edge import measure_edge
-from lensshift.evaluation.slanted_edge.gathering import gather
+from lensshift.evaluation.slanted_edge.gathering import gather, nodes_for
 from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
-from lensshift.evaluation.slanted_edge.nodes import nodes_for
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
     TYPICAL_STEPS,
@@ -201,6 +200,20 @@ def test_noise_near_the_edge_is_read_there(seed: int) -> None:
     assert learned(step + quiet).near is None
     # Light that grows along the edge, and a first guess that is turned, are no noise.
     assert learned(step * (1.0 + 0.1 * row[:, None] / 45.0) + quiet).near is None
+
+
+def test_correlated_noise_hides_no_louder_noise_at_the_edge() -> None:
+    """As a JPEG of quality 95: its pixels were counted as a 25th of their number."""
+    rng = np.random.default_rng(5)
+    row, col = (np.arange(n) - (n - 1) / 2 for n in (60, 80))
+    normal = col * np.cos(ANGLE) + row[:, None] * np.sin(ANGLE)
+    smooth = gaussian_filter(rng.standard_normal((60, 80)), 0.6)
+    noise = 0.004 * smooth / smooth.std()
+    assert learned(ndtr(normal / 0.6) + noise).near is None
+    louder = learned(ndtr(normal / 0.6) + np.where(np.abs(normal) < 5.0, 1.6, 1.0) * noise)
+    assert louder.order > 0
+    assert louder.near is not None
+    np.testing.assert_allclose(louder.near.variance[:2], 1.6**2, rtol=0.4)
 
 
 def test_intervals_hold_where_noise_is_larger_at_the_edge() -> None:

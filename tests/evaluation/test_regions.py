@@ -66,3 +66,13 @@ def test_hot_and_dead_pixels_do_not_hide_an_edge(value: float) -> None:
     assert region.row_stop - region.row_start > 120
     assert region.col_start < 75
     assert region.col_stop > 105
+
+
+@pytest.mark.parametrize("angle_deg", [6.0, 12.0, 30.0])
+def test_noise_beside_faint_edges_is_nothing_else(angle_deg: float) -> None:
+    """With noise of a tenth of their contrast, half of the sides of squares were called cramped."""
+    row, col = np.indices((320, 320)) % 160 - 79.7
+    turn = np.deg2rad(angle_deg)
+    u, v = col * np.cos(turn) + row * np.sin(turn), row * np.cos(turn) - col * np.sin(turn)
+    squares = np.where(np.maximum(np.abs(u), np.abs(v)) < 35.0, 90.0, 100.0)
+    assert len(find_regions(seen(squares))) == 16

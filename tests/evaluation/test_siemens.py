@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ive
 
 from lensshift.core.errors import QualityWarning
+from lensshift.evaluation.known_phase import HarmonicFit, contrast_at_zero
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.siemens import siemens_star_mtf
 
@@ -215,6 +216,26 @@ def test_an_extrapolated_contrast_says_how_far_it_may_be_off() -> None:
         assert abs(found.contrast - 0.8) < 2.0 * found.contrast_std
     given = siemens_star_mtf(exact_star(), cycles=CYCLES, pitch_mm=1.0, levels=LEVELS)
     assert given.contrast_std == 0.0
+
+
+@pytest.mark.parametrize("gaussian", [True, False])
+def test_rings_tell_how_the_contrast_falls(gaussian: bool) -> None:
+    f = np.linspace(0.07, 0.14, 40)
+    fall = gaussian_mtf(f, 0.8) if gaussian else 1.0 - 4.0 / np.pi * f / 1.2 + 0.2 * (f / 1.2) ** 3
+    noise = 0.002 * np.random.default_rng(6).standard_normal(f.size)
+    fits = [HarmonicFit(one, 0.002, 0.0, 100, 0.01) for one in (0.8 * fall + noise).tolist()]
+    contrast, std = contrast_at_zero(f, fits, None)
+    assert abs(contrast - 0.8) < 2.0 * std
+    assert std < (0.013 if gaussian else 0.06)  # were the fall unknown: 0.033 for a Gaussian
+
+
+@pytest.mark.filterwarnings("ignore:the centre still moves")
+@pytest.mark.parametrize("told", [CYCLES - 2, CYCLES - 1, CYCLES + 1, CYCLES + 3])
+@pytest.mark.parametrize("center", [CENTER, None])
+def test_a_wrong_number_of_cycles_is_refused(told: int, center: tuple[float, float] | None) -> None:
+    image = rendered_star(True) + 0.02 * np.random.default_rng(7).standard_normal(SHAPE)
+    with pytest.raises(ValueError, match=rf"of {told} cycles, got one of {CYCLES}|contrast at low"):
+        siemens_star_mtf(image, cycles=told, pitch_mm=1.0, profile="square", center_px=center)
 
 
 def test_contrast_reversal_shows_in_the_phase() -> None:

@@ -454,3 +454,12 @@ def test_known_covariance_of_correlated_noise() -> None:
 def test_impossible_covariances_are_refused(covariance: Image, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         measure_edge(noisy(box_edge((21, 33)), 0.01), noise_covariance=covariance)
+
+
+def test_where_blur_lets_nothing_through_the_band_begins_at_zero() -> None:
+    """Moduli of draws scatter above 0: the band left out a truth of 1e-12."""
+    image = noisy(box_edge((60, 80), sigma_px=4.0), 0.01)
+    found = measure_edge(image, frequency_lpmm=[0.0, 0.03, 0.3])
+    assert found.low is not None
+    np.testing.assert_allclose(found.low[[0, 2]], [1.0, 0.0], atol=1e-12)
+    assert found.low[1] > 0.5

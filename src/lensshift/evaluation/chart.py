@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -159,12 +159,12 @@ def _mean_of_places(numbers: Sequence[Interval]) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class FocusFit:
-    """A parabola through the MTF50 of a series of photographs.
+    """Where the MTF50 of a series of photographs is largest.
 
     Parameters
     ----------
     focus, sigma : where it is largest, and the standard error of that, from the scatter about the
-        parabola; with three points, which it always meets, from their own errors
+        curve; with three points, which it always meets, from their own errors
     mtf50_lpmm : there
     """
 
@@ -174,7 +174,7 @@ class FocusFit:
 
     def scaled(self, factor: float) -> FocusFit:
         """Return it with MTF50 in another unit."""
-        return FocusFit(self.focus, self.sigma, self.mtf50_lpmm * factor)
+        return replace(self, mtf50_lpmm=self.mtf50_lpmm * factor)
 
 
 def best_focus(
@@ -182,7 +182,10 @@ def best_focus(
 ) -> FocusFit:
     """Return where a lens is sharpest, from MTF50 at three or more positions of the focus.
 
-    The parabola is fitted to the largest value and up to two neighbours on each side.
+    Blur grows with the distance z from the best focus as s^2 = s_0^2 + (k (z - z_0))^2, and MTF50
+    is inversely proportional to s: 1 / MTF50^2 is a parabola. It is fitted to the largest MTF50 and
+    up to two neighbours on each side; a parabola through MTF50 itself, which wave optics may be
+    nearer to, is taken where it leaves less.
 
     Parameters
     ----------
@@ -206,19 +209,34 @@ def best_focus(
         raise ValueError("the sharpest photograph is the first or last of the series; go on there")
     near = slice(max(top - 2, 0), top + 3)
     x, y, std = x[near], y[near], std[near]
-    middle, span = float(x.mean()), float(np.ptp(x))
-    design = np.vander((x - middle) / span, 3)
-    (bend, slope, level), *_ = np.linalg.lstsq(design, y, rcond=None)
-    if bend >= 0:
+    powers = (-2, 1) if y.min() > 0.0 else (1,)
+    rest, fit = min((_extremum(x, y, std, power) for power in powers), key=lambda one: one[0])
+    if not np.isfinite(rest):
         raise ValueError("MTF50 has no maximum over the focus")
-    rest = y - design @ np.array([bend, slope, level])
-    spread = np.full(len(x), float(rest @ rest) / (len(x) - 3)) if len(x) > 3 else std**2
-    solving = np.linalg.pinv(design)
-    covariance = solving * spread @ solving.T
-    at = -slope / (2.0 * bend)
-    lean = np.array([slope / (2.0 * bend**2), -1.0 / (2.0 * bend), 0.0])
-    sigma = float(np.sqrt(lean @ covariance @ lean)) * span
-    return FocusFit(middle + span * float(at), sigma, float(level - slope**2 / (4.0 * bend)))
+    return fit
+
+
+def _extremum(x: Array, y: Array, std: Array, power: int) -> tuple[float, FocusFit]:
+    """Return what a parabola through y^power leaves of y, squared, and its extremum.
+
+    Three points leave nothing: the order of the laws decides. Infinite where y has no maximum.
+    """
+    middle, span = float(x.mean()), float(np.ptp(x))
+    slopes = power * y ** (power - 1)  # of y^power: every y is as well known
+    design = np.vander((x - middle) / span, 3)
+    solving = np.linalg.pinv(design / slopes[:, None]) / slopes
+    bend, slope, level = solving @ y**power
+    at = -slope / (2.0 * bend) if bend * power < 0.0 else np.nan
+    highest = level + 0.5 * slope * at
+    if np.isnan(at) or (power < 0 and highest <= 0.0):
+        return np.inf, FocusFit(np.nan, np.nan, np.nan)
+    left = (y**power - design @ (bend, slope, level)) / slopes
+    rest = float(left @ left) if len(x) > 3 else 0.0
+    spread = np.full(len(x), rest / (len(x) - 3)) if len(x) > 3 else std**2
+    lean = np.array([-at, -0.5, 0.0]) / bend @ solving * slopes
+    sigma = span * float(np.sqrt(lean**2 @ spread))
+    fit = FocusFit(middle + span * float(at), sigma, float(highest ** (1.0 / power)))
+    return rest, fit
 
 
 def edge_rows(

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import QualityWarning
-from lensshift.evaluation.slanted_edge.average import average_interval
-from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, average_interval
 
 _MAX_TURN_RAD = np.deg2rad(1.0)  # two measurements of one edge agree better than that
 _MAX_APART = 0.25  # of the length of an edge, between its middles in the two images

@@ -13,15 +13,8 @@ from scipy import ndimage
 from scipy.optimize import minimize
 
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.known_phase import (
-    HarmonicFit,
-    Pixels,
-    contrast_at_zero,
-    fit_harmonic,
-    list_pixels,
-    mtf_curve,
-    printed_orders,
-)
+from lensshift.evaluation import known_phase
+from lensshift.evaluation.known_phase import HarmonicFit, Pixels
 
 Floats = NDArray[np.float64]
 Box = tuple[int, int, int, int]  # row start, row stop, col start, col stop
@@ -92,7 +85,7 @@ def gratings_mtf(
     """
     if profile not in ("sine", "square"):
         raise ValueError(f"expected a profile of sine or square, got {profile!r}")
-    pixels = list_pixels(image, pitch_mm, valid)
+    pixels = known_phase.list_pixels(image, pitch_mm, valid)
     wanted = np.asarray(frequency_lpmm, dtype=np.float64)
     places = list(regions) if regions is not None else [None] * wanted.size
     if wanted.ndim != 1 or wanted.size == 0 or len(places) != wanted.size:
@@ -116,9 +109,9 @@ def gratings_mtf(
     _refuse_same_place([one for one, at in zip(groups, places, strict=True) if at is None])
     fits = [one.fit for one in groups]
     outer = max(_FEWEST_TO_EXTRAPOLATE, (len(fits) + 1) // 2)
-    contrast = contrast_at_zero(wanted[:outer], fits[:outer], levels, profile)
+    contrast = known_phase.contrast_at_zero(wanted[:outer], fits[:outer], levels, profile)
     return GratingResult(
-        mtf=mtf_curve(wanted, fits, contrast, "bar gratings"),
+        mtf=known_phase.mtf_curve(wanted, fits, contrast, "bar gratings"),
         contrast=contrast[0],
         contrast_std=contrast[1],
         regions=tuple(one.region for one in groups),
@@ -140,8 +133,7 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     top, bottom, left, right = region
     if not (0 <= top < bottom <= pixels.shape[0] and 0 <= left < right <= pixels.shape[1]):
         raise ValueError(f"expected a region within {pixels.shape}, got {region}")
-    inside = (pixels.row_px >= top) & (pixels.row_px < bottom)
-    inside &= (pixels.col_px >= left) & (pixels.col_px < right)
+    inside = pixels.within(region)
     middle = 0.5 * (top + bottom - 1), 0.5 * (left + right - 1)
     row_mm, col_mm = (one[inside] for one in pixels.place_mm(middle))
     values = pixels.values[inside]
@@ -181,8 +173,8 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     ).x  # fmt: skip
     f = frequency_lpmm * (1.0 + best[1])
     phase = phase_of(best)
-    orders = printed_orders(profile, 1.0 / (max(pixels.pitch_mm) * f))
-    fit = fit_harmonic(values, background, [order * phase for order in orders])
+    orders = known_phase.printed_orders(profile, 1.0 / (max(pixels.pitch_mm) * f))
+    fit = known_phase.fit_harmonic(values, background, [order * phase for order in orders])
     if fit is None:
         raise ValueError(f"expected more pixels of the group of {frequency_lpmm:.4g} in {region}")
     return _Group(fit, region, float(best[0]), float(f))
@@ -191,8 +183,7 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
 def _refuse_other_bars(pixels: Pixels, group: _Group) -> None:
     """Refuse a region most of whose light waves with another frequency than was told."""
     top, bottom, left, right = group.region
-    inside = (pixels.row_px >= top) & (pixels.row_px < bottom)
-    inside &= (pixels.col_px >= left) & (pixels.col_px < right)
+    inside = pixels.within(group.region)
     row, col = (pixels.row_px[inside] - top).astype(int), (pixels.col_px[inside] - left).astype(int)
     light = np.linalg.qr(np.column_stack([np.ones(row.size), row, col]))[0]
     box = np.zeros((bottom - top, right - left))

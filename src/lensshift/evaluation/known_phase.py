@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 _MAX_CONDITION = 10.0  # of the columns of one fit, each of norm 1; full rings have about 1.5
 _MAX_CENTER_STEPS = 30
 _CENTER_TOLERANCE_PX = 1e-4
-_OF_UNIFORM = 3.0**-0.5  # deviation from one end of a uniform distribution over its width
+_SHAPES = np.linspace(0.0, 1.0, 21)  # shares of diffraction in the fall of the contrast
 _MIN_MODULATION = 1e-3  # of the lowest frequencies; below, the image does not hold the target
 _SURE = 4.0  # deviations: noise of two quadratures exceeds them once in 3000
 _ENDED = 0.2  # of the modulation that blur would have left
@@ -45,6 +45,12 @@ class Pixels:
         col_mm = (self.col_px - center_px[1]) * self.pitch_mm[1]
         return np.asarray(row_mm), np.asarray(col_mm)
 
+    def within(self, box: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+        """Return which pixels lie in row start, row stop, col start, col stop [n]."""
+        top, bottom, left, right = box
+        rows = (self.row_px >= top) & (self.row_px < bottom)
+        return np.asarray(rows & (self.col_px >= left) & (self.col_px < right))
+
     def reach_mm(self, center_px: tuple[float, float]) -> tuple[float, float]:
         """Return how far the image reaches on both sides of a centre, along (row, col)."""
         row_px, col_px = (min(c, n - 1 - c) for c, n in zip(center_px, self.shape, strict=True))
@@ -55,20 +61,12 @@ class Pixels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waves:
-    """What a target should look like at n pixels, up to amplitude and phase of each ring.
+    """What a target should look like at n pixels, up to amplitude and phase of each ring."""
 
-    Parameters
-    ----------
-    ring : [n] from 0, -1 for pixels not used
-    phase_rad : [n] of the wave
-    slope : [n 2] change of the phase towards (row, col), in rad per mm
-    background : [n m] columns of the uneven light; the first is 1
-    """
-
-    ring: NDArray[np.int64]
-    phase_rad: Floats
-    slope: Floats
-    background: Floats
+    ring: NDArray[np.int64]  # [n] from 0, -1 for pixels not used
+    phase_rad: Floats  # [n] of the wave
+    slope: Floats  # [n 2] change of the phase towards (row, col), in rad per mm
+    background: Floats  # [n m] columns of the uneven light; the first is 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,9 +171,9 @@ def contrast_at_zero(
     """Return the modulation at frequency 0 and its standard deviation.
 
     From the levels (low, high): (high - low) / (high + low), taken as exact; times 4 / pi for a
-    square wave. Else by the
-    straight line through log modulation over frequency^2, as a Gaussian falls. Over the frequency
-    itself, as diffraction falls, it meets 0 higher: the truth is taken to be anywhere between.
+    square wave. Else by the straight line through log modulation over frequency^2, as a Gaussian
+    falls. Over the frequency itself, as diffraction falls, it meets 0 higher: the truth is taken to
+    be anywhere between, each fall as likely as it fits.
     """
     if levels is not None:
         low, high = levels
@@ -190,14 +188,22 @@ def contrast_at_zero(
             f"expected contrast at low frequencies, got {np.min(modulation):.2g} with a scatter of "
             f"{np.median(std):.2g}: does the image show this pattern?"
         )
-    ones = np.ones_like(frequency_lpmm)
-    weights, steeper = (
-        np.linalg.pinv(np.column_stack([ones, frequency_lpmm**power]))[0] for power in (2, 1)
-    )
-    contrast = float(np.exp(weights @ np.log(modulation)))
-    relative = weights * std / modulation
-    apart = float((steeper - weights) @ np.log(modulation)) * _OF_UNIFORM
-    return contrast, contrast * float(np.hypot(np.linalg.norm(relative), apart))
+    ones, place = np.ones_like(frequency_lpmm), frequency_lpmm / frequency_lpmm[-1]
+    logs, misfits = [], []
+    for share in _SHAPES:
+        design = np.column_stack([ones, (1.0 - share) * place**2 + share * place])
+        solving = np.linalg.pinv(design)
+        found = solving @ np.log(modulation)
+        if share == 0.0:
+            noise = np.linalg.norm(solving[0] * std / modulation)
+        logs.append(found[0])
+        misfits.append(np.sum(((design @ found - np.log(modulation)) * modulation / std) ** 2))
+    # How far the modulations are off beyond their own scatter is not known (Student's t).
+    freedom, scale = len(fits) - 2, max(1.0, min(misfits) / (len(fits) - 2))
+    likely = ((1.0 + np.array(misfits)) / (1.0 + min(misfits))) ** (-0.5 * (freedom + 1))
+    apart = np.average((np.array(logs) - logs[0]) ** 2, weights=likely)
+    contrast = float(np.exp(logs[0]))
+    return contrast, contrast * float(np.sqrt(scale * noise**2 + apart))
 
 
 def printed_count(frequency_lpmm: Floats, fits: Sequence[HarmonicFit], apart: int) -> int:
@@ -247,10 +253,7 @@ def warn_if_out_of_step(fits: Sequence[HarmonicFit], wrong: str) -> None:
 
 
 def mtf_curve(
-    frequency_lpmm: Floats,
-    fits: Sequence[HarmonicFit],
-    contrast: tuple[float, float],
-    label: str,
+    frequency_lpmm: Floats, fits: Sequence[HarmonicFit], contrast: tuple[float, float], label: str
 ) -> MtfCurve:
     """Divide modulations by the contrast (value, std); both scatter into the standard deviation."""
     modulation = np.array([fit.modulation for fit in fits]) / contrast[0]

@@ -13,24 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.known_phase import (
-    HarmonicFit,
-    Pixels,
-    Waves,
-    contrast_at_zero,
-    fit_harmonic,
-    list_pixels,
-    mtf_curve,
-    printed_count,
-    printed_orders,
-    refine_center_px,
-    ring_indices,
-    symmetry_center_px,
-    warn_if_out_of_step,
-)
+from lensshift.evaluation import known_phase
+from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
 
 Floats = NDArray[np.float64]
 
+_FEWEST_CYCLES = 5  # below, the wave is one of the terms of uneven light or next to it
 _MIN_RINGS = 3
 _RIM_PX = 2.0
 _SURE = 3.0  # deviations
@@ -89,7 +77,8 @@ def siemens_star_mtf(
     in rings one pixel wide; c1 .. c4 take up uneven light. The odd harmonics of a square star are
     fitted too, up to the Nyquist frequency. `contrast` is the modulation at frequency 0: from
     `levels` (high - low) / (high + low), times 4 / pi for a square star; else extrapolated from
-    the outer half of the radii by log m = log contrast - q f^2, exact for a Gaussian blur.
+    the outer half of the radii by log m = log contrast - q f^2, exact for a Gaussian blur. Its
+    error says how far another fall, as by diffraction, that fits as well would be off.
 
     Parameters
     ----------
@@ -108,7 +97,8 @@ def siemens_star_mtf(
     Raises
     ------
     ValueError
-        If an argument is out of range, or fewer than three rings can be fitted.
+        If an argument is out of range, fewer than three rings can be fitted, or the star has
+        another number of cycles.
 
     Warns
     -----
@@ -120,7 +110,7 @@ def siemens_star_mtf(
     """
     _check_star(cycles, profile, sectors, radius_range_mm)
     star = _Star(cycles, profile)
-    pixels = list_pixels(image, pitch_mm, valid)
+    pixels = known_phase.list_pixels(image, pitch_mm, valid)
     center, radii_mm = _place(star, pixels, center_px, radius_range_mm)
     if radii_mm[0] >= radii_mm[1]:
         raise ValueError(
@@ -137,21 +127,27 @@ def siemens_star_mtf(
     _warn_if_coarse(pixels_per_cycle)
     frequency_lpmm = star.frequency_lpmm(rings_mm)
     outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
-    contrast = contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
-    warn_if_out_of_step(fits, f"the number of {cycles} cycles")
+    contrast = known_phase.contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
+    places = [center, *(() if center_px else _starts_px(pixels))]
+    _refuse_other_star(pixels, places, radii_mm[1], cycles)
+    known_phase.warn_if_out_of_step(fits, f"the number of {cycles} cycles")
     curves = []
     for k in range(sectors):
         part = _sector(waves, angle_rad - 2 * np.pi * k / sectors, np.pi / sectors)
         part_mm, part_fits = star.measure(pixels, part, radius_mm)
         part_lpmm = star.frequency_lpmm(part_mm)
-        curves.append(mtf_curve(part_lpmm, part_fits, contrast, f"sector {k} of {sectors}"))
+        curves.append(
+            known_phase.mtf_curve(part_lpmm, part_fits, contrast, f"sector {k} of {sectors}")
+        )
+    phasors = np.exp(1j * np.array([fit.phase_rad for fit in fits]))
+    mean = np.array([fit.modulation for fit in fits]) @ phasors
     return SiemensResult(
-        mtf=mtf_curve(frequency_lpmm, fits, contrast, "Siemens star"),
+        mtf=known_phase.mtf_curve(frequency_lpmm, fits, contrast, "Siemens star"),
         center_px=center,
         contrast=contrast[0],
         contrast_std=contrast[1],
         radius_mm=rings_mm,
-        phase_rad=_against_mean(fits),
+        phase_rad=np.angle(phasors * np.conj(mean)),
         count=np.array([fit.count for fit in fits], dtype=np.int64),
         residual=np.array([fit.residual for fit in fits]),
         pixels_per_cycle=pixels_per_cycle,
@@ -197,13 +193,13 @@ class _Star:
         self, pixels: Pixels, waves: Waves, radius_mm: Floats
     ) -> tuple[Floats, list[HarmonicFit]]:
         radii_mm, fits = [], []
-        for index in ring_indices(waves.ring):
+        for index in known_phase.ring_indices(waves.ring):
             mean_mm = radius_mm[index].mean()
-            orders = printed_orders(
+            orders = known_phase.printed_orders(
                 self.profile, float(self.pixels_per_cycle(mean_mm, pixels.pitch_mm))
             )
             phases = [k * waves.phase_rad[index] for k in orders]
-            fit = fit_harmonic(pixels.values[index], waves.background[index], phases)
+            fit = known_phase.fit_harmonic(pixels.values[index], waves.background[index], phases)
             if fit is not None:
                 radii_mm.append(mean_mm)
                 fits.append(fit)
@@ -242,8 +238,37 @@ def _find_center_px(
         _, fits = star.measure(pixels, waves_about(start_px, *place_mm), np.hypot(*place_mm))
         return sum(fit.count * fit.modulation**2 for fit in fits)
 
-    start_px = max((symmetry_center_px(pixels, parity) for parity in (1, -1)), key=energy)
-    return refine_center_px(pixels, start_px, partial(waves_about, start_px))
+    start_px = max(_starts_px(pixels), key=energy)
+    return known_phase.refine_center_px(pixels, start_px, partial(waves_about, start_px))
+
+
+def _starts_px(pixels: Pixels) -> list[tuple[float, float]]:
+    return [known_phase.symmetry_center_px(pixels, parity) for parity in (1, -1)]
+
+
+def _refuse_other_star(
+    pixels: Pixels, places_px: Sequence[tuple[float, float]], rim_mm: float, cycles: int
+) -> None:
+    """Refuse a star whose pixels wave with another number of cycles than was told.
+
+    The phase of a star is the same at all radii: the outer half of the pixels, added up by their
+    angle alone, is its wave, about the right one of some places for its centre.
+    """
+    count = int(2.0 * np.pi * rim_mm / min(pixels.pitch_mm))  # as many angles as pixels at the rim
+    powers = []
+    for place_px in places_px:
+        row_mm, col_mm = pixels.place_mm(place_px)
+        radius_mm = np.hypot(row_mm, col_mm)
+        outer = (radius_mm <= rim_mm) & (radius_mm >= 0.5 * rim_mm)
+        turn = np.arctan2(row_mm, col_mm)[outer] / (2.0 * np.pi) % 1.0
+        values = pixels.values[outer] - pixels.values[outer].mean()
+        wave = np.bincount((turn * count).astype(np.intp), values, minlength=count)
+        powers.append(np.abs(np.fft.rfft(wave)[: count // 2]))
+    power = np.max([one[: min(map(len, powers))] for one in powers], axis=0)
+    power[:_FEWEST_CYCLES] = 0.0
+    seen = int(np.argmax(power))
+    if seen != cycles:
+        raise ValueError(f"expected a star of {cycles} cycles, got one of {seen}")
 
 
 def _default_range_mm(
@@ -294,7 +319,7 @@ def _printed(
             f"expected at least {_MIN_RINGS} rings with enough valid pixels between "
             f"{radii_mm[0]:.4g} and {radii_mm[1]:.4g} mm, got {len(fits)}"
         )
-    printed = printed_count(star.frequency_lpmm(rings_mm), fits, _BLUR_PX)
+    printed = known_phase.printed_count(star.frequency_lpmm(rings_mm), fits, _BLUR_PX)
     if cut and printed < len(fits):
         rings_mm, fits = rings_mm[:printed], fits[:printed]
         waves = replace(waves, ring=np.where(radius_mm < rings_mm[-1], -1, waves.ring))
@@ -312,16 +337,10 @@ def _sector(waves: Waves, angle_rad: Floats, half_rad: float) -> Waves:
     return replace(waves, ring=np.where(np.abs(away) < 1, waves.ring, -1), background=background)
 
 
-def _against_mean(fits: Sequence[HarmonicFit]) -> Floats:
-    phasors = np.array([np.exp(1j * fit.phase_rad) for fit in fits])
-    weights = np.array([fit.modulation for fit in fits])
-    return np.asarray(np.angle(phasors * np.conj(weights @ phasors)))
-
-
 def _check_star(
     cycles: int, profile: str, sectors: int, radii_mm: tuple[float, float] | None
 ) -> None:
-    if cycles < 5:  # below, the wave is one of the terms of uneven light or next to it
+    if cycles < _FEWEST_CYCLES:
         raise ValueError(f"expected a star of 5 cycles or more, got {cycles}")
     if profile not in ("sine", "square"):
         raise ValueError(f"expected the profile 'sine' or 'square', got {profile!r}")

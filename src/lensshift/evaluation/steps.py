@@ -15,12 +15,7 @@ OF_NORMAL = 1.4826  # deviation of a normal distribution over its median absolut
 
 
 def steps_of(line: Floats) -> list[int]:
-    """Return the samples after which the line steps from one level to another.
-
-    Parameters
-    ----------
-    line : [n] at least two values; steps that noise could make are left out
-    """
+    """Return the samples after which the line steps from one level to another, but for noise."""
     jump = np.diff(line)
     steep = np.flatnonzero(np.abs(jump) > _STEEP_SHARE * np.abs(jump).max())
     groups = np.split(steep, np.flatnonzero(np.diff(steep) > _APART_PX) + 1)

@@ -7,16 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.evaluation.depth import (
-    Floats,
-    Mask,
-    check_edges,
-    check_shape,
-    distance_image,
-    near_edges,
-    rms,
-    smallest_step_m,
-)
+from lensshift.evaluation import depth
+from lensshift.evaluation.depth import Floats, Mask
 from lensshift.evaluation.edge_gradient import split_index
 
 STEP_SHARE = 0.10  # a pixel farther than this share of the step from a surface is not on it
@@ -97,7 +89,7 @@ def fit_plane(
 
     Source: Golub and Van Loan, Matrix Computations, on total least squares.
     """
-    image_m = distance_image(distance_m, valid)
+    image_m = depth.distance_image(distance_m, valid)
     points_m, used = _points_m(image_m, directions, pitch_m)
     if len(points_m) < _MIN_SURFACE_PX:
         raise ValueError(f"expected at least 3 valid pixels for a plane, got {len(points_m)}")
@@ -117,9 +109,9 @@ def fit_plane(
         normal=normal,
         offset_m=float(normal @ center_m),
         residual_m=residual_m,
-        rms_m=rms(inside_m),
+        rms_m=depth.rms(inside_m),
         max_m=float(np.max(np.abs(inside_m))),
-        bias_rms_m=float(np.sqrt(max(0.0, rms(inside_m) ** 2 - noise_m**2))),
+        bias_rms_m=float(np.sqrt(max(0.0, depth.rms(inside_m) ** 2 - noise_m**2))),
         noise_rms_m=noise_m,
         count=int(np.count_nonzero(used)),
     )
@@ -154,16 +146,16 @@ def flying_pixel_fraction(
     ValueError
         If shapes differ or a number is out of range.
     """
-    measured_m = distance_image(distance_m, valid)
-    check_edges(scale, edge_width_px, noise_m, min_step_m)
+    measured_m = depth.distance_image(distance_m, valid)
+    depth.check_edges(scale, edge_width_px, noise_m, min_step_m)
     reach = max(1, int(np.ceil(edge_width_px * scale)))
     if truth_m is None:
         off_m, step_m = _off_fitted_m(measured_m, reach, noise_m, min_step_m)
     else:
-        truth = distance_image(truth_m, None)
-        check_shape(measured_m, truth)
+        truth = depth.distance_image(truth_m, None)
+        depth.check_shape(measured_m, truth)
         off_m, step_m = _off_truth_m(measured_m, truth, reach)
-        near = near_edges(
+        near = depth.near_edges(
             truth, scale=scale, edge_width_px=edge_width_px, noise_m=noise_m, min_step_m=min_step_m
         )
         off_m[~near] = np.nan
@@ -238,7 +230,7 @@ def _off_fitted_m(
     nearest_m = minimum_filter(np.where(known, measured_m, np.inf), size, mode="nearest")
     farthest_m = maximum_filter(np.where(known, measured_m, -np.inf), size, mode="nearest")
     smallest_m = np.broadcast_to(
-        np.asarray(smallest_step_m(nearest_m, noise_m, min_step_m)), known.shape
+        np.asarray(depth.smallest_step_m(nearest_m, noise_m, min_step_m)), known.shape
     )
     for row, col in np.argwhere(known & (farthest_m - nearest_m > smallest_m)):
         top, left = max(0, row - reach), max(0, col - reach)
@@ -257,10 +249,7 @@ def _off_fitted_m(
 def _two_planes_m(place_px: NDArray[np.int64], values_m: Floats) -> Floats | None:
     """Return the near and the far surface at place 0, None if a side has too few pixels.
 
-    Parameters
-    ----------
-    place_px : [n 2] against the middle
-    values_m : [n] distances
+    From distances [n] at places [n 2] against the middle.
     """
     ordered_m = np.sort(values_m)
     split = split_index(ordered_m)

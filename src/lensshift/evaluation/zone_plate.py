@@ -10,20 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.known_phase import (
-    HarmonicFit,
-    Pixels,
-    Waves,
-    contrast_at_zero,
-    fit_harmonic,
-    list_pixels,
-    mtf_curve,
-    printed_count,
-    refine_center_px,
-    ring_indices,
-    symmetry_center_px,
-    warn_if_out_of_step,
-)
+from lensshift.evaluation import known_phase
+from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
 from lensshift.evaluation.limits import pitch_pair_mm
 
 Floats = NDArray[np.float64]
@@ -102,14 +90,14 @@ def zone_plate_response(
     """
     if not (np.isfinite(chirp_lpmm_per_mm) and chirp_lpmm_per_mm > 0):
         raise ValueError(f"expected a positive chirp in lp/mm per mm, got {chirp_lpmm_per_mm}")
-    pixels = list_pixels(image, pitch_mm, valid)
+    pixels = known_phase.list_pixels(image, pitch_mm, valid)
     plate = _Plate(chirp_lpmm_per_mm, 0.5 / max(pixels.pitch_mm))
     center = _find_center_px(plate, pixels) if center_px is None else center_px
     place_mm, reach_mm = pixels.place_mm(center), pixels.reach_mm(center)
     frequency_lpmm, fits = plate.measure(pixels, plate.waves(*place_mm, min(reach_mm)))
     if len(fits) < _MIN_RINGS:
         raise ValueError(f"expected {_MIN_RINGS} or more valid rings of one cycle, got {len(fits)}")
-    printed = printed_count(frequency_lpmm, fits, _RIM_RINGS)
+    printed = known_phase.printed_count(frequency_lpmm, fits, _RIM_RINGS)
     if printed < len(fits):
         frequency_lpmm, fits = frequency_lpmm[:printed], fits[:printed]
         rim_mm = float(frequency_lpmm[-1]) / chirp_lpmm_per_mm
@@ -117,19 +105,19 @@ def zone_plate_response(
         problem = f"the wave ends {rim_mm:.4g} mm from the centre, taken for the rim of the plate"
         warnings.warn(problem, QualityWarning, stacklevel=2)
     lowest = max(_MIN_RINGS, len(fits) // _LOW_SHARE)
-    contrast = contrast_at_zero(frequency_lpmm[:lowest], fits[:lowest], levels)
-    warn_if_out_of_step(fits, f"the chirp of {chirp_lpmm_per_mm:g}")
-    radial = mtf_curve(frequency_lpmm, fits, contrast, "zone plate")
+    contrast = known_phase.contrast_at_zero(frequency_lpmm[:lowest], fits[:lowest], levels)
+    known_phase.warn_if_out_of_step(fits, f"the chirp of {chirp_lpmm_per_mm:g}")
+    radial = known_phase.mtf_curve(frequency_lpmm, fits, contrast, "zone plate")
     axes, folded = [], []
     for axis, name in enumerate(("zone plate, row", "zone plate, col")):
         waves = plate.wedge(place_mm, axis, reach_mm[axis])
         if lr_pitch_mm is None:
-            axes.append(mtf_curve(*plate.measure(pixels, waves), contrast, name))
+            axes.append(known_phase.mtf_curve(*plate.measure(pixels, waves), contrast, name))
         else:
             lr_mm = pitch_pair_mm(lr_pitch_mm)[axis]
             found = plate.measure_sides(pixels, waves, place_mm[axis], lr_mm)
-            axes.append(mtf_curve(found[0], found[1], contrast, name))
-            folded.append(mtf_curve(found[0], found[2], contrast, f"{name}, folded"))
+            axes.append(known_phase.mtf_curve(found[0], found[1], contrast, name))
+            folded.append(known_phase.mtf_curve(found[0], found[2], contrast, f"{name}, folded"))
     both = (folded[0], folded[1]) if folded else None
     return ZonePlateResult(radial, axes[0], axes[1], both, center, *contrast)
 
@@ -163,9 +151,11 @@ class _Plate:
 
     def measure(self, pixels: Pixels, waves: Waves) -> tuple[Floats, list[HarmonicFit]]:
         found = {}
-        for index in ring_indices(waves.ring):
+        for index in known_phase.ring_indices(waves.ring):
             phase_rad = waves.phase_rad[index]
-            fit = fit_harmonic(pixels.values[index], waves.background[index], [phase_rad])
+            fit = known_phase.fit_harmonic(
+                pixels.values[index], waves.background[index], [phase_rad]
+            )
             if fit is not None:
                 found[self.frequency_lpmm(phase_rad)] = fit
         return np.array([*found]), [*found.values()]
@@ -175,15 +165,15 @@ class _Plate:
     ) -> tuple[Floats, list[HarmonicFit], list[HarmonicFit]]:
         """Fit the true and the folded wave together, each the mean of both sides."""
         found, true, folded = [], [], []
-        for ring in ring_indices(waves.ring):
+        for ring in known_phase.ring_indices(waves.ring):
             sides = []
             for side in (-1, 1):
                 index = ring[side * along_mm[ring] > 0]
                 values, constant = pixels.values[index], waves.background[index, :1]
                 rad = waves.phase_rad[index]
                 folded_rad = rad - side * 2 * np.pi * along_mm[index] / lr_pitch_mm
-                sides.append(fit_harmonic(values, constant, [rad, folded_rad]))
-                sides.append(fit_harmonic(values, constant, [folded_rad, rad]))
+                sides.append(known_phase.fit_harmonic(values, constant, [rad, folded_rad]))
+                sides.append(known_phase.fit_harmonic(values, constant, [folded_rad, rad]))
             one, folded_one, other, folded_other = sides
             if one and folded_one and other and folded_other:
                 found.append(self.frequency_lpmm(waves.phase_rad[ring]))
@@ -198,6 +188,8 @@ def _mean_fit(one: HarmonicFit, other: HarmonicFit) -> HarmonicFit:
 
 
 def _find_center_px(plate: _Plate, pixels: Pixels) -> tuple[float, float]:
-    start_px = symmetry_center_px(pixels, parity=1)
+    start_px = known_phase.symmetry_center_px(pixels, parity=1)
     reach_mm = min(pixels.reach_mm(start_px))
-    return refine_center_px(pixels, start_px, lambda row, col: plate.waves(row, col, reach_mm))
+    return known_phase.refine_center_px(
+        pixels, start_px, lambda row, col: plate.waves(row, col, reach_mm)
+    )

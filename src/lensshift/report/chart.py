@@ -119,7 +119,7 @@ def focus_figure(
     Parameters
     ----------
     series : rows with zone, focus and mtf50 in the unit
-    fits : zone -> parabola, where there is one
+    fits : zone -> its best focus, where there is one
     label : of the focus, with its unit
     """
     figure = new_figure(WIDTH_IN, 3.4)
@@ -185,7 +185,7 @@ def chart_page(
     page.figure(height_figure(here, unit, factor), caption)
     if series:
         page.heading("Through focus")
-        caption = "MTF50 of the zones in each photograph; dotted: top of a parabola."
+        caption = "MTF50 of the zones in each photograph; dotted: best focus."
         page.figure(focus_figure(series, fits or {}, unit, focus_label), caption)
         page.table(_focus_table(fits or {}, unit))
     page.heading("What was measured")

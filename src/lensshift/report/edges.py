@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Floats
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.gain import ResolutionGain, ratio_of
-from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Region
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
 from lensshift.report import curves, images, style
 
 _CURVES_IN, _IMAGE_IN, _LABELS_IN = 3.6, 4.0, 0.8  # heights
@@ -237,7 +238,7 @@ def _draw_places(axes: Axes, picture: Floats, results: Sequence[EdgeResult]) -> 
     images.draw_image(axes, picture, f"{title} and fitted edge{'s' * many}" if fitted else title)
     for number, result in enumerate(results):
         colour, place = style.colour_of(number), result.region
-        top, stop, left, right = _ends(place)
+        top, stop, left, right = astuple(place)
         corner, sides = (left - 0.5, top - 0.5), (right - left, stop - top)
         borders = Rectangle(
             corner, *sides, fill=False, edgecolor=colour, linewidth=1.3,
@@ -260,7 +261,7 @@ def _residual_map(results: Sequence[EdgeResult]) -> tuple[Floats, tuple[int, int
     known = [result for result in results if result.residual is not None]
     if not known:
         return None
-    ends = np.array([_ends(result.region) for result in known])
+    ends = np.array([astuple(result.region) for result in known])
     top, left = int(ends[:, 0].min()), int(ends[:, 2].min())
     residual = np.full((int(ends[:, 1].max()) - top, int(ends[:, 3].max()) - left), np.nan)
     for result in known:
@@ -269,10 +270,6 @@ def _residual_map(results: Sequence[EdgeResult]) -> tuple[Floats, tuple[int, int
         own = np.asarray(result.residual) / result.noise
         inside[np.isfinite(own)] = own[np.isfinite(own)]
     return residual, (top, left)
-
-
-def _ends(region: Region) -> tuple[int, int, int, int]:
-    return region.row_start, region.row_stop, region.col_start, region.col_stop
 
 
 def _highest_lpmm(results: Sequence[EdgeResult]) -> float:

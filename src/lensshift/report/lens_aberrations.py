@@ -10,14 +10,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.grid import Grid
-from lensshift.optics.aberrations import (
-    focal_surfaces,
-    petzval_curvature_per_mm,
-    ray_fan,
-    relative_illumination,
-    section_mtf,
-    sensor_fields,
-)
+from lensshift.optics import aberrations
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band, diffraction_limit
 from lensshift.optics.psf import point_spread
@@ -66,7 +59,7 @@ def fans_figure(
             axes.axhspan(-quarter_um, quarter_um, color=style.FAINT, zorder=0.5, linewidth=0.0)
             axes.axhline(0.0, color=style.LIGHT, linewidth=0.9, zorder=1.0)
         for nm, colour in zip(wavelengths_nm, colours, strict=False):
-            fan = ray_fan(lens, field, wavelength_nm=nm)
+            fan = aberrations.ray_fan(lens, field, wavelength_nm=nm)
             line[0].plot(fan.pupil, 1e3 * fan.tangential_mm, color=colour, label=f"{nm:.4g} nm")
             line[1].plot(fan.pupil, 1e3 * fan.sagittal_mm, color=colour)
         line[0].set_ylabel("ray error (um)")
@@ -90,14 +83,14 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     grid : of the sensor
     """
     shares = np.linspace(0.0, 1.0, _FIELD_STEPS)
-    fields = sensor_fields(lens, grid, shares)
+    fields = aberrations.sensor_fields(lens, grid, shares)
     half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
     height_mm = shares * float(np.hypot(*half_mm))
-    found = focal_surfaces(lens, fields)
-    petzval_mm = 0.5 * petzval_curvature_per_mm(lens) * height_mm**2
+    found = aberrations.focal_surfaces(lens, fields)
+    petzval_mm = 0.5 * aberrations.petzval_curvature_per_mm(lens) * height_mm**2
     scale = 1.0 + distortion(lens, np.concatenate([_NEAR_AXIS * fields[-1:], fields[1:]]))
     percent = 100.0 * (scale / scale[0] - 1.0)
-    light = 100.0 * relative_illumination(lens, fields)
+    light = 100.0 * aberrations.relative_illumination(lens, fields)
     figure = style.new_figure(style.WIDTH_IN, 4.4)
     focus, departure, bright = figure.subplots(1, 3, sharey=True)
     focus.plot(found.tangential_mm, height_mm, color=style.BLUE, label="tangential")
@@ -147,13 +140,15 @@ def sections_figure(
     end_lpmm = 1.25 * double_lpmm if highest_lpmm is None else highest_lpmm
     frequency_lpmm = np.linspace(0.0, end_lpmm, curves.STEPS)
     shares = np.linspace(0.0, 1.0, _MTF_FIELDS)
-    fields = sensor_fields(lens, grid, shares)
+    fields = aberrations.sensor_fields(lens, grid, shares)
     chosen_lpmm = np.array([0.25, 0.5, 1.0]) * double_lpmm
-    over_field = np.array([section_mtf(lens, one, chosen_lpmm, band=band) for one in fields])
+    over_field = np.array(
+        [aberrations.section_mtf(lens, one, chosen_lpmm, band=band) for one in fields]
+    )
     figure = style.new_figure(style.WIDTH_IN, 4.6)
     left, right = figure.subplots(1, 2, sharey=True)
     for number, field in enumerate(fields_tan):
-        found = section_mtf(lens, field, frequency_lpmm, band=band)
+        found = aberrations.section_mtf(lens, field, frequency_lpmm, band=band)
         for values, dashes, name in zip(found, ("-", "--"), ("T", "S"), strict=True):
             label = f"{_degrees(field)} {name}"
             left.plot(frequency_lpmm, values, dashes, color=style.colour_of(number), label=label)

@@ -1,10 +1,5 @@
 """The MTF from slanted edges: maximum likelihood by default, the published algorithms beside it."""
 
-from lensshift.evaluation.slanted_edge.average import (
-    average_curves,
-    average_interval,
-    usable_edges,
-)
 from lensshift.evaluation.slanted_edge.measure import (
     METHODS,
     measure_edge,
@@ -12,7 +7,15 @@ from lensshift.evaluation.slanted_edge.measure import (
     slanted_edge_mtf,
 )
 from lensshift.evaluation.slanted_edge.regions import find_regions
-from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Profile, Region
+from lensshift.evaluation.slanted_edge.result import (
+    EdgeResult,
+    Interval,
+    Profile,
+    Region,
+    average_curves,
+    average_interval,
+    usable_edges,
+)
 
 __all__ = [
     "METHODS",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.nodes import Nodes
-from lensshift.evaluation.slanted_edge.samples import distance_px
+from lensshift.evaluation.slanted_edge.gathering import Nodes, distance_px
 
 _STEPS = 6
 _SETTLED_PX = 1e-3
@@ -31,61 +32,27 @@ def bend_edge(
     """Return the geometry of the edge with as many bending terms as the pixels ask for.
 
     The ESF is free (a spline), so that its shape is not mistaken for a bend. Terms are added, two
-    at a try, while the Bayesian information criterion falls.
-
-    Parameters
-    ----------
-    across_px, along_px, values : [n] the region, the edge along the second axis
-    line : angle and position of the straight edge
-    basis : splines of the LSF, wide enough for the bend
-    half_length_px : half the length of the edge
-    most : largest number of bending terms
+    at a try, while the Bayesian information criterion falls, from the angle and position `line`.
+    `basis` is wide enough for the bend; the edge runs along the second axis.
     """
     straight_px = distance_px(across_px, along_px, line, half_length_px)
     near = np.flatnonzero(np.abs(straight_px) < basis.reach_px)
     near = near[:: max(1, -(-near.size // _MOST_PIXELS))]
     if near.size < 2 * basis.size:
         return line
-    x, y, z = across_px[near], along_px[near], values[near]
-    geometry, best = _descended(x, y, z, line, basis, half_length_px)
+    pixels = _Near(across_px[near], along_px[near], values[near], basis, half_length_px)
+    geometry, best = pixels.descended(line)
     terms = 0
-    while terms < most and (terms or _promises(x, y, z, geometry, basis, half_length_px, most)):
+    while terms < most and (terms or pixels.promise_bends(geometry, most)):
         tries = []
         for count in range(terms + 1, min(terms + 2, most) + 1):
             start = np.concatenate([geometry, np.zeros(2 + count - geometry.size)])
-            tries.append((*_descended(x, y, z, start, basis, half_length_px), count))
+            tries.append((*pixels.descended(start), count))
         found, criterion, count = min(tries, key=lambda one: one[1])
         if criterion > best - _WORTH:
             break
         geometry, best, terms = found, criterion, count
     return geometry if rms_bend_px(geometry) > _LEAST_BEND_PX else line
-
-
-def _promises(
-    x: Vector,
-    y: Vector,
-    z: Vector,
-    line: Vector,
-    basis: SplineBasis,
-    half_length_px: float,
-    most: int,
-) -> bool:
-    """Tell whether bends explain, to first order, more than their number costs."""
-    normal_px = distance_px(x, y, line, half_length_px)
-    splines = np.column_stack([np.ones_like(z), basis.integrals(normal_px)])
-    slope = basis.values(normal_px) @ _ridge_fit(splines, z)[0][1:]
-    bent = np.append(line[:2], np.zeros(most))
-    columns = np.column_stack([splines, _moves(x, y, bent, half_length_px) * slope[:, None]])
-    products, right, straight = columns.T @ columns, columns.T @ z, splines.shape[1] + 1
-    rests = []
-    for used in range(straight, straight + most + 1):
-        factors = _ridge_solved(products[:used, :used], right[:used], _RIDGE)
-        rests.append(float(np.sum((z - columns[:, :used] @ factors) ** 2)))
-    for terms, rest in enumerate(rests[1:], 1):
-        gain = z.size * np.log(max(rests[0], 1e-300) / max(rest, 1e-300))
-        if gain - terms * np.log(z.size) > _WORTH:
-            return True
-    return False
 
 
 def rms_bend_px(geometry: Vector) -> float:
@@ -94,43 +61,66 @@ def rms_bend_px(geometry: Vector) -> float:
     return float(np.sqrt(np.sum(geometry[2:] ** 2 / (2 * orders + 1))))
 
 
-def _descended(
-    x: Vector, y: Vector, z: Vector, start: Vector, basis: SplineBasis, half_length_px: float
-) -> tuple[Vector, float]:
-    """Return geometry and information criterion after Gauss-Newton steps, the ESF free."""
-    geometry = start.copy()
-    rest = np.inf
-    for _ in range(_STEPS):
-        normal_px = distance_px(x, y, geometry, half_length_px)
-        splines = np.column_stack([np.ones_like(z), basis.integrals(normal_px)])
-        factors, rest = _ridge_fit(splines, z)
-        slope = basis.values(normal_px) @ factors[1:]
-        moves = _moves(x, y, geometry, half_length_px) * slope[:, None]
-        step = _ridge_fit(np.column_stack([splines, moves]), z)[0][splines.shape[1] :]
-        geometry[0] += step[0]
-        geometry[2:] += step[1:]
-        if np.max(np.abs(step * np.append(half_length_px, np.ones(step.size - 1)))) < _SETTLED_PX:
-            break
-    rest = max(rest / z.size, np.finfo(float).tiny)
-    return geometry, z.size * float(np.log(rest)) + (geometry.size - 2) * np.log(z.size)
+class _Near(NamedTuple):
+    """The pixels near an edge, and what a free ESF is made of."""
 
+    x: Vector
+    y: Vector
+    z: Vector
+    basis: SplineBasis
+    half_length_px: float
 
-def _moves(x: Vector, y: Vector, geometry: Vector, half_length_px: float) -> Matrix:
-    """Return [n k]: how the distance changes with angle and bends; the place is the ESF's."""
-    turn = y * np.cos(geometry[0]) - x * np.sin(geometry[0])
-    bends = legendre.legvander(y / half_length_px, max(geometry.size - 1, 1))[:, 2:]
-    return np.column_stack([turn, -bends[:, : geometry.size - 2]])
+    def promise_bends(self, line: Vector, most: int) -> bool:
+        """Tell whether bends explain, to first order, more than their number costs."""
+        z, (splines, _, slope) = self.z, self._free(line)
+        columns = np.column_stack(
+            [splines, self._moves(np.append(line[:2], np.zeros(most)), slope)]
+        )
+        products, right, straight = columns.T @ columns, columns.T @ z, splines.shape[1] + 1
+        rests = []
+        for used in range(straight, straight + most + 1):
+            factors = _ridge_solved(products[:used, :used], right[:used], _RIDGE)
+            rests.append(float(np.sum((z - columns[:, :used] @ factors) ** 2)))
+        for terms, rest in enumerate(rests[1:], 1):
+            gain = z.size * np.log(max(rests[0], 1e-300) / max(rest, 1e-300))
+            if gain - terms * np.log(z.size) > _WORTH:
+                return True
+        return False
+
+    def descended(self, start: Vector) -> tuple[Vector, float]:
+        """Return geometry and information criterion after Gauss-Newton steps, the ESF free."""
+        geometry, rest = start.copy(), np.inf
+        for _ in range(_STEPS):
+            splines, rest, slope = self._free(geometry)
+            both = np.column_stack([splines, self._moves(geometry, slope)])
+            step = _ridge_fit(both, self.z)[0][splines.shape[1] :]
+            geometry[0] += step[0]
+            geometry[2:] += step[1:]
+            in_px = np.append(self.half_length_px, np.ones(step.size - 1))
+            if np.max(np.abs(step * in_px)) < _SETTLED_PX:
+                break
+        count = self.z.size
+        rest = max(rest / count, np.finfo(float).tiny)
+        return geometry, count * float(np.log(rest)) + (geometry.size - 2) * np.log(count)
+
+    def _free(self, geometry: Vector) -> tuple[Matrix, float, Vector]:
+        """Return columns of a free ESF, what it leaves of the pixels, and its slope."""
+        normal_px = distance_px(self.x, self.y, geometry, self.half_length_px)
+        splines = np.column_stack([np.ones_like(self.z), self.basis.integrals(normal_px)])
+        factors, rest = _ridge_fit(splines, self.z)
+        return splines, rest, self.basis.values(normal_px) @ factors[1:]
+
+    def _moves(self, geometry: Vector, slope: Vector) -> Matrix:
+        """Return [n k]: how pixels change with angle and bends; the place is the ESF's."""
+        turn = self.y * np.cos(geometry[0]) - self.x * np.sin(geometry[0])
+        highest = max(geometry.size - 1, 1)
+        bends = legendre.legvander(self.y / self.half_length_px, highest)[:, 2:]
+        moves = np.column_stack([turn, -bends[:, : geometry.size - 2]])
+        return np.asarray(moves * slope[:, None])
 
 
 class FreeResponse:
-    """ESF and LSF at every pixel when nothing but the pixels says what they are.
-
-    Parameters
-    ----------
-    normal_px : [n] distances of pixels from the edge
-    basis, nodes : splines of the LSF, and nodes that reach as far as the pixels
-    used : [n] the pixels that say so, None for all
-    """
+    """ESF and LSF at every pixel when nothing but those used (a mask [n]) says what they are."""
 
     def __init__(
         self,

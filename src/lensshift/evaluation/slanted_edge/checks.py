@@ -38,16 +38,8 @@ def doubted(
     """Return the result with what speaks against it.
 
     Contrast, clipping, how the lines cross the pixels and frames that do not lie on one another
-    make an edge unusable; what its profile shows may be true of the whole image.
-
-    Parameters
-    ----------
-    result : the measured edge
-    lines : number of lines that cross it
-    gap_px : largest gap between their phases, see `largest_phase_gap_px`
-    values : [n] the pixels of the region
-    out : number of pixels that were left out as they stand out
-    apart_px : by how much the edge moves from frame to frame, rms, beside their offsets
+    make an edge unusable; what its profile shows may be true of the whole image. `out` pixels stand
+    out and were left out; from frame to frame the edge moves by `apart_px` beside the offsets.
     """
     found = _shape(values, result)
     if result.dark + result.bright <= 0.0:
@@ -80,7 +72,7 @@ def doubted(
         )
     usable = not found
     if out:
-        found.append(f"{out} pixels stand out (hot, dead or dusty) and are left out")
+        found.append(f"{out} pixels stand out (hot, dead, dusty, of a corner) and are left out")
     if result.bend_px > _LEAST_BEND_PX:
         found.append(f"the edge is not straight: it bends by {result.bend_px:.2f} px rms")
     asymmetry = result.asymmetry
@@ -149,11 +141,7 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
 def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:
     """Return the largest gap between the places within a pixel where lines cross the edge.
 
-    Parameters
-    ----------
-    lines : [n] positions of the lines along the edge in pixels, minus the offset of their frame
-        across it; see `crossing_phases`
-    angle_rad : of the edge
+    `lines` [n] are places along the edge in pixels, minus the offset of their frame across it.
     """
     phases = np.sort(np.unique(np.round(np.mod(lines * np.tan(angle_rad), 1.0), 9)))
     if phases.size == 0:
@@ -164,18 +152,12 @@ def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:
 def displacement_px(
     residual: Vector, slope: Vector, group: NDArray[np.intp], noise: float
 ) -> float:
-    """Return by how much the edge moves between groups of pixels, rms over the groups.
+    """Return by how much the edge moves between groups [n] of pixels, rms over the groups.
 
         r_i = -m_g E'(d_i) + noise,   g the group of pixel i
 
-    What noise alone makes is taken off the mean square.
-
-    Parameters
-    ----------
-    residual : [n] pixels minus model, in units of the contrast
-    slope : [n] slope of the ESF at each pixel, per px
-    group : [n] number of the group
-    noise : standard deviation of a pixel over the contrast
+    from residuals r and slopes E' [n] of the ESF per px. What noise alone makes is taken off the
+    mean square.
     """
     weight = np.bincount(group, weights=slope**2)
     product = np.bincount(group, weights=slope * residual)

@@ -33,17 +33,11 @@ class Tail(NamedTuple):
 
     Diffraction and rough surfaces fall as slowly as the first, light scattered in glass and
     between pixels as fast as the second; k below 0 falls faster still.
-
-    Parameters
-    ----------
-    share : of all light; negative for sharpening
-    width_px : w
-    slow : k
     """
 
-    share: float | Vector
-    width_px: float | Vector
-    slow: float | Vector
+    share: float | Vector  # of all light; negative for sharpening
+    width_px: float | Vector  # w
+    slow: float | Vector  # k
 
     @property
     def shares(self) -> Vector:
@@ -66,15 +60,8 @@ def core_slopes(
 
         E(d) = (G(d+p+q) - G(d+p-q) - G(d-p+q) + G(d-p-q)) / (4 p q)
 
-    with p, q = a/2 |cos t|, a/2 |sin t|. The slopes are by log sigma, log aperture and distance.
-
-    Parameters
-    ----------
-    normal_px : [n] signed distance from the edge, positive on the bright side
-    angle_rad : angle between the edge and the columns (or rows)
-    sigma_px : standard deviation of the Gaussian
-    aperture_px : side of the square pixel; 0 for a point
-    out : [4 n] to fill
+    with p, q = a/2 |cos t|, a/2 |sin t|, a the side of the pixel, 0 for a point. The slopes are by
+    log sigma, log aperture and distance.
     """
     out = np.empty((4, normal_px.size)) if out is None else out
     if aperture_px <= _POINT_PX:
@@ -93,10 +80,7 @@ def edge_parts(
 ) -> NDArray[np.float64]:
     """Return [3 4 n]: edges blurred by a Gaussian, a Lorentzian, a Laplacian alone; their slopes.
 
-    Parameters
-    ----------
-    normal_px, angle_rad, sigma_px, aperture_px : as in `core_slopes`, as are the slopes
-    width_px : of the two laws of the `Tail`
+    All as in `core_slopes`; the two laws of the `Tail` have one width.
     """
     p, q = _half_sides(angle_rad, aperture_px)
     grows = float(p > _SMALLEST_HALF_PX), float(q > _SMALLEST_HALF_PX)
@@ -121,14 +105,8 @@ def edge_response_transform(
 ) -> Vector:
     """Return the Fourier transform of the line spread function of an edge, 1 at frequency 0.
 
-        T(f) = [(1 - v) exp(-2 pi^2 s^2 f^2) + v R(f)] sinc(a f cos t) sinc(a f sin t)
-        R(f) = k exp(-2 pi w |f|) + (1 - k) / (1 + (2 pi w f)^2)
-
-    Parameters
-    ----------
-    frequency_cpp : [n] cycles per pixel along the edge normal
-    angle_rad, sigma_px, aperture_px : as in `core_slopes`
-    tail : light far from the edge
+    T(f) = [(1 - v) exp(-2 pi^2 s^2 f^2) + v R(f)] sinc(a f cos t) sinc(a f sin t)
+    R(f) = k exp(-2 pi w |f|) + (1 - k) / (1 + (2 pi w f)^2)
     """
     optics = (1.0 - tail.share) * np.exp(-2.0 * (np.pi * sigma_px * frequency_cpp) ** 2)
     turn = 2.0 * np.pi * tail.width_px * np.abs(frequency_cpp)
@@ -147,29 +125,19 @@ class SplineBasis:
     Wide splines far from the edge are sums of narrow ones, so that all pixels see narrow ones on
     an even grid. Two that stand opposite each other are taken as (right + left) / sqrt(2) and
     (right - left) / sqrt(2): first all even functions, the middle before, then all odd ones.
-
-    Parameters
-    ----------
-    step_px : distance between the narrow splines
-    number : [h+1] centres of the splines on one side, in steps from the middle, 0 first
-    narrow_px : [i] centres of the narrow ones
-    parts : [i 2h+1] of which narrow ones an even or odd function is made
     """
 
-    step_px: float
+    step_px: float  # distance between the narrow splines
+    # [h+1] centres of the splines on one side, in steps from the middle, 0 first
     number: NDArray[np.intp]
-    narrow_px: Vector
-    parts: Matrix
+    narrow_px: Vector  # [i] centres of the narrow ones
+    parts: Matrix  # [i 2h+1] of which narrow ones an even or odd function is made
 
     @classmethod
     def covering(cls, half_width_px: float, step_px: float, unit_px: float) -> SplineBasis:
         """Return splines over -`half_width_px` to `half_width_px`; see `_spread`.
 
-        Parameters
-        ----------
-        half_width_px : where the last spline stands
-        step_px : between the splines near the edge
-        unit_px : width of the edge, which says how far near reaches
+        Near the edge, for a few of its widths `unit_px`, they are `step_px` apart.
         """
         limits = [
             4 * round(units * unit_px / step_px / 4) for units in (_FINE_UNITS, _MIDDLE_UNITS)
@@ -265,3 +233,64 @@ def _spread(
     right, left = rows[:, middle + 1 :], rows[:, :middle][:, ::-1]
     folded = np.hstack([rows[:, [middle]], (right + left) / _SQRT2, (right - left) / _SQRT2])
     return narrow[kept][middle:], narrow, folded
+
+
+class BaseModel(NamedTuple):
+    """A Gaussian with a tail, seen by a square pixel.
+
+    Its parameters are log sigma, the root r of the pixel's shrinkage (its side is exp(-r^2) of the
+    aperture, the side of the largest pixel), the root v of the tail's share v |v|, log width and
+    speed of the tail, and the place of it all; lengths in units of `unit_px`, the edge's width.
+    """
+
+    angle_rad: float
+    aperture_px: float
+    unit_px: float
+
+    def seen(self, normal_px: Vector, parameters: Vector) -> SeenBase:
+        """Return what distances [n] see of the model."""
+        log_sigma, root, root_share, log_tail, slow, place = parameters[:6].tolist()
+        tail = Tail(root_share * abs(root_share), math.exp(log_tail) * self.unit_px, slow)
+        sigma_px, side_px = math.exp(log_sigma) * self.unit_px, math.exp(-(root**2))
+        there = normal_px - place * self.unit_px
+        widths_px = sigma_px, side_px * self.aperture_px, float(tail.width_px)
+        return SeenBase(edge_parts(there, self.angle_rad, *widths_px), tail)
+
+    def response(self, normal_px: Vector, parameters: Vector) -> Vector:
+        """Return the ESF at distances [n]."""
+        return self.seen(normal_px, parameters).response
+
+    def slopes(self, seen: SeenBase, parameters: Vector) -> Matrix:
+        """Return [6 n]: how the ESF changes with the parameters."""
+        parts, tail, shares = seen.parts, seen.tail, seen.tail.shares
+        core, slow, fast = parts
+        slopes = np.empty((6, parts.shape[2]))
+        slopes[0] = shares[0] * core[1]
+        slopes[1] = -2.0 * parameters[1] * (shares @ parts[:, 2])
+        far = fast[0] + tail.slow * (slow[0] - fast[0])
+        slopes[2] = 2.0 * abs(parameters[2]) * (far - core[0])
+        slopes[3] = shares[1:] @ parts[1:, 1]
+        slopes[4] = tail.share * (slow[0] - fast[0])
+        slopes[5] = -self.unit_px * (shares @ parts[:, 3])
+        return slopes
+
+    def transforms(self, frequency_cpp: Vector, parameters: Matrix) -> NDArray[np.complex128]:
+        """Return the Fourier transforms of the LSFs [f k] of several parameters [p k]."""
+        log_sigma, root, root_share, log_tail, slow, place = parameters[:6]
+        tail = Tail(root_share * np.abs(root_share), np.exp(log_tail) * self.unit_px, slow)
+        f, sigma_px = frequency_cpp[:, None], np.exp(log_sigma) * self.unit_px
+        side_px = np.exp(-(root**2)) * self.aperture_px
+        there = edge_response_transform(f, self.angle_rad, sigma_px, side_px, tail)
+        return np.asarray(there * np.exp(-2j * np.pi * self.unit_px * place * f))
+
+
+class SeenBase(NamedTuple):
+    """`edge_parts` [3 4 n] of the base model, and its tail."""
+
+    parts: NDArray[np.float64]
+    tail: Tail
+
+    @property
+    def response(self) -> Vector:
+        """The ESF [n]."""
+        return np.asarray(self.tail.shares @ self.parts[:, 0])

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import sici
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.gathering import gather
+from lensshift.evaluation.slanted_edge.gathering import EdgeSamples, Nodes, gather, nodes_for
 from lensshift.evaluation.slanted_edge.likelihood import Conditional, EdgeLikelihood
 from lensshift.evaluation.slanted_edge.lsf_prior import PLACE
-from lensshift.evaluation.slanted_edge.nodes import Nodes, nodes_for
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.posterior import (
     TYPICAL_STEPS,
@@ -26,7 +26,6 @@ from lensshift.evaluation.slanted_edge.prepare import (
     slopes_across,
     take_samples,
 )
-from lensshift.evaluation.slanted_edge.samples import EdgeSamples
 
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
@@ -42,29 +41,18 @@ _SPARE_PX = 4.0  # by which the edge may move until pixels leave the nodes
 
 @dataclass(frozen=True, slots=True)
 class EdgeFit:
-    """One edge: column 0 of every table is the optimum, the others are draws.
+    """One edge: column 0 of every table is the optimum, the others are draws."""
 
-    Parameters
-    ----------
-    edge, noise : the region and its noise
-    geometry : [g k] angle, position, bends
-    dark, contrast : level and height of the edge, spline included, in units of the first guess
-    modulation : [f k]
-    normal_px, esf : [d], [d k] from 0 (dark) to 1 (bright)
-    lsf : [d k] per pixel
-    residual : [n] pixels minus model, in units of the contrast
-    """
-
-    edge: UprightEdge
+    edge: UprightEdge  # the region
     noise: NoiseModel
-    geometry: Matrix
-    dark: float
-    contrast: float
-    modulation: Matrix
-    normal_px: Vector
-    esf: Matrix
-    lsf: Matrix
-    residual: Vector
+    geometry: Matrix  # [g k] angle, position, bends
+    dark: float  # level of the edge in units of the first guess
+    contrast: float  # its height, spline included
+    transform: NDArray[np.complex128]  # [f k] of the LSF, 1 at frequency 0
+    normal_px: Vector  # [d]
+    esf: Matrix  # [d k] from 0 (dark) to 1 (bright)
+    lsf: Matrix  # [d k] per pixel
+    residual: Vector  # [n] pixels minus model, in units of the contrast
 
 
 def fit_edge(
@@ -76,16 +64,10 @@ def fit_edge(
     seed: int,
     noise_covariance: Matrix | None = None,
 ) -> EdgeFit:
-    """Fit an upright edge.
+    """Fit an upright edge; the MTF is wanted at frequencies [f], the first 0.
 
-    Parameters
-    ----------
-    edge : the region
-    frequency_cpp : [f] where the MTF is wanted, the first at 0
-    aperture_px : side of the pixel of the base model
-    tilt : whether the illumination may be uneven, None to let the plateaus tell
-    seed : of the draws
-    noise_covariance : of the noise, None to let the plateaus tell
+    `aperture_px` is the side of the largest pixel of the base model; None of `tilt` and
+    `noise_covariance` lets the plateaus tell.
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     lights = [light]
@@ -107,7 +89,7 @@ def fit_edge(
     # The optimum follows the tail's law beyond the region, half of the draws only in part.
     drawn = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
     missing = np.append(0.0, np.maximum(drawn, 0.0))
-    modulation, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
+    transform, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
     factors = levels[:, 0], coefficients[:, 0]
     return EdgeFit(
         edge=edge,
@@ -117,7 +99,7 @@ def fit_edge(
         contrast=float(
             levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
         ),
-        modulation=modulation,
+        transform=transform,
         normal_px=curves.normal_px,
         esf=esf,
         lsf=lsf,
@@ -238,7 +220,7 @@ def _beyond(frequency_cpp: Vector, end_px: float) -> Vector:
 
 
 class _Curves:
-    """Turns draws of the edge into MTF, ESF and LSF."""
+    """Turns draws of the edge into OTF, ESF and LSF."""
 
     def __init__(self, likelihood: EdgeLikelihood, frequency_cpp: Vector, ends_px: Vector) -> None:
         self._base, self._frequency_cpp = likelihood.base, frequency_cpp
@@ -255,8 +237,8 @@ class _Curves:
 
     def of(
         self, parameters: Matrix, factor: Vector, coefficients: Matrix, missing: Vector
-    ) -> tuple[Matrix, Matrix, Matrix]:
-        """Return MTF [f k], ESF [d k] and LSF [d k].
+    ) -> tuple[NDArray[np.complex128], Matrix, Matrix]:
+        """Return the transform of the LSF [f k], ESF [d k] and LSF [d k].
 
         Of the light that the base model sends beyond the region, a share `missing` [k] is none.
         """
@@ -277,4 +259,4 @@ class _Curves:
         rise = (response[2::2] - response[:-2:2]) / steps_px[:, None]
         esf = (factor * response[1::2] + self._integrals @ coefficients) / contrast
         lsf = (factor * rise + self._values @ coefficients) / contrast
-        return np.abs(transform) / np.abs(contrast), esf, lsf
+        return transform / contrast, esf, lsf

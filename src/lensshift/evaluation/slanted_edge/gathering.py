@@ -2,77 +2,179 @@
 
 The model is y = F b + V(q) a + Z c: `fixed` columns F (level, uneven light, and how the pixels
 change as the edge turns and bends), columns V that follow the base model of the response, splines
-Z.
+Z. A pixel sees a function of its distance from the edge through four nodes along the normal (cubic
+interpolation): all pixels enter the fit as sums over pairs of nodes, and their number matters no
+longer.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.node_kernels import (
-    node_products,
-    node_reach,
-    times_nodes,
-)
-from lensshift.evaluation.slanted_edge.nodes import Between, Nodes
-from lensshift.evaluation.slanted_edge.samples import EdgeSamples
+from lensshift.evaluation.slanted_edge import kernels
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
+
+# Prior standard deviation of the bending terms, as a share of the half length of the edge.
+_BENDING_SHARE = 0.05
+# Up to the first number of units from the edge, steps of the second: a pixel as narrow as the prior
+# allows, then a quarter of the distance of the splines, then half of it.
+_ZONES = ((2.0, 1 / 32), (6.0, 1 / 16), (16.0, 1 / 4))
+_FAR_STEP, _FARTHEST_STEP = 1 / 2, 1.0  # up to the end of the splines, and beyond
+_MARGIN = 2
+_KNOT_STEP = 1 / 4
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSamples:
+    """Pixels of one or several frames, in units of the contrast, the bright side at positive x."""
+
+    across_px: Vector  # [n] coordinates of the pixels, from the edge's middle
+    along_px: Vector
+    half_length_px: float  # half the length of the edge along `along_px`
+    light: int  # order of the uneven illumination: 0 even, 1 a plane, 2 a bowl
+    values: Vector  # [n] the pixels
+    whitener: sparse.csr_array | None  # [m n] what makes their noise white, None for nothing
+    unlike: float = 1.0  # share of the pixels that tell something of their own, see `Rounding`
+
+    def normal_px(self, geometry: Vector) -> Vector:
+        """Return the signed distance of each pixel from the edge."""
+        return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
+
+    def turn_px(self, angle_rad: float) -> Vector:
+        """Return the slope of that distance by the angle of the edge."""
+        return np.asarray(self.along_px * np.cos(angle_rad) - self.across_px * np.sin(angle_rad))
+
+    def powers(self, highest: int) -> Matrix:
+        """Return [n k]: Legendre polynomials 0 to `highest` of the place along the edge."""
+        place = self.along_px / self.half_length_px
+        return np.asarray(np.polynomial.legendre.legvander(place, highest))
+
+    @property
+    def bend_spread_px(self) -> float:
+        """Prior standard deviation of the bending terms."""
+        return _BENDING_SHARE * self.half_length_px
+
+
+def distance_px(
+    across_px: Vector, along_px: Vector, geometry: Vector, half_length_px: float
+) -> Vector:
+    """Return the signed distance from an edge of geometry t, rho, g_2, g_3, ...
+
+        d = x cos t + y sin t - rho - sum_k g_k P_k(y / half length)
+
+    with Legendre polynomials P_k.
+    """
+    normal_px: Vector = across_px * np.cos(geometry[0]) + along_px * np.sin(geometry[0])
+    normal_px -= geometry[1]
+    if geometry.size > 2:
+        bending = np.concatenate([[0.0, 0.0], geometry[2:]])
+        normal_px -= np.polynomial.legendre.legval(along_px / half_length_px, bending)
+    return normal_px
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Between:
+    """Where pixels lie between nodes."""
+
+    first: NDArray[np.intp]  # [n] the first of the four nodes around each
+    shares: NDArray[np.float64]  # [n 4] of these
+
+    def of(self, values: Vector) -> Vector:
+        """Return at the pixels what is `values` [g] at the nodes."""
+        out = np.empty(self.first.size)
+        kernels.interpolated(self.first, self.shares, values, out)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nodes:
+    """Places along the normal, and the splines there."""
+
+    place_px: Vector  # [g] rising, symmetric about the edge
+    integrals: Matrix  # [g j] of the splines
+    values: Matrix
+
+    def between(self, normal_px: Vector) -> Between:
+        """Return where distances [n] lie."""
+        first = np.searchsorted(self.place_px, normal_px)
+        shares = np.empty((normal_px.size, 4))
+        kernels.between_nodes(normal_px, self.place_px, first, shares)
+        return Between(first, shares)
+
+
+def splines_for(units: float, unit_px: float) -> SplineBasis:
+    """Return splines that reach some units, a quarter of a unit apart near the edge."""
+    return SplineBasis.covering(units * unit_px, _KNOT_STEP * unit_px, unit_px)
+
+
+def nodes_for(basis: SplineBasis, unit_px: float, aperture_px: float, farthest_px: float) -> Nodes:
+    """Return nodes that tell the base model and the splines as far as the farthest pixel.
+
+    Their steps are counted in the width `unit_px` of the edge.
+    """
+    core = np.ceil(32.0 * _ZONES[0][0] * max(1.0, aperture_px / unit_px)) / 32.0
+    near = _near(float(basis.number[-1] * _KNOT_STEP), float(core))
+    end, last = near.place_px[-1], farthest_px / unit_px + _MARGIN * _FARTHEST_STEP
+    count = max(int(np.ceil((last - end) / _FARTHEST_STEP)), 0)
+    beyond = end + _FARTHEST_STEP * np.arange(1, count + 1)
+    whole = np.tile(near.integrals[-1], (count, 1))
+    none = np.zeros_like(whole)
+    return Nodes(
+        unit_px * np.concatenate([-beyond[::-1], near.place_px, beyond]),
+        unit_px * np.vstack([none, near.integrals, whole]),
+        np.vstack([none, near.values, none]),
+    )
+
+
+@lru_cache(maxsize=32)
+def _near(units: float, core: float) -> Nodes:
+    """Return the nodes as far as the splines reach, in units."""
+    basis = splines_for(units, 1.0)
+    parts, place = [], 0.0
+    for limit, step in ((core, _ZONES[0][1]), *_ZONES[1:], (basis.reach_px, _FAR_STEP)):
+        if limit > place:
+            count = int(np.ceil((limit - place) / step))
+            parts.append(place + step * np.arange(count))
+            place += step * count
+    right = np.append(np.concatenate(parts), place)
+    places = np.concatenate([-right[:0:-1], right])
+    return Nodes(places, basis.integrals(places), basis.values(places))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a column that follows the response is: P_k(along) times a factor times the response.
+    """What a column that follows the response is: P_k(along) times a factor times the response."""
 
-    Parameters
-    ----------
-    power : k
-    factor : [g] at the nodes
-    """
-
-    power: int
-    factor: Vector
+    power: int  # k
+    factor: Vector  # [g] at the nodes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gathered:
-    """Sums over the pixels, whitened.
+    """Sums over the pixels, whitened."""
 
-    Parameters
-    ----------
-    geometry : of the edge, about which its moves are counted
-    nodes : along its normal
-    pixels : between which nodes the pixels lie
-    fixed : [n f] columns F as the pixels see them: a level, turn and bends of the edge, light
-    powers : [n k] Legendre polynomials along the edge
-    seen : the columns V, the response itself first
-    count : number of whitened pixels, those rounded alike as one
-    squares, fixed_values, fixed_fixed : y^T y, F^T y [f], F^T F [f f]
-    splines : [j+f+1 j] and
-    node_sums : of each power [j+f+1 g]: sums of splines, fixed columns and values with both
-    node_node, reach : of each pair of powers [k k g g]; between which nodes [g 2] they are not 0
-    precision, centre : [f] prior of the factors of F: those of bends are normal about `centre`
-    """
-
-    geometry: Vector
-    nodes: Nodes
-    pixels: Between
+    geometry: Vector  # of the edge, about which its moves are counted
+    nodes: Nodes  # along its normal
+    pixels: Between  # between which nodes the pixels lie
+    # [n f] columns F as the pixels see them: a level, turn and bends of the edge, light
     fixed: Matrix
-    powers: Matrix
-    seen: tuple[Seen, ...]
-    count: float
-    squares: float
-    fixed_values: Vector
-    fixed_fixed: Matrix
-    splines: Matrix
-    node_sums: list[Matrix]
-    node_node: NDArray[np.float64]
-    reach: NDArray[np.intp]
-    precision: Vector
-    centre: Vector
+    powers: Matrix  # [n k] Legendre polynomials along the edge
+    seen: tuple[Seen, ...]  # the columns V, the response itself first
+    count: float  # number of whitened pixels, those rounded alike as one
+    squares: float  # y^T y
+    fixed_values: Vector  # F^T y [f]
+    fixed_fixed: Matrix  # F^T F [f f]
+    splines: Matrix  # [j+f+1 j] sums of splines, fixed columns and values with splines
+    node_sums: list[Matrix]  # of each power [j+f+1 g]: the same with nodes
+    node_node: NDArray[np.float64]  # of each pair of powers [k k g g]
+    reach: NDArray[np.intp]  # between which nodes [g 2] these are not 0
+    precision: Vector  # [f] prior of the factors of F: those of bends
+    centre: Vector  # are normal about these
 
     @property
     def moves(self) -> slice:
@@ -86,14 +188,7 @@ class Gathered:
 
 
 def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) -> Gathered:
-    """Return the sums about one geometry.
-
-    Parameters
-    ----------
-    samples, nodes : pixels, and nodes that reach as far
-    geometry : of the edge
-    slope : [g] the LSF at the nodes, a guess, by which the pixels change as the edge turns
-    """
+    """Return the sums about one geometry; pixels change by the LSF [g] as the edge turns."""
     normal_px = samples.normal_px(geometry)
     pixels = nodes.between(normal_px)
     powers = samples.powers(max(geometry.size - 1, samples.light))
@@ -111,12 +206,12 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     products = np.zeros((kinds, kinds, size, size))
     with_right = np.zeros((kinds, size, right.shape[1]))
     rows = (whitener.indptr, whitener.indices, whitener.data)
-    node_products(*rows, pixels.first, pixels.shares, powers, right, products, with_right)
+    kernels.node_products(*rows, pixels.first, pixels.shares, powers, right, products, with_right)
     reach = np.empty((size, 2), dtype=np.intp)
-    node_reach(products, reach)
+    kernels.node_reach(products, reach)
     node_sums, splines = [], np.empty_like(nodes.integrals)
     for row, own in zip(products, with_right, strict=True):
-        times_nodes(row[0], reach, nodes.integrals, splines)
+        kernels.times_nodes(row[0], reach, nodes.integrals, splines)
         node_sums.append(np.vstack([splines.T, own.T]))
     sums = right.T @ right
     precision, centre = np.zeros(fixed.shape[1]), np.zeros(fixed.shape[1])

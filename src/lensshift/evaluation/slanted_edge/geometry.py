@@ -23,42 +23,23 @@ _SIGMA_BOUNDS_PX = (0.08, 30.0)
 
 @dataclass(frozen=True, slots=True)
 class EdgeLine:
-    """A straight edge x cos t + y sin t = rho; x along the columns, y along the rows.
+    """A straight edge x cos t + y sin t = rho; x along the columns, y along the rows."""
 
-    Parameters
-    ----------
-    angle_rad : direction t of the normal, which points to the bright side
-    position_px : rho, from the origin of the coordinates
-    sigma_px : width of the Gaussian that fits best, beside the pixel aperture
-    low, high : levels of the plateaus
-    """
-
-    angle_rad: float
-    position_px: float
-    sigma_px: float
-    low: float
-    high: float
+    angle_rad: float  # direction t of the normal, which points to the bright side
+    position_px: float  # rho, from the origin of the coordinates
+    sigma_px: float  # width of the Gaussian that fits best, beside the pixel aperture
+    low: float  # level of the dark plateau
+    high: float  # of the bright one
 
 
-def find_edge(
-    x_px: Vector, y_px: Vector, values: Vector, aperture_px: float, seed: int = 0
-) -> EdgeLine:
+def find_edge(x_px: Vector, y_px: Vector, values: Vector, aperture_px: float) -> EdgeLine:
     """Find the straight edge that splits the pixels best, then fit its place and width.
 
-    Parameters
-    ----------
-    x_px, y_px : [n] coordinates of the pixels
-    values : [n] the pixels
-    aperture_px : side of the pixel that the edge response assumes
-    seed : for the choice of pixels in large regions
-
-    Raises
-    ------
-    ValueError
-        If the pixels do not split into a bright and a dark side.
+    From n pixels at x, y, of which large regions give a random choice. Raises `ValueError` if they
+    do not split into a bright and a dark side.
     """
     if values.size > _MOST_PIXELS:
-        keep = np.random.default_rng(seed).choice(values.size, _MOST_PIXELS, replace=False)
+        keep = np.random.default_rng(0).choice(values.size, _MOST_PIXELS, replace=False)
         angle_rad, position_px = _best_split(x_px[keep], y_px[keep], values[keep])
     else:
         angle_rad, position_px = _best_split(x_px, y_px, values)
@@ -80,10 +61,7 @@ def explained_share(
 ) -> float:
     """Return the share of the variance that one straight step explains, 0 to 1.
 
-    Parameters
-    ----------
-    x_px, y_px, values : [n] the pixels
-    near_rad : direction of its normal to within a few degrees, any if None
+    Its normal has a direction to within a few degrees of `near_rad`, or any.
     """
     variance = float(np.var(values)) * values.size
     if np.ptp(values) == 0.0 or variance <= 0.0:  # the mean of equal values is rounded

@@ -1,10 +1,11 @@
-"""Compiled loops: the response of an edge to a Gaussian and to tails, as a square pixel sees it."""
+"""Compiled loops over pixels: the response of an edge, nodes, and sums that tell what they see."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
@@ -19,14 +20,10 @@ _FAR = 7.0  # standard deviations; what is left of the normal distribution there
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def edge_slopes(normal_px: Array, p: float, q: float, sigma_px: float, out: Array) -> None:
-    """Fill `out` with the response of an edge, a trapezium and a Gaussian, and its slopes.
+    """Fill `out` [4 n] with the response of an edge, a trapezium and a Gaussian, and its slopes.
 
-    Parameters
-    ----------
-    normal_px : [n]
-    p, q : half the sides of the pixel as the edge's normal sees them: half widths of the trapezium
-    sigma_px : of the Gaussian
-    out : [4 n] response; slopes by log sigma, by the log of the pixel's side, by the distance
+    These are by log sigma, by the log of the pixel's side, by the distance. The edge's normal sees
+    half sides p, q of the pixel: the half widths of the trapezium are p + q and |p - q|.
     """
     reach_px, area = p + q + _FAR * sigma_px, 4.0 * p * q
     for i in range(normal_px.size):
@@ -54,15 +51,11 @@ def edge_slopes(normal_px: Array, p: float, q: float, sigma_px: float, out: Arra
 def tail_slopes(
     normal_px: Array, p: float, q: float, grows: tuple[float, float], w: float, out: Array
 ) -> None:
-    """Fill `out` with the responses of an edge, a trapezium and either law of a tail; their slopes.
+    """Fill `out` [2 4 n] with the responses of an edge, a trapezium and either law of a tail.
 
-    Parameters
-    ----------
-    normal_px, p, q : as in `edge_slopes`
-    w : width of the Lorentzian w / (pi (x^2 + w^2)) and of the Laplacian exp(-|x| / w) / 2 w
-    grows : whether p and q follow the side of the pixel (1) or are at a limit (0)
-    out : [2 4 n] of Lorentzian and Laplacian: response; slopes by the log of the width, by the log
-        of the pixel's side, by the distance
+    These are the Lorentzian w / (pi (x^2 + w^2)) and the Laplacian exp(-|x| / w) / 2 w, of each the
+    response and its slopes as in `edge_slopes`, by log w first. `grows` says of p and q whether
+    they follow the side of the pixel (1) or are at a limit (0).
     """
     far_px, half_variance, area = _FAR_SIDES * max(p, q), (p * p + q * q) / 6.0, 4.0 * p * q
     wider = (grows[0] * p * p + grows[1] * q * q) / 3.0
@@ -113,3 +106,126 @@ def _far_slopes(d: float, w: float, half_variance: float, wider: float, out: Arr
     out[1, 1] = side * fast * (2.0 * more - abs(d) / w * (1.0 + more))
     out[1, 2] = -side * fast * wider / (w * w)
     out[1, 3] = fast / w * (1.0 + more)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def between_nodes(place: Array, nodes: Array, first: Array, shares: Array) -> None:
+    """Fill in the shares [n 4] of four nodes [g] in each place [n], by cubic interpolation.
+
+    `first` is the node after the place before, the first of the four afterwards.
+    """
+    last = nodes.size - 4
+    for i in range(place.size):
+        k = min(max(first[i] - 2, 0), last)
+        first[i] = k
+        a, b, c, d = place[i] - nodes[k : k + 4]
+        ab, ac, ad = b - a, c - a, d - a
+        bc, bd, cd = c - b, d - b, d - c
+        shares[i, 0] = b * c * d / (ab * ac * ad)
+        shares[i, 1] = -a * c * d / (ab * bc * bd)
+        shares[i, 2] = a * b * d / (ac * bc * cd)
+        shares[i, 3] = -a * b * c / (ad * bd * cd)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolated(first: Array, shares: Array, values: Array, out: Array) -> None:
+    """Fill `out` [n] with values [g] at the nodes, interpolated; see `between_nodes`."""
+    for i in range(first.size):
+        k = first[i]
+        out[i] = (
+            shares[i, 0] * values[k]
+            + shares[i, 1] * values[k + 1]
+            + shares[i, 2] * values[k + 2]
+            + shares[i, 3] * values[k + 3]
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def node_products(
+    pointers: Array,
+    taps: Array,
+    weights: Array,
+    first: Array,
+    shares: Array,
+    powers: Array,
+    right: Array,
+    products: Array,
+    with_right: Array,
+) -> None:
+    """Add up, over whitened pixels, products of what the nodes are to each of them.
+
+        products[k, l] = sum W_k^T A^T A W_l,   with_right[k] = sum W_k^T A^T R
+
+    with the whitener A [m n] in compressed rows and the interpolation W_k from the nodes, times the
+    factor k of a pixel in `powers` [n k]; products [k k g g] and with_right [k g q] are zero
+    before.
+    """
+    kinds, nodes, columns = with_right.shape
+    row = np.zeros((kinds, nodes))
+    for r in range(right.shape[0]):
+        start, stop = nodes, 0
+        for t in range(pointers[r], pointers[r + 1]):
+            i = taps[t]
+            at = first[i]
+            start, stop = min(start, at), max(stop, at + 4)
+            for k in range(kinds):
+                weight = weights[t] * powers[i, k]
+                for s in range(4):
+                    row[k, at + s] += weight * shares[i, s]
+        for k in range(kinds):
+            for a in range(start, stop):
+                own = row[k, a]
+                if own == 0.0:
+                    continue
+                for other in range(k):
+                    for b in range(start, stop):
+                        products[k, other, a, b] += own * row[other, b]
+                for b in range(start, a + 1):
+                    products[k, k, a, b] += own * row[k, b]
+                for q in range(columns):
+                    with_right[k, a, q] += own * right[r, q]
+        row[:, start:stop] = 0.0
+    for k in range(kinds):
+        for a in range(nodes):
+            for b in range(a):
+                products[k, k, b, a] = products[k, k, a, b]
+        for other in range(k):
+            products[other, k] = products[k, other].T
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def node_reach(products: Array, reach: Array) -> None:
+    """Fill in [g 2]: the first node and the last but one that share pixels with each."""
+    nodes = products.shape[2]
+    for a in range(nodes):
+        reach[a] = a, a + 1
+        for b in range(nodes):
+            if products[0, 0, a, b] != 0.0:
+                reach[a, 0], reach[a, 1] = min(reach[a, 0], b), max(reach[a, 1], b + 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def times_nodes(products: Array, reach: Array, right: Array, out: Array) -> None:
+    """Fill `out` [g q] with products [g g] times `right` [g q]; see `node_reach`."""
+    for a in range(products.shape[0]):
+        own = out[a]
+        own[:] = 0.0
+        for b in range(reach[a, 0], reach[a, 1]):
+            share, other = products[a, b], right[b]
+            for q in range(own.size):
+                own[q] += share * other[q]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def across_nodes(products: Array, reach: Array, power: Array, seen: Array, out: Array) -> None:
+    """Fill in [k s g] what pixels see of columns [s g], each of a power, times all their factors.
+
+    out[k, m] = products[k, power_m] seen[m]
+    """
+    for k in range(products.shape[0]):
+        for a in range(seen.shape[1]):
+            for m in range(seen.shape[0]):
+                other, total = power[m], 0.0
+                for b in range(reach[a, 0], reach[a, 1]):
+                    total += products[k, other, a, b] * seen[m, b]
+                out[k, m, a] = total

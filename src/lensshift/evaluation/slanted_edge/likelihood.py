@@ -9,28 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lensshift.evaluation.slanted_edge.base_model import BaseModel, SeenBase
+from lensshift.evaluation.slanted_edge import lsf_prior, matrix_kernels
 from lensshift.evaluation.slanted_edge.edge_model import (
+    BaseModel,
     Matrix,
+    SeenBase,
     SplineBasis,
     Vector,
 )
 from lensshift.evaluation.slanted_edge.gathering import Gathered
-from lensshift.evaluation.slanted_edge.lsf_prior import (
-    BASE_HYPERS,
-    HYPER_BOUNDS,
-    HYPER_PRIOR,
-    HYPERS,
-    SplinePrior,
-)
-from lensshift.evaluation.slanted_edge.matrix_kernels import (
-    around,
-    band_solved,
-    downdated,
-    inverted,
-    within,
-)
-from lensshift.evaluation.slanted_edge.node_kernels import across_nodes
+from lensshift.evaluation.slanted_edge.kernels import across_nodes
+from lensshift.evaluation.slanted_edge.lsf_prior import BASE_HYPERS, HYPERS
 
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.
@@ -57,34 +46,22 @@ class Conditional:
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What the pixels tell of the heights H of the splines: H^T H = R^T R, both with a band.
+    """What the pixels tell of the heights H of the splines: H^T H = R^T R, both with a band."""
 
-    Parameters
-    ----------
-    factor : [j j] R^T
-    band : [m j] its diagonals, the main one first
-    """
-
-    factor: Matrix
-    band: Matrix
+    factor: Matrix  # [j j] R^T
+    band: Matrix  # [m j] its diagonals, the main one first
 
 
 @dataclass(frozen=True, slots=True)
 class _Explained:
     """The splines in coordinates R h, in which the noise of the pixels is white and even.
 
-        S = R K R^T + s^2,   W = R^-T H^T [X y]
-
-    Parameters
-    ----------
-    variance : s^2
-    factor : [j + p + 1, j] L with L L^T = S, and below it (L^-1 W)^T
-    shown : [p + 1, j] W^T
+    S = R K R^T + s^2,   W = R^-T H^T [X y]
     """
 
-    variance: float
-    factor: Matrix
-    shown: Matrix
+    variance: float  # s^2
+    factor: Matrix  # [j + p + 1, j] L with L L^T = S, and below it (L^-1 W)^T
+    shown: Matrix  # [p + 1, j] W^T
 
     def over(self, right: NDArray[np.float64]) -> Matrix:
         """Return S^-1 times [j ...]."""
@@ -141,14 +118,8 @@ class EdgeLikelihood:
 
     with flat priors for the levels b, which are integrated out with the coefficients c. Among
     the levels are turn and bends of the edge, to first order. The parameters q are the
-    hyper-parameters of `lsf_prior` and the log noise.
-
-    Parameters
-    ----------
-    gathered : the pixels
-    basis : splines of the LSF
-    aperture_px : side of the largest pixel that the base model allows
-    unit_px : width by which the prior is scaled, 1 for an edge a pixel wide
+    hyper-parameters of `lsf_prior` and the log noise. The base model allows pixels up to
+    `aperture_px`; `unit_px`, 1 for an edge a pixel wide, scales the prior.
     """
 
     def __init__(
@@ -157,13 +128,13 @@ class EdgeLikelihood:
         self.gathered, self.basis = gathered, basis
         self.unit_px = unit_px
         self.base = BaseModel(float(gathered.geometry[0]), aperture_px, unit_px)
-        self._prior = SplinePrior(basis, unit_px)
+        self._prior = lsf_prior.SplinePrior(basis, unit_px)
         self._bounds = (
-            np.append(HYPER_BOUNDS[:, 0], _LOG_NOISE_BOUNDS[0]),
-            np.append(HYPER_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]),
+            np.append(lsf_prior.HYPER_BOUNDS[:, 0], _LOG_NOISE_BOUNDS[0]),
+            np.append(lsf_prior.HYPER_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]),
         )
-        self._mean = np.append(HYPER_PRIOR[:, 0], np.log(0.01))
-        self._precision = np.append(HYPER_PRIOR[:, 1], _NOISE_SPREAD) ** -2.0
+        self._mean = np.append(lsf_prior.HYPER_PRIOR[:, 0], np.log(0.01))
+        self._precision = np.append(lsf_prior.HYPER_PRIOR[:, 1], _NOISE_SPREAD) ** -2.0
         knots, fixed = basis.size, gathered.response
         size = fixed + len(gathered.seen)
         self._levels_precision, self._levels_centre = np.zeros(size), np.zeros(size)
@@ -273,8 +244,8 @@ class EdgeLikelihood:
         m = self._moments(allowed)
         covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
         factor = np.empty((knots + len(m.heights), knots))
-        within(told.band, covariance, variance, factor)
-        band_solved(told.band, m.heights)
+        matrix_kernels.within(told.band, covariance, variance, factor)
+        matrix_kernels.band_solved(told.band, m.heights)
         # LAPACK counts along columns: it sees the transposed matrix.
         upper, failed = lapack.dpotrf(factor[:knots].T, lower=0, clean=0, overwrite_a=1)
         if failed:
@@ -324,14 +295,14 @@ class EdgeLikelihood:
         covariance = tops.T @ tops
         gradient = (found.allowed - self._mean) * self._precision
         inverse = np.empty((knots, knots))
-        inverted(lower, inverse)
+        matrix_kernels.inverted(lower, inverse)
         unseen = float(np.trace(inverse))
         levels = _solve(lower, one.factor[knots:-1].T, transposed=True).T
         left = self._misfit(found)
         gradient[:BASE_HYPERS] += self._by_base(found, covariance, levels, left)
-        downdated(inverse, np.vstack([tops @ levels, left]))
+        matrix_kernels.downdated(inverse, np.vstack([tops @ levels, left]))
         by_covariance = np.empty((knots, knots))
-        around(told.band, inverse, by_covariance)
+        matrix_kernels.around(told.band, inverse, by_covariance)
         gradient[BASE_HYPERS:HYPERS] += 0.5 * self._prior.gradient(
             found.allowed[BASE_HYPERS:HYPERS], by_covariance
         )

@@ -9,15 +9,10 @@ from numpy.typing import NDArray
 
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.bending import rms_bend_px
-from lensshift.evaluation.slanted_edge.checks import (
-    displacement_px,
-    doubted,
-    largest_phase_gap_px,
-)
+from lensshift.evaluation.slanted_edge.checks import displacement_px, doubted, largest_phase_gap_px
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
-from lensshift.evaluation.slanted_edge.frames import EdgeFrames
-from lensshift.evaluation.slanted_edge.prepare import UprightEdge
+from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, UprightEdge
 from lensshift.evaluation.slanted_edge.result import (
     EdgeResult,
     Interval,
@@ -57,20 +52,7 @@ class LikelySettings:
 def measure_likely(
     frames: EdgeFrames, region: Region, wanted_lpmm: Vector | None, settings: LikelySettings
 ) -> EdgeResult:
-    """Measure one region by maximum likelihood.
-
-    Parameters
-    ----------
-    frames : the images
-    region : around one edge
-    wanted_lpmm : [f] frequencies of the curve, None for the default
-    settings : options
-
-    Raises
-    ------
-    ValueError
-        If there is no edge in the region.
-    """
+    """Measure one region by maximum likelihood; `ValueError` if there is no edge in it."""
     pixels = frames.pixels(region)
     edge, out = screened(pixels, settings.aperture_px, settings.most_bends)
     if min(int(np.sum(edge.normal_px < 0)), int(np.sum(edge.normal_px > 0))) < _FEWEST_ASIDE:
@@ -108,8 +90,11 @@ def _result(
     pitch_mm: float,
 ) -> EdgeResult:
     edge, ends = fit.edge, np.cumsum([block.size for block in blocks])
-    grid, to_nyquist, wanted = np.split(fit.modulation, ends[:-1])
-    band = np.quantile(wanted[:, 1:], (0.025, 0.975), axis=1)
+    grid, to_nyquist, wanted = np.split(np.abs(fit.transform), ends[:-1])
+    low, high = np.quantile(wanted[:, 1:], (0.025, 0.975), axis=1)
+    # Moduli scatter above 0: where their transforms lie on both sides of it, it may be 0.
+    phased = fit.transform * np.exp(-1j * np.angle(fit.transform[:, :1]))
+    low[np.quantile(phased[ends[1] :, 1:].real, 0.025, axis=1) < 0.0] = 0.0
     level_noise = 0.5 * (fit.noise.dark_sigma + fit.noise.bright_sigma)
     noise = max(level_noise / fit.contrast, float(np.finfo(float).tiny))
     span = edge.line.high - edge.line.low
@@ -127,8 +112,8 @@ def _result(
         noise=noise,
         snr=1.0 / noise,
         mtf=MtfCurve(frequency_lpmm, wanted[:, 0], wanted[:, 1:].std(axis=1), "slanted edge"),
-        low=band[0],
-        high=band[1],
+        low=low,
+        high=high,
         nyquist_lpmm=0.5 / (frames.scale * max(frames.pitch_mm)),
         esf=Profile(fit.normal_px, fit.esf[:, 0], fit.esf[:, 1:].std(axis=1)),
         lsf=Profile(fit.normal_px, fit.lsf[:, 0], fit.lsf[:, 1:].std(axis=1)),

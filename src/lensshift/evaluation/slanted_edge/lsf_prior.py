@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.prior_kernels import heights_covariance, heights_slopes
+from lensshift.evaluation.slanted_edge.matrix_kernels import heights_covariance, heights_slopes
 
 # Mean and standard deviation; lengths in units of `unit_px`. The Gaussian of the optics may be
 # anything from far below a pixel to well above it. The pixel may be smaller than its pitch (its
@@ -81,12 +81,7 @@ class SplinePrior:
         self._lags = basis.step_px / unit_px * np.arange(2 * basis.number[-1] + 1)
 
     def covariance(self, shape: Vector) -> Matrix:
-        """Return the covariance of the heights [j j].
-
-        Parameters
-        ----------
-        shape : [4] log amplitude, log length, log tail, logit symmetry
-        """
+        """Return the covariance of the heights [j j] of a shape [4] (a, l, t, m as above)."""
         near, weight = self._near_and_weight(shape)
         heights = np.empty((self._number.size,) * 2)
         heights_covariance(self._number, weight, near, float(_symmetry(shape)), heights)

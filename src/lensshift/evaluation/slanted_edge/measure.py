@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.slanted_edge.average import average_curves
 from lensshift.evaluation.slanted_edge.checks import warn_of
-from lensshift.evaluation.slanted_edge.frames import EdgeFrames, take_frames
 from lensshift.evaluation.slanted_edge.likely import LikelySettings, measure_likely
+from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, take_frames
 from lensshift.evaluation.slanted_edge.regions import find_regions
-from lensshift.evaluation.slanted_edge.result import EdgeResult, Region
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Region, average_curves
 
 Method = Literal["ml", "sfrmat3", "sfrmat5"]
 METHODS: tuple[Method, ...] = ("ml", "sfrmat3", "sfrmat5")
@@ -135,7 +134,11 @@ def measure_edges(
     """
     if method not in METHODS:
         raise ValueError(f"expected a method of {', '.join(METHODS)}, got {method!r}")
-    given = _known(method, options)
+    foreign = sorted(set(options) - set(_OPTIONS[method]))
+    if foreign:
+        known = ", ".join(_OPTIONS[method]) or "none"
+        raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
+    given: dict[str, Any] = dict(options)
     likely = _likely(given, scale) if method == "ml" else None
     frames = take_frames(image, pitch_mm, offset_px=offset_px, valid=valid, scale=scale)
     places = [_given(region, frames)] if region is not None else find_regions(frames.first)
@@ -145,20 +148,12 @@ def measure_edges(
         if likely is not None:
             result = measure_likely(frames, place, wanted, likely)
         else:
-            from lensshift.evaluation.slanted_edge.binned import measure_binned
+            from lensshift.evaluation.slanted_edge.sfrmat import measure_binned
 
             result = measure_binned(frames, place, wanted, method, given)
         warn_of(list(result.notes), result.region)
         results.append(result)
     return sorted(results, key=lambda one: (one.usable, one.extent_px[0]), reverse=True)
-
-
-def _known(method: Method, options: MethodOptions) -> dict[str, Any]:
-    foreign = sorted(set(options) - set(_OPTIONS[method]))
-    if foreign:
-        known = ", ".join(_OPTIONS[method]) or "none"
-        raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
-    return dict(options)
 
 
 def _likely(given: dict[str, Any], scale: int) -> LikelySettings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,54 +12,41 @@ from scipy.special import fdtr, fdtrc
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 
 _LARGEST_ORDER = 3
-SIGNIFICANT = 1e-3
+_SIGNIFICANT = 1e-3
 NOISELESS = 1e-4  # of the contrast
 _WHOLE = 1e-3  # of a step: nearer to a whole number of steps is rounded
 _LARGEST_SUM = 0.8  # of a prediction: a smoother noise is not told from uneven light
 _BLOCK = 4
 _FEWEST_BLOCKS = 8
 _MOST_SITES = 10_000
-NEAR_STEP_PX = 2.0  # of the distance from the edge, in which noise near it is told
-NEAR_PX = 8.0  # how far its own correlation reaches: a block of a JPEG
-FEWEST_SITES = 40  # plateau pixels below which noise counts as white and even
+_NEAR_STEPS, _NEAREST = 6, 3  # where there may be more noise, and where it is looked for
+_FREE_ERROR = 2e-3  # of the contrast: what a free ESF may be off by near a sharp edge
+_NEAR_STEP_PX = 2.0  # of the distance from the edge, in which noise near it is told
+_NEAR_PX = 8.0  # how far its own correlation reaches: a block of a JPEG
+_FEWEST_SITES = 40  # plateau pixels below which noise counts as white and even
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class NearNoise:
-    """Noise near an edge that is not that of the plateaus.
+    """Noise near an edge that is not that of the plateaus."""
 
-    Parameters
-    ----------
-    variance : over that of the plateaus, in steps of the distance from the edge
-    order, prediction : as those of `NoiseModel`
-    innovation : variance that this prediction leaves, over that of the plateaus' own
-    """
-
-    variance: Vector
-    order: int
+    variance: Vector  # over that of the plateaus, in steps of the distance from the edge
+    order: int  # as those of `NoiseModel`
     prediction: Vector
-    innovation: float
+    innovation: float  # variance that this prediction leaves, over that of the plateaus' own
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """What whitens the noise of a region.
+    """What whitens the noise of a region."""
 
-    Parameters
-    ----------
-    dark_sigma, bright_sigma : standard deviation on the plateaus
-    order : reach in pixels of the prediction from earlier neighbours; 0 for white noise
-    prediction : [k] factors of those neighbours, in the order of `_half_plane`
-    near : noise near the edge, None where it is that of the plateaus
-    """
-
-    dark_sigma: float
-    bright_sigma: float
-    order: int
-    prediction: Vector
-    near: NearNoise | None = None
+    dark_sigma: float  # standard deviation on the dark plateau
+    bright_sigma: float  # on the bright one
+    order: int  # reach in pixels of the prediction from earlier neighbours; 0 for white noise
+    prediction: Vector  # [k] factors of those neighbours, in the order of `_half_plane`
+    near: NearNoise | None = None  # noise near the edge, None where it is that of the plateaus
 
     @property
     def is_plain(self) -> bool:
@@ -73,7 +60,7 @@ class NoiseModel:
         variance = 1.0 - share + ratio * share
         if self.near is not None:
             steps = self.near.variance
-            middles = NEAR_STEP_PX * (np.arange(steps.size) + 0.5)
+            middles = _NEAR_STEP_PX * (np.arange(steps.size) + 0.5)
             variance *= np.interp(np.abs(normal_px), middles, steps)
         return np.asarray(np.sqrt(variance))
 
@@ -82,11 +69,7 @@ class NoiseModel:
     ) -> sparse.csr_array:
         """Return [m n]: pixels minus what their neighbours foretell, over their deviation.
 
-        Parameters
-        ----------
-        places : [n 3] frame, row and column of each pixel
-        relative_sigma : [n] see `relative_sigma`
-        normal_px : [n] distances from the edge
+        Of pixels at places [n 3], with the deviations of `relative_sigma`, so far from the edge.
         """
         scaled = sparse.diags_array(1.0 / relative_sigma)
         order = max(self.order, 0 if self.near is None else self.near.order)
@@ -99,7 +82,7 @@ class NoiseModel:
         taps = np.hstack([sites[whole, None], found[whole]])
         factors = np.tile(_widened(self.order, self.prediction, order), (len(taps), 1))
         if self.near is not None:
-            close = np.abs(normal_px[whole]) < NEAR_PX
+            close = np.abs(normal_px[whole]) < _NEAR_PX
             own = _widened(self.near.order, self.near.prediction, order)
             factors[close] = own / np.sqrt(self.near.innovation)
         rows = np.repeat(np.arange(len(taps)), taps.shape[1])
@@ -119,28 +102,18 @@ def _widened(order: int, prediction: Vector, wanted: int) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """What whole numbers do to pixels whose noise is too small to dither them.
+    """What whole numbers do to pixels whose noise is too small to dither them."""
 
-    Parameters
-    ----------
-    sigma : deviation of a single pixel by rounding; 0 where values are not whole numbers of a step
-    alike : [n] how many pixels have the value of each
-    """
-
-    sigma: float
-    alike: Vector
+    sigma: float  # of a single pixel; 0 where values are not whole numbers of a step
+    alike: Vector  # [n] how many pixels have the value of each
 
     def shared(self, sigma: Vector) -> Vector:
-        """Return [n]: the variance by which to raise that of pixels that share an error.
+        """Return [n]: the variance by which to raise that of pixels of deviation `sigma` [n].
 
             m s^2 / 12 exp(-4 pi^2 v / s^2),   s the step, v the variance of noise before rounding
 
         All m pixels that are rounded to one value are off by the same: together they count as one.
         Noise of half a step takes that error away (the factor is the square of the first harmonic).
-
-        Parameters
-        ----------
-        sigma : [n] deviations of the pixels
 
         Source: Widrow and Kollar, Quantization Noise, 2008, of the characteristic function.
         """
@@ -161,23 +134,12 @@ def rounding_of(values: Vector) -> Rounding:
 
 
 def plateau_tilt_matters(
-    values: Vector,
-    places: NDArray[np.intp],
-    sides: list[Mask],
-    columns: Matrix,
-    least: float = 0.0,
+    values: Vector, places: NDArray[np.intp], sides: list[Mask], columns: Matrix, least: float = 0.0
 ) -> bool:
     """Tell whether planes describe the plateaus better than constants do (F test).
 
-    The test takes the means of blocks of pixels, which correlated noise does not deceive.
-
-    Parameters
-    ----------
-    values : [n]
-    places : [n 3] frame, row, column
-    sides : masks of the plateaus
-    columns : [n k] the slopes
-    least : deviation of what is not worth a plane, as that of rounding
+    The test takes the means of blocks of pixels, which correlated noise does not deceive. Planes
+    have slopes [n k]; a deviation below `least`, as that of rounding, is not worth them.
     """
     least = max(least, NOISELESS)
     plain = tilted = 0.0
@@ -197,7 +159,7 @@ def plateau_tilt_matters(
     if tilted <= least**2 * blocks:
         return bool(plain > least**2 * blocks)
     ratio = (plain - tilted) / terms / (tilted / freedom)
-    return bool(fdtrc(terms, freedom, ratio) < SIGNIFICANT)
+    return bool(fdtrc(terms, freedom, ratio) < _SIGNIFICANT)
 
 
 def few_factors(columns: Matrix, values: Vector) -> Vector:
@@ -219,19 +181,13 @@ def _block_means(places: NDArray[np.intp], columns: Matrix) -> Matrix:
 
 
 def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]) -> NoiseModel:
-    """Estimate the noise from the residuals of the plateaus.
+    """Estimate the noise from the residuals [n] at places [n 3], by masks of both plateaus.
 
     The two sides get different levels only if an F test tells them apart; the order of the
     prediction is the one with the smallest Bayesian information criterion.
-
-    Parameters
-    ----------
-    residual : [n] pixels minus the edge model
-    places : [n 3] frame, row, column
-    sides : masks of the dark and the bright plateau
     """
     counts = [int(side.sum()) for side in sides]
-    if min(counts) < FEWEST_SITES:
+    if min(counts) < _FEWEST_SITES:
         both = residual[sides[0] | sides[1]] if sum(counts) > 1 else residual
         sigma = float(np.std(both))
         return NoiseModel(sigma, sigma, 0, np.zeros(0))
@@ -242,31 +198,29 @@ def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]
     scaled = np.full(residual.size, np.nan)
     for side, sigma in zip(sides, (dark, bright), strict=True):
         scaled[side] = (residual[side] - residual[side].mean()) / max(sigma, 1e-300)
-    order, prediction, _ = best_prediction(scaled, places, np.flatnonzero(np.isfinite(scaled)))
+    order, prediction, _ = _best_prediction(scaled, places, np.flatnonzero(np.isfinite(scaled)))
     # Correlated residuals count for less than their number.
     freedom = [count / (1 + 2 * order) ** 2 for count in counts]
     if dark > 0.0 and bright > 0.0:
         told = freedom[1], freedom[0], (bright / dark) ** 2
-        if min(fdtrc(*told), fdtr(*told)) < 0.5 * SIGNIFICANT:
+        if min(fdtrc(*told), fdtr(*told)) < 0.5 * _SIGNIFICANT:
             return NoiseModel(dark, bright, order, prediction)
     return NoiseModel(together, together, order, prediction)
 
 
+def _by_distance(values: Vector, normal_px: Vector) -> tuple[Vector, NDArray[np.intp]]:
+    """Return sums of squares [b], and counts, in steps of the distance from the edge."""
+    number = np.minimum(np.abs(normal_px) / _NEAR_STEP_PX, _NEAR_STEPS).astype(np.intp)
+    sums = np.bincount(number, values**2, minlength=_NEAR_STEPS + 1).astype(np.float64)
+    return sums, np.bincount(number, minlength=_NEAR_STEPS + 1)
+
+
 def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
-    """Return what whitens noise of a known autocovariance.
+    """Return what whitens noise of a known autocovariance, as `noise_autocovariance` returns.
 
         sum_j C(n_i - n_j) a_j = C(n_i),   n the neighbours that come earlier
 
-    Parameters
-    ----------
-    covariance : [2 m + 1, 2 n + 1] at the lags (row, col); the variance in the middle, in units of
-        the image squared
-    contrast : of the edge, in units of the image
-
-    Raises
-    ------
-    ValueError
-        If it is not the autocovariance of any noise.
+    Raises `ValueError` if it is not the autocovariance of any noise.
 
     Source: Yule-Walker equations, Kay, Modern Spectral Estimation, 1988.
     """
@@ -296,16 +250,12 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
     return NoiseModel(sigma, sigma, order, _limited(prediction))
 
 
-def best_prediction(
+def _best_prediction(
     scaled: Vector, places: NDArray[np.intp], sites: NDArray[np.intp]
 ) -> tuple[int, Vector, float]:
     """Return order and factors of the prediction at some pixels, and the variance it leaves.
 
-    Parameters
-    ----------
-    scaled : [n] noise of even variance, NaN where it is not known
-    places : [n 3] frame, row, column
-    sites : the pixels to foretell
+    From noise [n] of even variance at places [n 3], NaN where it is not known.
     """
     index, widest = _index_of(places), _half_plane(_LARGEST_ORDER)
     sites = sites[:: max(1, sites.size // _MOST_SITES)]
@@ -318,7 +268,7 @@ def best_prediction(
     for order in range(_LARGEST_ORDER + 1):
         used = np.max(np.abs(widest), axis=1) <= order
         terms = int(used.sum())
-        if count < 4 * terms + FEWEST_SITES // 2:
+        if count < 4 * terms + _FEWEST_SITES // 2:
             break
         inputs = around[:, used]
         factors = _limited(few_factors(inputs, foretold)) if terms else np.zeros(0)
@@ -360,3 +310,45 @@ def _look_up(
     strides = np.array([index[0].size, index.shape[2], 1])
     start = places @ strides + _LARGEST_ORDER * strides[1:].sum()
     return np.asarray(np.take(index, start[:, None] + steps @ strides[1:]))
+
+
+def with_edge(
+    noise: NoiseModel,
+    residual: Vector,
+    response: Vector,
+    normal_px: Vector,
+    places: NDArray[np.intp],
+) -> NoiseModel:
+    """Return the noise with that near the edge, if there is more of it than on plateaus (F test).
+
+    Compression keeps more of the noise in blocks with an edge, and adds what its steps cut off;
+    lines that are displaced or pixels that differ show at the edge alone. The residual is that of
+    a free ESF, `response`; all are [n], places [n 3].
+    """
+    if noise.dark_sigma <= NOISELESS:
+        return noise
+    relative = noise.relative_sigma(response, normal_px)
+    # What their neighbours foretell of the pixels would make fewer of them independent.
+    whitener = noise.whitener(places, relative, normal_px)
+    which = np.maximum.reduceat(whitener.indices, whitener.indptr[:-1])
+    sums, counts = _by_distance(whitener @ residual, normal_px[which])
+    near, far = int(counts[:_NEAREST].sum()), int(counts[_NEAR_STEPS])
+    level = float(sums[_NEAR_STEPS]) / max(far, 1)
+    if min(near, far) < _FEWEST_SITES or level <= 0.0:
+        return noise
+    most = float(sums[:_NEAREST].sum()) / near - _FREE_ERROR**2
+    if fdtrc(near, far, most / level) > _SIGNIFICANT:
+        return noise
+    sums, counts = _by_distance(residual / relative, normal_px)
+    level = float(sums[_NEAR_STEPS]) / counts[_NEAR_STEPS]
+    each = (sums / np.maximum(counts, 1) - _FREE_ERROR**2)[:_NEAR_STEPS] / level
+    if np.max(each) <= 1.0:  # the pixels scatter less there: neighbours merely foretell less
+        return noise
+    louder = NearNoise(np.append(np.maximum(each, 1.0), 1.0), 0, np.zeros(0), 1.0)
+    noise = replace(noise, near=louder)
+    scaled = residual / noise.relative_sigma(response, normal_px)
+    close = np.abs(normal_px) < _NEAR_PX
+    order, prediction, left = _best_prediction(scaled, places, np.flatnonzero(close))
+    beyond = _best_prediction(scaled, places, np.flatnonzero(~close))[2]
+    innovation = left / max(beyond, np.finfo(float).tiny)
+    return replace(noise, near=NearNoise(louder.variance, order, prediction, innovation))

@@ -35,20 +35,12 @@ _SETTLED = 0.05  # of the log posterior
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Weighted draws of the parameters.
+    """Weighted draws of the parameters."""
 
-    Parameters
-    ----------
-    best : [p] the optimum
-    draws : [k p]
-    weights : [k], sum 1
-    found : [k] what the pixels say there
-    """
-
-    best: Vector
-    draws: Matrix
-    weights: Vector
-    found: list[Solution | None]
+    best: Vector  # [p] the optimum
+    draws: Matrix  # [k p]
+    weights: Vector  # [k], sum 1
+    found: list[Solution | None]  # [k] what the pixels say there
 
     @property
     def effective_size(self) -> float:
@@ -57,14 +49,7 @@ class Posterior:
 
 
 def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Posterior:
-    """Maximise the posterior from `start`, then draw around the optimum.
-
-    Parameters
-    ----------
-    likelihood : the model
-    start : [p] near the optimum
-    seed : of the draws
-    """
+    """Maximise the posterior from near the optimum, then draw around it."""
     best, directions = start, np.diag(TYPICAL_STEPS)
     for _ in range(_ROUNDS):
         value, gradient = likelihood.with_gradient(best)
@@ -104,17 +89,11 @@ def _cut(log_weights: Vector) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class _Student:
-    """A multivariate t distribution, from which draws are proposed, folded onto one of two twins.
+    """A multivariate t distribution that proposes draws, folded onto one of two twins."""
 
-    Parameters
-    ----------
-    centre, directions : [p], [p p]
-    twin : [p] signs whose change makes no difference to the target
-    """
-
-    centre: Vector
-    directions: Matrix
-    twin: Vector
+    centre: Vector  # [p]
+    directions: Matrix  # [p p]
+    twin: Vector  # [p] signs whose change makes no difference to the target
 
     def draws(self, count: int, seed: int) -> Matrix:
         """Return quasi-random draws [k p]."""
@@ -157,10 +136,7 @@ def descended(
 ) -> tuple[Vector, float, Matrix]:
     """Return the optimum, its value, and directions along which the posterior is about round.
 
-    Parameters
-    ----------
-    likelihood, start : the model, and where to begin
-    directions : [p p] columns of steps of like worth
+    The descent goes along columns [p p] of steps of like worth.
     """
 
     def along(z: Vector) -> tuple[float, Vector]:

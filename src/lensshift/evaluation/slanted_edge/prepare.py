@@ -6,34 +6,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from lensshift.evaluation.slanted_edge import noise_model
 from lensshift.evaluation.slanted_edge.bending import FreeResponse, bend_edge
-from lensshift.evaluation.slanted_edge.edge_model import (
-    Matrix,
-    SplineBasis,
-    Vector,
-    core_slopes,
-)
-from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
-from lensshift.evaluation.slanted_edge.near_noise import with_edge
-from lensshift.evaluation.slanted_edge.nodes import nodes_for, splines_for
-from lensshift.evaluation.slanted_edge.noise_model import (
-    NOISELESS,
-    Mask,
-    NoiseModel,
-    Rounding,
-    estimate_noise,
-    few_factors,
-    noise_of_covariance,
-    plateau_tilt_matters,
-    rounding_of,
-)
-from lensshift.evaluation.slanted_edge.samples import (
+from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector, core_slopes
+from lensshift.evaluation.slanted_edge.gathering import (
     EdgeSamples,
     distance_px,
+    nodes_for,
+    splines_for,
 )
+from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
+from lensshift.evaluation.slanted_edge.noise_model import Mask, NoiseModel
+from lensshift.evaluation.slanted_edge.result import Region
 
+_FEWEST_PIXELS = 64
 _SHARED = 0.1  # of the variance: less is not worth a weight
 # In units of the edge's own width:
 _HALF_WIDTH = 6.0  # where plateaus begin, to a first look
@@ -44,48 +32,29 @@ _MOST_TAKEN = 0.5  # of the noise, by a free ESF: where it takes more, pixels ar
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """The valid pixels of a region in all frames.
+    """The valid pixels of a region in all frames."""
 
-    Parameters
-    ----------
-    places : [n 3] frame, row, column within the region
-    row_px, col_px : [n] where each looks at the reference frame, from the region's centre
-    values : [n]
-    """
-
-    places: NDArray[np.intp]
-    row_px: Vector
+    places: NDArray[np.intp]  # [n 3] frame, row, column within the region
+    row_px: Vector  # [n] where each looks at the reference frame, from the region's centre
     col_px: Vector
-    values: Vector
+    values: Vector  # [n]
 
 
 @dataclass(frozen=True)
 class UprightEdge:
-    """A region turned so that its edge runs along the second axis, bright at positive x.
+    """A region turned so that its edge runs along the second axis, bright at positive x."""
 
-    Parameters
-    ----------
-    pixels : the region
-    line : the first guess, in the region's own axes
-    vertical : whether the edge is nearer to the columns than to the rows
-    start_angle_rad : of the first guess, which is the origin of `across_px`
-    sign : +1 if columns (rows) count towards the bright side, else -1
-    geometry : angle of the edge against the columns (rows) in the turned axes, position, bends
-    across_px, along_px : [n] turned coordinates, from the middle of the edge
-    scaled : [n] pixels, dark plateau 0 and bright plateau 1
-    unit_px : width by which spline and prior are scaled, at least 1
-    """
-
-    pixels: Pixels
-    line: EdgeLine
-    vertical: bool
-    start_angle_rad: float
-    sign: float
+    pixels: Pixels  # the region
+    line: EdgeLine  # the first guess, in the region's own axes
+    vertical: bool  # whether the edge is nearer to the columns than to the rows
+    start_angle_rad: float  # of the first guess, which is the origin of `across_px`
+    sign: float  # +1 if columns (rows) count towards the bright side, else -1
+    # angle of the edge against the columns (rows) in the turned axes, position, bends
     geometry: Vector
-    across_px: Vector
+    across_px: Vector  # [n] turned coordinates, from the middle of the edge
     along_px: Vector
-    scaled: Vector
-    unit_px: float
+    scaled: Vector  # [n] pixels, dark plateau 0 and bright plateau 1
+    unit_px: float  # width by which spline and prior are scaled, at least 1
 
     @cached_property
     def half_length_px(self) -> float:
@@ -98,9 +67,9 @@ class UprightEdge:
         return distance_px(self.across_px, self.along_px, self.geometry, self.half_length_px)
 
     @cached_property
-    def rounding(self) -> Rounding:
+    def rounding(self) -> noise_model.Rounding:
         """How the pixels are rounded."""
-        return rounding_of(self.scaled)
+        return noise_model.rounding_of(self.scaled)
 
     @cached_property
     def basis(self) -> SplineBasis:
@@ -146,19 +115,9 @@ class UprightEdge:
 def turn_upright(
     pixels: Pixels, aperture_px: float, most_bends: int, out: Mask | None = None
 ) -> UprightEdge:
-    """Find the edge of a region and turn it upright.
+    """Find the edge of a region, without the pixels `out` [n], and turn it upright.
 
-    Parameters
-    ----------
-    pixels : the region
-    aperture_px : side of the pixel
-    most_bends : largest number of bending terms of the edge, 0 for a straight one
-    out : [n] pixels that the edge is found without
-
-    Raises
-    ------
-    ValueError
-        If there is no edge.
+    It bends with `most_bends` terms at most. Raises `ValueError` if there is no edge.
     """
     told = np.ones(pixels.values.size, dtype=bool) if out is None else ~out
     line = find_edge(pixels.col_px[told], pixels.row_px[told], pixels.values[told], aperture_px)
@@ -197,11 +156,7 @@ def learn_noise(
 ) -> tuple[NoiseModel, int]:
     """Return the noise of the plateaus, and the order of uneven light: even, plane, bowl.
 
-    Parameters
-    ----------
-    edge : the region
-    tilt : whether to model uneven illumination; None asks the plateaus
-    covariance : of the noise, if it is known; see `noise_of_covariance`
+    `tilt` says whether light is uneven, None asks the plateaus; a known noise has a `covariance`.
     """
     sides, places = edge.plateaus(), edge.pixels.places
     step_sigma = edge.rounding.sigma
@@ -214,24 +169,26 @@ def learn_noise(
     along = np.column_stack([place, place**2 - 1.0 / 3.0])
     moves = along * slope[:, None]  # the first guess of the edge is turned a little, and bent
     both = np.hstack([along, along * free[:, None], moves])
-    factors = few_factors(both, rest)
+    factors = noise_model.few_factors(both, rest)
     even = rest - both @ factors
     bowl = even + both[:, 1::2] @ factors[1::2]
     if tilt is not None:
         order = int(tilt)
-    elif plateau_tilt_matters(bowl, places, sides, along[:, 1:], step_sigma):
+    elif noise_model.plateau_tilt_matters(bowl, places, sides, along[:, 1:], step_sigma):
         order = 2
     else:
-        order = int(plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
+        order = int(noise_model.plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
     if covariance is not None:
-        return noise_of_covariance(covariance, edge.line.high - edge.line.low), order
+        return noise_model.noise_of_covariance(covariance, edge.line.high - edge.line.low), order
     left = (even if order else rest) / np.sqrt(1.0 - _share_taken(response, sides))
-    noise = estimate_noise(left, places, sides)
+    noise = noise_model.estimate_noise(left, places, sides)
     terms = both if order else moves
-    taken = terms @ few_factors(terms, rest)
+    taken = terms @ noise_model.few_factors(terms, rest)
     if order:  # the free ESF took some of the light, which shows where it is steep
         free = response.of(edge.scaled - taken)[0]
-    return with_edge(noise, edge.scaled - taken - free, free, edge.normal_px, places), order
+    return noise_model.with_edge(
+        noise, edge.scaled - taken - free, free, edge.normal_px, places
+    ), order
 
 
 def slopes_across(edge: UprightEdge) -> bool:
@@ -248,7 +205,9 @@ def slopes_across(edge: UprightEdge) -> bool:
         if squares > 0.0:
             slope = float(place_px @ values) / squares
             rest = values - slope * place_px
-            if slope**2 * squares > _SLOPES * max(float(np.mean(rest**2)), NOISELESS**2):
+            if slope**2 * squares > _SLOPES * max(
+                float(np.mean(rest**2)), noise_model.NOISELESS**2
+            ):
                 return True
     return False
 
@@ -266,14 +225,7 @@ def _share_taken(response: FreeResponse, sides: list[Mask]) -> float:
 def take_samples(
     edge: UprightEdge, noise: NoiseModel, aperture_px: float, light: int
 ) -> EdgeSamples:
-    """Return the samples of a region, whitened.
-
-    Parameters
-    ----------
-    edge, noise : the region and its noise
-    aperture_px : side of the pixel
-    light : order of the uneven illumination
-    """
+    """Return the samples of a region, whitened, with so many orders of uneven light."""
     relative = np.ones(edge.scaled.size)
     normal_px = edge.normal_px
     if noise.dark_sigma != noise.bright_sigma or noise.near is not None:
@@ -297,3 +249,102 @@ def take_samples(
         whitener=None if plain else noise.whitener(edge.pixels.places, relative, normal_px),
         unlike=float(np.mean(1.0 / (1.0 + share))) if rounded else 1.0,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeFrames:
+    """Frames of one scene."""
+
+    values: NDArray[np.float64]  # [frame row col], NaN where invalid
+    offset_px: NDArray[np.float64]  # [frame 2] how far the content moved in each
+    pitch_mm: tuple[float, float]  # (row, col)
+    scale: int  # pixels per LR pixel
+
+    @property
+    def first(self) -> NDArray[np.float64]:
+        """The first frame [row col]."""
+        return np.asarray(self.values[0])
+
+    def pixels(self, region: Region) -> Pixels:
+        """Return the valid pixels of a region, with coordinates from its centre.
+
+        Raises `ValueError` if there are too few.
+        """
+        part = self.values[(slice(None), *region.slices)]
+        frame, row, col = np.nonzero(np.isfinite(part))
+        if frame.size < _FEWEST_PIXELS:
+            raise ValueError(
+                f"expected at least {_FEWEST_PIXELS} valid pixels around an edge, got "
+                f"{frame.size} in {region}"
+            )
+        rows, cols = part.shape[1:]
+        return Pixels(
+            places=np.column_stack([frame, row, col]),
+            row_px=row - (rows - 1) / 2.0 - self.offset_px[frame, 0],
+            col_px=col - (cols - 1) / 2.0 - self.offset_px[frame, 1],
+            values=part[frame, row, col],
+        )
+
+    def normal_pitch_mm(self, slope_rad: float, vertical: bool) -> float:
+        """Return the length of one pixel along the normal of an edge.
+
+        Parameters
+        ----------
+        slope_rad : angle of the edge against the columns (vertical) or the rows
+        vertical : which of the two
+        """
+        row_mm, col_mm = self.pitch_mm
+        across_mm, along_mm = (col_mm, row_mm) if vertical else (row_mm, col_mm)
+        return float(1.0 / np.hypot(np.cos(slope_rad) / across_mm, np.sin(slope_rad) / along_mm))
+
+    def frequency_lpmm(self, wanted: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """Return the frequencies of the curve: those wanted, or 0 to 1 cycles per pixel."""
+        if wanted is None:
+            return np.asarray(np.arange(101) * 0.01 / min(self.pitch_mm))
+        rising = wanted.ndim == 1 and wanted.size > 1 and bool(np.all(np.diff(wanted) > 0))
+        if not rising or not np.all(np.isfinite(wanted)) or wanted[0] < 0:
+            raise ValueError("expected frequency_lpmm [f] rising from 0 or above, and finite")
+        return wanted
+
+
+def take_frames(
+    image: ArrayLike,
+    pitch_mm: float | tuple[float, float],
+    *,
+    offset_px: ArrayLike | None,
+    valid: ArrayLike | None,
+    scale: int,
+) -> EdgeFrames:
+    """Check the input of a measurement.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit, or the pixels are complex, or the pitch is not positive.
+    """
+    given = np.asarray(image)
+    if given.dtype.kind not in "buif" or given.ndim not in (2, 3) or given.size == 0:
+        raise ValueError(
+            "expected a real image [row col] or frames [frame row col], got "
+            f"{given.dtype} of shape {given.shape}"
+        )
+    values = given.astype(np.float64).reshape((-1, *given.shape[-2:]))
+    values[~np.isfinite(values)] = np.nan
+    if valid is not None:
+        mask = np.asarray(valid, dtype=bool)
+        if mask.shape not in (given.shape, given.shape[-2:]):
+            raise ValueError(f"expected a mask of shape {given.shape}, got {mask.shape}")
+        values[~np.broadcast_to(mask, values.shape)] = np.nan
+    offsets = np.zeros((len(values), 2)) if offset_px is None else np.asarray(offset_px, float)
+    if offset_px is None and len(values) > 1:
+        raise ValueError(f"expected offset_px [frame 2] with {len(values)} frames, got none")
+    if offsets.shape != (len(values), 2) or not np.all(np.isfinite(offsets)):
+        raise ValueError(
+            f"expected finite offset_px of shape {(len(values), 2)}, got {offsets.shape}"
+        )
+    pair = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), (2,))
+    if not np.all(np.isfinite(pair) & (pair > 0)):
+        raise ValueError(f"expected a positive pitch_mm, got {pitch_mm}")
+    if not 1 <= int(scale) <= 64:
+        raise ValueError(f"expected a scale from 1 to 64, got {scale}")
+    return EdgeFrames(values, offsets, (float(pair[0]), float(pair[1])), int(scale))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -26,7 +24,7 @@ _LEAST_HALF_WIDTH_PX, _GOOD_HALF_WIDTH_PX = 5, 12
 _PARTS = (1.0, 0.7, 0.5, 0.35)
 _STRAIGHT_PX = 0.7  # rms distance of the ridge from its line, smooth bends apart
 _CORNER_AWAY_PX = 2.0  # a ridge so far from its chord has a corner there
-# Beside an edge lie other things where their gradient is this share of its own.
+# Beside an edge lie other things where their gradient is this share of its own, or above noise.
 _OTHERS_SHARE = 0.2
 _LEAST_SHARE = 0.8  # of the variance in a region, but for the noise, that one step must explain
 # ISO 12233 takes edges of 5 degrees; below the first the lines of frames lie, and beyond the second
@@ -34,20 +32,6 @@ _LEAST_SHARE = 0.8  # of the variance in a region, but for the noise, that one s
 _LEAST_ANGLE, _LARGEST_ANGLE = np.deg2rad([2.0, 40.0])
 # All phases of the pixel are seen by an edge that crosses one.
 _LEAST_CROSSED_PX = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class _Ridges:
-    """Where the gradient is largest across an edge that runs near the rows' direction.
-
-    Parameters
-    ----------
-    strength : [line place] gradient
-    crest : [line place] where it is largest across the edge and stands out of the noise
-    """
-
-    strength: Image
-    crest: NDArray[np.bool_]
 
 
 def find_regions(image: Image) -> list[Region]:
@@ -94,9 +78,8 @@ def find_regions(image: Image) -> list[Region]:
         crest = (steep > least) & (np.abs(across) >= np.abs(along))
         crest[:, 1:-1] &= (steep[:, 1:-1] >= steep[:, :-2]) & (steep[:, 1:-1] > steep[:, 2:])
         for sign in (1, -1):
-            ridges = _Ridges(steep, crest & (sign * across > 0))
-            for lines, places in _segments(ridges.crest):
-                region, slope_rad = _around(ridges, lines, places)
+            for lines, places in _segments(crest & (sign * across > 0)):
+                region, slope_rad = _around(steep, lines, places, least)
                 if region is None:
                     continue
                 normal_rad = -slope_rad
@@ -195,11 +178,11 @@ def _off_bend_px(lines: NDArray[np.intp], places: NDArray[np.intp]) -> float:
 
 
 def _around(
-    ridges: _Ridges, lines: NDArray[np.intp], places: NDArray[np.intp]
+    strength: Image, lines: NDArray[np.intp], places: NDArray[np.intp], least: float
 ) -> tuple[Region | None, float]:
-    """Return the region of one straight crest and its angle against the lines.
+    """Return the region of one straight crest of the gradient and its angle against the lines.
 
-    There is none if the crest is short, bent, upright or cramped.
+    There is none if the crest is short, bent, upright or cramped. Below `least` is noise.
     """
     first, last = int(lines[0]) + _CORNER_PX, int(lines[-1]) + 1 - _CORNER_PX
     if last - first < _LEAST_LENGTH_PX:
@@ -208,34 +191,31 @@ def _around(
     line, place = lines[inside], places[inside]
     slope = float(np.polyfit(line, place, 1)[0])
     bend = np.polyfit(line, place, 2)
-    straight = np.std(place - np.polyval(bend, line)) < _STRAIGHT_PX
     angle, crossed_px = abs(np.arctan(slope)), abs(slope) * (last - first)
-    if not straight or not _LEAST_ANGLE <= angle <= _LARGEST_ANGLE:
+    if _off_bend_px(line, place) >= _STRAIGHT_PX or not _LEAST_ANGLE <= angle <= _LARGEST_ANGLE:
         return None, 0.0
     if crossed_px < _LEAST_CROSSED_PX:
         return None, 0.0
-    own = float(np.median(ridges.strength[line, place]))
+    others = max(_OTHERS_SHARE * float(np.median(strength[line, place])), least)
     best: Region | None = None
     best_px = _LEAST_HALF_WIDTH_PX - 1
-    for (
-        part
-    ) in _PARTS:  # a long slanted edge leaves its rectangle little room; a part of it has more
+    for part in _PARTS:  # a long slanted edge leaves its rectangle little room; a part has more
         cut = round(0.5 * (1.0 - part) * (last - first))
         low, high = first + cut, last - cut
         if high - low < _LEAST_LENGTH_PX or abs(slope) * (high - low) < _LEAST_CROSSED_PX:
             break
         at: Image = np.polyval(bend, np.arange(low, high)).astype(np.float64)
-        left, right = _room(ridges.strength[low:high], at, own)
+        left, right = _room(strength[low:high], at, others)
         if min(left, right) > best_px:
             best_px = min(left, right)
             start, stop = int(np.floor(at.min())) - left, int(np.ceil(at.max())) + right + 1
-            best = Region(low, high, max(start, 0), min(stop, ridges.strength.shape[1]))
+            best = Region(low, high, max(start, 0), min(stop, strength.shape[1]))
         if best_px >= _GOOD_HALF_WIDTH_PX:
             break
     return best, float(np.arctan(slope))
 
 
-def _room(strength: Image, centre: Image, own: float) -> tuple[int, int]:
+def _room(strength: Image, centre: Image, others: float) -> tuple[int, int]:
     """Return how far even areas reach to both sides of an edge, from its outermost places."""
     count = strength.shape[1]
     low, high = int(np.floor(centre.min())), int(np.ceil(centre.max()))
@@ -247,7 +227,7 @@ def _room(strength: Image, centre: Image, own: float) -> tuple[int, int]:
         at = np.rint(centre[:, None] + side * away).astype(np.intp)
         valid = (at >= 0) & (at < count)
         seen = strength[lines[:, None], np.clip(at, 0, count - 1)]
-        loud = np.mean((seen > _OTHERS_SHARE * own) & valid, axis=0) > 0.05
+        loud = np.mean((seen > others) & valid, axis=0) > 0.05
         flank = int(np.argmin(loud)) if not loud.all() else away.size
         beyond = loud[flank:]
         free = flank + (int(np.argmax(beyond)) if beyond.any() else beyond.size)

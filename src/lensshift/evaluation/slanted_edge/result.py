@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +17,8 @@ Matrix = NDArray[np.float64]
 
 # MTF50 of a square pixel alone, in cycles per pixel: sinc(f) = 1/2.
 _PIXEL_MTF50_CPP = 0.6033545644016142
+_INTERVAL_SIGMAS = 3.92  # of a normal distribution in its 95 % interval
+_LEAST_STD = 1e-6
 _STEPS = 50  # from 0 to the LR Nyquist frequency
 
 
@@ -47,11 +50,9 @@ class Interval:
 
 
 def interval_of(values: Vector) -> Interval:
-    """Return the estimate with the central 95 % of the draws; NaN draws count as unreached.
+    """Return the estimate, the first of [1 + k], with the central 95 % of the draws behind it.
 
-    Parameters
-    ----------
-    values : [1 + k] the estimate, then posterior draws, if there are any
+    NaN draws count as unreached.
     """
     value, draws = float(values[0]), values[1:]
     finite = draws[np.isfinite(draws)]
@@ -215,12 +216,8 @@ def numbers_of(
 ) -> dict[str, Any]:
     """Return the numbers of an `EdgeResult` that its curves tell; columns as in `interval_of`.
 
-    Parameters
-    ----------
-    frequency_cpp, modulation : [f], [f k] the curve as far as it is looked at, and its draws
-    to_nyquist : [n k] modulation at `steps_to` the LR Nyquist frequency
-    normal_px, esf : [d], [d k]
-    pitch_mm : along the edge normal
+    The curve [f k] as far as it is looked at; the modulation [n k] at `steps_to` the LR Nyquist
+    frequency; the ESF [d k].
     """
     at = {
         f"mtf{round(100 * level)}_lpmm": interval_of(
@@ -240,14 +237,7 @@ def numbers_of(
 
 
 def crossings(frequency: Vector, modulation: NDArray[np.float64], level: float) -> Vector:
-    """Return for each column where it first falls below `level`, NaN where it never does.
-
-    Parameters
-    ----------
-    frequency : [f] rising
-    modulation : [f k]
-    level : of the modulation
-    """
+    """Return for each column [f k] where it first falls below `level`, NaN where it never does."""
     falls = (modulation[:-1] >= level) & (modulation[1:] < level)
     first = np.argmax(falls, axis=0)
     columns = np.arange(modulation.shape[1])
@@ -259,26 +249,62 @@ def crossings(frequency: Vector, modulation: NDArray[np.float64], level: float) 
 
 
 def rises(normal_px: Vector, esf: NDArray[np.float64], share: float = 0.1) -> Vector:
-    """Return the width from `share` to 1 - `share` of each column, outwards from the middle.
+    """Return the width from `share` to 1 - `share` of each column [d k], from the middle."""
+    middle = int(np.argmin(np.abs(normal_px)))
+    up = crossings(normal_px[middle:], -esf[middle:], share - 1.0)
+    return up + crossings(-normal_px[middle::-1], esf[middle::-1], share)
+
+
+def usable_edges(results: Sequence[EdgeResult]) -> list[EdgeResult]:
+    """Return the edges whose MTF can be trusted; the first alone if there is none."""
+    return [result for result in results if result.usable] or list(results[:1])
+
+
+def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:
+    """Return the mean curve; edges count by their mean variance, so that the mean stays an MTF.
 
     Parameters
     ----------
-    normal_px : [d] rising
-    esf : [d k] from 0 to 1
-    share : where the width begins
+    results : edges, of which `usable_edges` are taken; curves at other frequencies than the first
+        one's are interpolated
     """
-    middle = int(np.argmin(np.abs(normal_px)))
-    up = _outward(normal_px[middle:], esf[middle:], 1.0 - share, 1.0)
-    down = _outward(-normal_px[middle::-1], esf[middle::-1], share, -1.0)
-    return up + down
+    results = usable_edges(results)
+    if len(results) == 1:
+        return results[0].mtf
+    frequency_lpmm = results[0].mtf.frequency_lpmm
+    values = np.stack(
+        [np.interp(frequency_lpmm, one.mtf.frequency_lpmm, one.mtf.modulation) for one in results]
+    )
+    label = f"mean of {len(results)} slanted edges"
+    stds = [result.mtf.std for result in results]
+    known = [std for std in stds if std is not None]
+    if len(known) < len(stds):
+        return MtfCurve(frequency_lpmm, values.mean(axis=0), None, label)
+    weights = np.array([1.0 / (np.mean(std**2) + _LEAST_STD**2) for std in known])
+    weights /= weights.sum()
+    std = np.sqrt(np.sum((weights[:, None] * np.stack(known)) ** 2, axis=0))
+    return MtfCurve(frequency_lpmm, weights @ values, std, label)
 
 
-def _outward(distance_px: Vector, values: NDArray[np.float64], level: float, sign: float) -> Vector:
-    passed = sign * (values - level) >= 0
-    first = np.maximum(np.argmax(passed, axis=0), 1)
-    columns = np.arange(values.shape[1])
-    before, after = values[first - 1, columns], values[first, columns]
-    rise = np.where(after != before, after - before, 1.0)
-    share = np.where(passed[0], 0.0, (level - before) / rise)
-    place = distance_px[first - 1] + share * (distance_px[first] - distance_px[first - 1])
-    return np.where(passed.any(axis=0), place, np.nan)
+def average_interval(numbers: Sequence[Interval]) -> Interval:
+    """Return the mean of independent measurements of one quantity with its 95 % interval.
+
+    Those that were not reached or have no interval are left out; if none has an interval, the
+    plain mean is returned.
+
+    Parameters
+    ----------
+    numbers : one for each edge
+    """
+    reached = [one for one in numbers if np.isfinite(one.value)]
+    if not reached:
+        return Interval(float("nan"))
+    whole = [one for one in reached if np.isfinite(one.low) and np.isfinite(one.high)]
+    if not whole:
+        return Interval(float(np.mean([one.value for one in reached])))
+    values = np.array([one.value for one in whole])
+    std = np.array([(one.high - one.low) / _INTERVAL_SIGMAS for one in whole])
+    weights = 1.0 / np.maximum(std, 1e-12 * np.abs(values) + np.finfo(float).tiny) ** 2
+    mean = float(np.sum(weights * values) / np.sum(weights))
+    half = 0.5 * _INTERVAL_SIGMAS / float(np.sqrt(np.sum(weights)))
+    return Interval(mean, mean - half, mean + half)

@@ -20,6 +20,7 @@ _LEAST_OUT = 0.01  # of the contrast, as a deviation: the blocks of a JPEG are n
 _OF_GREY_LEVEL = 0.3  # as a deviation, that of rounding
 _BIN_UNITS = 2.0
 _FEWEST_IN_BIN = 16
+_BLUR_UNITS = 3.0  # from an edge, where all but a thousandth of a Gaussian has passed
 _WRONG_SIDE = 0.6  # of the contrast
 _LEAST_EVIDENCE = 8.0  # deviations of the contrast; the best split of mere noise reaches 5
 
@@ -28,17 +29,8 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
     """Return the upright edge without the pixels that stand out, and their number.
 
     Hot pixels and dust are told by their distance from a free ESF, in units of the median distance
-    of the pixels that lie as far from the edge.
-
-    Parameters
-    ----------
-    pixels : the region
-    aperture_px, most_bends : as in `turn_upright`
-
-    Raises
-    ------
-    ValueError
-        If there is no edge, or a second one.
+    of the pixels that lie as far from the edge. Raises `ValueError` if there is no edge, or a
+    second one.
     """
     none = np.zeros(pixels.values.size, dtype=bool)
     edge, out = _told_apart(pixels, aperture_px, most_bends, none)
@@ -63,11 +55,32 @@ def _told_apart(
     edge = turn_upright(pixels, aperture_px, most_bends, out)
     for _ in range(_MOST_PASSES):
         more = _standing_out(edge, out)
-        if np.array_equal(more, out) or np.mean(more) > _MOST_OUT:
+        others = _other_things(edge, more)
+        if np.mean(more & ~others) > _MOST_OUT or np.array_equal(more | others, out):
             break
-        out = more
+        out = more | others
         edge = turn_upright(pixels, aperture_px, most_bends, out)
     return edge, out
+
+
+def _other_things(edge: UprightEdge, out: Mask) -> Mask:
+    """Return the pixels of patches that stand out aside of the edge, with those in their blur.
+
+    A patch is no chance: a corner of the edge, or something else within the region.
+    """
+    frame, row, col = edge.pixels.places.T
+    image = np.zeros(edge.pixels.places.max(axis=0) + 1, dtype=bool)
+    image[frame, row, col] = out
+    plane = np.ones((1, 3, 3), dtype=bool)
+    labels, count = ndimage.label(image, np.pad(plane, ((1, 1), (0, 0), (0, 0))))
+    number, away_px = labels[frame, row, col], np.abs(edge.normal_px)
+    sizes = np.bincount(number, minlength=count + 1)
+    middle_px = np.asarray(ndimage.median(away_px, number, np.arange(count + 1)))
+    aside = (sizes >= _FEWEST_IN_BIN) & (middle_px > _BLUR_UNITS * edge.unit_px)
+    aside[0] = False
+    blur = round(_BLUR_UNITS * edge.unit_px)
+    patches = ndimage.binary_dilation(aside[labels], plane, iterations=blur)
+    return np.asarray(patches[frame, row, col])
 
 
 def _left_over(edge: UprightEdge, out: Mask) -> float:
@@ -88,14 +101,7 @@ def _standing_out(edge: UprightEdge, out: Mask) -> Mask:
 
 
 class _Bins(NamedTuple):
-    """The pixels by their distance from the edge.
-
-    Parameters
-    ----------
-    number : [n] of the bin
-    size : [b] of the bins
-    large : [b] whether they tell a median
-    """
+    """Bins of pixels by distance from the edge: of each pixel [n]; size [b]; if large enough."""
 
     number: NDArray[np.intp]
     size: NDArray[np.intp]
@@ -125,7 +131,7 @@ def _refuse_others(edge: UprightEdge) -> None:
     middle, deviation = _levels(edge.scaled, bins)
     place_px = _medians(normal_px, bins)
     slack = _WRONG_SIDE + 4.0 * deviation / np.sqrt(np.maximum(bins.size, 1))
-    slack[np.abs(place_px) <= 3.0 * edge.unit_px] += 1.0
+    slack[np.abs(place_px) <= _BLUR_UNITS * edge.unit_px] += 1.0
     wrong = bins.large & (np.abs(middle - (place_px > 0.0)) > slack)
     if wrong.any():
         raise ValueError(

@@ -7,75 +7,59 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
 from lensshift.core.errors import QualityWarning
-from lensshift.evaluation.slanted_edge.result import crossings
-from lensshift.evaluation.slanted_edge.sfrmat_steps import (
-    BINS_PER_PX,
-    LEAST_LINES,
-    Matrix,
-    Vector,
-    Window,
-    bin_centroid_of_sfrmat3,
-    edge_of_sfrmat3,
-    edge_of_sfrmat5,
-    hamming,
-    hann,
-    modulation_of,
-    polarity,
-    project,
-    rounded,
-    shifted,
-    upright_edge,
-    whole_phases,
+from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.slanted_edge import sfrmat_steps as steps
+from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_px
+from lensshift.evaluation.slanted_edge.prepare import EdgeFrames
+from lensshift.evaluation.slanted_edge.result import (
+    EdgeResult,
+    Interval,
+    Profile,
+    Region,
+    crossings,
+    numbers_of,
+    steps_to,
 )
+from lensshift.evaluation.slanted_edge.sfrmat_steps import Matrix, Vector
 
 _CLIP_CPP = 0.495  # above it the original of sfrmat5 reports the clip
 _LARGEST_ORDER = 5
+_PLATEAU_SHARE = 0.2  # of the columns, on either side, for levels and noise
 _REMEDY = "take more lines, a larger angle or a lower order, or use method='ml'"
 
 
 @dataclass(frozen=True, slots=True)
 class SfrmatResult:
-    """What sfrmat3 or sfrmat5 finds.
+    """What sfrmat3 or sfrmat5 finds."""
 
-    Parameters
-    ----------
-    frequency_cpp : [n] cycles per pixel along the normal of the edge, from 0, as far as returned
-    modulation : [n] 1 at 0
-    esf : [m] mean pixel per bin, dark to bright or bright to dark as in the image; in sfrmat5 NaN
-        where bins at its start were empty and play no part
-    lsf : [m] half the difference of the ESF two bins apart, positive at the edge, before it is
-        centred and windowed
-    bin_px : distance of two bins along the normal
-    edge_px : [order+1] column = p(line), highest power first, both from 0, of the turned image
-    slope : of the straight line through the edge, columns per line
-    angle_rad : between the edge and the lines' normal, arctan of the slope
-    lines_used : lines that hold a whole number of pixel phases
-    empty_bins : bins of the ESF that no pixel fell into
-    rotated : whether the image was turned by 90 degrees counterclockwise
-    mtf50_cpp, mtf10_cpp : first crossing of 0.5 and 0.1 anywhere on the curve; NaN without one
-    sampling_efficiency : `mtf10_cpp` over half the sampling frequency, 1 at most. sfrmat3 takes its
-        last frequency below 0.5 / cos(angle) for that, sfrmat5 takes 0.495.
-    """
-
+    # [n] cycles per pixel along the normal of the edge, from 0, as far as returned
     frequency_cpp: Vector
-    modulation: Vector
+    modulation: Vector  # [n] 1 at 0
+    # [m] mean pixel per bin, dark to bright or bright to dark as in the image; in sfrmat5 NaN where
+    # bins at its start were empty and play no part
     esf: Vector
+    # [m] half the difference of the ESF two bins apart, positive at the edge, before it is centred
+    # and windowed
     lsf: Vector
-    bin_px: float
+    bin_px: float  # distance of two bins along the normal
+    # [order+1] column = p(line), highest power first, both from 0, of the turned image
     edge_px: Vector
-    slope: float
-    angle_rad: float
-    lines_used: int
-    empty_bins: int
-    rotated: bool
-    mtf50_cpp: float
+    slope: float  # of the straight line through the edge, columns per line
+    angle_rad: float  # between the edge and the lines' normal, arctan of the slope
+    lines_used: int  # lines that hold a whole number of pixel phases
+    empty_bins: int  # bins of the ESF that no pixel fell into
+    rotated: bool  # whether the image was turned by 90 degrees counterclockwise
+    mtf50_cpp: float  # first crossing of 0.5 and 0.1 anywhere on the curve; NaN without one
     mtf10_cpp: float
+    # `mtf10_cpp` over half the sampling frequency, 1 at most. sfrmat3 takes its last frequency
+    # below 0.5 / cos(angle) for that, sfrmat5 takes 0.495.
     sampling_efficiency: float
 
 
@@ -104,34 +88,32 @@ def sfrmat3(image: ArrayLike) -> SfrmatResult:
 
     Source: Burns, Proc. IS&T PICS (2000) 135.
     """
-    upright, turned = upright_edge(image, LEAST_LINES)
-    sign = polarity(upright)
-    edge, missing = edge_of_sfrmat3(sign * upright)
+    upright, turned = steps.upright_edge(image, steps.LEAST_LINES)
+    sign = steps.polarity(upright)
+    edge, missing = steps.edge_of_sfrmat3(sign * upright)
     if missing:
         _warn(f"sfrmat3 finds no edge in {missing} of {len(upright)} lines and sets it to the left")
     slope = float(edge[1])
     used = _lines_used(upright, edge, slope)
     displacement_px = slope * np.arange(used, dtype=np.float64)
     run_px = slope * (used - 1)
-    esf, empty = project(upright[:used], displacement_px, run_px, interpolate_sums=False)
+    esf, empty = steps.project(upright[:used], displacement_px, run_px, interpolate_sums=False)
     lsf = np.zeros(esf.size)
     lsf[2:] = sign * (esf[2:] - esf[:-2]) / 2
     lsf[1] = lsf[2]
     _refuse_undefined(lsf, empty)
-    centred = _centred(lsf, rounded(bin_centroid_of_sfrmat3(lsf)), empty)
+    centred = _centred(lsf, steps.rounded(steps.bin_centroid_of_sfrmat3(lsf)), empty)
     if empty:
         _warn(
             f"{_empty(empty, esf, used, slope)}; sfrmat3 sets the ESF to 0 there, which bends the "
             "whole curve"
         )
-    modulation = modulation_of(centred * hamming(lsf.size, (lsf.size - 1) / 2)[0])
-    frequency_cpp = _frequency_cpp(modulation.size, lsf.size, slope)
-    half_cpp = float(frequency_cpp[(upright.shape[1] - 1) // 2])
-    found = _Curve(frequency_cpp, modulation, esf, lsf, half_cpp)
-    return _result(found, edge, slope, used, empty, turned)
+    windowed = centred * steps.hamming(lsf.size, (lsf.size - 1) / 2)[0]
+    half = (upright.shape[1] - 1) // 2
+    return _result(esf, lsf, windowed, edge, slope, used, empty, turned, half)
 
 
-def sfrmat5(image: ArrayLike, *, order: int = 5, window: Window = "tukey") -> SfrmatResult:
+def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey") -> SfrmatResult:
     """Measure the MTF of one slanted edge as sfrmat5 does, in the manner of ISO 12233:2023.
 
         MTF(f) = | F[w LSF](f) | / | F[w LSF](0) | * D(f)
@@ -161,15 +143,15 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: Window = "tukey") -> Sf
         raise ValueError(f"expected an order from 1 to {_LARGEST_ORDER}, got {order!r}")
     if window not in ("tukey", "hamming"):
         raise ValueError(f"expected the window 'tukey' or 'hamming', got {window!r}")
-    upright, turned = upright_edge(image, max(LEAST_LINES, order + 1))
-    sign = polarity(upright)
-    edge, straight = edge_of_sfrmat5(sign * upright, order, window)
+    upright, turned = steps.upright_edge(image, max(steps.LEAST_LINES, order + 1))
+    sign = steps.polarity(upright)
+    edge, straight = steps.edge_of_sfrmat5(sign * upright, order, window)
     slope = float(straight[1])
     used = _lines_used(upright, edge, slope)
     displacement_px = polyval(np.arange(used, dtype=np.float64), edge) - edge[0]
     # The original takes the slope at line 0 for the slope of the edge.
     run_px = float(edge[1]) * (used - 1)
-    esf, empty = project(upright[:used], displacement_px, run_px, interpolate_sums=True)
+    esf, empty = steps.project(upright[:used], displacement_px, run_px, interpolate_sums=True)
     lsf = np.empty(esf.size)
     lsf[1:-1] = sign * (esf[2:] - esf[:-2]) / 2
     lsf[[0, -1]] = lsf[[1, -2]]
@@ -179,27 +161,18 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: Window = "tukey") -> Sf
     if empty:
         _warn(f"{_empty(empty, esf, used, slope)}; sfrmat5 interpolates the ESF there")
     middle_px = (lsf.size - 1) / 2
-    taper = hamming(lsf.size, middle_px) if window == "hamming" else hann(lsf.size, middle_px - 0.5)
-    modulation = modulation_of(centred * taper[0])
-    found = _Curve(
-        _frequency_cpp(modulation.size, lsf.size, slope), modulation, esf, lsf, _CLIP_CPP
+    taper = (
+        steps.hamming(lsf.size, middle_px)
+        if window == "hamming"
+        else steps.hann(lsf.size, middle_px - 0.5)
     )
-    result = _result(found, edge, slope, used, empty, turned)
+    result = _result(esf, lsf, centred * taper[0], edge, slope, used, empty, turned)
     if result.mtf50_cpp > _CLIP_CPP:
         _warn(
             f"MTF50 is {result.mtf50_cpp:.3f} cycles per pixel; the original of sfrmat5 reports "
             f"its clip of {_CLIP_CPP}"
         )
     return result
-
-
-@dataclass(frozen=True, slots=True)
-class _Curve:
-    frequency_cpp: Vector
-    modulation: Vector
-    esf: Vector
-    lsf: Vector
-    half_cpp: float  # what the efficiency of sampling is measured against
 
 
 def _lines_used(upright: Matrix, edge: Vector, slope: float) -> int:
@@ -212,7 +185,7 @@ def _lines_used(upright: Matrix, edge: Vector, slope: float) -> int:
             f"expected an edge that stays within {columns} pixels, got one that runs over "
             f"{run_px:.0f}; cut out one edge between two flat sides, or use method='ml'"
         )
-    return whole_phases(lines, slope)
+    return steps.whole_phases(lines, slope)
 
 
 def _empty(empty: int, esf: Vector, lines: int, slope: float) -> str:
@@ -231,7 +204,7 @@ def _refuse_undefined(lsf: Vector, empty: int) -> None:
 
 def _centred(lsf: Vector, number: int, empty: int) -> Vector:
     """Move the bin of this number, counted from 1, to the middle."""
-    moved = shifted(lsf, number - rounded((lsf.size + 1) / 2))
+    moved = steps.shifted(lsf, number - steps.rounded((lsf.size + 1) / 2))
     if not moved.any():
         raise ValueError(
             f"expected the centre of the LSF within its {lsf.size} bins, got bin {number} "
@@ -240,25 +213,31 @@ def _centred(lsf: Vector, number: int, empty: int) -> Vector:
     return moved
 
 
-def _frequency_cpp(count: int, bins: int, slope: float) -> Vector:
-    step_cpp = BINS_PER_PX / (bins * float(np.cos(np.arctan(slope))))
-    return step_cpp * np.arange(count, dtype=np.float64)
-
-
 def _result(
-    found: _Curve, edge: Vector, slope: float, used: int, empty: int, turned: bool
+    esf: Vector,
+    lsf: Vector,
+    windowed: Vector,
+    edge: Vector,
+    slope: float,
+    used: int,
+    empty: int,
+    turned: bool,
+    half: int | None = None,
 ) -> SfrmatResult:
+    """Return the result; `half` is the number of the frequency that efficiency is taken over."""
+    angle_rad, modulation = float(np.arctan(slope)), steps.modulation_of(windowed)
+    bin_px = float(np.cos(angle_rad)) / steps.BINS_PER_PX
+    frequency_cpp = np.arange(modulation.size) / (lsf.size * bin_px)
+    half_cpp = _CLIP_CPP if half is None else float(frequency_cpp[half])
     mtf50_cpp, mtf10_cpp = (
-        float(crossings(found.frequency_cpp, found.modulation[:, None], level)[0])
-        for level in (0.5, 0.1)
+        float(crossings(frequency_cpp, modulation[:, None], level)[0]) for level in (0.5, 0.1)
     )
-    angle_rad = float(np.arctan(slope))
     return SfrmatResult(
-        frequency_cpp=found.frequency_cpp,
-        modulation=found.modulation,
-        esf=found.esf,
-        lsf=found.lsf,
-        bin_px=float(np.cos(angle_rad)) / BINS_PER_PX,
+        frequency_cpp=frequency_cpp,
+        modulation=modulation,
+        esf=esf,
+        lsf=lsf,
+        bin_px=bin_px,
         edge_px=edge[::-1].copy(),
         slope=slope,
         angle_rad=angle_rad,
@@ -267,9 +246,89 @@ def _result(
         rotated=turned,
         mtf50_cpp=mtf50_cpp,
         mtf10_cpp=mtf10_cpp,
-        sampling_efficiency=float(np.fmin(mtf10_cpp / found.half_cpp, 1.0)),
+        sampling_efficiency=float(np.fmin(mtf10_cpp / half_cpp, 1.0)),
     )
 
 
 def _warn(message: str) -> None:
     warnings.warn(message, QualityWarning, stacklevel=3)
+
+
+def measure_binned(
+    frames: EdgeFrames,
+    region: Region,
+    wanted_lpmm: Vector | None,
+    method: str,
+    options: dict[str, Any],
+) -> EdgeResult:
+    """Measure one region of one frame with sfrmat3 or sfrmat5.
+
+    Without `wanted_lpmm` the curve is at the algorithm's own frequencies; else it is interpolated.
+    Raises `ValueError` if there are several frames, invalid pixels, or no curve.
+    """
+    if len(frames.values) > 1:
+        raise ValueError(f"expected one image for {method}, got {len(frames.values)} frames")
+    if frames.pitch_mm[0] != frames.pitch_mm[1]:
+        raise ValueError(f"expected square pixels for {method}, got pitch {frames.pitch_mm} mm")
+    image = frames.first[region.slices]
+    missing = int(np.count_nonzero(np.isnan(image)))
+    if missing:
+        raise ValueError(f"expected valid pixels for {method}, got {missing} invalid in {region}")
+    found = (sfrmat3 if method == "sfrmat3" else sfrmat5)(image, **options)
+    pitch_mm = frames.pitch_mm[0]
+    own_lpmm = found.frequency_cpp / pitch_mm
+    if wanted_lpmm is None:
+        curve = MtfCurve(own_lpmm, found.modulation, None, method)
+    else:
+        frequency_lpmm = frames.frequency_lpmm(wanted_lpmm)
+        inside = np.interp(frequency_lpmm, own_lpmm, found.modulation, right=np.nan)
+        curve = MtfCurve(frequency_lpmm, inside, None, method)
+    result = _as_edge(found, region, frames, curve, method)
+    lines = np.arange(image.shape[1 if found.rotated else 0], dtype=np.float64)
+    gap_px = largest_phase_gap_px(lines, found.angle_rad)
+    return doubted(result, lines.size, gap_px, image.ravel())
+
+
+def _as_edge(
+    found: SfrmatResult, region: Region, frames: EdgeFrames, curve: MtfCurve, method: str
+) -> EdgeResult:
+    image = frames.first[region.slices]
+    upright = np.rot90(image) if found.rotated else image
+    pitch_mm = frames.pitch_mm[0]
+    aside = max(2, round(_PLATEAU_SHARE * upright.shape[1]))
+    sides = [upright[:, :aside], upright[:, -aside:]]
+    dark, bright = sorted(float(np.mean(side)) for side in sides)
+    noise = float(np.sqrt(np.mean([np.var(side) for side in sides]))) / max(bright - dark, 1e-300)
+    nyquist_cpp = 0.5 / frames.scale
+    to_nyquist = np.interp(steps_to(nyquist_cpp), found.frequency_cpp, found.modulation)
+    esf = (found.esf - np.min(sides)) / max(float(np.ptp(sides)), 1e-300)
+    esf = esf if upright[:, -1].mean() > upright[:, 0].mean() else 1.0 - esf
+    middle = int(np.nanargmin(np.abs(esf - 0.5)))
+    normal_px: Vector = np.asarray((np.arange(esf.size) - middle) * found.bin_px, dtype=np.float64)
+    unknown = Interval(float("nan"))
+    curves = (found.frequency_cpp, found.modulation[:, None], to_nyquist[:, None])
+    return EdgeResult(
+        **numbers_of(*curves, normal_px, esf[:, None], pitch_mm),
+        method=method,
+        region=region,
+        orientation="horizontal" if found.rotated else "vertical",
+        # The original's slope is that of the columns the edge passes, line by line: for an upright
+        # edge the turn of the normal has the other sign.
+        angle_rad=Interval(found.angle_rad if found.rotated else -found.angle_rad),
+        position_px=unknown,
+        bend_px=0.0,
+        dark=dark,
+        bright=bright,
+        noise=noise,
+        snr=1.0 / max(noise, float(np.finfo(float).tiny)),
+        mtf=curve,
+        low=None,
+        high=None,
+        nyquist_lpmm=nyquist_cpp / pitch_mm,
+        esf=Profile(normal_px, esf),
+        lsf=Profile(normal_px, np.gradient(esf, found.bin_px)),
+        residual=None,
+        aliasing_px=float("nan"),
+        asymmetry=unknown,
+        pitch_mm=pitch_mm,
+    )

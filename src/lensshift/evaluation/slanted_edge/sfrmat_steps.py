@@ -25,12 +25,8 @@ _LARGEST_CORRECTION = 10.0
 def upright_edge(image: ArrayLike, least_lines: int) -> tuple[Matrix, bool]:
     """Return the image with its edge along the columns, and whether it was turned for that.
 
-    It is turned counterclockwise where rows 2 and -4 differ more than columns 2 and -4.
-
-    Raises
-    ------
-    ValueError
-        If the image is not two-dimensional, real and finite, is constant or too small.
+    It is turned counterclockwise where rows 2 and -4 differ more than columns 2 and -4. Raises
+    `ValueError` if the image is not two-dimensional, real and finite, is constant or too small.
     """
     values = np.asarray(image)
     if values.dtype.kind not in "buif":
@@ -62,12 +58,7 @@ def polarity(upright: Matrix) -> int:
     """Return 1 if the edge brightens to the right, -1 if to the left.
 
     The originals compare the sum of five columns on the left with that of six on the right, and
-    find nothing of use where this gives the wrong answer.
-
-    Raises
-    ------
-    ValueError
-        If it does.
+    find nothing of use where this gives the wrong answer; then this raises `ValueError`.
     """
     left, right = upright[:, :5], upright[:, -6:]
     found = -1 if left.sum() > right.sum() else 1
@@ -81,19 +72,9 @@ def polarity(upright: Matrix) -> int:
 
 
 def hamming(count: int, centre_px: ArrayLike) -> Matrix:
-    """Return Hamming windows about the given places.
+    """Return Hamming windows [line n] about centres m [line], in pixels.
 
-        w(k) = 0.54 + 0.46 cos( pi (k - m) / max(m, n-1-m) )
-
-    Parameters
-    ----------
-    count : n, pixels of a line
-    centre_px : [line] m, the centres
-
-    Returns
-    -------
-    Matrix
-        [line n]; one line for a single centre.
+    w(k) = 0.54 + 0.46 cos( pi (k - m) / max(m, n-1-m) )
     """
     centre = np.atleast_1d(np.asarray(centre_px, dtype=np.float64))[:, None]
     reach = np.maximum(centre, count - 1 - centre)
@@ -106,10 +87,6 @@ def hann(count: int, centre_px: ArrayLike) -> Matrix:
         w(k) = (1 - cos(2 pi k / (N-1))) / 2,   N = round(2 max(m+1, n-m-1))
 
     of which the first n samples are taken if the centre m lies in the right half, else the last.
-
-    Parameters, returns
-    -------------------
-    As in `hamming`.
     """
     centre = np.atleast_1d(np.asarray(centre_px, dtype=np.float64))[:, None]
     length = np.floor(2.0 * np.maximum(centre + 1.0, count - centre - 1.0) + 0.5)
@@ -120,17 +97,9 @@ def hann(count: int, centre_px: ArrayLike) -> Matrix:
 def edge_of_sfrmat3(rising: Matrix) -> tuple[Vector, int]:
     """Return the edge as a straight line, column = p(line), and the number of lines without one.
 
-    Centroids of the backward difference under a Hamming window, first about the middle, then
-    about the line of the first pass. That line is read one line late, as in the original.
-
-    Parameters
-    ----------
-    rising : [line column] the pixels, brighter to the right
-
-    Returns
-    -------
-    tuple[Vector, int]
-        Coefficients of p, constant first; lines whose weighted difference sums to less than 1e-4.
+    Centroids of the backward difference of pixels [line column], brighter to the right, under a
+    Hamming window, first about the middle, then about the line of the first pass. That line is read
+    one line late, as in the original. p has its constant first.
     """
     difference = np.diff(rising, axis=1) / 2
     difference = np.hstack([difference[:, :1], difference])  # sample k lies at k - 1/2
@@ -156,26 +125,11 @@ def bin_centroid_of_sfrmat3(lsf: Vector) -> float:
 
 
 def edge_of_sfrmat5(rising: Matrix, order: int, window: Window) -> tuple[Vector, Vector]:
-    """Return the edge as a polynomial, column = p(line), and as a straight line.
+    """Return the edge as a polynomial, column = p(line), and as a straight line; constants first.
 
-    Centroids of the forward difference under a window, first about the middle, then about the
-    polynomial of the first pass.
-
-    Parameters
-    ----------
-    rising : [line column] the pixels, brighter to the right
-    order : of the polynomial
-    window : "hamming", or "tukey": 95 % Hann and 5 % everywhere
-
-    Returns
-    -------
-    tuple[Vector, Vector]
-        Coefficients of p and of the line, constant first.
-
-    Raises
-    ------
-    ValueError
-        If a line has no contrast.
+    Centroids of the forward difference of pixels [line column], brighter to the right, under a
+    window ("tukey": 95 % Hann and 5 % everywhere), first about the middle, then about the
+    polynomial of the first pass. Raises `ValueError` if a line has no contrast.
     """
     difference = np.diff(rising, axis=1) / 2
     difference[:, 0] = difference[:, 1]
@@ -213,10 +167,7 @@ def _fitted(columns_px: Vector, order: int) -> Vector:
 def whole_phases(lines: int, slope: float) -> int:
     """Return how many lines hold a whole number of pixel phases, 1/|slope| lines each.
 
-    Raises
-    ------
-    ValueError
-        If there is not one whole phase: the originals then return nothing.
+    Raises `ValueError` if there is not one whole phase: the originals then return nothing.
     """
     phases = np.floor(lines * abs(slope))
     if phases == 0:
@@ -231,22 +182,12 @@ def whole_phases(lines: int, slope: float) -> int:
 def project(
     upright: Matrix, displacement_px: Vector, run_px: float, *, interpolate_sums: bool
 ) -> tuple[Vector, int]:
-    """Return the ESF, the mean of the pixels in quarter-pixel bins, and the number of empty bins.
+    """Return the ESF [4 columns], the mean of the pixels in quarter-pixel bins, and the empty bins.
 
     The count of an empty bin becomes the mean of its neighbours', filled ones included. Its sum
-    does so only in sfrmat5; in sfrmat3 the ESF is 0 there. It is NaN where no count is found.
-
-    Parameters
-    ----------
-    upright : [line column] the lines used
-    displacement_px : [line] edge minus edge at line 0
-    run_px : how far the edge runs over these lines; says where the ESF starts
-    interpolate_sums : whether the sums are filled as well
-
-    Returns
-    -------
-    tuple[Vector, int]
-        ESF [4 columns], and how many of its bins no pixel fell into.
+    does so only in sfrmat5; in sfrmat3 the ESF is 0 there. It is NaN where no count is found. The
+    edge lies `displacement_px` from where it is at line 0, and runs over `run_px` in all, which
+    says where the ESF starts.
     """
     columns = upright.shape[1]
     place_px = np.arange(columns) - displacement_px[:, None]
@@ -280,25 +221,11 @@ def shifted(values: Vector, steps: int) -> Vector:
 
 
 def modulation_of(windowed: Vector) -> Vector:
-    """Return the modulation up to half the sampling of the ESF's quarter, 1 at 0.
+    """Return the modulation [round(n/4 + 1/2)] of a windowed LSF [n], up to one cycle per pixel.
 
         SFR(i) = |FFT(i)| / |FFT(0)| * D(i),   D = min(10, x / sin x),   x = pi (i+1) / (n/2 + 2)
 
     D makes up for the finite difference; the originals count i from 1 there, an index too far.
-
-    Parameters
-    ----------
-    windowed : [n] LSF times window
-
-    Returns
-    -------
-    Vector
-        [round(n/4 + 1/2)], from 0 to one cycle per pixel across the edge.
-
-    Raises
-    ------
-    ValueError
-        If the LSF sums to 0.
     """
     count = windowed.size // 2 + 1
     spectrum = np.abs(np.fft.rfft(windowed))
