@@ -15,7 +15,7 @@ from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
-from lensshift.core.ending import ended_by_signals
+from lensshift.core.ending import ended_by_signals, interruption
 from lensshift.core.errors import QualityWarning, printable
 from lensshift.core.settings import to_json
 
@@ -115,14 +115,17 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         warnings.showwarning = current.warn
         try:
             yield current
-        except KeyboardInterrupt as error:
-            typer.echo(f"interrupted: {error}" if str(error) else "interrupted", err=True)
-            raise typer.Exit(130) from error
         except typer.Exit:  # a RuntimeError in the eyes of Python
             raise
-        except _FAILURES as error:
-            _report(error, current)
-            raise typer.Exit(1) from error
+        except (KeyboardInterrupt, *_FAILURES) as error:
+            ended = interruption(error)
+            if isinstance(ended, SystemExit):
+                raise ended from error
+            if ended is None:
+                _report(error, current)
+                raise typer.Exit(1) from error
+            typer.echo(f"interrupted: {ended}" if str(ended) else "interrupted", err=True)
+            raise typer.Exit(130) from error
         finally:
             if current.waiting is not None:
                 current.waiting.close()
@@ -137,7 +140,7 @@ def picked(value: object, names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names.split()}
 
 
-def _report(error: Exception, current: Session) -> None:
+def _report(error: BaseException, current: Session) -> None:
     if current.waiting is not None:
         current.waiting.close()
     if current.debug:
