@@ -20,7 +20,7 @@ from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
 from lensshift.core.units import MILLIMETRE_M
-from lensshift.io.recordings import BagImage, is_udp_recording, read_bag, read_udp
+from lensshift.io.recordings import BAG_SUFFIXES, BagImage, is_udp_recording, read_bag, read_udp
 
 _TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the same stamp
 
@@ -59,6 +59,10 @@ class ReplayCamera(ReceivingCamera):
         self._path = Path(path)
         self._is_o3m = is_udp_recording(path)
         if not (self._is_o3m or amplitude_topic):
+            if not Path(path).exists():
+                raise DataError("there is no such file", source=path)
+            if Path(path).is_file() and Path(path).suffix not in BAG_SUFFIXES:
+                raise DataError("expected a pcap, a pcapng or a ROS bag", source=path)
             raise ValueError(f"expected the topic of the amplitude for the bag {path}, got none")
         self._speed = speed
         self._port = port
