@@ -156,12 +156,8 @@ def measured_of(asked: ImageOptions) -> Measured:
 def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     """Read one image; of a photograph one channel, as linear light."""
     from lensshift.evaluation.levels import bayer_frames, linear_light, one_channel
-    from lensshift.io.photograph import (
-        JPEG_SUFFIXES,
-        PHOTOGRAPH_SUFFIXES,
-        load_oecf,
-        load_photograph,
-    )
+    from lensshift.io.image_file import JPEG_SUFFIXES
+    from lensshift.io.photograph import PHOTOGRAPH_SUFFIXES, load_oecf, load_photograph
 
     path, pitch_mm, suffix = asked.image, asked.pitch_mm, asked.image.suffix.lower()
     if suffix not in PHOTOGRAPH_SUFFIXES and options == PhotoOptions():

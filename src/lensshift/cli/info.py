@@ -144,12 +144,15 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
         "shape": frames.shape[-2:],
         "dtype": str(frames.dtype),
         "amplitude_range": _finite_range(frames),
+        "valid_share": float(fields["valid"].mean()) if "valid" in fields else 1.0,
         "missing": ([] if with_offsets else ["offsets"]) + ([] if with_pitch else ["pitch_mm"]),
     }
     current.result |= known
     rows, cols = known["shape"]
     current.say(f"frames      {known['frame_count']} of {rows} x {cols} px, {known['dtype']}")
     current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
+    if known["valid_share"] < 1:
+        current.say(f"valid       {100 * known['valid_share']:.2f} % of the pixels")
     if "distance_m" in fields:
         current.say(f"distance    {_range_text(_finite_range(fields['distance_m']), ' m')}")
     if not with_offsets:

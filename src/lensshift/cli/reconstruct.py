@@ -125,7 +125,8 @@ def say_channels(current: Session, result: Reconstruction) -> None:
     channels = current.result["channels"] = {}
     for name, estimate in result.channels.items():
         known = channels[name] = describe(estimate)
-        current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
+        iterations = f", {known['iterations']} iterations" if known["iterations"] else ""
+        current.say(f"{name}: {known['status']}{iterations}")
         for label in ("prior_weight", "noise_sigma", "noise_gain"):
             if known[label] is not None:
                 current.say(f"  {label.replace('_', ' '):<13}{known[label]:.4g}")
