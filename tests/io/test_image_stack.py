@@ -389,6 +389,8 @@ def test_folders_and_names(tmp_path: Path) -> None:
     assert "no such file" in message_of(tmp_path / "none.tif")
     (tmp_path / "a.gif").write_bytes(b"x")
     assert "expected .tif, .tiff, .png, .jpg" in message_of(tmp_path / "a.gif")
+    (tmp_path / "a.pcapng").write_bytes(b"x")
+    assert "lensshift live --replay plays it" in message_of(tmp_path / "a.pcapng")
     np.save(tmp_path / "1.npy", np.ones((5, 7)))
     save_png(tmp_path / "1.png", np.ones((5, 7), "u1"))
     assert "holds .npy and .png files" in message_of(tmp_path)

@@ -100,6 +100,13 @@ def test_it_ends_by_itself(tmp_path: Path) -> None:
     assert "pictures" in done.stdout
 
 
+def test_a_recording_without_frames_is_a_failure(tmp_path: Path) -> None:
+    (tmp_path / "none.pcap").write_bytes(b"\xd4\xc3\xb2\xa1" + bytes(20))
+    done = called("--replay", tmp_path / "none.pcap", "--port", 0, "--seconds", 1)
+    assert done.exit_code == 1
+    assert "the recording has ended after 0 frames: nothing arrives" in done.stderr
+
+
 def test_the_emulated_lens_goes_back_to_rest() -> None:
     from lensshift.live.emulated import emulated_rig
     from lensshift.live.picture import Settings

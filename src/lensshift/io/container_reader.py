@@ -18,6 +18,7 @@ from lensshift.core.settings import parse_json
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
 GROUP = "entry/data"
+OTHERS = "arrays of other programs are read from NPZ: amplitude, distance_m, valid ..."
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -228,7 +229,7 @@ def _opened(path: Path) -> Iterator[Container]:
     import h5py
 
     if not is_hdf5(path):
-        raise DataError("not a netCDF-4/HDF5 file", source=path)
+        raise DataError(f"not a netCDF-4/HDF5 file; {OTHERS}", source=path)
     with reading(path):
         file = h5py.File(path, "r")
     try:
@@ -237,7 +238,8 @@ def _opened(path: Path) -> Iterator[Container]:
             for name in GROUP.split("/"):
                 group = _member(group, name)
                 if not isinstance(group, h5py.Group):
-                    raise DataError("the group is missing; not a file of lensshift", field=GROUP)
+                    problem = "the group is missing; not a file of lensshift"
+                    raise DataError(f"{problem}; {OTHERS}", field=GROUP)
         yield Container(path, group)
     finally:
         with reading(path):

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
-from lensshift.io.container_reader import is_hdf5
+from lensshift.io.container_reader import OTHERS, is_hdf5
 from lensshift.io.fits_wcs import images_of
 from lensshift.io.reading import (
     CONTAINER_SUFFIXES,
+    RECORDING_SUFFIXES,
     check_held,
     check_unpacked,
     reading,
@@ -66,7 +67,10 @@ def load_frames(path: str | Path) -> NDArray[Any]:
             return loaders[suffix](path)
         if suffix in CONTAINER_SUFFIXES:
             ours = is_hdf5(path)
-            raise DataError("no image, but a netCDF file" if ours else "not a netCDF-4/HDF5 file")
+            problem = f"not a netCDF-4/HDF5 file; {OTHERS}"
+            raise DataError("no image, but a netCDF file" if ours else problem)
+        if suffix in RECORDING_SUFFIXES:
+            raise DataError("no image, but a recording: lensshift live --replay plays it")
         raise DataError(f"expected {', '.join(IMAGE_SUFFIXES)} or .npz, got {suffix!r:.40}")
 
 

@@ -17,7 +17,6 @@ from lensshift.io.recordings_ip import Datagram as Datagram
 from lensshift.io.recordings_ip import UdpReader
 from lensshift.io.recordings_pcap import is_capture, read_packets
 
-BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 _ENCODINGS = {"32FC1": "f4", "16UC1": "u2", "mono16": "u2", "mono8": "u1"}
 
 

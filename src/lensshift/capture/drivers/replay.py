@@ -20,7 +20,8 @@ from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
 from lensshift.core.units import MILLIMETRE_M
-from lensshift.io.recordings import BAG_SUFFIXES, BagImage, is_udp_recording, read_bag, read_udp
+from lensshift.io.reading import BAG_SUFFIXES
+from lensshift.io.recordings import BagImage, is_udp_recording, read_bag, read_udp
 
 _TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the same stamp
 
