@@ -64,9 +64,7 @@ def save_burst(burst: Burst, path: str | Path) -> None:
         attributes = _attributes(burst)
     except DataError as error:
         raise error.in_file(path) from error
-    writer.write_container(
-        path, schema=SCHEMA, axes=_AXES, variables=_variables(burst), attributes=attributes
-    )
+    writer.write_container(writer.Content(SCHEMA, _AXES, _variables(burst), attributes), path)
 
 
 def _attributes(burst: Burst) -> dict[str, Any]:
@@ -207,10 +205,8 @@ def _begun(
     attributes = _attributes(part)
     told = repr((attributes, part.intrinsics)).encode()  # may be too long for one attribute
     begun = {"frames": frame_count, "names": sorted(space), "told": sha256(told).hexdigest()}
-    return PiecewiseFile.begin(
-        path, schema=SCHEMA, axes=_AXES, variables=space, attributes=attributes,
-        begun=writer.to_json(begun, "begun"),
-    )  # fmt: skip
+    content = writer.Content(SCHEMA, _AXES, space, attributes)
+    return PiecewiseFile.begin(path, content, writer.to_json(begun, "begun"))
 
 
 def _burst(

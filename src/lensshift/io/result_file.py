@@ -71,25 +71,15 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
         settings = writer.to_json(reconstruction.settings, "settings")
     except DataError as error:
         raise error.in_file(path) from error
-    writer.write_container(
-        path,
-        schema=SCHEMA,
-        axes=_AXES,
-        variables=variables
-        | intrinsics_variables(reconstruction.intrinsics)
-        | writer.pixel_centres(reconstruction.grid.shape),
-        attributes=picture_attributes(
-            reconstruction.grid,
-            reconstruction.intrinsics,
-            scale=reconstruction.scale,
-            method=reconstruction.method,
-            settings=settings,
-        ),
-    )
+    grid, intrinsics = reconstruction.grid, reconstruction.intrinsics
+    variables |= intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape)
+    told = reconstruction.scale, reconstruction.method, settings
+    attributes = picture_attributes(grid, intrinsics, *told)
+    writer.write_container(writer.Content(SCHEMA, _AXES, variables, attributes), path)
 
 
 def picture_attributes(
-    grid: Grid, intrinsics: Intrinsics | None, *, scale: int, method: str, settings: str
+    grid: Grid, intrinsics: Intrinsics | None, scale: int, method: str, settings: str
 ) -> dict[str, Any]:
     """Return the attributes of a file of pictures; `settings` as JSON."""
     return {

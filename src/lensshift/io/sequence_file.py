@@ -78,14 +78,9 @@ def begin_sequence(
     for name, (dtype, units, meaning) in _NUMBERS.items():
         variables[name] = _space((windows,), dtype, {"units": units, "long_name": meaning})
     said = writer.to_json(settings, "settings")
-    return PiecewiseFile.begin(
-        path,
-        schema=SCHEMA,
-        axes=_AXES,
-        variables=variables | intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape),
-        attributes=picture_attributes(grid, intrinsics, scale=scale, method=method, settings=said),
-        begun=said,
-    )
+    variables |= intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape)
+    attributes = picture_attributes(grid, intrinsics, scale, method, said)
+    return PiecewiseFile.begin(path, writer.Content(SCHEMA, _AXES, variables, attributes), said)
 
 
 def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
