@@ -19,7 +19,7 @@ from lensshift.cli.recording import is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
 from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import verb
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import QualityWarning, naming
 
 if TYPE_CHECKING:
     from lensshift.core.point_cloud import PointCloud
@@ -103,10 +103,8 @@ def _located(
         from lensshift.io import load_lens_field
 
         found = load_lens_field(lens_field)
-        try:
+        with naming(lens_field):
             found.of(burst)
-        except DataError as error:
-            raise error.in_file(lens_field) from error
         known["lens_field"] = found
     return burst, known
 
@@ -149,11 +147,9 @@ def _reconstruct(
     if (little := _adds_little(burst)) and not settings.keys() & {"shift_field", "lens_field"}:
         current.warn(little, QualityWarning, "", 0)
     start_s = time.perf_counter()
-    with closing(Progress(f"reconstructing with {settings['method']}", preparing=True)) as progress:
-        try:
-            result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
-        except DataError as error:
-            raise error.in_file(source) from error
+    progress = Progress(f"reconstructing with {settings['method']}", preparing=True)
+    with closing(progress), naming(source):
+        result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
     seconds = time.perf_counter() - start_s
     target, preview, *exports = files
     save_reconstruction(result, target)

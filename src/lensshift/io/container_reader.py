@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.core.settings import parse_json
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
@@ -83,6 +83,10 @@ class Container:
             check_unpacked(sum(taken), self.path.stat().st_size, name)
             values = np.asarray(item[part or ()])
             return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+    def known(self, name: str, **options: Any) -> NDArray[Any] | None:
+        """Read a variable as `array` does; None if there is none."""
+        return self.array(name, **options) if self.has(name) else None
 
     def start_of(self, name: str) -> int:
         """Return where in the file the bytes of a variable begin that lie in one run."""
@@ -202,10 +206,8 @@ def open_container(path: str | Path, schema: str) -> Iterator[Container]:
                 f"got {declared!r:.80}, but this program reads up to {schema}; update lensshift"
             )
             raise DataError(problem, field="schema", source=path)
-        try:
+        with naming(path):
             yield container
-        except DataError as error:
-            raise error.in_file(path) from error
 
 
 def read_schema(path: str | Path) -> str:

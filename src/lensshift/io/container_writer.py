@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.io.atomic import written_whole
 
 CHUNK_BYTES = 1_000_000  # what HDF5 caches by default
@@ -102,10 +102,8 @@ def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> No
     import h5netcdf
     import h5py
 
-    try:
+    with naming(path):
         lengths = _dimension_lengths(content.variables)
-    except DataError as error:
-        raise error.in_file(path) from error
     attributes = {
         "NX_class": "NXdata",
         "signal": next(iter(content.variables)),

@@ -133,7 +133,8 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
                 channels[name] = Estimate(values, std, status=status)
         if not channels:
             raise DataError("there is neither an amplitude nor a distance channel")
-        flying = container.array("flags", part=one)[0] != 0 if container.has("flags") else None
+        flags = container.known("flags", part=one)
+        flying = None if flags is None else flags[0] != 0
         scale = int(container.number("scale") or 1)
         settings = container.mapping("settings") | {"window": number}
         return read_picture(container, channels, scale, settings, flying)
