@@ -154,6 +154,25 @@ def _report(error: BaseException, current: Session) -> None:
         typer.echo(to_json({"error": text, "warnings": current.warnings}))
 
 
+class StatusLine:
+    """A line on stderr: on a terminal each text takes the place of the one before."""
+
+    def __init__(self) -> None:
+        self.on_terminal = sys.stderr.isatty()
+        self._open = False
+
+    def show(self, text: str) -> None:
+        """Show a text."""
+        text, self._open = printable(text), self.on_terminal
+        typer.echo(f"\r{text:<100}" if self._open else text, err=True, nl=not self._open)
+
+    def close(self) -> None:
+        """End the line on a terminal; again does nothing."""
+        if self._open:
+            typer.echo("", err=True)
+            self._open = False
+
+
 class Progress:
     """Say how far an iteration is, on stderr, once it takes more than a second.
 
@@ -166,7 +185,7 @@ class Progress:
     def __init__(self, label: str, *, preparing: bool = False) -> None:
         self._label = label
         self._start_s = self._last_s = time.monotonic()
-        self._open_line = False
+        self._line = StatusLine()
         self._begun = threading.Timer(_QUIET_S, self.say, [_PREPARING])
         if preparing:
             self._begun.daemon = True
@@ -190,22 +209,17 @@ class Progress:
     def say(self, state: str) -> None:
         """Show a state, unless the last one is too fresh."""
         now_s = time.monotonic()
-        terminal = sys.stderr.isatty()
-        every_s = _TERMINAL_EVERY_S if terminal else _FILE_EVERY_S
+        every_s = _TERMINAL_EVERY_S if self._line.on_terminal else _FILE_EVERY_S
         first = self._last_s == self._start_s
         if now_s - self._start_s < _QUIET_S or (not first and now_s - self._last_s < every_s):
             return
         self._last_s = now_s
-        text = printable(f"{self._label}: {state}")
-        typer.echo(f"\r{text:<90}" if terminal else text, err=True, nl=not terminal)
-        self._open_line = terminal
+        self._line.show(f"{self._label}: {state}")
 
     def close(self) -> None:
         """End the line on a terminal."""
         self._begun.cancel()
-        if self._open_line:
-            typer.echo("", err=True)
-            self._open_line = False
+        self._line.close()
 
 
 class Waiting:

@@ -17,7 +17,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage
+from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage, goal_within
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
@@ -177,13 +177,7 @@ class CheckedStage(_Checked):
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         """Move within the travel, wait, return the position read back."""
-        goal_mm = np.asarray(position_mm, dtype=np.float64)
-        low, high = self.travel_mm.T
-        if goal_mm.shape != (2,) or not np.all((goal_mm >= low) & (goal_mm <= high)):
-            raise ValueError(
-                f"expected a position [2] within {self.travel_mm.tolist()} mm, got "
-                f"{goal_mm.tolist()}"
-            )
+        goal_mm = goal_within(self.travel_mm, position_mm)
         return self._numbers("move_to", (2,), goal_mm, direct=direct)
 
     def stop(self) -> None:
