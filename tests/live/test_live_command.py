@@ -107,6 +107,22 @@ def test_a_recording_without_frames_is_a_failure(tmp_path: Path) -> None:
     assert "the recording has ended after 0 frames: nothing arrives" in done.stderr
 
 
+FORSAKEN = """
+from multiprocessing import Pipe
+from lensshift.live.emulated import _emulate
+
+ours, theirs = Pipe()
+ours.close()
+_emulate(theirs, 0)
+"""
+
+
+def test_emulated_devices_that_nobody_waits_for_any_more_end_without_a_word() -> None:
+    """As after Ctrl-C while they start."""
+    done = subprocess.run([sys.executable, "-c", FORSAKEN], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_the_emulated_lens_goes_back_to_rest() -> None:
     from lensshift.live.emulated import emulated_rig
     from lensshift.live.picture import Settings
