@@ -23,7 +23,7 @@ from lensshift.core.errors import QualityWarning, naming
 
 if TYPE_CHECKING:
     from lensshift.core.point_cloud import PointCloud
-    from lensshift.core.types import Burst, Estimate, Reconstruction
+    from lensshift.core.types import Burst, Reconstruction
 
 _WIDTH_SOURCES = {
     "given": "as told",
@@ -109,25 +109,17 @@ def _located(
     return burst, known
 
 
-def describe(estimate: Estimate) -> dict[str, Any]:
-    """Return what is worth knowing about one channel."""
-    return {
-        "status": estimate.status.value,
-        "iterations": len(estimate.objective),
-        **picked(estimate, "prior_weight noise_sigma noise_gain"),
-    }
-
-
 def say_channels(current: Session, result: Reconstruction) -> None:
     """Print and hand back what is worth knowing about each channel."""
     channels = current.result["channels"] = {}
     for name, estimate in result.channels.items():
-        known = channels[name] = describe(estimate)
-        iterations = f", {known['iterations']} iterations" if known["iterations"] else ""
-        current.say(f"{name}: {known['status']}{iterations}")
-        for label in ("prior_weight", "noise_sigma", "noise_gain"):
-            if known[label] is not None:
-                current.say(f"  {label.replace('_', ' '):<13}{known[label]:.4g}")
+        numbers = picked(estimate, "prior_weight noise_sigma noise_gain")
+        status, count = estimate.status.value, len(estimate.objective)
+        channels[name] = {"status": status, "iterations": count, **numbers}
+        current.say(f"{name}: {status}" + (f", {count} iterations" if count else ""))
+        for label, number in numbers.items():
+            if number is not None:
+                current.say(f"  {label.replace('_', ' '):<13}{number:.4g}")
 
 
 def _reconstruct(

@@ -219,11 +219,8 @@ def read_schema(path: str | Path) -> str:
 def is_hdf5(path: str | Path) -> bool:
     """Tell whether a file starts like an HDF5 file."""
     require_file(path)
-    try:
-        with Path(path).open("rb") as file:
-            return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
-    except OSError as error:
-        raise DataError(f"cannot read: {error.strerror}", source=path) from error
+    with reading(path), Path(path).open("rb") as file:
+        return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
 
 
 @contextmanager

@@ -19,6 +19,15 @@ if TYPE_CHECKING:
 _USED = ("AMPLITUDE", "SCI")  # extensions beside which others lie that are no frames
 
 
+def astropy_fits() -> Any:
+    """Return `astropy.io.fits`; an ImportError says what to install."""
+    try:
+        from astropy.io import fits
+    except ImportError as error:
+        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
+    return fits
+
+
 def images_of(pages: Any) -> list[Any]:
     """Return the pages of a FITS file that are frames."""
     images = [page for page in pages if page.is_image and page.shape]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.container_reader import OTHERS, is_hdf5
-from lensshift.io.fits_wcs import images_of
+from lensshift.io.fits_wcs import astropy_fits, images_of
 from lensshift.io.reading import (
     CONTAINER_SUFFIXES,
     RECORDING_SUFFIXES,
@@ -111,10 +111,7 @@ def _load_npy(path: str | Path) -> NDArray[Any]:
 
 
 def _load_fits(path: str | Path) -> NDArray[Any]:
-    try:
-        from astropy.io import fits
-    except ImportError as error:
-        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
+    fits = astropy_fits()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about cards
         warnings.filterwarnings("error", ".*truncated")

@@ -10,7 +10,7 @@ import numpy as np
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io.atomic import written_whole
-from lensshift.io.fits_wcs import told_wcs
+from lensshift.io.fits_wcs import astropy_fits, told_wcs
 from lensshift.io.image_file import FITS_SUFFIXES
 from lensshift.io.picture_layers import picture_layers
 
@@ -76,10 +76,7 @@ def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    try:
-        from astropy.io import fits
-    except ImportError as error:
-        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
+    fits = astropy_fits()
     first = fits.PrimaryHDU()
     first.header["ORIGIN"] = "lensshift"
     if isinstance(value, Reconstruction):

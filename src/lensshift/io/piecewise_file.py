@@ -17,8 +17,8 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
-from lensshift.io.atomic import GrowingFile, writable_target
+from lensshift.core.errors import DataError, naming
+from lensshift.io.atomic import GrowingFile, writable_target, written_whole
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import open_container
 from lensshift.io.container_writer import Allocated, Content, measured, sealed_text, write_hdf5
@@ -73,7 +73,9 @@ class PiecewiseFile(GrowingFile):
         if not part.exists():
             _check_room(target, spaces)
             described = {**content.attributes, "begun": sealed_text(begun)}
-            _allocate(replace(content, variables=variables, attributes=described), target, part)
+            whole = replace(content, variables=variables, attributes=described)
+            with naming(path), written_whole(part) as fresh:
+                write_hdf5(whole, fresh, path)
         with open_container(part, content.schema) as container:
             if container.text("begun") != begun:
                 problem = (
@@ -136,18 +138,6 @@ class PiecewiseFile(GrowingFile):
             raise DataError(f"{missing} pieces are missing", source=self._part)
         self._file.close()
         return self._part.replace(self._target)
-
-
-def _allocate(content: Content, target: Path, part: Path) -> None:
-    fresh = target.with_name(f"{target.name}.new")
-    fresh.unlink(missing_ok=True)
-    try:
-        write_hdf5(content, fresh, target)
-        fresh.replace(part)
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror or error}", source=target) from error
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def _check_room(target: Path, spaces: Mapping[str, Allocated]) -> None:
