@@ -10,6 +10,7 @@ import pytest
 import tifffile
 
 import lensshift
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io import (
     export_burst,
@@ -128,6 +129,22 @@ def test_the_sky_of_a_fits_file_is_that_of_its_result(tmp_path: Path, bent: bool
     expected = sky.all_pix2world(x, y, 0)
     np.testing.assert_allclose(found["frames"].all_pix2world(x, y, 0), expected, rtol=0, atol=1e-11)
     np.testing.assert_allclose(found["fine"].all_pix2world(*fine, 0), expected, rtol=0, atol=1e-11)
+
+
+def test_strange_cards_of_a_sky_are_left_out_in_silence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    cards = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRPIX1": 3.0, "CRPIX2": 2.0}
+    cards |= {"A_ORDER": 2, "A_2_0": 1e-3, "B_ORDER": 2, "B_1_1": -2e-3}  # without -SIP
+    header = fits.Header(cards)
+    fits.PrimaryHDU(a_burst().amplitude, header).writeto(tmp_path / "sip.fits")
+    assert load_image_stack(tmp_path / "sip.fits").meta["wcs"]["A_2_0"] == 1e-3
+    whole = (tmp_path / "sip.fits").read_bytes()
+    (tmp_path / "card.fits").write_bytes(whole.replace(b"'RA---TAN'", b"'RA---TAN "))
+    with pytest.warns(QualityWarning, match=r"card\.fits: its world coordinates are left out"):
+        assert not load_image_stack(tmp_path / "card.fits").meta
+    assert capfd.readouterr().out == ""
 
 
 def test_napari_gets_layers_and_reads_files(result: Reconstruction, tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +30,20 @@ def astropy_fits() -> Any:
     return fits
 
 
+@contextmanager
+def quiet_astropy() -> Iterator[None]:
+    """Keep astropy from speaking of cards, by warnings or (of SIP) on stdout, where JSON may go."""
+    logger = logging.getLogger("astropy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        before = logger.disabled
+        logger.disabled = True
+        try:
+            yield
+        finally:
+            logger.disabled = before
+
+
 def images_of(pages: Any) -> list[Any]:
     """Return the pages of a FITS file that are frames."""
     images = [page for page in pages if page.is_image and page.shape]
@@ -41,16 +57,13 @@ def wcs_cards(path: Path) -> dict[str, Any]:
     from astropy.io import fits
     from astropy.wcs import WCS
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about cards
-        with path.open("rb") as raw, fits.open(raw) as pages:
+    with quiet_astropy(), path.open("rb") as raw, fits.open(raw) as pages:
+        try:
             header = images_of(pages)[0].header
-            if not str(header.get("CTYPE1", "")).strip():
-                return {}
-            try:
-                return dict(WCS(header, naxis=2).to_header(relax=True))
-            except (ValueError, KeyError, TypeError) as error:  # WcsError is a ValueError
-                problem = f"its world coordinates are left out: {error!s:.100}"
+            told = str(header.get("CTYPE1", "")).strip()
+            return dict(WCS(header, naxis=2).to_header(relax=True)) if told else {}
+        except (ValueError, LookupError, TypeError, fits.VerifyError) as error:
+            problem = f"its world coordinates are left out: {error!s:.100}"
     warnings.warn(f"{path}: {problem}", QualityWarning, stacklevel=2)
     return {}
 
@@ -73,8 +86,7 @@ def _moved(cards: Mapping[str, Any] | None, offset_px: Any, scale: int) -> Heade
     from astropy.io.fits import Header
     from astropy.wcs import WCS, Sip
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with quiet_astropy():
         told = WCS(Header(cards.items()))
         first = told.wcs.crpix - 1.0 - np.asarray(offset_px)[::-1]
         told.wcs.crpix = lr_to_hr(first, scale) + 1.0

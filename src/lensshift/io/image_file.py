@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.container_reader import OTHERS, is_hdf5
-from lensshift.io.fits_wcs import astropy_fits, images_of
+from lensshift.io.fits_wcs import astropy_fits, images_of, quiet_astropy
 from lensshift.io.reading import (
     CONTAINER_SUFFIXES,
     RECORDING_SUFFIXES,
@@ -112,8 +112,7 @@ def _load_npy(path: str | Path) -> NDArray[Any]:
 
 def _load_fits(path: str | Path) -> NDArray[Any]:
     fits = astropy_fits()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about cards
+    with quiet_astropy():
         warnings.filterwarnings("error", ".*truncated")
         with Path(path).open("rb") as raw, fits.open(raw) as file:  # its own it may leave open
             try:
