@@ -21,7 +21,6 @@ from lensshift.cli.images import (
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.errors import QualityWarning
-from lensshift.core.units import doubt_about_distance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -103,6 +102,8 @@ def depth(current: Session, asked: DepthOptions) -> None:
 
 def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: int) -> Measured:
     import numpy as np
+
+    from lensshift.core.units import doubt_about_distance
 
     found = measured_image(path, pitch_mm, key=key, frame=frame, distances=True)
     known = found.values[np.isfinite(found.values)]
