@@ -104,7 +104,7 @@ def test_a_recording_without_frames_is_a_failure(tmp_path: Path) -> None:
     (tmp_path / "none.pcap").write_bytes(b"\xd4\xc3\xb2\xa1" + bytes(20))
     done = called("--replay", tmp_path / "none.pcap", "--port", 0, "--seconds", 1)
     assert done.exit_code == 1
-    assert "the recording has ended after 0 frames: nothing arrives" in done.stderr
+    assert "the recording has ended after 0 frames: it holds no UDP datagrams" in done.stderr
 
 
 FORSAKEN = """

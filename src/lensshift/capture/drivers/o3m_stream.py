@@ -73,6 +73,11 @@ class O3MStream:
         """Address of the camera that the frames come from, empty before the first."""
         return "" if self._chosen is None else _named(self._chosen)
 
+    @property
+    def heard(self) -> bool:
+        """Whether any datagram has come, of whomever."""
+        return self._datagrams > 0
+
     def newest_cycle(self) -> int:
         """Return the unwrapped counter of the newest image that has begun to arrive, or -1."""
         sender = None if self._chosen is None else self._senders.get(self._chosen)

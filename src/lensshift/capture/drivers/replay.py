@@ -123,7 +123,9 @@ class ReplayCamera(ReceivingCamera):
                 receiver.put(replace(one, arrived_s=time.monotonic()), wait=fast)
         ended = f"the recording has ended after {receiver.frames} frames"
         if self._is_o3m and not receiver.frames:
-            ended += f": {self._stream.explain(O3MStream().snapshot())}"
+            heard, at = self._stream.heard, "" if self._port is None else f" to port {self._port}"
+            none = f"it holds no UDP datagrams{at}, in which an O3M sends (others send by TCP)"
+            ended += f": {self._stream.explain(O3MStream().snapshot()) if heard else none}"
         receiver.end(ended)
 
     def _o3m(self, pace: _Pace) -> Iterator[CameraFrame | str]:
