@@ -121,9 +121,9 @@ class Container:
     def text(self, name: str, *, of: str = "") -> str:
         """Return a text attribute."""
         value = self.attribute(name, of=of)
-        if not isinstance(value, str):
-            raise self._unexpected("text", value, name)
-        return value
+        if isinstance(value, str):
+            return value
+        raise self._unexpected("text", value, name)
 
     def number(self, name: str, *, of: str = "") -> float | None:
         """Return a numeric attribute, or None if it is absent."""
