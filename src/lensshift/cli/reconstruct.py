@@ -158,11 +158,21 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
 def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
-    phasors = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
+    waves = burst.amplitude.dtype.kind == "c"
+    phasors = waves and burst.modulation_hz is not None
+    if waves and not phasors and (lost := [p for p in asked.export or () if _is_plain(p)]):
+        raise ValueError(f"{lost[0]}: the frames are complex; take .npz, .ome.tif or .fits")
     distances = phasors or burst.phasors is not None or burst.distance_m is not None
     distances = distances and asked.channel != "amplitude"
     refuse_points(asked.export or (), intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)
+
+
+def _is_plain(path: Path) -> bool:
+    """Tell whether a name is that of one picture of real numbers."""
+    from lensshift.io.image_formats import is_ome
+
+    return path.suffix.lower() in (".tif", ".tiff", ".png") and not is_ome(path)
 
 
 def _located(
