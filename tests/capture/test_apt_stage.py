@@ -1,6 +1,7 @@
 """The driver against emulated controllers over TCP and pty, well and ill."""
 
 import _thread
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -403,6 +404,7 @@ def test_pulled_cable_is_noticed_over_tcp_too() -> None:
 
 
 def test_ctrl_c_stops_both_axes() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored under nohup
     with moving_slowly() as (row, col, stage, under_way):
         during(under_way, _thread.interrupt_main)
         with pytest.raises(KeyboardInterrupt):

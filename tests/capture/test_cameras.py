@@ -361,7 +361,9 @@ def test_a_recording_without_frames_says_why(tmp_path: Path) -> None:
     camera.close()
     camera = ReplayCamera(path, pitch_mm=0.155, port=1)
     camera.open()
-    with pytest.raises(DeviceError, match="0 frames: nothing arrives"):
+    with pytest.raises(
+        DeviceError, match="0 frames: it holds no UDP datagrams to port 1, in which"
+    ):
         camera.next_frame(WAIT_S)
     camera.close()
 
@@ -383,6 +385,11 @@ def test_recordings_wrong_arguments(tmp_path: Path) -> None:
         ReplayCamera(tmp_path, pitch_mm=1.0, speed=0.0)
     with pytest.raises(ValueError, match="topic"):
         ReplayCamera(tmp_path, pitch_mm=1.0)
+    with pytest.raises(DataError, match=r"none\.pcap: there is no such file"):
+        ReplayCamera(tmp_path / "none.pcap", pitch_mm=1.0)
+    (tmp_path / "burst.nc").write_bytes(b"x")
+    with pytest.raises(DataError, match=r"burst\.nc: expected a pcap, a pcapng or a ROS bag"):
+        ReplayCamera(tmp_path / "burst.nc", pitch_mm=1.0)
     pytest.importorskip("rosbags")
     camera = ReplayCamera(tmp_path / "none.bag", pitch_mm=1.0, amplitude_topic="/amplitude")
     with pytest.raises(DeviceError, match="no such file"):

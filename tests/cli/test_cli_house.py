@@ -160,6 +160,31 @@ def test_ctrl_c_leaves_nothing(burst_file: Path) -> None:
     assert [path.name for path in burst_file.parent.iterdir()] == ["burst.nc"]
 
 
+HALF_DONE = """
+import io, signal, zipfile
+from lensshift.cli.session import session
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored under nohup
+with session(as_json=False, debug=False):
+    with zipfile.ZipFile(io.BytesIO(), "w") as file:  # as NPZ files are written
+        entry = file.open("frame", "w")
+        signal.raise_signal(signal.%s)
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_what_is_left_half_done_does_not_hide_the_interruption(name: str) -> None:
+    """A ZIP file that is being written cannot be closed, and says so instead of the signal."""
+    command = [sys.executable, "-c", HALF_DONE % name]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "error:" not in done.stderr
+    if name == "SIGINT":
+        assert done.stderr.startswith("interrupted\n")
+        assert "Exit: 130" in done.stderr  # which the command line turns into its status
+    else:
+        assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, "")
+
+
 @pytest.mark.parametrize("options", [[], ["--json"]], ids=str)
 def test_who_reads_the_first_lines_only_gets_the_files_all_the_same(
     burst_file: Path, options: list[str]

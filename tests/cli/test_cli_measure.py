@@ -182,6 +182,17 @@ def test_depth_against_the_truth(call: Call, tmp_path: Path) -> None:
     assert found["edge_location"]["lines"] == SHAPE[0]  # type: ignore[index]
 
 
+def test_depth_takes_the_distances_and_questions_what_are_none(call: Call, tmp_path: Path) -> None:
+    np.savez(tmp_path / "both.npz", amplitude=np.ones(SHAPE), distance_m=wall())
+    found = numbers(call, "depth", tmp_path / "both.npz", tmp_path / "both.npz")
+    assert (found["rmse_m"], found["warnings"]) == (0.0, [])
+    np.savez(tmp_path / "light.npz", amplitude=wall())
+    assert numbers(call, "depth", tmp_path / "light.npz")["fill_rate"] == 1.0
+    np.save(tmp_path / "levels.npy", 1000 * wall())
+    (said,) = numbers(call, "depth", tmp_path / "levels.npy")["warnings"]
+    assert "levels.npy: distance_m: expected metres" in said
+
+
 def test_depth_alone(call: Call, tmp_path: Path) -> None:
     noise = 0.005 * np.random.default_rng(4).standard_normal((6, *SHAPE))
     burst = Burst.from_arrays(

@@ -131,6 +131,9 @@ def test_info_of_a_stack_that_is_not_yet_a_burst(call: Call, tmp_path: Path) -> 
 def test_info_of_phasors_that_are_not_yet_a_burst(call: Call, tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.ones((2, 4, 5, 7), complex))
     assert "frames      4 of 5 x 7 px" in call("info", tmp_path / "a.npy").stdout
+    valid = np.arange(140).reshape(4, 5, 7) > 69
+    np.savez(tmp_path / "a.npz", amplitude=np.ones((2, 4, 5, 7), complex), valid=valid)
+    assert "valid       50.00 % of the pixels" in call("info", tmp_path / "a.npz").stdout
 
 
 def test_lengths_are_asked_for_where_nobody_told_the_pitch(

@@ -245,6 +245,12 @@ def test_interrupt_leaves_nothing(call: Call, fake: FakeReconstruct, burst_file:
     assert names(burst_file.parent) == {"burst.nc"}
 
 
+def test_complex_pictures_are_not_for_tiff(refused: Refused, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", amplitude=np.ones((1, 5, 7), complex), offset_px=np.zeros((1, 2)))
+    said = "a.tif: the frames are complex; take .npz, .ome.tif or .fits"
+    refused(["reconstruct", tmp_path / "a.npz", "--export", tmp_path / "a.tif"], 1, said)
+
+
 def test_reconstruction_as_input_is_refused(
     call: Call, fake: FakeReconstruct, burst_file: Path
 ) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+from astropy.io import fits
 from PIL import Image
 
 from lensshift import Burst, load_burst, load_reconstruction, save_burst, save_reconstruction
@@ -25,7 +26,13 @@ from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.motion import StageMap
-from lensshift.io import load_image_stack, load_lens_field, load_offsets, save_lens_field
+from lensshift.io import (
+    export_burst,
+    load_image_stack,
+    load_lens_field,
+    load_offsets,
+    save_lens_field,
+)
 from lensshift.io.calibration_file import load_calibration, save_calibration
 from lensshift.io.capture_file import CaptureWriter, FrameRecord
 from lensshift.io.recordings import read_udp
@@ -39,6 +46,11 @@ from lensshift.scene.scene_file import load_scene
 SHAPE = (3, 5, 7)
 LIMIT_S = 20.0  # a hang; the machine may be busy
 LIMIT_BYTES = 2 * (1 << 28)  # twice what a small file may take
+SKY = fits.Header({
+    "CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP", "CRPIX1": 3.5, "CRPIX2": 2.0,
+    "CRVAL1": 83.8, "CRVAL2": -5.4, "CD1_1": -1e-3, "CD1_2": 2e-4, "CD2_1": 2e-4, "CD2_2": 1e-3,
+    "A_ORDER": 2, "A_2_0": 1e-3, "B_ORDER": 2, "B_1_1": -2e-3,
+})  # fmt: skip
 Reader = Callable[[Path], object]
 
 
@@ -81,6 +93,9 @@ def written(folder: Path) -> dict[str, tuple[Path, Reader]]:
     tifffile.imwrite(at["zip.tif"], one.amplitude, photometric="minisblack", compression="zlib")
     Image.fromarray(one.amplitude[0]).save(at["lzw.tif"], compression="tiff_lzw")
     Image.fromarray(one.amplitude[0]).save(at["image.png"])
+    for name in ("photo.jpg", "image.bmp"):
+        Image.fromarray(one.amplitude[0].astype("u1")).save(at[name])
+    fits.PrimaryHDU(one.amplitude, SKY).writeto(at["sky.fits"], overwrite=True)
     at["table.csv"].write_text("frame,row,col\n0,0.25,0\n1,0,0.5\n2,0.25,0.5\n")
     at["table.json"].write_text(json.dumps({"offset_px": one.offset_px.tolist()}))
     at["rig.toml"].write_text(EXAMPLE)
@@ -157,8 +172,13 @@ def _burst(path: Path) -> object:
     return found
 
 
-def _stack(path: Path) -> object:
+def _stack(path: Path) -> Burst:
     return load_image_stack(path, offsets=[[0.0, 0.0]] * 3, pitch_mm=0.1)
+
+
+def _sky(path: Path) -> object:
+    export_burst(_stack(path), path.with_name("again.fits"))
+    return None
 
 
 def _image(path: Path) -> object:
@@ -195,6 +215,9 @@ KINDS: dict[str, Reader] = {
     "zip.tif": _stack,
     "lzw.tif": _image,
     "image.png": _image,
+    "photo.jpg": _image,
+    "image.bmp": _image,
+    "sky.fits": _sky,
     "table.csv": load_offsets,
     "table.json": load_offsets,
     "rig.toml": _rig,

@@ -10,11 +10,13 @@ import pytest
 import tifffile
 
 import lensshift
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io import (
     export_burst,
     export_reconstruction,
     load_image_stack,
+    load_reconstruction,
     napari_layers,
     picture_layers,
     save_burst,
@@ -97,6 +99,52 @@ def test_fits_says_where_pixels_look(result: Reconstruction, tmp_path: Path) -> 
     export_burst(replace(a_burst(), intrinsics=None), tmp_path / "b.fits")
     with fits.open(tmp_path / "b.fits") as pages:
         assert pages["AMPLITUDE"].data.shape == (4, 9, 13)
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_the_sky_of_a_fits_file_is_that_of_its_result(tmp_path: Path, bent: bool) -> None:
+    fits, wcs = pytest.importorskip("astropy.io.fits"), pytest.importorskip("astropy.wcs")
+    sky = wcs.WCS(naxis=2)
+    sky.wcs.ctype = ["RA---TAN-SIP", "DEC--TAN-SIP"] if bent else ["RA---TAN", "DEC--TAN"]
+    sky.wcs.crpix, sky.wcs.crval = (5.5, 4.25), (83.8, -5.4)
+    sky.wcs.cd = [[-1e-3, 2e-4], [2e-4, 1e-3]]
+    if bent:
+        a, b = np.zeros((3, 3)), np.zeros((3, 3))
+        a[2, 0], b[1, 1] = 1e-3, -2e-3
+        sky.sip = wcs.Sip(a, b, None, None, sky.wcs.crpix)
+    page = fits.PrimaryHDU(a_burst().amplitude, sky.to_header(relax=True))
+    page.writeto(tmp_path / "sky.fits")
+    offset_px = a_burst().offset_px + np.array([0.25, -0.25])
+    burst = load_image_stack(tmp_path / "sky.fits", offset_px)
+    save_reconstruction(lensshift.reconstruct(burst, method="bicubic"), tmp_path / "result.nc")
+    export_reconstruction(load_reconstruction(tmp_path / "result.nc"), tmp_path / "fine.fits")
+    export_burst(burst, tmp_path / "frames.fits")
+    found = {}
+    for name in ("fine", "frames"):
+        header = fits.getheader(tmp_path / f"{name}.fits", "AMPLITUDE")
+        found[name] = wcs.WCS(header, naxis=2)
+    # The first frame shows at (row, col) what the result has at (row, col) less its offset.
+    x, y = 7.0, 2.0
+    fine = [2.0 * (one + 0.5) - 0.5 for one in (x - offset_px[0, 1], y - offset_px[0, 0])]
+    expected = sky.all_pix2world(x, y, 0)
+    np.testing.assert_allclose(found["frames"].all_pix2world(x, y, 0), expected, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found["fine"].all_pix2world(*fine, 0), expected, rtol=0, atol=1e-11)
+
+
+def test_strange_cards_of_a_sky_are_left_out_in_silence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    cards = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRPIX1": 3.0, "CRPIX2": 2.0}
+    cards |= {"A_ORDER": 2, "A_2_0": 1e-3, "B_ORDER": 2, "B_1_1": -2e-3}  # without -SIP
+    header = fits.Header(cards)
+    fits.PrimaryHDU(a_burst().amplitude, header).writeto(tmp_path / "sip.fits")
+    assert load_image_stack(tmp_path / "sip.fits").meta["wcs"]["A_2_0"] == 1e-3
+    whole = (tmp_path / "sip.fits").read_bytes()
+    (tmp_path / "card.fits").write_bytes(whole.replace(b"'RA---TAN'", b"'RA---TAN "))
+    with pytest.warns(QualityWarning, match=r"card\.fits: its world coordinates are left out"):
+        assert not load_image_stack(tmp_path / "card.fits").meta
+    assert capfd.readouterr().out == ""
 
 
 def test_napari_gets_layers_and_reads_files(result: Reconstruction, tmp_path: Path) -> None:

@@ -387,8 +387,10 @@ def test_frames_along_the_last_axis_are_noticed(tmp_path: Path) -> None:
 def test_folders_and_names(tmp_path: Path) -> None:
     assert "holds no image" in message_of(tmp_path)
     assert "no such file" in message_of(tmp_path / "none.tif")
-    (tmp_path / "a.jpg").write_bytes(b"x")
-    assert "expected .tif, .tiff, .png, .npy, .fits, .fit or .npz" in message_of(tmp_path / "a.jpg")
+    (tmp_path / "a.gif").write_bytes(b"x")
+    assert "expected .tif, .tiff, .png, .jpg" in message_of(tmp_path / "a.gif")
+    (tmp_path / "a.pcapng").write_bytes(b"x")
+    assert "lensshift live --replay plays it" in message_of(tmp_path / "a.pcapng")
     np.save(tmp_path / "1.npy", np.ones((5, 7)))
     save_png(tmp_path / "1.png", np.ones((5, 7), "u1"))
     assert "holds .npy and .png files" in message_of(tmp_path)
@@ -633,6 +635,28 @@ def test_fits_as_cube_extensions_and_compressed(tmp_path: Path, dtype: str) -> N
         amplitude = load(tmp_path / name)
         assert amplitude.dtype == frames.dtype
         np.testing.assert_array_equal(amplitude, frames)
+
+
+def test_jpegs_bitmaps_and_palettes_are_frames(tmp_path: Path) -> None:
+    levels = (20 * np.arange(8 * 9).reshape(8, 9) % 200).astype("u1")
+    for ending in ("jpg", "bmp"):
+        folder = tmp_path / ending
+        folder.mkdir()
+        for number in range(2):
+            Image.fromarray(levels).save(folder / f"{number}.{ending}")
+    with pytest.warns(QualityWarning, match="JPEG are rounded in blocks"):
+        assert load_image_stack(tmp_path / "jpg").amplitude.shape == (2, 8, 9)
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "bmp").amplitude[1], levels)
+    Image.fromarray(levels).convert("P").save(tmp_path / "palette.png")
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "palette.png").amplitude[0], levels)
+
+
+def test_of_a_telescope_the_science_counts_not_its_error(tmp_path: Path) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    frames = frames_of("f4")
+    pages = [fits.ImageHDU(frames[None], name="SCI"), fits.ImageHDU(frames, name="ERR")]
+    fits.HDUList([fits.PrimaryHDU(), *pages]).writeto(tmp_path / "sci.fts")
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "sci.fts").amplitude, frames)
 
 
 def test_fits_of_our_own_and_wrong_ones(tmp_path: Path) -> None:

@@ -100,6 +100,29 @@ def test_it_ends_by_itself(tmp_path: Path) -> None:
     assert "pictures" in done.stdout
 
 
+def test_a_recording_without_frames_is_a_failure(tmp_path: Path) -> None:
+    (tmp_path / "none.pcap").write_bytes(b"\xd4\xc3\xb2\xa1" + bytes(20))
+    done = called("--replay", tmp_path / "none.pcap", "--port", 0, "--seconds", 1)
+    assert done.exit_code == 1
+    assert "the recording has ended after 0 frames: it holds no UDP datagrams" in done.stderr
+
+
+FORSAKEN = """
+from multiprocessing import Pipe
+from lensshift.live.emulated import _emulate
+
+ours, theirs = Pipe()
+ours.close()
+_emulate(theirs, 0)
+"""
+
+
+def test_emulated_devices_that_nobody_waits_for_any_more_end_without_a_word() -> None:
+    """As after Ctrl-C while they start."""
+    done = subprocess.run([sys.executable, "-c", FORSAKEN], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_the_emulated_lens_goes_back_to_rest() -> None:
     from lensshift.live.emulated import emulated_rig
     from lensshift.live.picture import Settings

@@ -330,6 +330,9 @@ def test_the_command(film: Path, tmp_path: Path):
     assert found.exit_code == 0, found.output
     assert "11 pictures of 4 frames, 11 made" in found.output
     assert CliRunner().invoke(app, ["info", str(out)]).output.count("windows     11") == 1
+    for name in ("w.png", "w.mcap"):
+        wanted = ["convert", str(out), str(tmp_path / name), "--window", "11"]
+        assert CliRunner().invoke(app, wanted).output.startswith("error: ")
     cut = CliRunner().invoke(app, ["convert", str(out), str(tmp_path / "w.png"), "--window", "10"])
     assert cut.exit_code == 0, cut.output
     pytest.importorskip("mcap_ros2.writer", reason="mcap is not installed")

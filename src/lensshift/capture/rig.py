@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats
@@ -34,6 +35,16 @@ class CameraFrame:
     cycle: int
     arrived_s: float
     raw: Mapping[str, Array] = field(default_factory=dict)
+
+
+def goal_within(travel_mm: Floats, position_mm: ArrayLike) -> Floats:
+    """Return where a stage is sent [2]; raise a ValueError if that is out of its travel [2 2]."""
+    goal_mm = np.asarray(position_mm, dtype=np.float64)
+    low_mm, high_mm = travel_mm.T
+    if goal_mm.shape != (2,) or not np.all((goal_mm >= low_mm) & (goal_mm <= high_mm)):
+        reach = " and ".join(f"{a:g} .. {b:g}" for a, b in travel_mm)
+        raise ValueError(f"expected a position [2] within {reach} mm, got {goal_mm.tolist()}")
+    return goal_mm
 
 
 class Stage(Protocol):

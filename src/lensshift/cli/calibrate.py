@@ -62,12 +62,11 @@ def calibrate(current: Session, asked: CalibrateOptions) -> None:
     save_calibration(done.calibration, target)
     if done.fit.lens_field is not None:
         save_lens_field(done.fit.lens_field, refined)
-    current.result |= {"input": scan, "files": files}
+    current.result["input"] = scan
     _say(current, done, told=lens_field is not None)
     if not asked.no_psf and done.calibration.psf_sigma_px is None:
         current.say("blur       not measured: no straight edge between even areas")
-    for path in files:
-        current.say(f"wrote {path}")
+    current.wrote(*files)
 
 
 def _say(current: Session, done: RigCalibration, *, told: bool) -> None:

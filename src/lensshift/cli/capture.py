@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import time
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -14,9 +13,9 @@ import typer
 
 from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.inputs import check_netcdf
-from lensshift.cli.session import Session, picked
+from lensshift.cli.session import Session, StatusLine, picked
 from lensshift.cli.verbs import argument, option, verb
-from lensshift.core.errors import DataError, printable
+from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
     from lensshift.capture.acquire import Progress
@@ -187,9 +186,7 @@ class Show:
     """Say where an acquisition is, on stderr: one line on a terminal, else one a position."""
 
     def __init__(self, current: Session) -> None:
-        self._quiet = current.as_json
-        self._terminal = sys.stderr.isatty()
-        self._name = ""
+        self._quiet, self._line, self._name = current.as_json, StatusLine(), ""
 
     def __call__(self, now: Progress) -> None:
         """Take note of a position that is done."""
@@ -197,11 +194,10 @@ class Show:
             return
         row, col = now.position_mm
         rate = f"{now.rate_hz:.1f} Hz, " if now.rate_hz else ""
-        text = printable(
+        self._line.show(
             f"{self._name}position {now.step} of {now.steps}: stage at {row:.4f}, {col:.4f} mm, "
             f"{rate}{_losses(now.counts)}"
         )
-        typer.echo(f"\r{text:<100}" if self._terminal else text, err=True, nl=not self._terminal)
 
     def named(self, name: str, now: Progress) -> None:
         """Take note of a position of one of several acquisitions."""
@@ -210,8 +206,7 @@ class Show:
 
     def close(self) -> None:
         """End the line on a terminal."""
-        if self._terminal and not self._quiet:
-            typer.echo("", err=True)
+        self._line.close()
 
 
 def _losses(counts: Any) -> str:

@@ -77,7 +77,8 @@ def _convert_stream(current: Session, asked: ConvertOptions) -> None:
         time_s = sequence_numbers(source)["time"]
         numbers = range(len(time_s)) if window is None else (window,)
         with closing(Progress(f"writing {target.name}")) as progress:
-            pictures = ((float(time_s[k]), load_window(source, k)) for k in numbers)
+            windows = (load_window(source, k) for k in numbers)  # refuses one that is not there
+            pictures = ((float(time_s[k]), one) for k, one in zip(numbers, windows, strict=True))
             export_stream(progress.counted(pictures, len(numbers)), target)
     current.say(f"wrote {target}")
 

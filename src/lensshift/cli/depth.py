@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,6 +20,7 @@ from lensshift.cli.images import (
 )
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
+from lensshift.core.errors import QualityWarning
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -99,10 +101,15 @@ def depth(current: Session, asked: DepthOptions) -> None:
 
 
 def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: int) -> Measured:
-    from lensshift.cli.inputs import Kind, kind_of
+    import numpy as np
 
-    of_file = kind_of(path) is not Kind.STACK
-    return measured_image(path, pitch_mm, key=key or (_SOURCE if of_file else None), frame=frame)
+    from lensshift.core.units import doubt_about_distance
+
+    found = measured_image(path, pitch_mm, key=key, frame=frame, distances=True)
+    known = found.values[np.isfinite(found.values)]
+    if doubt := doubt_about_distance(float(np.median(known)) if known.size else None):
+        warnings.warn(f"{path}: {doubt}", QualityWarning, stacklevel=2)
+    return found
 
 
 def _errors(

@@ -96,23 +96,28 @@ class Measured:
 
 
 def measured_image(
-    path: Path, pitch_mm: str | None, *, key: str | None = None, frame: int = 0
+    path: Path,
+    pitch_mm: str | None,
+    *,
+    key: str | None = None,
+    frame: int = 0,
+    distances: bool = False,
 ) -> Measured:
-    """Read one image [row col] and what its file says about it."""
+    """Read one image [row col] and what its file says about it; `distances` if it holds some."""
     from lensshift.io import load_burst, load_reconstruction, load_window
     from lensshift.io.image_file import load_frames, load_named_arrays
 
-    kind = kind_of(path)
+    kind, named = kind_of(path), key or ("distance" if distances else None)
     if kind is Kind.BURST:
         burst = load_burst(path)
         pitch, told = _pitch_of(burst.grid, 1, path, pitch_mm)
-        values = _one_frame(_burst_channel(burst, path, key), path, frame)
+        values = _one_frame(_burst_channel(burst, path, named), path, frame)
         valid = None if burst.valid is None else _one_frame(burst.valid, path, frame)
         return Measured(values, pitch, told, valid)
     if kind is not Kind.STACK:
         one = kind is Kind.RECONSTRUCTION
         result = load_reconstruction(path) if one else load_window(path, frame)
-        name = key or next(iter(result.channels))
+        name = named or next(iter(result.channels))
         if name not in result.channels:
             raise DataError(f"expected {' or '.join(result.channels)}, got {name!r}", source=path)
         image = result.channels[name].image
@@ -120,7 +125,8 @@ def measured_image(
         return Measured(image, pitch, told, scale=result.scale)
     if path.suffix.lower() == ".npz":
         arrays = load_named_arrays(path)
-        frames = arrays[_image_name(arrays, path, key)]
+        usual = "distance_m" if distances else "amplitude"
+        frames = arrays[_image_name(arrays, path, key, usual)]
     else:
         keys_of(key, path)
         frames = load_frames(path)
@@ -156,12 +162,8 @@ def measured_of(asked: ImageOptions) -> Measured:
 def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     """Read one image; of a photograph one channel, as linear light."""
     from lensshift.evaluation.levels import bayer_frames, linear_light, one_channel
-    from lensshift.io.photograph import (
-        JPEG_SUFFIXES,
-        PHOTOGRAPH_SUFFIXES,
-        load_oecf,
-        load_photograph,
-    )
+    from lensshift.io.image_file import JPEG_SUFFIXES
+    from lensshift.io.photograph import PHOTOGRAPH_SUFFIXES, load_oecf, load_photograph
 
     path, pitch_mm, suffix = asked.image, asked.pitch_mm, asked.image.suffix.lower()
     if suffix not in PHOTOGRAPH_SUFFIXES and options == PhotoOptions():
@@ -305,9 +307,11 @@ def _one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
     return image
 
 
-def _image_name(arrays: dict[str, NDArray[np.generic]], path: Path, key: str | None) -> str:
+def _image_name(
+    arrays: dict[str, NDArray[np.generic]], path: Path, key: str | None, usual: str
+) -> str:
     images = [name for name, values in arrays.items() if values.ndim in (2, 3)]
-    candidates = [key] if key else ["amplitude"] if "amplitude" in arrays else images
+    candidates = [key] if key else [usual] if usual in arrays else images
     if len(candidates) == 1 and candidates[0] in arrays:
         return candidates[0]
     raise DataError(

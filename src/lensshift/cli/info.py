@@ -87,33 +87,22 @@ def info(current: Session, asked: InfoOptions) -> None:
 
 
 def _say_burst(current: Session, burst: Burst) -> None:
-    import numpy as np
-
-    valid = np.ones(burst.amplitude.shape, bool) if burst.valid is None else burst.valid
-    current.tell(burst.grid, "shape pitch_mm")
-    current.tell(burst, "frame_count modulation_hz offset_source offset_px offset_sigma_px")
-    known: dict[str, Any] = {
-        "dtype": str(burst.amplitude.dtype),
-        "amplitude_range": _finite_range(burst.amplitude, valid),
-        "distance_range_m": _finite_range(burst.distance_m, valid),
-        "valid_share": float(valid.mean()),
-        "view": view_of(burst.intrinsics, burst.grid.shape),
+    current.tell(burst.grid, "pitch_mm")
+    current.tell(burst, "modulation_hz offset_source offset_px offset_sigma_px")
+    view = view_of(burst.intrinsics, burst.grid.shape)
+    current.result |= {
+        "view": view,
         "has_stage": burst.stage_mm is not None,
         "has_time": burst.time_s is not None,
         "meta": dict(burst.meta),
     }
-    current.result |= known
-    rows, cols = burst.grid.shape
-    current.say(f"frames      {burst.frame_count} of {rows} x {cols} px, {known['dtype']}")
+    _say_frames(current, burst.amplitude, burst.distance_m, burst.valid)
     _say_pitch(current, burst.grid)
-    current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
-    current.say(f"distance    {_range_text(known['distance_range_m'], ' m')}")
-    current.say(f"valid       {100 * known['valid_share']:.2f} % of the pixels")
     modulation = ", ".join(f"{hz:g} Hz" for hz in burst.frequencies_hz) or "not known"
     current.say(
         f"modulation  {modulation}" + ("" if burst.phasors is None else ", phasors of each")
     )
-    current.say(f"looks       {view_text(known['view'])}")
+    current.say(f"looks       {view_text(view)}")
     current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
     for number, (row, col) in enumerate(burst.offset_px):
         sigma = ""
@@ -139,23 +128,34 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
         _say_burst(current, burst)
         return
     current.say(heading)
-    known: dict[str, Any] = {
-        "frame_count": frames.shape[-3],
-        "shape": frames.shape[-2:],
-        "dtype": str(frames.dtype),
-        "amplitude_range": _finite_range(frames),
-        "missing": ([] if with_offsets else ["offsets"]) + ([] if with_pitch else ["pitch_mm"]),
-    }
-    current.result |= known
-    rows, cols = known["shape"]
-    current.say(f"frames      {known['frame_count']} of {rows} x {cols} px, {known['dtype']}")
-    current.say(f"amplitude   {_range_text(known['amplitude_range'])}")
-    if "distance_m" in fields:
-        current.say(f"distance    {_range_text(_finite_range(fields['distance_m']), ' m')}")
+    missing = ([] if with_offsets else ["offsets"]) + ([] if with_pitch else ["pitch_mm"])
+    current.result["missing"] = missing
+    _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))
     if not with_offsets:
         current.say("shifts      not told: --offsets, or `lensshift reconstruct` finds them")
     if not with_pitch:
         current.say("pitch       not told: --pitch-mm, if lengths matter")
+
+
+def _say_frames(
+    current: Session,
+    frames: NDArray[Any],
+    distance_m: NDArray[Any] | None,
+    valid: NDArray[Any] | None,
+) -> None:
+    import numpy as np
+
+    rows, cols = shape = frames.shape[-2:]
+    count, dtype = frames.shape[-3], str(frames.dtype)
+    inside = None if valid is None else np.broadcast_to(valid, frames.shape)  # of phasors: each
+    light, far = _finite_range(frames, inside), _finite_range(distance_m, valid)
+    share = 1.0 if valid is None else float(valid.mean())
+    current.result |= {"frame_count": count, "shape": shape, "dtype": dtype, "valid_share": share}
+    current.result |= {"amplitude_range": light, "distance_range_m": far}
+    current.say(f"frames      {count} of {rows} x {cols} px, {dtype}")
+    current.say(f"amplitude   {_range_text(light)}")
+    current.say(f"distance    {_range_text(far, ' m')}")
+    current.say(f"valid       {100 * share:.2f} % of the pixels")
 
 
 def _say_sequence(current: Session, file: Path) -> None:
@@ -188,15 +188,13 @@ def _say_pitch(current: Session, grid: Grid, scale: int = 1) -> None:
     current.say(f"pitch       {text if grid.tells_pitch(scale) else 'not told'}")
 
 
-def _finite_range(
-    values: NDArray[Any] | None, valid: NDArray[Any] | None = None
-) -> tuple[float, float] | None:
+def _finite_range(values: NDArray[Any] | None, inside: Any) -> tuple[float, float] | None:
     from lensshift.io.export import finite_range
 
     if values is None:
         return None
-    inside = values if valid is None else values[valid]
-    return finite_range(abs(inside) if inside.dtype.kind == "c" else inside)
+    known = values if inside is None else values[inside]
+    return finite_range(abs(known) if known.dtype.kind == "c" else known)
 
 
 def _range_text(limits: tuple[float, float] | None, unit: str = "") -> str:

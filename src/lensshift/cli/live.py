@@ -118,7 +118,7 @@ def _show(
     pictures = 0 if running.picture is None else running.picture.number
     current.result |= {"frames": running.frame_count, "pictures": pictures}
     current.say(f"{running.frame_count} frames, {pictures} pictures")
-    if running.problem and isinstance(frames, RigSource):
+    if running.problem and (isinstance(frames, RigSource) or not running.frame_count):
         raise DeviceError(running.problem)
 
 

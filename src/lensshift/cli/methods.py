@@ -1,15 +1,89 @@
-"""`lensshift methods`: what can be chosen with --method, and what each one can be told."""
+"""`lensshift methods`, and what the words stand for that choose and set a method."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import Annotated, Any
+
+import typer
 
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, verb
 
-if TYPE_CHECKING:
-    pass
+
+def _method_names() -> list[str]:
+    from lensshift.reconstruction.methods import method_names
+
+    return list(method_names())
+
+
+MethodOption = Annotated[
+    str, typer.Option(help="Method; `lensshift methods` lists them.", autocompletion=_method_names)
+]
+WeightOption = Annotated[
+    str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
+]
+
+
+def check_method(method: str) -> None:
+    """Raise a usage error that lists the methods if there is no such method."""
+    names = _method_names()
+    if method not in names:
+        raise typer.BadParameter(f"there is no method {method!r}; choose among {', '.join(names)}")
+
+
+def parse_weight(text: str) -> float | str | None:
+    """Return a weight of the prior; None: found from the noise."""
+    if text == "auto":
+        return None
+    if text == "cross-validation":
+        return text
+    try:
+        weight = float(text)
+    except ValueError:
+        weight = -1.0
+    if not 0.0 <= weight < float("inf"):
+        problem = f'expected a number from 0, "auto" or "cross-validation", got {text!r}'
+        raise typer.BadParameter(problem, param_hint="--prior-weight")
+    return weight
+
+
+def parse_options(method: str, told: list[str]) -> dict[str, Any]:
+    """Return options of a method from texts NAME=VALUE; values as in TOML, or plain words."""
+    from lensshift.core.errors import DataError
+    from lensshift.core.settings import fitted, parse_toml
+    from lensshift.reconstruction.methods import find_method, make_method
+
+    options: dict[str, Any] = {}
+    for text in told:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier() or name == "prior_weight":
+            hint = "; use --prior-weight" if name == "prior_weight" else ""
+            problem = f"expected NAME=VALUE, got {text!r}{hint}"
+            raise typer.BadParameter(problem, param_hint="--option")
+        try:
+            options[name] = parse_toml(f"value = {value}")["value"]
+        except DataError:
+            options[name] = value
+    try:
+        if not set(options) - set(find_method(method).option_names()):
+            options = fitted(find_method(method), options, "")
+        make_method(method, options)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--option") from error
+    return options
+
+
+def parse_frames(text: str | None) -> tuple[int, ...] | None:
+    """Return the numbers of frames, None: all of them."""
+    if text is None:
+        return None
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(
+            f"expected numbers as in 0,2,8,10, got {text!r}", param_hint="--frames"
+        ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +103,6 @@ def methods(current: Session, asked: MethodsOptions) -> None:
       lensshift methods tv
       lensshift reconstruct burst.nc --method tv --option iterations=30
     """
-    from lensshift.cli.method_options import check_method
     from lensshift.reconstruction.methods import METHODS
 
     if asked.method is not None:

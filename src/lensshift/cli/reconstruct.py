@@ -5,25 +5,38 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli.inputs import beside, check_files, check_netcdf, load_input_burst
-from lensshift.cli.method_options import check_method, parse_frames, parse_options, parse_weight
-from lensshift.cli.points import CLOUD_SUFFIXES, refuse_points
-from lensshift.cli.reconstruct_options import ReconstructOptions
-from lensshift.cli.recording import is_recording, reconstruct_windows
+from lensshift.cli.inputs import (
+    BurstArgument,
+    StackOptions,
+    beside,
+    check_files,
+    check_netcdf,
+    load_input_burst,
+)
+from lensshift.cli.methods import (
+    MethodOption,
+    WeightOption,
+    check_method,
+    parse_frames,
+    parse_options,
+    parse_weight,
+)
+from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
+from lensshift.cli.recording import Split, is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
 from lensshift.cli.session import Progress, Session, picked
-from lensshift.cli.verbs import verb
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.cli.verbs import option, verb
+from lensshift.core.errors import QualityWarning, naming
 
 if TYPE_CHECKING:
     from lensshift.core.point_cloud import PointCloud
-    from lensshift.core.types import Burst, Estimate, Reconstruction
+    from lensshift.core.types import Burst, Reconstruction
 
 _WIDTH_SOURCES = {
     "given": "as told",
@@ -32,6 +45,77 @@ _WIDTH_SOURCES = {
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
 }
 EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".png", ".npz", *CLOUD_SUFFIXES)
+
+
+def width_px(text: str) -> float | None:
+    """Return the width that an option tells, None for auto."""
+    if text == "auto":
+        return None
+    try:
+        told_px = float(text)
+    except ValueError:
+        told_px = -1.0
+    if not told_px >= 0.0:
+        raise typer.BadParameter(f"expected auto or a number of LR px from 0, got {text!r}")
+    return told_px
+
+
+@dataclass(frozen=True, slots=True)
+class ReconstructOptions:
+    """Options of `lensshift reconstruct`."""
+
+    burst: BurstArgument
+    out: Path | None = option(None, "Result file; default: BURST_xSCALE.nc beside it.", "-o")
+    scale: int = option(2, "Upscaling factor.", min=1, max=8)
+    method: MethodOption = "auto"
+    channel: Literal["auto", "amplitude", "distance", "phasor"] = option(
+        "auto", "What to reconstruct."
+    )
+    psf_sigma_px: float | None = option(
+        None,
+        "Gaussian width of optics and pixel (with --fill-factor: of the optics alone) in LR "
+        "px; auto, the default: from --calibration or the burst, else read from the frames, "
+        "or a square pixel (with --fill-factor: 0).",
+        parser=width_px,
+        metavar="PX|auto",
+    )
+    prior_weight: WeightOption = "auto"
+    method_options: list[str] | None = option(
+        None,
+        "Option of the method, as in iterations=30; repeatable; see `lensshift methods`.",
+        "--option",
+        metavar="NAME=VALUE",
+    )
+    frames: str | None = option(None, "Frames to use, as in 0,2,8,10; default: all.")
+    noise_sigma: float | None = option(None, "Noise of one LR pixel; default: estimated.", min=0.0)
+    fill_factor: float | None = option(
+        None, "Light-sensitive linear share of a pixel.", min=0.0, max=1.0
+    )
+    non_negative: bool = option(False, "Forbid negative values.")
+    photometric: bool = option(False, "Estimate gain and offset of each frame.")
+    seed: int = option(0, "Seed of whatever is random.", min=0)
+    motion: Literal["auto", "shift", "affine"] = option(
+        "auto",
+        "Of frames whose shifts are not known; affine: they also turn and grow; auto: if they "
+        "show it; shift: never.",
+    )
+    lens_field: Path | None = option(
+        None, "From `lensshift lens field`: how shift and blur vary over the sensor."
+    )
+    calibration: Path | None = option(
+        None, "From `lensshift calibrate`: shifts from stage positions."
+    )
+    device: str | None = option(
+        None,
+        "Where the method auto is computed, by PyTorch; default: compiled for this processor.",
+        metavar="cpu|cuda|cuda:N|numpy",
+    )
+    export: list[Path] | None = option(
+        None, "Also write .tif, .ome.tif, .fits, .png, .npz, .ply or .pcd; repeatable."
+    )
+    points: PointOptions = field(default_factory=PointOptions)
+    stack: StackOptions = field(default_factory=StackOptions)
+    split: Split = field(default_factory=Split)
 
 
 @verb()
@@ -74,11 +158,21 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
 def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
-    phasors = burst.modulation_hz is not None and burst.amplitude.dtype.kind == "c"
+    waves = burst.amplitude.dtype.kind == "c"
+    phasors = waves and burst.modulation_hz is not None
+    if waves and not phasors and (lost := [p for p in asked.export or () if _is_plain(p)]):
+        raise ValueError(f"{lost[0]}: the frames are complex; take .npz, .ome.tif or .fits")
     distances = phasors or burst.phasors is not None or burst.distance_m is not None
     distances = distances and asked.channel != "amplitude"
     refuse_points(asked.export or (), intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)
+
+
+def _is_plain(path: Path) -> bool:
+    """Tell whether a name is that of one picture of real numbers."""
+    from lensshift.io.image_formats import is_ome
+
+    return path.suffix.lower() in (".tif", ".tiff", ".png") and not is_ome(path)
 
 
 def _located(
@@ -103,32 +197,23 @@ def _located(
         from lensshift.io import load_lens_field
 
         found = load_lens_field(lens_field)
-        try:
+        with naming(lens_field):
             found.of(burst)
-        except DataError as error:
-            raise error.in_file(lens_field) from error
         known["lens_field"] = found
     return burst, known
-
-
-def describe(estimate: Estimate) -> dict[str, Any]:
-    """Return what is worth knowing about one channel."""
-    return {
-        "status": estimate.status.value,
-        "iterations": len(estimate.objective),
-        **picked(estimate, "prior_weight noise_sigma noise_gain"),
-    }
 
 
 def say_channels(current: Session, result: Reconstruction) -> None:
     """Print and hand back what is worth knowing about each channel."""
     channels = current.result["channels"] = {}
     for name, estimate in result.channels.items():
-        known = channels[name] = describe(estimate)
-        current.say(f"{name}: {known['status']}, {known['iterations']} iterations")
-        for label in ("prior_weight", "noise_sigma", "noise_gain"):
-            if known[label] is not None:
-                current.say(f"  {label.replace('_', ' '):<13}{known[label]:.4g}")
+        numbers = picked(estimate, "prior_weight noise_sigma noise_gain")
+        status, count = estimate.status.value, len(estimate.objective)
+        channels[name] = {"status": status, "iterations": count, **numbers}
+        current.say(f"{name}: {status}" + (f", {count} iterations" if count else ""))
+        for label, number in numbers.items():
+            if number is not None:
+                current.say(f"  {label.replace('_', ' '):<13}{number:.4g}")
 
 
 def _reconstruct(
@@ -148,11 +233,9 @@ def _reconstruct(
     if (little := _adds_little(burst)) and not settings.keys() & {"shift_field", "lens_field"}:
         current.warn(little, QualityWarning, "", 0)
     start_s = time.perf_counter()
-    with closing(Progress(f"reconstructing with {settings['method']}", preparing=True)) as progress:
-        try:
-            result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
-        except DataError as error:
-            raise error.in_file(source) from error
+    progress = Progress(f"reconstructing with {settings['method']}", preparing=True)
+    with closing(progress), naming(source):
+        result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
     seconds = time.perf_counter() - start_s
     target, preview, *exports = files
     save_reconstruction(result, target)

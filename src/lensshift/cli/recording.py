@@ -14,7 +14,7 @@ from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option
 
 if TYPE_CHECKING:
-    from lensshift.cli.reconstruct_options import ReconstructOptions
+    from lensshift.cli.reconstruct import ReconstructOptions
 
 
 @dataclass(frozen=True, slots=True)

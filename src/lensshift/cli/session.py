@@ -15,7 +15,7 @@ from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
-from lensshift.core.ending import ended_by_signals
+from lensshift.core.ending import ended_by_signals, interruption
 from lensshift.core.errors import QualityWarning, printable
 from lensshift.core.settings import to_json
 
@@ -115,14 +115,17 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         warnings.showwarning = current.warn
         try:
             yield current
-        except KeyboardInterrupt as error:
-            typer.echo(f"interrupted: {error}" if str(error) else "interrupted", err=True)
-            raise typer.Exit(130) from error
         except typer.Exit:  # a RuntimeError in the eyes of Python
             raise
-        except _FAILURES as error:
-            _report(error, current)
-            raise typer.Exit(1) from error
+        except (KeyboardInterrupt, *_FAILURES) as error:
+            ended = interruption(error)
+            if isinstance(ended, SystemExit):
+                raise ended from error
+            if ended is None:
+                _report(error, current)
+                raise typer.Exit(1) from error
+            typer.echo(f"interrupted: {ended}" if str(ended) else "interrupted", err=True)
+            raise typer.Exit(130) from error
         finally:
             if current.waiting is not None:
                 current.waiting.close()
@@ -137,7 +140,7 @@ def picked(value: object, names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names.split()}
 
 
-def _report(error: Exception, current: Session) -> None:
+def _report(error: BaseException, current: Session) -> None:
     if current.waiting is not None:
         current.waiting.close()
     if current.debug:
@@ -149,6 +152,25 @@ def _report(error: Exception, current: Session) -> None:
     typer.echo(f"error: {text}", err=True)
     if current.as_json:
         typer.echo(to_json({"error": text, "warnings": current.warnings}))
+
+
+class StatusLine:
+    """A line on stderr: on a terminal each text takes the place of the one before."""
+
+    def __init__(self) -> None:
+        self.on_terminal = sys.stderr.isatty()
+        self._open = False
+
+    def show(self, text: str) -> None:
+        """Show a text."""
+        text, self._open = printable(text), self.on_terminal
+        typer.echo(f"\r{text:<100}" if self._open else text, err=True, nl=not self._open)
+
+    def close(self) -> None:
+        """End the line on a terminal; again does nothing."""
+        if self._open:
+            typer.echo("", err=True)
+            self._open = False
 
 
 class Progress:
@@ -163,7 +185,7 @@ class Progress:
     def __init__(self, label: str, *, preparing: bool = False) -> None:
         self._label = label
         self._start_s = self._last_s = time.monotonic()
-        self._open_line = False
+        self._line = StatusLine()
         self._begun = threading.Timer(_QUIET_S, self.say, [_PREPARING])
         if preparing:
             self._begun.daemon = True
@@ -187,22 +209,17 @@ class Progress:
     def say(self, state: str) -> None:
         """Show a state, unless the last one is too fresh."""
         now_s = time.monotonic()
-        terminal = sys.stderr.isatty()
-        every_s = _TERMINAL_EVERY_S if terminal else _FILE_EVERY_S
+        every_s = _TERMINAL_EVERY_S if self._line.on_terminal else _FILE_EVERY_S
         first = self._last_s == self._start_s
         if now_s - self._start_s < _QUIET_S or (not first and now_s - self._last_s < every_s):
             return
         self._last_s = now_s
-        text = printable(f"{self._label}: {state}")
-        typer.echo(f"\r{text:<90}" if terminal else text, err=True, nl=not terminal)
-        self._open_line = terminal
+        self._line.show(f"{self._label}: {state}")
 
     def close(self) -> None:
         """End the line on a terminal."""
         self._begun.cancel()
-        if self._open_line:
-            typer.echo("", err=True)
-            self._open_line = False
+        self._line.close()
 
 
 class Waiting:

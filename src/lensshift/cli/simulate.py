@@ -58,7 +58,8 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
       lensshift simulate slanted_edge --lens petzval_a --element 1 --seed 3 -o edge.nc
       lensshift simulate my_scene.toml --camera vga --pattern 3x3 --scale 3 -o room.nc
     """
-    out, phases, truth_file = asked.out, asked.phases, asked.out.with_suffix(".truth.npz")
+    out, phases = asked.out, asked.phases
+    truth_file = out.parent / f"{out.stem}.truth.npz"
     _check_outputs(asked, truth_file)
     from lensshift.camera import named_pattern_px, simulate_tof
     from lensshift.io import save_burst

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -58,6 +59,17 @@ class Ending:
         return SystemExit(128 + self.number)  # what a shell says of a process that a signal ended
 
 
+def interruption(error: BaseException) -> BaseException | None:
+    """Return the Ctrl-C or signal that an error is, or that it came of.
+
+    What is left half done, such as a ZIP, may fail to close.
+    """
+    found: BaseException | None = error
+    while found is not None and not isinstance(found, KeyboardInterrupt | SystemExit):
+        found = found.__context__
+    return found
+
+
 @contextmanager
 def ended_by_signals(
     *, at_once: bool = True, ctrl_c: bool = False, meanwhile: str = ""
@@ -88,13 +100,12 @@ def ended_by_signals(
         signal.signal(number, ending)
     try:
         yield ending
-    except Exception as error:
-        if ending.number and at_once:  # what it left half done, such as a ZIP, failed to close
-            raise ending.error() from error
-        raise
     finally:
         if threading.current_thread() is threading.main_thread():  # a generator may end elsewhere
             for number in ours:
                 signal.signal(number, before[number])
+        left = sys.exception()
+        if isinstance(left, Exception) and ending.number and at_once:  # see `interruption`
+            raise ending.error() from left
     if ending.number:  # it waited, or was swallowed
         raise ending.error()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -35,6 +37,15 @@ class DataError(ValueError):
     def in_file(self, source: str | Path) -> DataError:
         """Return the same error with the name of the file in front, unless it names one."""
         return DataError(self.problem, field=self.field, source=self.source or source)
+
+
+@contextmanager
+def naming(source: str | Path) -> Iterator[None]:
+    """Give each `DataError` of the block the name of the file, unless it names one."""
+    try:
+        yield
+    except DataError as error:
+        raise error.in_file(source) from error
 
 
 class QualityWarning(UserWarning):

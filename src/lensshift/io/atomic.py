@@ -68,4 +68,6 @@ def writable_target(path: str | Path) -> Path:
         raise DataError(f"cannot write: this is {kind}, not a file", source=path)
     if not target.parent.is_dir():
         raise DataError(f"cannot write: there is no folder {target.parent}", source=path)
+    if not os.access(target.parent, os.W_OK):
+        raise DataError(f"cannot write: no permission to write to {target.parent}", source=path)
     return target

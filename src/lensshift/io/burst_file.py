@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.core.types import Burst, expect_burst
 from lensshift.io import container_writer as writer
 from lensshift.io.capture_file import burst_of_capture, is_capture, read_capture
@@ -60,13 +60,9 @@ def save_burst(burst: Burst, path: str | Path) -> None:
         If the file cannot be written, or a dtype or `meta` cannot be stored.
     """
     expect_burst(burst)
-    try:
+    with naming(path):
         attributes = _attributes(burst)
-    except DataError as error:
-        raise error.in_file(path) from error
-    writer.write_container(
-        path, schema=SCHEMA, axes=_AXES, variables=_variables(burst), attributes=attributes
-    )
+    writer.write_container(writer.Content(SCHEMA, _AXES, _variables(burst), attributes), path)
 
 
 def _attributes(burst: Burst) -> dict[str, Any]:
@@ -207,10 +203,8 @@ def _begun(
     attributes = _attributes(part)
     told = repr((attributes, part.intrinsics)).encode()  # may be too long for one attribute
     begun = {"frames": frame_count, "names": sorted(space), "told": sha256(told).hexdigest()}
-    return PiecewiseFile.begin(
-        path, schema=SCHEMA, axes=_AXES, variables=space, attributes=attributes,
-        begun=writer.to_json(begun, "begun"),
-    )  # fmt: skip
+    content = writer.Content(SCHEMA, _AXES, space, attributes)
+    return PiecewiseFile.begin(path, content, writer.to_json(begun, "begun"))
 
 
 def _burst(
@@ -222,18 +216,14 @@ def _burst(
         for field, (name, _, _) in _PAIRS.items()
         if field == "offset_px" or container.has(f"{name}_row") or container.has(f"{name}_col")
     }
-    if container.has("distance"):
-        fields["distance_m"] = container.array("distance", part=part)
-    if container.has("phasors"):
-        each = part and (slice(None), *part)
-        fields["phasors"] = container.array("phasors", kinds="c", part=each)
-    if container.has("affine"):
-        fields["affine"] = container.array("affine", kinds="uif", part=part)
-    if container.has("time"):
-        fields["time_s"] = container.array("time", kinds="uif", part=part)
+    each = part and (slice(None), *part)
     flags = container.array("flags", kinds="ui", part=part)
     return Burst.from_arrays(
         container.array("amplitude", part=part),
+        container.known("distance", part=part),
+        phasors=container.known("phasors", kinds="c", part=each),
+        affine=container.known("affine", kinds="uif", part=part),
+        time_s=container.known("time", kinds="uif", part=part),
         pitch_mm=container.number_pair("pitch_mm"),
         valid=(flags & _INVALID) == 0,
         modulation_hz=container.numbers("modulation_hz"),

@@ -273,10 +273,8 @@ def burst_of_capture(
 def _records(path: Path) -> tuple[dict[str, Any], list[FrameRecord], int]:
     """Return the header, the whole frames, and where the last one ends."""
     require_file(path)
-    try:
+    with reading(path):
         data = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"cannot read: {error.strerror}", source=path) from error
     payloads, end = [], 0
     while len(data) >= end + _HEAD.size:
         mark, length, checksum = _HEAD.unpack_from(data, end)

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.core.settings import parse_json
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
 GROUP = "entry/data"
+OTHERS = "arrays of other programs are read from NPZ: amplitude, distance_m, valid ..."
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -83,6 +84,10 @@ class Container:
             values = np.asarray(item[part or ()])
             return values.astype(values.dtype.newbyteorder("="), copy=False)
 
+    def known(self, name: str, **options: Any) -> NDArray[Any] | None:
+        """Read a variable as `array` does; None if there is none."""
+        return self.array(name, **options) if self.has(name) else None
+
     def start_of(self, name: str) -> int:
         """Return where in the file the bytes of a variable begin that lie in one run."""
         with reading(self.path, name):
@@ -116,9 +121,9 @@ class Container:
     def text(self, name: str, *, of: str = "") -> str:
         """Return a text attribute."""
         value = self.attribute(name, of=of)
-        if not isinstance(value, str):
-            raise self._unexpected("text", value, name)
-        return value
+        if isinstance(value, str):
+            return value
+        raise self._unexpected("text", value, name)
 
     def number(self, name: str, *, of: str = "") -> float | None:
         """Return a numeric attribute, or None if it is absent."""
@@ -201,10 +206,8 @@ def open_container(path: str | Path, schema: str) -> Iterator[Container]:
                 f"got {declared!r:.80}, but this program reads up to {schema}; update lensshift"
             )
             raise DataError(problem, field="schema", source=path)
-        try:
+        with naming(path):
             yield container
-        except DataError as error:
-            raise error.in_file(path) from error
 
 
 def read_schema(path: str | Path) -> str:
@@ -216,11 +219,8 @@ def read_schema(path: str | Path) -> str:
 def is_hdf5(path: str | Path) -> bool:
     """Tell whether a file starts like an HDF5 file."""
     require_file(path)
-    try:
-        with Path(path).open("rb") as file:
-            return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
-    except OSError as error:
-        raise DataError(f"cannot read: {error.strerror}", source=path) from error
+    with reading(path), Path(path).open("rb") as file:
+        return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
 
 
 @contextmanager
@@ -228,7 +228,7 @@ def _opened(path: Path) -> Iterator[Container]:
     import h5py
 
     if not is_hdf5(path):
-        raise DataError("not a netCDF-4/HDF5 file", source=path)
+        raise DataError(f"not a netCDF-4/HDF5 file; {OTHERS}", source=path)
     with reading(path):
         file = h5py.File(path, "r")
     try:
@@ -237,7 +237,8 @@ def _opened(path: Path) -> Iterator[Container]:
             for name in GROUP.split("/"):
                 group = _member(group, name)
                 if not isinstance(group, h5py.Group):
-                    raise DataError("the group is missing; not a file of lensshift", field=GROUP)
+                    problem = "the group is missing; not a file of lensshift"
+                    raise DataError(f"{problem}; {OTHERS}", field=GROUP)
         yield Container(path, group)
     finally:
         with reading(path):

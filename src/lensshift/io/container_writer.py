@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.io.atomic import written_whole
 
 CHUNK_BYTES = 1_000_000  # what HDF5 caches by default
@@ -58,15 +58,9 @@ def measured(
     return Variable(dims, held, {"units": units, "long_name": meaning, **more})
 
 
-def write_container(
-    path: str | Path,
-    *,
-    schema: str,
-    axes: Sequence[str],
-    variables: Mapping[str, Variable],
-    attributes: Mapping[str, Any],
-) -> None:
-    """Write variables and attributes to a new file; an old one is replaced in one step.
+@dataclass(frozen=True, slots=True, eq=False)
+class Content:
+    """What a container holds.
 
     Parameters
     ----------
@@ -74,6 +68,16 @@ def write_container(
     axes : dimensions of the first variable, which is the default plot
     variables : arrays by name; a dimension has the same length everywhere
     attributes : of the whole set; None is left out, text and numbers are kept
+    """
+
+    schema: str
+    axes: Sequence[str]
+    variables: Mapping[str, Variable]
+    attributes: Mapping[str, Any]
+
+
+def write_container(content: Content, path: str | Path) -> None:
+    """Write variables and attributes to a new file; an old one is replaced in one step.
 
     Raises
     ------
@@ -82,20 +86,12 @@ def write_container(
     """
     # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
     image = BytesIO()
-    write_hdf5(image, path, schema=schema, axes=axes, variables=variables, attributes=attributes)
+    write_hdf5(content, image, path)
     with written_whole(path) as temporary:
         temporary.write_bytes(image.getbuffer())
 
 
-def write_hdf5(
-    target: BytesIO | Path,
-    path: str | Path,
-    *,
-    schema: str,
-    axes: Sequence[str],
-    variables: Mapping[str, Variable],
-    attributes: Mapping[str, Any],
-) -> None:
+def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> None:
     """Write what `write_container` writes to memory or a new file; `path` is for messages.
 
     Raises
@@ -103,19 +99,32 @@ def write_hdf5(
     DataError
         If a variable does not fit.
     """
-    try:
-        lengths = _dimension_lengths(variables)
-    except DataError as error:
-        raise error.in_file(path) from error
-    described = {
+    import h5netcdf
+    import h5py
+
+    with naming(path):
+        lengths = _dimension_lengths(content.variables)
+    attributes = {
         "NX_class": "NXdata",
-        "signal": next(iter(variables)),
-        "axes": list(axes),
+        "signal": next(iter(content.variables)),
+        "axes": list(content.axes),
         "Conventions": "CF-1.11",
-        "schema": sealed_text(schema),
+        "schema": sealed_text(content.schema),
         "software": f"lensshift {_version()}",
+        **content.attributes,
     }
-    _write_groups(target, lengths, variables, described | dict(attributes))
+    with h5netcdf.File(target, "w", libver=_LIBVER) as file:
+        _set_attributes(file.attrs, {**attributes, "NX_class": "NXroot", "default": "entry"})
+        entry = file.create_group("entry")
+        _set_attributes(entry.attrs, {"NX_class": "NXentry", "default": "data"})
+        data = entry.create_group("data")
+        _set_attributes(data.attrs, attributes)
+        data.dimensions = lengths
+        for name, variable in content.variables.items():
+            _write_variable(data, name, variable)
+    with h5py.File(target, "r+", libver=_LIBVER) as file:
+        for name, item in file["entry/data"].items():  # dimensions without variables as well
+            file[name] = item  # a second name, not a second copy
 
 
 def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
@@ -150,29 +159,6 @@ def sealed_text(text: str) -> NDArray[np.bytes_]:
 
     encoded = text.encode()
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
-
-
-def _write_groups(
-    target: BytesIO | Path,
-    lengths: Mapping[str, int],
-    variables: Mapping[str, Variable],
-    attributes: Mapping[str, Any],
-) -> None:
-    import h5netcdf
-    import h5py
-
-    with h5netcdf.File(target, "w", libver=_LIBVER) as file:
-        _set_attributes(file.attrs, {**attributes, "NX_class": "NXroot", "default": "entry"})
-        entry = file.create_group("entry")
-        _set_attributes(entry.attrs, {"NX_class": "NXentry", "default": "data"})
-        data = entry.create_group("data")
-        _set_attributes(data.attrs, attributes)
-        data.dimensions = dict(lengths)
-        for name, variable in variables.items():
-            _write_variable(data, name, variable)
-    with h5py.File(target, "r+", libver=_LIBVER) as file:
-        for name, item in file["entry/data"].items():  # dimensions without variables as well
-            file[name] = item  # a second name, not a second copy
 
 
 def _dimension_lengths(variables: Mapping[str, Variable]) -> dict[str, int]:

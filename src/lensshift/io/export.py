@@ -185,17 +185,8 @@ def _estimate_fields(name: str, estimate: Estimate) -> dict[str, Any]:
         f"{name}_objective": np.asarray(estimate.objective, dtype=np.float64),
         f"{name}_status": estimate.status.name.lower(),
     }
-    for part in (
-        "std",
-        "misfit",
-        "fine",
-        "confidence",
-        "prior_weight",
-        "noise_sigma",
-        "noise_gain",
-    ):
-        fields[f"{name}_{part}"] = getattr(estimate, part)
-    return fields
+    parts = ("std", "misfit", "fine", "confidence", "prior_weight", "noise_sigma", "noise_gain")
+    return fields | {f"{name}_{part}": getattr(estimate, part) for part in parts}
 
 
 def _as_real(image: ArrayLike) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Frames from single image files: TIFF, PNG, NPY, NPZ and FITS."""
+"""Frames from single image files: TIFF, PNG, JPEG, BMP, NPY, NPZ and FITS."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
-from lensshift.io.container_reader import is_hdf5
+from lensshift.core.errors import DataError, QualityWarning
+from lensshift.io.container_reader import OTHERS, is_hdf5
+from lensshift.io.fits_wcs import astropy_fits, images_of, quiet_astropy
 from lensshift.io.reading import (
     CONTAINER_SUFFIXES,
+    RECORDING_SUFFIXES,
     check_held,
     check_unpacked,
     reading,
@@ -25,10 +27,13 @@ from lensshift.io.reading import (
 )
 
 TIFF_SUFFIXES = (".tif", ".tiff")
-FITS_SUFFIXES = (".fits", ".fit")
-IMAGE_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy", *FITS_SUFFIXES)
+FITS_SUFFIXES = (".fits", ".fit", ".fts")
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+_PILLOW_SUFFIXES = (".png", *JPEG_SUFFIXES, ".bmp")
+IMAGE_SUFFIXES = (*TIFF_SUFFIXES, *_PILLOW_SUFFIXES, ".npy", *FITS_SUFFIXES)
+_FORMATS = ("PNG", "TIFF", "JPEG", "BMP")  # of Pillow
 _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
-_CHANNEL_MODES = ("LA", "RGB", "RGBA")
+_CHANNEL_MODES = ("LA", "RGB", "RGBA", "P")  # P has a palette
 _PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
 TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
 _ADVICE = "save it as greyscale of 8 or 16 bits first"
@@ -38,7 +43,7 @@ def load_frames(path: str | Path) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
     Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS
-    file: the extension AMPLITUDE, else all images, if they have one size.
+    file: the extensions AMPLITUDE or SCI, else all images, if they have one size.
 
     Raises
     ------
@@ -49,14 +54,23 @@ def load_frames(path: str | Path) -> NDArray[Any]:
     """
     require_file(path)
     suffix = Path(path).suffix.lower()
-    loaders = {".png": _load_pillow, ".npy": _load_npy, **dict.fromkeys(TIFF_SUFFIXES, _load_tiff)}
+    loaders = {".npy": _load_npy, **dict.fromkeys(TIFF_SUFFIXES, _load_tiff)}
+    loaders |= dict.fromkeys(_PILLOW_SUFFIXES, _load_pillow)
     loaders |= dict.fromkeys(FITS_SUFFIXES, _load_fits)
+    if suffix in JPEG_SUFFIXES:
+        lossy = (
+            "levels of a JPEG are rounded in blocks and rarely light; take PNG or TIFF if you can"
+        )
+        warnings.warn(lossy, QualityWarning, stacklevel=2)
     with reading(path):
         if suffix in loaders:
             return loaders[suffix](path)
         if suffix in CONTAINER_SUFFIXES:
             ours = is_hdf5(path)
-            raise DataError("no image, but a netCDF file" if ours else "not a netCDF-4/HDF5 file")
+            problem = f"not a netCDF-4/HDF5 file; {OTHERS}"
+            raise DataError("no image, but a netCDF file" if ours else problem)
+        if suffix in RECORDING_SUFFIXES:
+            raise DataError("no image, but a recording: lensshift live --replay plays it")
         raise DataError(f"expected {', '.join(IMAGE_SUFFIXES)} or .npz, got {suffix!r:.40}")
 
 
@@ -86,18 +100,19 @@ def _without_pickles(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[
 
 def _load_npy(path: str | Path) -> NDArray[Any]:
     _check_signature(path, b"\x93NUMPY", "an NPY file")
-    values = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses what is cut short
+    try:
+        values = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses what is cut short
+    except ValueError as error:
+        if "Python objects" not in str(error):
+            raise
+        raise DataError("expected numbers, got Python objects; save one array of them") from error
     check_unpacked(values.nbytes, Path(path).stat().st_size, "")
     return np.array(values)
 
 
 def _load_fits(path: str | Path) -> NDArray[Any]:
-    try:
-        from astropy.io import fits
-    except ImportError as error:
-        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about cards
+    fits = astropy_fits()
+    with quiet_astropy():
         warnings.filterwarnings("error", ".*truncated")
         with Path(path).open("rb") as raw, fits.open(raw) as file:  # its own it may leave open
             try:
@@ -107,16 +122,23 @@ def _load_fits(path: str | Path) -> NDArray[Any]:
 
 
 def _fits_images(pages: Any, file_bytes: int) -> NDArray[Any]:
-    images = [page for page in pages if page.is_image and page.shape]
-    images = [page for page in images if page.name == "AMPLITUDE"] or images
+    images = images_of(pages)
     sizes = {page.shape[-2:] for page in images}
-    if len(sizes) != 1 or any(len(page.shape) not in (2, 3) for page in images):
+    stacks = all(len(page.shape) > 1 and _one_stack(page.shape) for page in images)
+    if len(sizes) != 1 or not stacks:
         shapes = ", ".join(str(page.shape) for page in images) or "none"
-        raise DataError(f"expected images or a cube of images of one size, got {shapes}")
+        raise DataError(
+            f"expected images or a cube of images of one size, got {shapes}; save the frames alone"
+        )
     bits = sum(abs(page.header["BITPIX"]) * math.prod(page.shape) for page in images)
     check_unpacked(bits // 8, file_bytes, "images")
-    stacks = [page.data.reshape(-1, *page.shape[-2:]) for page in images]
-    return np.concatenate([one.astype(one.dtype.newbyteorder("=")) for one in stacks])
+    frames = [page.data.reshape(-1, *page.shape[-2:]) for page in images]
+    return np.concatenate([one.astype(one.dtype.newbyteorder("=")) for one in frames])
+
+
+def _one_stack(shape: tuple[int, ...]) -> bool:
+    """Tell whether the axes before rows and columns are those of one stack."""
+    return math.prod(shape[:-2]) == max(shape[:-2], default=1)
 
 
 def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
@@ -177,7 +199,7 @@ def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
     frames: NDArray[Any] = values.reshape(-1, *values.shape[-2:])
-    if values.ndim > 3 and frames.shape[0] != max(values.shape[:-2]):
+    if not _one_stack(values.shape):
         raise DataError(
             f"expected one stack of frames, got axes {series.axes} {values.shape}; "
             "save one channel or depth of it"
@@ -221,9 +243,9 @@ def strict_tifffile() -> Iterator[None]:
 def _load_pillow(path: str | Path) -> NDArray[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)  # Pillow's word for damaged tags
-        with opened_by_pillow(path, "PNG", "TIFF") as image:
+        with opened_by_pillow(path, *_FORMATS) as image:
             image.verify()  # checks the checksums, and leaves the image unusable
-        with opened_by_pillow(path, "PNG", "TIFF") as image:
+        with opened_by_pillow(path, *_FORMATS) as image:
             count = int(getattr(image, "n_frames", 1))
             pixels = count * image.width * image.height
             check_unpacked(_PIXEL_BYTES * pixels, Path(path).stat().st_size, "pages")
@@ -252,7 +274,7 @@ def _pillow_frame(image: Any, number: int) -> NDArray[Any]:
         raise DataError(f"expected greyscale, got mode {image.mode!r}; {_ADVICE}")
     if any("16" in str(tile[3]) for tile in image.tile):
         raise DataError(f"colour of 16 bits a channel would lose its lower bits; {_ADVICE}")
-    return _grey(np.asarray(image))
+    return _grey(np.asarray(image.convert("RGB") if image.mode == "P" else image))
 
 
 def _grey(channels: NDArray[Any]) -> NDArray[Any]:

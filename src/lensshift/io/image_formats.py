@@ -10,6 +10,7 @@ import numpy as np
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io.atomic import written_whole
+from lensshift.io.fits_wcs import astropy_fits, told_wcs
 from lensshift.io.image_file import FITS_SUFFIXES
 from lensshift.io.picture_layers import picture_layers
 
@@ -62,10 +63,11 @@ def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
 def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
     """Write all images as extensions of a FITS file, with their coordinates (WCS).
 
-    With a pinhole without distortion they are angles to the right and up from the axis of the
-    camera, by the gnomonic projection (CMLN-TAN, CMLT-TAN); an alternative, A, which is the only
-    one of other cameras, gives mm on the sensor from the middle of the first pixel, if the pitch
-    is told. The first row of an image is the first of the file.
+    Those of the FITS file that the frames are from, of finer pixels. Else, with a pinhole without
+    distortion, angles to the right and up from the axis of the camera, by the gnomonic projection
+    (CMLN-TAN, CMLT-TAN); an alternative, A, which is the only one of other cameras, gives mm on the
+    sensor from the middle of the first pixel, if the pitch is told. The first row of an image is
+    the first of the file.
 
     Raises
     ------
@@ -74,10 +76,7 @@ def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    try:
-        from astropy.io import fits
-    except ImportError as error:
-        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
+    fits = astropy_fits()
     first = fits.PrimaryHDU()
     first.header["ORIGIN"] = "lensshift"
     if isinstance(value, Reconstruction):
@@ -105,6 +104,9 @@ def _write_wcs(header: Header, value: Burst | Reconstruction) -> None:
         told.wcs.crpix, told.wcs.cdelt = first, steps
         return told.to_header()
 
+    if (told := told_wcs(value)) is not None:
+        header.update(told)
+        return
     seen = value.intrinsics
     straight = isinstance(seen, Pinhole) and not any((seen.k1, seen.k2, seen.p1, seen.p2, seen.k3))
     if isinstance(seen, Pinhole) and straight:

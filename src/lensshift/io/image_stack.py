@@ -1,4 +1,4 @@
-"""Bursts from image stacks: TIFF, PNG, NPY, NPZ and FITS with shifts from CSV or JSON."""
+"""Bursts from image stacks: TIFF, PNG, JPEG, NPY, NPZ, FITS with shifts from CSV or JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
-from lensshift.io.image_file import IMAGE_SUFFIXES, load_frames, load_named_arrays
+from lensshift.io.fits_wcs import wcs_cards
+from lensshift.io.image_file import (
+    FITS_SUFFIXES,
+    IMAGE_SUFFIXES,
+    load_frames,
+    load_named_arrays,
+)
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
@@ -115,6 +121,8 @@ def _plain_fields(frames: NDArray[Any], *first: Path) -> dict[str, Any]:
     if frames.ndim == 3 and not np.isfinite(frames).all():
         fields["valid"] = np.isfinite(frames)
     pitch_mm = pixel_size_mm(first[0]) if first else None
+    if first and first[0].suffix.lower() in FITS_SUFFIXES and (cards := wcs_cards(first[0])):
+        fields["meta"] = {"wcs": cards}
     return fields if pitch_mm is None else fields | {"pitch_mm": pitch_mm}
 
 
@@ -244,7 +252,7 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str
 
 def _warn_of_unread(path: Path, arrays: dict[str, NDArray[Any]], name: str) -> None:
     """Warn of stacks beside the frames that nothing is done with, as distances of another name."""
-    read = {name, *_STACKS}
+    read = {name, *_STACKS, "flying"}  # that of the truth of a simulation
     unread = [one for one in arrays if one not in read and arrays[one].shape == arrays[name].shape]
     if unread:
         warnings.warn(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lensshift.core.errors import DataError
 from lensshift.core.settings import read_text
 from lensshift.io.image_file import (
+    JPEG_SUFFIXES,
     TIFF_SUFFIXES,
     TIFFFILE_COMPRESSIONS,
     load_frames,
@@ -20,7 +21,6 @@ from lensshift.io.image_file import (
 )
 from lensshift.io.reading import check_unpacked, reading, require_file
 
-JPEG_SUFFIXES = (".jpg", ".jpeg")
 PHOTOGRAPH_SUFFIXES = (*JPEG_SUFFIXES, ".png", *TIFF_SUFFIXES)
 _COLOURS = 3  # red, green, blue
 _COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette

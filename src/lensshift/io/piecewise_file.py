@@ -9,18 +9,19 @@ there; what was begun with the same settings is gone on with.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
-from lensshift.io.atomic import GrowingFile, writable_target
+from lensshift.core.errors import DataError, naming
+from lensshift.io.atomic import GrowingFile, writable_target, written_whole
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import Allocated, Variable, measured, sealed_text, write_hdf5
+from lensshift.io.container_writer import Allocated, Content, measured, sealed_text, write_hdf5
 
 WRITTEN = "written"
 
@@ -47,21 +48,12 @@ class PiecewiseFile(GrowingFile):
         self._starts, self._spaces = dict(starts), dict(spaces)
 
     @classmethod
-    def begin(
-        cls,
-        path: str | Path,
-        *,
-        schema: str,
-        axes: Sequence[str],
-        variables: Mapping[str, Variable],
-        attributes: Mapping[str, Any],
-        begun: str,
-    ) -> Self:
+    def begin(cls, path: str | Path, content: Content, begun: str) -> Self:
         """Allocate a file, or go on with what was begun.
 
         Parameters
         ----------
-        variables : those with `Allocated` values are filled later; their first dimension is that
+        content : variables with `Allocated` values are filled later; their first dimension is that
             of the first variable
         begun : what must be the same to go on, as text
 
@@ -73,16 +65,18 @@ class PiecewiseFile(GrowingFile):
         """
         target = writable_target(path)
         part = target.with_name(f"{target.name}.part")
-        first = next(iter(variables.values()))
+        first = next(iter(content.variables.values()))
         space = Allocated((first.values.shape[0],), np.dtype("<u1"))
         written = measured((first.dims[0],), space, "1", "1 where the piece was written")
-        variables = {**variables, WRITTEN: written}
+        variables = {**content.variables, WRITTEN: written}
         spaces = {k: v.values for k, v in variables.items() if isinstance(v.values, Allocated)}
         if not part.exists():
             _check_room(target, spaces)
-            described = {**attributes, "begun": sealed_text(begun)}
-            _allocate(target, part, variables, schema=schema, axes=axes, attributes=described)
-        with open_container(part, schema) as container:
+            described = {**content.attributes, "begun": sealed_text(begun)}
+            whole = replace(content, variables=variables, attributes=described)
+            with naming(path), written_whole(part) as fresh:
+                write_hdf5(whole, fresh, path)
+        with open_container(part, content.schema) as container:
             if container.text("begun") != begun:
                 problem = (
                     f"{part.name} was begun with other settings or of another recording; give "
@@ -144,20 +138,6 @@ class PiecewiseFile(GrowingFile):
             raise DataError(f"{missing} pieces are missing", source=self._part)
         self._file.close()
         return self._part.replace(self._target)
-
-
-def _allocate(
-    target: Path, part: Path, variables: Mapping[str, Variable], **described: Any
-) -> None:
-    fresh = target.with_name(f"{target.name}.new")
-    fresh.unlink(missing_ok=True)
-    try:
-        write_hdf5(fresh, target, variables=variables, **described)
-        fresh.replace(part)
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror or error}", source=target) from error
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def _check_room(target: Path, spaces: Mapping[str, Allocated]) -> None:

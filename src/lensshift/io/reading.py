@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from numpy.lib.npyio import NpzFile
 
 CONTAINER_SUFFIXES = (".nc", ".nc4", ".h5", ".hdf5")
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+RECORDING_SUFFIXES = (".pcap", ".pcapng", *BAG_SUFFIXES)
 # What h5py, tifffile, Pillow and NumPy raise when a file is damaged.
 _READ_ERRORS = (
     OSError, EOFError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError,

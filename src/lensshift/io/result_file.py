@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
@@ -65,31 +65,19 @@ def save_reconstruction(reconstruction: Reconstruction, path: str | Path) -> Non
     if reconstruction.flying is not None:
         flags = np.where(reconstruction.flying, _FLYING, np.uint8(0))
         variables["flags"] = writer.Variable(_AXES, flags, writer.flag_attributes("flying"))
-    try:
+    with naming(path):
         if not variables:
             raise DataError("there is neither an amplitude nor a distance channel")
         settings = writer.to_json(reconstruction.settings, "settings")
-    except DataError as error:
-        raise error.in_file(path) from error
-    writer.write_container(
-        path,
-        schema=SCHEMA,
-        axes=_AXES,
-        variables=variables
-        | intrinsics_variables(reconstruction.intrinsics)
-        | writer.pixel_centres(reconstruction.grid.shape),
-        attributes=picture_attributes(
-            reconstruction.grid,
-            reconstruction.intrinsics,
-            scale=reconstruction.scale,
-            method=reconstruction.method,
-            settings=settings,
-        ),
-    )
+    grid, intrinsics = reconstruction.grid, reconstruction.intrinsics
+    variables |= intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape)
+    told = reconstruction.scale, reconstruction.method, settings
+    attributes = picture_attributes(grid, intrinsics, *told)
+    writer.write_container(writer.Content(SCHEMA, _AXES, variables, attributes), path)
 
 
 def picture_attributes(
-    grid: Grid, intrinsics: Intrinsics | None, *, scale: int, method: str, settings: str
+    grid: Grid, intrinsics: Intrinsics | None, scale: int, method: str, settings: str
 ) -> dict[str, Any]:
     """Return the attributes of a file of pictures; `settings` as JSON."""
     return {
@@ -127,7 +115,8 @@ def load_reconstruction(path: str | Path) -> Reconstruction:
             raise DataError(f"expected a whole number from 1, got {scale}", field="scale")
         settings = container.mapping("settings")
         channels = with_predictions(container, channels, int(scale), settings)
-        flying = _read_flying(container, images[0].shape)
+        flags = container.known("flags", kinds="ui", shape=images[0].shape)
+        flying = None if flags is None else (flags & _FLYING) != 0
         return read_picture(container, channels, int(scale), settings, flying)
 
 
@@ -166,12 +155,6 @@ def _channel_variables(name: str, estimate: Estimate) -> dict[str, writer.Variab
     return variables
 
 
-def _read_flying(container: Container, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    if not container.has("flags"):
-        return None
-    return np.asarray((container.array("flags", kinds="ui", shape=shape) & _FLYING) != 0)
-
-
 def _read_channel(container: Container, name: str) -> Estimate:
     image = container.array(name)
     if image.ndim != 2 or not image.size:
@@ -182,22 +165,20 @@ def _read_channel(container: Container, name: str) -> Estimate:
     optional: dict[str, Any] = {number: container.number(number, of=name) for number in _KEPT}
     optional["notes"] = container.mapping("notes", of=name)
     for part, attribute in (("std", "uncertainty"), ("misfit", "misfit")):
-        if container.has(f"{name}_{part}"):
-            values = container.array(f"{name}_{part}", kinds="f", shape=image.shape)
-            optional[attribute] = values
-    if container.has(f"{name}_fine"):
-        optional["fine"] = fine = container.array(f"{name}_fine", kinds="f")
+        values = container.known(f"{name}_{part}", kinds="f", shape=image.shape)
+        optional[attribute] = values
+    optional["fine"] = fine = container.known(f"{name}_fine", kinds="f")
+    if fine is not None:
         smaller = fine.shape[0] // image.shape[0] if fine.ndim == 2 else 0
         if smaller < 1 or fine.shape != tuple(smaller * n for n in image.shape):
             problem = f"expected a multiple of {image.shape}, got {fine.shape}"
             raise DataError(problem, field=f"{name}_fine")
-    if container.has(f"{name}_confidence"):
-        optional["confidence"] = container.array(f"{name}_confidence", kinds="f")
-        if optional["confidence"].ndim != 3:
-            raise DataError("expected [frame row col]", field=f"{name}_confidence")
-    if container.has(f"{name}_objective"):
-        objective = container.array(f"{name}_objective", kinds="uif")
-        optional["objective"] = tuple(float(value) for value in objective.ravel())
+    optional["confidence"] = weights = container.known(f"{name}_confidence", kinds="f")
+    if weights is not None and weights.ndim != 3:
+        raise DataError("expected [frame row col]", field=f"{name}_confidence")
+    objective = container.known(f"{name}_objective", kinds="uif")
+    if objective is not None:
+        optional["objective"] = tuple(objective.ravel().astype(float).tolist())
     return Estimate(image=image, status=status, **optional)
 
 

@@ -78,14 +78,9 @@ def begin_sequence(
     for name, (dtype, units, meaning) in _NUMBERS.items():
         variables[name] = _space((windows,), dtype, {"units": units, "long_name": meaning})
     said = writer.to_json(settings, "settings")
-    return PiecewiseFile.begin(
-        path,
-        schema=SCHEMA,
-        axes=_AXES,
-        variables=variables | intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape),
-        attributes=picture_attributes(grid, intrinsics, scale=scale, method=method, settings=said),
-        begun=said,
-    )
+    variables |= intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape)
+    attributes = picture_attributes(grid, intrinsics, scale, method, said)
+    return PiecewiseFile.begin(path, writer.Content(SCHEMA, _AXES, variables, attributes), said)
 
 
 def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
@@ -138,7 +133,8 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
                 channels[name] = Estimate(values, std, status=status)
         if not channels:
             raise DataError("there is neither an amplitude nor a distance channel")
-        flying = container.array("flags", part=one)[0] != 0 if container.has("flags") else None
+        flags = container.known("flags", part=one)
+        flying = None if flags is None else flags[0] != 0
         scale = int(container.number("scale") or 1)
         settings = container.mapping("settings") | {"window": number}
         return read_picture(container, channels, scale, settings, flying)

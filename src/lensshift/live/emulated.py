@@ -6,7 +6,7 @@ import multiprocessing
 import signal
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -46,11 +46,9 @@ def emulated_rig(seed: int = 0) -> Iterator[Rig]:
 
 
 def _said(ours: Connection) -> str:
-    try:
+    with suppress(EOFError, OSError):
         if ours.poll(_READY_S):
             return str(ours.recv())
-    except (EOFError, OSError):
-        pass
     raise DeviceError("did not start", device="emulated rig")
 
 
@@ -62,9 +60,6 @@ def _emulate(theirs: Any, seed: int) -> None:
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 
     settings = RigSettings(speed=SPEED, rate_hz=RATE_HZ, seed=seed)
-    with EmulatedRig(settings, camera_port=free_udp_port()) as rig:
+    with EmulatedRig(settings, camera_port=free_udp_port()) as rig, suppress(EOFError, OSError):
         theirs.send(rig.rig_file())
-        try:
-            theirs.recv()
-        except (EOFError, OSError):
-            return
+        theirs.recv()

@@ -31,16 +31,11 @@ def listening(host: str, port: int) -> socket.socket:
         If the port is taken or the host is none of this computer's.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    found = socket.socket(family, socket.SOCK_STREAM)
     try:
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        found.bind((host, port))
-        found.listen()
+        return socket.create_server((host, port), family=family)
     except OSError as error:
-        found.close()
         problem = f"cannot listen at {host}, port {port}: {error.strerror or error}"
         raise OSError(f"{problem}; --port 0 takes a free one") from error
-    return found
 
 
 def serve(

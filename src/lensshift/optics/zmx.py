@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, QualityWarning, naming
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
     AS_USUAL,
@@ -70,10 +70,8 @@ def load_zmx(path: str | Path) -> Lens:
         glass known by its index and Abbe number only, an aperture that is not round.
     """
     text = decode(path)
-    try:
+    with naming(path):
         return parse_zmx(text)
-    except DataError as error:
-        raise error.in_file(path) from error
 
 
 def parse_zmx(text: str) -> Lens:

@@ -153,7 +153,7 @@ def reconstruct(
     if chosen.reads_response and not photometric and lens_field is None:
         response, request = as_seen(part, choice.channel, request, response, blur, scale, seen)
         seen["blur"] = undone(blur, response, chosen, lens_field)
-    settings = _settings(seen, used, request, photometric, choice) | response
+    settings = _settings(burst, seen, used, request, photometric, choice) | response
     found, flying = _estimates(
         burst, part, choice.channel, scale, used, chosen, request, photometric, seen
     )
@@ -346,12 +346,15 @@ def _check(scale: int, noise_sigma: float | None, photometric: bool) -> None:
 
 
 def _settings(
+    burst: Burst,
     seen: dict[str, Any],
     used: tuple[int, ...],
     request: Request,
     photometric: bool,
     choice: Choice,
 ) -> dict[str, Any]:
+    cards = burst.meta.get("wcs")  # of the first frame, see `io.fits_wcs`
+    sky = {"wcs": {"cards": cards, "offset_px": burst.offset_px[0].tolist()}} if cards else {}
     return {
         "blur": seen["blur"],
         "frames": list(used),
@@ -365,4 +368,5 @@ def _settings(
         **request.options,
         "channel": choice.channel,
         "channel_reason": choice.reason,
+        **sky,
     }

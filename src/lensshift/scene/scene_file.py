@@ -28,7 +28,7 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.core.settings import fit, parse_toml, read_text
 from lensshift.scene.checks import number, numbers
 from lensshift.scene.mesh import Mesh, load_mesh
@@ -83,10 +83,8 @@ def load_scene(path: str | Path) -> Scene:
 def parse_scene(text: str, source: str | Path = "") -> Scene:
     """Return the scene that a text in TOML describes; files lie relative to `source`."""
     content = parse_toml(text, source)
-    try:
+    with naming(source):
         return _scene(content, Path(source).parent)
-    except DataError as error:
-        raise error.in_file(source) from error
 
 
 def save_scene(scene: Scene, path: str | Path) -> None:

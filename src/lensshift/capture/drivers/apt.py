@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from lensshift.capture.drivers.apt_axis import AptAxis
 from lensshift.capture.drivers.apt_link import find_port
 from lensshift.capture.drivers.apt_settings import AptSettings
-from lensshift.capture.rig import OnHoming
+from lensshift.capture.rig import OnHoming, goal_within
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DeviceError
 
@@ -121,17 +121,9 @@ class AptStage:
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         """Move both axes at once; see `Stage.move_to`."""
-        goal_mm = np.asarray(position_mm, dtype=np.float64)
-        low_mm, high_mm = self.travel_mm.T
-        if goal_mm.shape != (2,) or not np.all((goal_mm >= low_mm) & (goal_mm <= high_mm)):
-            reach = " and ".join(f"{a:g} .. {b:g}" for a, b in self.travel_mm)
-            raise ValueError(f"expected a position [2] within {reach} mm, got {goal_mm.tolist()}")
-        return self._together(
-            [
-                axis.moves(float(goal), direct=direct)
-                for axis, goal in zip(self.axes, goal_mm, strict=True)
-            ]
-        )
+        goal_mm = goal_within(self.travel_mm, position_mm).tolist()
+        pairs = zip(self.axes, goal_mm, strict=True)
+        return self._together([axis.moves(goal, direct=direct) for axis, goal in pairs])
 
     def stop(self) -> None:
         """Stand still at once. Never raises for a stage that is gone."""

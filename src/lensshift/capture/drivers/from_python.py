@@ -17,18 +17,13 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage
+from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage, goal_within
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.settings import built
 
 T = TypeVar("T")
-_STAGE = ("name", "travel_mm", "position_mm", "move_to", "stop", "close", "describe")
-_CAMERA = (
-    "name", "grid", "modulation_hz", "open", "newest_cycle", "next_frame", "counts", "close",
-    "describe",
-)  # fmt: skip
 
 
 def python_stage(
@@ -56,13 +51,12 @@ def python_stage(
     make = _attribute(table, folder, "stage")
     offered = {"home": home, "on_homing": on_homing}
     beside = {name: one for name, one in offered.items() if one is not None and _takes(make, name)}
-    made = _made(make, table, "stage", _STAGE, beside)
-    return CheckedStage(made)
+    return CheckedStage(_made(make, table, "stage", Stage, beside))
 
 
 def python_camera(table: Mapping[str, Any], folder: Path) -> Camera:
     """Make the camera that the entry `use` names; else as `python_stage`."""
-    return CheckedCamera(_made(_attribute(table, folder, "camera"), table, "camera", _CAMERA, {}))
+    return CheckedCamera(_made(_attribute(table, folder, "camera"), table, "camera", Camera, {}))
 
 
 def _attribute(table: Mapping[str, Any], folder: Path, what: str) -> Callable[..., Any]:
@@ -94,10 +88,11 @@ def _made(
     make: Callable[..., Any],
     table: Mapping[str, Any],
     what: str,
-    members: tuple[str, ...],
+    protocol: type,
     beside: Mapping[str, Any],
 ) -> Any:
-    """Call with the entries of a table; return the device if it has all members."""
+    """Call with the entries of a table; return the device if it has all members of a protocol."""
+    members = [name for name in vars(protocol) if not name.startswith("_")]
     entries = {name: one for name, one in table.items() if name not in ("kind", "use")}
     with _Named(str(table["use"]), DeviceError):
         device = built(make, entries, what, beside)
@@ -177,13 +172,7 @@ class CheckedStage(_Checked):
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         """Move within the travel, wait, return the position read back."""
-        goal_mm = np.asarray(position_mm, dtype=np.float64)
-        low, high = self.travel_mm.T
-        if goal_mm.shape != (2,) or not np.all((goal_mm >= low) & (goal_mm <= high)):
-            raise ValueError(
-                f"expected a position [2] within {self.travel_mm.tolist()} mm, got "
-                f"{goal_mm.tolist()}"
-            )
+        goal_mm = goal_within(self.travel_mm, position_mm)
         return self._numbers("move_to", (2,), goal_mm, direct=direct)
 
     def stop(self) -> None:

@@ -26,6 +26,10 @@ from lensshift.core.types import Frame
 
 Address = tuple[str, int]
 _OF_PORT = ("packets", "foreign_packets", "other_cameras_packets", "other_cameras_images")
+_OF_SENDERS = {  # name -> of `PacketCounts`
+    "lost_packets": "lost", "duplicate_packets": "duplicate", "reordered_packets": "reordered",
+    "partial_cycles": "partial", "wrong_size_or_version": "oversize", "restarts": "restarts",
+}  # fmt: skip
 _MAX_SENDERS = 64  # the one that has been silent for longest makes room for another
 _MAX_NOTED = 16  # channels named in a message
 
@@ -68,6 +72,11 @@ class O3MStream:
     def address(self) -> str:
         """Address of the camera that the frames come from, empty before the first."""
         return "" if self._chosen is None else _named(self._chosen)
+
+    @property
+    def heard(self) -> bool:
+        """Whether any datagram has come, of whomever."""
+        return self._datagrams > 0
 
     def newest_cycle(self) -> int:
         """Return the unwrapped counter of the newest image that has begun to arrive, or -1."""
@@ -181,16 +190,10 @@ class O3MStream:
         senders = dict(self._senders)
         camera = senders.get(self._chosen) if self._chosen is not None else None
         each = [one.counts for one in (senders.values() if camera is None else [camera])]
-        return {
-            **{name: self._counts[name] for name in _OF_PORT},
-            "lost_packets": sum(one.lost for one in each),
-            "duplicate_packets": sum(one.duplicate for one in each),
-            "reordered_packets": sum(one.reordered for one in each),
-            "partial_cycles": sum(one.partial for one in each),
-            "wrong_size_or_version": self._counts["wrong_size_or_version"]
-            + sum(one.oversize for one in each),
-            "restarts": sum(one.restarts for one in each),
-        }
+        found = {name: self._counts[name] for name in _OF_PORT}
+        found |= {name: sum(getattr(n, of) for n in each) for name, of in _OF_SENDERS.items()}
+        found["wrong_size_or_version"] += self._counts["wrong_size_or_version"]
+        return found
 
     def snapshot(self) -> Snapshot:
         """Return all counts as they are now, for `explain`."""

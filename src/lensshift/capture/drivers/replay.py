@@ -20,6 +20,7 @@ from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
 from lensshift.core.units import MILLIMETRE_M
+from lensshift.io.reading import BAG_SUFFIXES
 from lensshift.io.recordings import BagImage, is_udp_recording, read_bag, read_udp
 
 _TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the same stamp
@@ -59,6 +60,10 @@ class ReplayCamera(ReceivingCamera):
         self._path = Path(path)
         self._is_o3m = is_udp_recording(path)
         if not (self._is_o3m or amplitude_topic):
+            if not Path(path).exists():
+                raise DataError("there is no such file", source=path)
+            if Path(path).is_file() and Path(path).suffix not in BAG_SUFFIXES:
+                raise DataError("expected a pcap, a pcapng or a ROS bag", source=path)
             raise ValueError(f"expected the topic of the amplitude for the bag {path}, got none")
         self._speed = speed
         self._port = port
@@ -118,7 +123,9 @@ class ReplayCamera(ReceivingCamera):
                 receiver.put(replace(one, arrived_s=time.monotonic()), wait=fast)
         ended = f"the recording has ended after {receiver.frames} frames"
         if self._is_o3m and not receiver.frames:
-            ended += f": {self._stream.explain(O3MStream().snapshot())}"
+            heard, at = self._stream.heard, "" if self._port is None else f" to port {self._port}"
+            none = f"it holds no UDP datagrams{at}, in which an O3M sends (others send by TCP)"
+            ended += f": {self._stream.explain(O3MStream().snapshot()) if heard else none}"
         receiver.end(ended)
 
     def _o3m(self, pace: _Pace) -> Iterator[CameraFrame | str]:

@@ -63,21 +63,9 @@ def packetise(
     for channel, length, chunks in cut:
         for index, chunk in enumerate(chunks):
             number = len(packets)
-            header = struct.pack(
-                "<HHIIHHHHIII",
-                1,
-                1,
-                (first_packet + number) % 2**32,
-                cycle % 2**32,
-                total,
-                number,
-                len(chunks),
-                index,
-                channel,
-                length,
-                len(chunk),
-            )
-            packets.append(header + chunk)
+            counters = (first_packet + number) % 2**32, cycle % 2**32
+            place = total, number, len(chunks), index, channel, length, len(chunk)
+            packets.append(struct.pack("<HHIIHHHHIII", 1, 1, *counters, *place) + chunk)
     return packets
 
 

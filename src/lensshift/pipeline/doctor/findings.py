@@ -50,6 +50,7 @@ _STAGE = (
     ("bytes come", "wrong baud", "look at `lensshift info --devices`: is this port an APT cube?"),
     ("no answer", "stage silent", "switch the cube on, look at `lensshift info --devices`"),
     ("no usb device", "stage missing", "plug it in; Windows: tick Load VCP in its driver"),
+    ("cannot be opened", "stage missing", "plug it in; `lensshift info --devices` lists the ports"),
     ("nobody has allowed", "homing", "look that the lens may go there, then --yes"),
     ("connection lost", "stage lost", "look at its cable and power"),
     ("strayed", "stage strays", "who touched it? Weight against its approach_direction? hold_mm"),

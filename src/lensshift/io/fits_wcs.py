@@ -1,0 +1,105 @@
+"""Where on the sky, or on the sensor, the pixels of a FITS image lie: read, moved, written."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.grid import lr_to_hr
+from lensshift.core.types import Burst, Reconstruction
+
+if TYPE_CHECKING:
+    from astropy.io.fits import Header
+
+_USED = ("AMPLITUDE", "SCI")  # extensions beside which others lie that are no frames
+
+
+def astropy_fits() -> Any:
+    """Return `astropy.io.fits`; an ImportError says what to install."""
+    try:
+        from astropy.io import fits
+    except ImportError as error:
+        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
+    return fits
+
+
+@contextmanager
+def quiet_astropy() -> Iterator[None]:
+    """Keep astropy from speaking of cards, by warnings or (of SIP) on stdout, where JSON may go."""
+    logger = logging.getLogger("astropy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        before = logger.disabled
+        logger.disabled = True
+        try:
+            yield
+        finally:
+            logger.disabled = before
+
+
+def images_of(pages: Any) -> list[Any]:
+    """Return the pages of a FITS file that are frames."""
+    images = [page for page in pages if page.is_image and page.shape]
+    for name in _USED:
+        images = [page for page in images if page.name == name] or images
+    return images
+
+
+def wcs_cards(path: Path) -> dict[str, Any]:
+    """Return the world coordinates of the first frame of a FITS file, by card; empty if none."""
+    from astropy.io import fits
+    from astropy.wcs import WCS
+
+    with quiet_astropy(), path.open("rb") as raw, fits.open(raw) as pages:
+        try:
+            header = images_of(pages)[0].header
+            told = str(header.get("CTYPE1", "")).strip()
+            return dict(WCS(header, naxis=2).to_header(relax=True)) if told else {}
+        except (ValueError, LookupError, TypeError, fits.VerifyError) as error:
+            problem = f"its world coordinates are left out: {error!s:.100}"
+    warnings.warn(f"{path}: {problem}", QualityWarning, stacklevel=2)
+    return {}
+
+
+def told_wcs(value: Burst | Reconstruction) -> Header | None:
+    """Return the world coordinates of the images, if the FITS file that they are from had some.
+
+    A pixel of the first frame is where its content lies; of a result, at offset (0, 0).
+    """
+    if isinstance(value, Burst):
+        return _moved(value.meta.get("wcs"), (0.0, 0.0), 1)
+    told = value.settings.get("wcs") or {}
+    return _moved(told.get("cards"), told.get("offset_px", (0.0, 0.0)), value.scale)
+
+
+def _moved(cards: Mapping[str, Any] | None, offset_px: Any, scale: int) -> Header | None:
+    """Return the coordinates of pixels `scale` times finer, where the offset is undone."""
+    if not cards:
+        return None
+    from astropy.io.fits import Header
+    from astropy.wcs import WCS, Sip
+
+    with quiet_astropy():
+        told = WCS(Header(cards.items()))
+        first = told.wcs.crpix - 1.0 - np.asarray(offset_px)[::-1]
+        told.wcs.crpix = lr_to_hr(first, scale) + 1.0
+        step = "cd" if told.wcs.has_cd() else "cdelt"
+        setattr(told.wcs, step, getattr(told.wcs, step) / scale)
+        if told.sip is not None:  # polynomials of the distance from there
+            bent = [getattr(told.sip, name) for name in ("a", "b", "ap", "bp")]
+            told.sip = Sip(*(_scaled(one, scale) for one in bent), told.wcs.crpix)
+        return told.to_header(relax=True)
+
+
+def _scaled(coefficients: Any, scale: int) -> Any:
+    if coefficients is None:
+        return None
+    row, col = np.indices(coefficients.shape)
+    return coefficients * float(scale) ** (1 - row - col)
