@@ -256,12 +256,9 @@ def _why_dark(lens: Lens, rays: RayBundle) -> str:
     surface = int(np.bincount(failed_at).argmax())
     kind = int(np.bincount(status[failed_at == surface]).argmax())
     how = ("", "miss it", "are totally reflected", "lie outside its semi-diameter")[kind]
-    number = surface
-    for element in lens.elements:
-        if number < len(element.surfaces):
-            break
-        number -= len(element.surfaces)
+    named = [(n, one.name) for one in lens.elements for n, _ in enumerate(one.surfaces, start=1)]
+    number, name = named[surface]
     return (
         f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "
-        f"arrives: at surface {surface + 1} (surface {number + 1} of {element.name}) most {how}"
+        f"arrives: at surface {surface + 1} (surface {number} of {name}) most {how}"
     )
