@@ -184,6 +184,16 @@ def test_extended_odd_aspheres_and_diffractive_surfaces_without_phase() -> None:
     same_rays(even, first)
 
 
+def test_a_grating_of_order_0_only_refracts() -> None:
+    plain = parse_zmx(zmx(*SINGLET))
+    for lines_and_order in ("PARM 1 0; PARM 2 1", "PARM 1 0.6; PARM 2 0"):
+        front = FRONT.replace("STANDARD", f"DGRATING; {lines_and_order}")
+        same_rays(plain, parse_zmx(zmx(FAR, front, BACK, IMAGE)))
+    ruled = FRONT.replace("STANDARD", "DGRATING; PARM 1 0.6; PARM 2 1")
+    with pytest.raises(DataError, match="got DGRATING, which diffracts light"):
+        parse_zmx(zmx(FAR, ruled, BACK, IMAGE))
+
+
 def test_a_prism_that_folds_is_the_plate_of_its_glass() -> None:
     turn = "TYPE COORDBRK; PARM 3 45; DISZ {}"
     glass = "CURV 0; DISZ {}; GLAS N-BK7; DIAM 9 1"
@@ -212,6 +222,13 @@ def test_a_half_ball_reaches_to_its_equator() -> None:
     [
         ("PWAV 1", "PWAV 1\nMNUM 3 2", "one of 3 configurations"),
         ("SURF 3\n  TYPE STANDARD", "SURF 3\n  TYPE STANDARD\n  CURV -0.02", "image surface is c"),
+        (
+            "SURF 3\n  TYPE STANDARD",
+            "SURF 3\n  TYPE TILTSURF\n  PARM 2 0.1",
+            "of type TILTSURF: ta",
+        ),
+        ("PWAV 1", "PWAV 1\nTELE 1", "that the object space is telecentric is left out"),
+        ("PWAV 1", "PWAV 1\nAFOC 1", "that the image is afocal is left out"),
         ("  DISZ 0", "  DISZ 4", "surface 3, the last, has more behind it"),
         ("  STOP", "  STOP\n  CLAP 0 5 0\n  OBDC 0 20", "surface 1: its aperture lies aside"),
     ],

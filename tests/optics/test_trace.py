@@ -14,7 +14,7 @@ from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid, pupil_quadrature
-from lensshift.optics.spots import spots, wavefront
+from lensshift.optics.spots import fields_for_image, spots, wavefront
 from lensshift.optics.trace import Build, trace
 
 EDGE = math.tan(math.radians(6.5))
@@ -298,3 +298,33 @@ def test_a_hypercentric_lens_images_one_to_one() -> None:
     rays = trace(lens, [0.0, -height_mm / (200.0 + pupil_mm)], [[0.0, 0.0], [0.1, 0.0]])
     assert rays.position_mm[:, 1] == pytest.approx(-height_mm, rel=1e-3)
     assert np.ptp(rays.path_mm) < 1e-6  # all ways to an image are equally long
+
+
+def test_a_wide_field_reaches_the_inner_stop_as_light_that_goes_back() -> None:
+    """At 75 degrees the pupil has moved by many times its size: rays backwards tell where to."""
+    outer = Element((Surface(40.0, semi_diameter_mm=30.0), Surface(10.0)), ("N-BK7",), (1.5,))
+    inner = Element((Surface(40.0), Surface(7.0)), ("N-BK7",), (1.0,))
+    thick = Element((Surface(15.0), Surface(-12.0)), ("N-SF11",), (4.0,))
+    back = Element((Surface(30.0), Surface(-10.0)), ("N-BK7",), (3.0,))
+    front, gaps_mm, to_stop_mm = (outer, inner, thick), (11.0, 9.0), 1.0
+    stop = Stop(2.0, sum(e.length_mm for e in front) + sum(gaps_mm) + to_stop_mm)
+    lens = Lens((*front, back), (*gaps_mm, 2.0, 6.0), stop)
+    at_mm = np.array([0.3, -0.5])  # in the stop: the object of the lens that is turned round
+    turned = Lens(
+        tuple(e.reversed() for e in front[::-1]), (*gaps_mm[::-1], 0.0), Stop(1e-3), to_stop_mm
+    )
+    for aside_mm in (0.0, 0.1, 0.15):
+        leaving = trace(turned, -at_mm / to_stop_mm, [[0.0, 2e3 * aside_mm]], crossings=True)
+        row, col, axial = leaving.direction[0]
+        field = np.array([-row, -col]) / axial
+        found = trace(lens, field, [at_mm / (0.5 * stop.diameter_mm)], crossings=True)
+        assert leaving.crossing_mm is not None
+        assert found.crossing_mm is not None
+        assert found.status.tolist() == [0]
+        assert found.crossing_mm[0, 0, :2] == pytest.approx(
+            leaving.crossing_mm[0, -1, :2], abs=1e-7
+        )
+    assert math.degrees(math.atan(np.hypot(*field))) > 70.0
+    places_mm = np.array([[0.0, 0.0], [0.0, 4.5], [3.0, -3.0]])
+    fields = fields_for_image(lens, places_mm)  # barrel distortion of 60 % is no obstacle
+    assert spots(lens, fields, rings=2).centroid_mm == pytest.approx(places_mm, abs=1e-7)

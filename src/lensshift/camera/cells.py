@@ -89,14 +89,12 @@ def _uneven(values: Array) -> Mask:
 
     A step shows in the second difference on both of its sides, a smooth wave hardly.
     """
+    from scipy.ndimage import maximum_filter1d
+
     size = np.abs(values).max(axis=-1)
     uneven = np.zeros(size.shape, dtype=np.bool_)
     for axis in (0, 1):
-        before, here, after = (
-            (part, slice(None)) if axis == 0 else (slice(None), part)
-            for part in (slice(-2), slice(1, -1), slice(2, None))
-        )
-        bend = np.abs(values[before] - 2.0 * values[here] + values[after]).max(axis=-1)
-        largest = np.maximum(np.maximum(size[before], size[after]), size[here])
-        uneven[here] |= bend > _UNEVEN * largest
+        inner = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
+        bend = np.abs(np.diff(values, 2, axis=axis)).max(axis=-1)
+        uneven[inner] |= bend > _UNEVEN * maximum_filter1d(size, 3, axis=axis)[inner]
     return uneven

@@ -107,14 +107,9 @@ def simulate_tof_burst(
 ) -> tuple[Burst, TofTruth]:
     """Take a burst with a time-of-flight camera; see `simulate_tof`, which returns more."""
     capture = simulate_tof(
-        scene,
-        camera,
-        planned_px,
-        scale=scale,
-        shift_error_px=shift_error_px,
-        samples_per_px=samples_per_px,
-        seed=seed,
-    )
+        scene, camera, planned_px, scale=scale, shift_error_px=shift_error_px,
+        samples_per_px=samples_per_px, seed=seed,
+    )  # fmt: skip
     return capture.burst, capture.truth
 
 

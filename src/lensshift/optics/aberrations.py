@@ -21,7 +21,6 @@ _NEAR_CHIEF = 1e-3  # of the stop radius: close enough for differences, far enou
 _FAN_RAYS = 41  # a curve that looks smooth, with its chief ray
 _RINGS = 16  # the edge of vignetting is known to 1 / 16^2
 _STEP = 1e-3  # of the field and of the pupil, for central differences
-_SIDES = np.concatenate([np.zeros((1, 2)), SIDES])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +204,7 @@ def _irradiance(lens: Lens, field_tan: Floats, build: Build | None, rings: int) 
     points, weight = pupil_quadrature(rings)
     points = points * (1.0 - _STEP)  # their neighbours lie in the stop too
     moved = trace(lens, field_tan + _STEP * SIDES, points, build=build)
-    shifted = (points[:, None] + _STEP * _SIDES).reshape(-1, 2)
+    shifted = (points[:, None] + _STEP * np.array([(0.0, 0.0), *SIDES])).reshape(-1, 2)
     rays = trace(lens, field_tan, shifted, build=build)
     by_stop = rays.position_mm.reshape(-1, 5, 2), rays.direction[:, :2].reshape(-1, 5, 2)
     x_p, u_p = (np.stack([q[:, 1] - q[:, 2], q[:, 3] - q[:, 4]], axis=-1) for q in by_stop)

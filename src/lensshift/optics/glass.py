@@ -296,11 +296,15 @@ def refractive_index(
             f"expected a wavelength from {data.range_nm[0]:g} to {data.range_nm[1]:g} nm for "
             f"{glass}, got {wavelength_nm} nm"
         )
-    index = _index(data, wavelength_nm * 1e-3)
+    um = wavelength_nm * 1e-3
+    index = _index(data, um)
     if data.thermal == NO_CHANGE:
         return index
+    d0, d1, d2, e0, e1, resonance_um = data.thermal
+    t = temperature_c - data.reference_c
+    bracket = d0 * t + d1 * t**2 + d2 * t**3 + (e0 * t + e1 * t**2) / (um**2 - resonance_um**2)
     absolute = index * air_index(wavelength_nm, data.reference_c)
-    absolute += _thermal_change(data, index, wavelength_nm, temperature_c)
+    absolute += (index**2 - 1.0) / (2.0 * index) * bracket
     return absolute / air_index(wavelength_nm, temperature_c)
 
 
@@ -352,11 +356,3 @@ def _of_formula(data: Glass, um: float) -> float:
     if not value > 0:
         raise ValueError(f"expected constants that give an index, got n^2 = {value:g} at {um} um")
     return float(np.sqrt(value))
-
-
-def _thermal_change(data: Glass, index: float, wavelength_nm: float, temperature_c: float) -> float:
-    d0, d1, d2, e0, e1, resonance_um = data.thermal
-    t = temperature_c - data.reference_c
-    square = (wavelength_nm * 1e-3) ** 2
-    bracket = d0 * t + d1 * t**2 + d2 * t**3 + (e0 * t + e1 * t**2) / (square - resonance_um**2)
-    return (index**2 - 1.0) / (2.0 * index) * bracket

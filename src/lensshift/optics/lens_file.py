@@ -24,6 +24,7 @@ from lensshift.optics.lens import WAVELENGTH_NM, Element, Lens, Stop, Surface
 from lensshift.optics.sequential import about
 from lensshift.optics.zmx import load_zmx
 
+_PRESCRIPTIONS = resources.files("lensshift.optics") / "prescriptions"
 # Entry of a table -> what it is (numbers: how many, or a tuple of any), and what it is if it is
 # missing; with `...` it must be there.
 _Fields = Mapping[str, tuple[Any, Any]]
@@ -54,8 +55,7 @@ _GLASS: _Fields = {
 
 def lens_names() -> tuple[str, ...]:
     """Return the names of the lenses that come with the package."""
-    folder = resources.files("lensshift.optics") / "prescriptions"
-    files = (entry.name for entry in folder.iterdir())
+    files = (entry.name for entry in _PRESCRIPTIONS.iterdir())
     return tuple(sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml")))
 
 
@@ -79,8 +79,7 @@ def load_lens(path_or_name: str | Path) -> Lens:
     if Path(path_or_name).suffix.lower() == ".zmx":
         return load_zmx(path_or_name)
     if str(path_or_name) in lens_names():
-        folder = resources.files("lensshift.optics") / "prescriptions"
-        text = (folder / f"{path_or_name}.toml").read_text(encoding="utf-8")
+        text = (_PRESCRIPTIONS / f"{path_or_name}.toml").read_text(encoding="utf-8")
         return parse_lens(text, source=f"{path_or_name}.toml")
     path = Path(path_or_name)
     if not path.is_file():

@@ -52,9 +52,11 @@ def paraxial(lens: Lens, wavelength_nm: float | None = None) -> Paraxial:
     ValueError
         If the lens has no power, the entrance pupil is infinitely far, or the object lies in it.
     """
-    system = system_matrix(lens, wavelength_nm)
-    power = _power(system)
     front, behind = matrices_around_stop(lens, wavelength_nm)
+    system = np.asarray(behind @ front)
+    power = float(-system[1, 0])
+    if abs(power) < 1e-12:
+        raise ValueError("expected a lens with power, got one without a focal length")
     entrance_mm, entrance_scale = _pupil(np.asarray(np.linalg.inv(front)))
     exit_mm, exit_scale = (math.inf, math.inf) if _telecentric(behind) else _pupil(behind)
     image_mm, magnification = _image(system, lens.object_mm)
@@ -110,12 +112,8 @@ def gains_of(chain: list[Floats], gaps_mm: Floats) -> Floats:
 
 def system_matrix(lens: Lens, wavelength_nm: float | None = None) -> Floats:
     """Return the [2 2] matrix from the first to the last vertex, acting on (height, slope)."""
-    matrix: Floats = np.eye(2)
-    for number, element in enumerate(_elements(lens, wavelength_nm)):
-        matrix = element @ matrix
-        if number + 1 < len(lens.elements):
-            matrix = gap_matrix(lens.gaps_mm[number]) @ matrix
-    return matrix
+    front, behind = matrices_around_stop(lens, wavelength_nm)
+    return np.asarray(behind @ front)
 
 
 def element_matrix(element: Element, indices: tuple[float, ...]) -> Floats:
@@ -190,10 +188,3 @@ def _image(system: Floats, object_mm: float) -> tuple[float, float]:
     matrix = system @ gap_matrix(object_mm)
     image_mm = -matrix[0, 1] / matrix[1, 1]
     return float(image_mm), float(matrix[0, 0] + image_mm * matrix[1, 0])
-
-
-def _power(system: Floats) -> float:
-    power = float(-system[1, 0])
-    if abs(power) < 1e-12:
-        raise ValueError("expected a lens with power, got one without a focal length")
-    return power

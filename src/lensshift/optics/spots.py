@@ -17,6 +17,7 @@ from lensshift.optics.trace import Build, RayBundle, trace
 
 CENTROID_RINGS = 2  # of the pupil: the centroid is smooth
 _FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
+_TELLING = 0.01  # share of a step that must show in the image to learn from it
 _SETTLING_STEPS = 10  # after which the same rays count: one at an edge would come and go
 
 
@@ -105,8 +106,8 @@ def fields_for_image(
 ) -> Floats:
     """Return the fields [... 2] whose spots have their centroids at points of the sensor.
 
-    Newton's method with the derivative of the paraxial lens: the error falls by the relative
-    distortion in every step. Where a ray is stopped by an edge on one side of the point and not on
+    Broyden's method from the derivative of the paraxial lens, so that distortion of any size does
+    not slow it down. Where a ray is stopped by an edge on one side of the point and not on
     the other, its centroid is that with or without this ray.
 
     Parameters
@@ -120,24 +121,40 @@ def fields_for_image(
     ------
     ValueError
         If a point of the sensor is not reached by light within a few steps.
+
+    Source: C. G. Broyden, Math. Comp. 19 (1965) 577.
     """
     wanted = np.asarray(image_mm, dtype=np.float64)
-    slope_mm = image_per_field_mm(lens)
-    field = wanted / slope_mm
+    inverse: Floats = np.eye(2) / image_per_field_mm(lens)
+    field = wanted @ inverse
     points, weight = pupil_quadrature(rings)
-    for step in range(_FIELD_STEPS):
+    before = step = np.zeros(2)
+    for number in range(_FIELD_STEPS):
         rays = trace(lens, field, points, build=build)
-        if step < _SETTLING_STEPS:
+        if number < _SETTLING_STEPS:
             share = spots_of_rays(lens, rays, weight).weight
         landing_mm = np.where(share[..., None] > 0, rays.position_mm, 0.0)
         error = wanted - np.einsum("...r,...rc->...c", share, landing_mm)
-        field = field + error / slope_mm
         if np.abs(error).max() < tolerance_mm:
-            return np.asarray(field)
+            return np.asarray(field + np.einsum("...ij,...j->...i", inverse, error))
+        if number:
+            inverse = _updated(inverse, step, before - error)
+        step = np.einsum("...ij,...j->...i", inverse, error)
+        field, before = field + step, error
     raise ValueError(
         f"expected points that the lens can image, but after {_FIELD_STEPS} steps one is "
         f"{np.abs(error).max():.2g} mm away"
     )
+
+
+def _updated(inverse: Floats, step: Floats, change: Floats) -> Floats:
+    """Return inverse slopes [... 2 2] that explain by which step the image changed so."""
+    along = np.einsum("...i,...ij->...j", step, inverse)
+    size = np.einsum("...i,...i->...", along, change)
+    told = size > _TELLING * np.einsum("...i,...i->...", step, step)  # else it hardly moved
+    missing = step - np.einsum("...ij,...j->...i", inverse, change)
+    scale = np.where(told, 1.0 / np.where(told, size, 1.0), 0.0)
+    return np.asarray(inverse + np.einsum("...,...i,...j->...ij", scale, missing, along))
 
 
 def image_per_field_mm(lens: Lens) -> float:
@@ -239,12 +256,9 @@ def _why_dark(lens: Lens, rays: RayBundle) -> str:
     surface = int(np.bincount(failed_at).argmax())
     kind = int(np.bincount(status[failed_at == surface]).argmax())
     how = ("", "miss it", "are totally reflected", "lie outside its semi-diameter")[kind]
-    number = surface
-    for element in lens.elements:
-        if number < len(element.surfaces):
-            break
-        number -= len(element.surfaces)
+    named = [(n, one.name) for one in lens.elements for n, _ in enumerate(one.surfaces, start=1)]
+    number, name = named[surface]
     return (
         f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "
-        f"arrives: at surface {surface + 1} (surface {number + 1} of {element.name}) most {how}"
+        f"arrives: at surface {surface + 1} (surface {number} of {name}) most {how}"
     )

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.optics.aim import Rays, launch
 from lensshift.optics.lens import Lens
-from lensshift.optics.paraxial import entrance_pupil
-
-_AIM_STEPS = 50  # each leaves the share by which the pupil is aberrated
-_AIM_MM = 1e-10  # a tenth of what positions are compared to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,23 +121,12 @@ def trace(
     points = _pairs(pupil, "pupil")
     if points.ndim != 2:
         raise ValueError(f"expected pupil [ray 2], got shape {points.shape}")
-    system = _System(lens, build or Build(), fields, wavelength_nm)
-    rays = _launch(lens, system, points)
+    system = System(lens, build or Build(), fields, wavelength_nm)
+    rays = launch(lens, system, points)
     return system.bundle(rays, heights, crossings)
 
 
-@dataclass(slots=True)
-class _Rays:
-    """Rays on their way, changed in place by the kernel: [batch ray ...]."""
-
-    origin: Floats
-    direction: Floats
-    path: Floats
-    status: NDArray[np.uint8]
-    failed_at: NDArray[np.int16]
-
-
-class _System:
+class System:
     """A lens, its builds and fields as the plain arrays that the kernel takes.
 
     Always writable and contiguous: for other arrays Numba would compile the kernel again.
@@ -222,7 +207,7 @@ class _System:
 
     def follow(
         self,
-        rays: _Rays,
+        rays: Rays,
         surfaces: int,
         plane_mm: Floats,
         heights: Floats | None = None,
@@ -240,7 +225,7 @@ class _System:
             self.terms, self.radial, self.radial_terms, self.mirror, self.semi_diameter, surfaces,
         )  # fmt: skip
 
-    def bundle(self, rays: _Rays, with_heights: bool, with_crossings: bool) -> RayBundle:
+    def bundle(self, rays: Rays, with_heights: bool, with_crossings: bool) -> RayBundle:
         """Trace rays to the sensor and give them the axes of the caller."""
         surfaces = len(self.element)
         heights = np.full((*rays.path.shape, surfaces), np.nan) if with_heights else None
@@ -269,59 +254,6 @@ def _table(rows: list[tuple[float, ...]]) -> tuple[Array, Floats]:
 
 _NO_HEIGHTS = np.zeros((1, 1, 0))
 _NO_CROSSINGS = np.zeros((1, 1, 0, 3))
-
-
-def _launch(lens: Lens, system: _System, pupil: Floats) -> _Rays:
-    """Return rays in front of the lens that pass the stop at the points of the pupil."""
-    stop = lens.stop
-    target = np.broadcast_to(
-        pupil * (0.5 * stop.diameter_mm), (len(system.fields), *pupil.shape)
-    ).copy()
-    stop_mm = np.full(len(system.fields), stop.position_mm)
-    if stop.rides_on is not None:
-        target += system.decenter[:, stop.rides_on, None, :]
-        stop_mm += system.vertices[:, stop.rides_on, 2] - lens.positions_mm()[stop.rides_on]
-    before = lens.elements_before_stop()
-    if before == 0:
-        return _towards(lens, system.fields, target, stop_mm, stop.position_mm)
-    position_mm, scale = entrance_pupil(lens)
-    pupil_mm = np.full(len(system.fields), position_mm)
-    surfaces = int(np.sum(system.element < before))
-    entering = target * scale
-    for _ in range(_AIM_STEPS):
-        rays = _towards(lens, system.fields, entering, pupil_mm, position_mm)
-        system.follow(rays, surfaces, stop_mm)
-        error = np.nan_to_num(target - rays.origin[..., :2])
-        entering = entering + error * scale
-        if np.abs(error).max() < _AIM_MM:
-            break
-    return _towards(lens, system.fields, entering, pupil_mm, position_mm)
-
-
-def _towards(
-    lens: Lens, fields: Floats, target: Floats, plane_mm: Floats, pupil_mm: float
-) -> _Rays:
-    """Return rays from the object points through the points [batch ray 2] of a plane."""
-    origin = np.empty((*target.shape[:-1], 3))
-    origin[..., :2] = target
-    origin[..., 2] = plane_mm[:, None]
-    direction = np.empty_like(origin)
-    if math.isinf(lens.object_mm):
-        direction[..., :2] = fields[:, None, :]
-        direction[..., 2] = 1.0
-        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        path = np.einsum("bri,bri->br", origin, direction) - pupil_mm * direction[..., 2]
-    else:
-        points = -fields * (lens.object_mm + pupil_mm)
-        direction[..., :2] = target - points[:, None, :]
-        direction[..., 2] = plane_mm[:, None] + lens.object_mm
-        path = np.linalg.norm(direction, axis=-1)
-        # The entrance pupil of a hypercentric lens lies in front of the object.
-        path = np.copysign(path, direction[..., 2])
-        direction /= path[..., None]
-    return _Rays(
-        origin, direction, path, np.zeros(path.shape, np.uint8), np.full(path.shape, -1, np.int16)
-    )
 
 
 def rotations_of(tilt_rad: Floats) -> Floats:

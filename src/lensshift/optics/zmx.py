@@ -28,6 +28,7 @@ from lensshift.optics.zmx_shapes import MOST_PARAMETERS, is_traced, shape
 
 _LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 _FAR_MM = 1e9  # programs write such a distance for infinity
+_LEFT_OUT = {"TELE": "that the object space is telecentric", "AFOC": "that the image is afocal"}
 _DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
 
 
@@ -134,6 +135,8 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
         _read_surroundings(content, values)
     elif key == "FLOA":
         content.aperture = ("FLOA", 0.0)
+    elif key in _LEFT_OUT and values[:1] == ["1"]:
+        content.notes.append(f"{_LEFT_OUT[key]} is left out")
     elif key in ("ENPD", "FNUM", "OBNA"):
         value = float(values[0])
         if key == "ENPD" and value == 0:
@@ -269,10 +272,15 @@ def _lens(content: _File) -> Lens:
     for entry in content.entries[1:-1]:
         shape(entry, content.mm)
         if entry.glass:
-            _glass_of_light(entry, wavelength_nm, content.notes)
+            entry.glass, note = glass_in_light(entry.glass, wavelength_nm)
+            content.notes += [f"surface {entry.number}: {note}"] if note else []
     image = content.entries[-1]
-    if image.curvature_per_mm:
-        content.notes.append("the image surface is curved: taken as the plane at its vertex")
+    shaped = image.type not in ("STANDARD", "COORDBRK") and any(image.parameters.values())
+    if image.curvature_per_mm or shaped:
+        how = "curved" if image.curvature_per_mm else f"of type {image.type}"
+        content.notes.append(f"the image surface is {how}: taken as the plane at its vertex")
+    if content.entries[0].curvature_per_mm and math.isfinite(content.entries[0].distance_mm):
+        content.notes.append("the object is curved: taken as the plane at its vertex")
     if image.distance_mm:
         content.notes.append(f"surface {image.number}, the last, has more behind it: a part?")
     if content.entries[0].distance_mm >= _FAR_MM:
@@ -289,12 +297,6 @@ def _lens(content: _File) -> Lens:
     if content.turned:  # of no account where the lens is refused for what it is
         raise content.turned
     return lens
-
-
-def _glass_of_light(entry: Entry, wavelength_nm: float, notes: list[str]) -> None:
-    """Replace a glass whose constants do not hold for the light by one that is like it."""
-    entry.glass, note = glass_in_light(entry.glass, wavelength_nm)
-    notes += [] if note is None else [f"surface {entry.number}: {note}"]
 
 
 def _frames(entries: list[Entry]) -> list[Frame]:

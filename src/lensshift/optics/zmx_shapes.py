@@ -20,6 +20,7 @@ _REASONS = {  # by what the names of types begin with or contain
     "TORO|CYL|BICON|TILTS|IRREG|POLY|ZERN|CHEB|GRID|OFFAX|SLIDE|PERIOD|NURB|FREEF":
         "which is no surface of revolution",
 }  # fmt: skip
+_GRATING = "DGRATING"  # of order 0, or without lines: light only refracts
 _LIKE_ASPHERE = ("BINARY_1", "BINARY_2")  # even aspheres, where their phase is 0
 _TERMS_PER_POWER = {"XASPHERE": 2, "XODDASPH": 1}  # steps of the powers of r / unit
 _MOST_TERMS = 240  # of extra data
@@ -28,7 +29,7 @@ MOST_PARAMETERS = 8  # an even asphere ends with r^16, an odd one with r^8
 
 def is_traced(kind: str) -> bool:
     """Tell whether surfaces of a type can be traced, some of them only without a phase."""
-    return kind in (*_KNOWN, *_LIKE_ASPHERE)
+    return kind in (*_KNOWN, *_LIKE_ASPHERE, _GRATING)
 
 
 def shape(entry: Entry, mm: float) -> None:
@@ -43,6 +44,8 @@ def shape(entry: Entry, mm: float) -> None:
     phase = [term for number, term in entry.extra.items() if number > 2]  # after count and radius
     if entry.type in _LIKE_ASPHERE and not (any(phase) and value.get(0, 1.0)):
         entry.type = "EVENASPH"
+    if entry.type == _GRATING and value.get(1, 1.0) * value.get(2, 1.0) == 0:
+        entry.type = "STANDARD"
     if entry.type == "COORDBRK":
         value.update({axis: mm * value.get(axis, 0.0) for axis in (1, 2)})
     elif entry.type == "EVENASPH":

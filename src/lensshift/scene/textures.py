@@ -50,8 +50,7 @@ class Checker:
     bright: float = BRIGHT
 
     def __post_init__(self) -> None:
-        share("dark", self.dark)
-        share("bright", self.bright)
+        _two_tones(self)
         positive("size_m", self.size_m)
 
     def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
@@ -76,8 +75,7 @@ class Edge:
     bright: float = BRIGHT
 
     def __post_init__(self) -> None:
-        share("dark", self.dark)
-        share("bright", self.bright)
+        _two_tones(self)
         number("slant_rad", self.slant_rad)
 
     def __call__(self, x_m: Floats, y_m: Floats) -> Floats:
@@ -106,12 +104,10 @@ class SiemensStar:
     binary: bool = False
 
     def __post_init__(self) -> None:
-        share("dark", self.dark)
-        share("bright", self.bright)
+        _two_tones(self)
         positive("radius_m", self.radius_m)
         if positive("cycles", self.cycles) != int(self.cycles):
             raise ValueError(f"expected a whole number of cycles, got {self.cycles}")
-
         if not isinstance(self.binary, bool):
             raise TypeError(f"expected true or false for binary, got {self.binary!r}")
 
@@ -144,8 +140,7 @@ class ZonePlate:
     bright: float = BRIGHT
 
     def __post_init__(self) -> None:
-        share("dark", self.dark)
-        share("bright", self.bright)
+        _two_tones(self)
         positive("radius_m", self.radius_m)
         positive("finest_period_m", self.finest_period_m)
 
@@ -175,8 +170,7 @@ class LinePairs:
     bright: float = BRIGHT
 
     def __post_init__(self) -> None:
-        share("dark", self.dark)
-        share("bright", self.bright)
+        _two_tones(self)
         positive("size_m", self.size_m)
         object.__setattr__(self, "period_m", positives("period_m", self.period_m))
         if not self.period_m or max(self.period_m) > self.size_m:
@@ -232,6 +226,11 @@ class ImageTexture:
         places = np.stack(np.broadcast_arrays(row, col))
         seen: Floats = map_coordinates(image, places, order=1, mode="nearest")
         return np.clip(seen, 0.0, 1.0)  # rounding
+
+
+def _two_tones(texture: Checker | Edge | SiemensStar | ZonePlate | LinePairs) -> None:
+    share("dark", texture.dark)
+    share("bright", texture.bright)
 
 
 def _between(dark: float, bright: float, wave: Floats) -> Floats:
