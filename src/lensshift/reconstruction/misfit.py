@@ -206,14 +206,15 @@ def find_misfit(
     excess = _excess_noise(told, used)
     variance *= excess
     q = told / excess
-    # Noise that most pixels refute was not read but found (`learned/belief.py`): no measure by itself.
-    against_whole = told / max(float(np.median(told[used])) / MEDIAN_SIZE**2, 1.0)
+    # Noise that most pixels refute was found and not read (`learned/belief.py`): no measure alone.
+    usual_square = MEDIAN_SIZE**2 if parts == 1.0 else np.log(2.0)  # medians of chi-square
+    beside_all = told / max(float(np.median(told[used])) / usual_square, 1.0)
     alone = _alone(q)
     limit = _limit(alone, used)
     inner = seen.copy()  # border pixels see what lies beside the picture
     inner[:, [0, -1]] = inner[:, :, [0, -1]] = 0.0
     doubt, against = (
-        around(np.minimum(v, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit for v in (q, against_whole)
+        around(np.minimum(v, MOST_SQUARE), inner, WINDOW_PX, 1.0) / limit for v in (q, beside_all)
     )
     moved = displaced(r, slopes, variance * parts, inner)
     moved *= moved > 1.0  # less is no evidence
