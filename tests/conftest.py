@@ -1,6 +1,7 @@
 """Fixtures that several test folders share."""
 
 import os
+import signal
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,10 @@ from hypothesis import settings
 # and by all processes that tests start.
 for library in ("OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# Whoever starts the tests may ignore the end of a terminal (nohup), and so would all they start.
+if hasattr(signal, "SIGHUP"):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # Times mean nothing on a shared machine, and the first call of a kernel compiles it.
 settings.register_profile("lensshift", deadline=None, max_examples=20)
