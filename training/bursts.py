@@ -18,7 +18,8 @@ from lensshift.forward.model import Taps, forward_model
 from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
 from lensshift.reconstruction.learned.noise import LEAST_FRAMES, LEAST_SHARE, LEAST_SIGMA
 from lensshift.reconstruction.learned.solver import SQUARE_REACH_PX
-from lensshift.reconstruction.noise_law import light_of, noise_law
+from lensshift.reconstruction.noise import light_of
+from lensshift.reconstruction.noise_law import noise_law
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 
 Array = NDArray[np.float64]

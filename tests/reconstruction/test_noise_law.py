@@ -11,6 +11,7 @@ from pixel_camera import SQUARE_PX, edge_scene, photograph, smooth_scene
 from scipy.ndimage import median_filter
 
 from lensshift import Burst, QualityWarning, reconstruct
+from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import (
     REFILLED,
     _blocks,
@@ -20,7 +21,6 @@ from lensshift.reconstruction.noise_law import (
     _refilled,
     _residuals,
     _sampled,
-    light_of,
     noise_law,
 )
 

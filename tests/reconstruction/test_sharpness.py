@@ -114,7 +114,8 @@ def test_frames_are_compared_in_sharpness_as_soon_as_they_contradict(
     found = solve_together([asked])[0]
     misfit = find_misfit(model.operator, found.image, seen.y, asked.sigma, 2)
     misfit = replace(misfit, doubt=np.full(seen.y.shape, doubt), off_px={}, brightness=0.0)
-    shaken = _as_they_fit(asked, found, misfit, lambda _: (found, misfit), Request())[-1]
+    run = lambda _: (found, misfit)  # noqa: E731
+    shaken = _as_they_fit(asked, found, misfit, run, Request(), lambda sigma: sigma)[-1]
     assert list(shaken) == expected
 
 

@@ -386,5 +386,5 @@ class IrwsrToolbox(Method):
 
 def _noise(problem: Problem) -> Noise:
     return estimate_noise(
-        problem.model.operator, problem.y, problem.weight, even=problem.even_noise
+        problem.model.operator, problem.y, problem.telling_weight, even=problem.even_noise
     )

@@ -35,6 +35,7 @@ ALIASES = 3  # a square pixel lets 10 % through at the third
 WINDOWS, WINDOW_PX, MOST_FRAMES = 3, 48, 9
 PAD_PX, BORDER_PX = 4, 1  # continued beyond the border, whose pixels are not judged
 BLOCK_PX, BLOCK_STEP_PX = 3, 3
+NOWHERE = np.zeros((1, 1, 1, 1), np.bool_)
 # The median of 144 sizes, compared to that of all frames: five of its standard errors more.
 ODD_FRAME = 1.5
 OUTLIER_SIGMAS, OUTLIER_BLOCK_PX = 4.0, 12
@@ -106,7 +107,9 @@ class _Filters:
     energy: Array
 
 
-def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> NoiseLaw | None:
+def noise_law(
+    offset_px: Array, y: Array, weight: Array, blur_px: float, silent: Mask | None = None
+) -> NoiseLaw | None:
     """Return the noise of frames [frame row col] that have one shift each, None if too few tell.
 
     Of phasors that of a component, as a function of the amplitude.
@@ -117,51 +120,33 @@ def noise_law(offset_px: Array, y: Array, weight: Array, blur_px: float) -> Nois
     y : real or complex
     weight : [frame row col] 0 at pixels that must not be used
     blur_px : standard deviation of the pixel response in LR pixels
+    silent : [frame row col] pixels that tell nothing of noise, nor do blocks with one of them
     """
     some = np.unique(np.linspace(0, len(y) - 1, min(len(y), MOST_FRAMES)).round().astype(int))
     offset = np.round(offset_px[some] - offset_px[some[0]], 6)  # what rounding adds is no new case
-    used = _windows(weight[some] > 0)
-    seen = _windows(y[some])
+    cut = np.zeros(y[some].shape, np.bool_) if silent is None else silent[some]
+    whole, components = (y[some], weight[some] > 0, cut), 2 if y.dtype.kind == "c" else 1
+    seen, used, cut = map(_windows, whole)
     if not used.any():  # what is valid lies between the windows
-        seen, used = y[some][None], weight[some][None] > 0
-    components = 2 if y.dtype.kind == "c" else 1
+        seen, used, cut = (one[None] for one in whole)
     parts = [seen.real, seen.imag][:components]
     level = 0.0 if components == 2 else float(np.median(seen[used]))
     values = np.concatenate([np.where(used, part - level, 0.0) for part in parts])
     lit = np.concatenate([np.where(used, np.abs(seen) if len(parts) > 1 else seen - level, 0.0)
                           for _ in parts])  # fmt: skip
-    used = np.concatenate([used for _ in parts])
+    used, cut = (np.concatenate([one for _ in parts]) for one in (used, cut))
     unit = float(np.sqrt(np.mean(values**2))) or 1.0
     filters = _filters(
         offset.tobytes(), len(some), used.shape[-2:], round(float(blur_px), 3), components
     )
     values, lit = (part.astype(np.float32) / np.float32(unit) for part in (values, lit))
-    energy, light = _blocks(values, used, filters, lit, components)
+    energy, light = _blocks(values, used, filters, lit, components, cut)
     return _fitted(energy, light, filters.energy).scaled(unit, level) if light.size else None
 
 
 def constant_noise(sigma: float) -> NoiseLaw:
     """Return the law of noise that is the same at any light."""
     return NoiseLaw(sigma, sigma**2, 0.0, -np.inf, np.inf)
-
-
-def light_of(y: Array, used: Mask) -> Array:
-    """Return the light at each pixel [frame row col]: the median of it and its four neighbours.
-
-    Of phasors the amplitude. The pixel alone would tell less noise where it is darker by chance,
-    and what is weighed by that comes out too dark, by 1 / SNR^2; a mean tells too much noise in the
-    dark beside the bright. Thin poles keep theirs.
-    """
-    y = (np.abs(y) if y.dtype.kind == "c" else y).astype(np.float32)
-    around, known = (np.pad(a, ((0, 0), (1, 1), (1, 1)), mode="edge") for a in (y, used))
-    places = ((0, 1), (2, 1), (1, 0), (1, 2))
-    rows, cols = y.shape[1:]
-    parts = (np.s_[:, i : i + rows, j : j + cols] for i, j in places)
-    a, b, c, d = (np.where(known[part], around[part], y) for part in parts)
-    # Of five the median is that of the fifth, the greater of the small and the less of the great.
-    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
-    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
-    return np.clip(y, np.minimum(low, high), np.maximum(low, high))
 
 
 def _windows(values: Array) -> Array:
@@ -244,7 +229,12 @@ def _continued(values: Array, pad: int, axis: int) -> Array:
 
 
 def _blocks(
-    values: Array, used: Mask, filters: _Filters, lit: Array, components: int
+    values: Array,
+    used: Mask,
+    filters: _Filters,
+    lit: Array,
+    components: int,
+    silent: Mask = NOWHERE,
 ) -> tuple[Array, Array]:
     """Return mean squares [fit block] of the residuals and the light [block].
 
@@ -255,8 +245,10 @@ def _blocks(
     ----------
     values : [component window, frame row col]
     lit : [component window, frame row col] light
+    silent : [component window, frame row col] pixels that tell nothing, nor do blocks with one,
+        while there are others
     """
-    judged = used & ~_outliers(values, used, filters)
+    judged = used & ~_outliers(values, used & ~silent, filters)
     if not judged.all():
         values = _refilled(values, ~judged, filters)
     rest = _residuals(values, filters, slice(None))
@@ -273,6 +265,10 @@ def _blocks(
         )
     )
     full = share > 1 / 3 if (share > 1 / 3).any() else share > 0
+    if silent.any():
+        marked = _sampled(np.asarray(silent.any(axis=1), np.float32)).reshape(full.shape)
+        telling = full & (marked == 0)
+        full = telling if telling.any() else full
     return energy[:, full] / share[full], light[full] / share[full]
 
 

@@ -174,7 +174,9 @@ def _read(
     y, model = problem.y, replace(problem.model, blur=GaussianBlur(ASSUMED_PX)).on_grid(SCALE)
     if y.dtype.kind == "c":  # what lies along the mean phasor
         y = (y * np.exp(-1j * np.angle(np.sum(y)))).real
-    return likely_response(model, y, noise), law.scaled(problem.intensity, problem.level)
+    return likely_response(model, y, problem.judging(noise)), law.scaled(
+        problem.intensity, problem.level
+    )
 
 
 def _for_people(values: Array) -> bool:

@@ -27,8 +27,9 @@ class _Plain(Method):
         if request.std and found.noise_gain is not None:
             if sigma is None:
                 sigma = estimate_noise(
-                    problem.model.operator, problem.y, problem.weight, even=problem.even_noise
-                ).sigma
+                    problem.model.operator, problem.y, problem.telling_weight,
+                    even=problem.even_noise,
+                ).sigma  # fmt: skip
             std = found.noise_gain * sigma
         return Estimate(image=image, uncertainty=std, status=Status.DIRECT, noise_sigma=sigma)
 

@@ -16,6 +16,7 @@ from lensshift.core.types import Burst, ShiftField
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.forward.prediction import FramePredictor
+from lensshift.reconstruction.clipping import beside, clipped_pixels
 
 Array = NDArray[Any]
 
@@ -56,6 +57,8 @@ class Problem:
     told_sigma : noise of the pixels of weight 1 in units of `intensity`, where the variance of each
         was given, or None
     phase_rad : phase of the burst that 0 stands for, of phasors
+    clipped : [frame row col] pixels of light at an end of the range of the camera, None if there
+        are none
     """
 
     y: Array
@@ -69,6 +72,7 @@ class Problem:
     even_noise: bool = True
     told_sigma: float | None = None
     phase_rad: float = 0.0
+    clipped: NDArray[np.bool_] | None = None
 
     @property
     def scale(self) -> int:
@@ -84,6 +88,19 @@ class Problem:
     def offset_px(self) -> NDArray[np.float64]:
         """One offset [frame 2] per frame: plain methods move whole frames and can do no better."""
         return self.model.mean_offset_px
+
+    def judging(self, sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the noise [frame row col] of pixels that may object, infinite of the others."""
+        if self.clipped is None:
+            return sigma
+        silent = beside(self.model.operator, self.clipped, self.scale)
+        judging = np.where(silent, np.inf, sigma)
+        return judging if np.isfinite(judging).any() else sigma
+
+    @property
+    def telling_weight(self) -> NDArray[np.float64]:
+        """The weight [frame row col] of pixels that tell noise, gain and bias; 0 of the others."""
+        return np.where(np.isfinite(self.judging(self.weight)), self.weight, 0.0)
 
     def with_photometry(self, gain: ArrayLike, bias: ArrayLike) -> Problem:
         """Return the problem with another gain and bias [frame], bias in units of `intensity`.
@@ -195,6 +212,7 @@ def make_problem(
         shift_error_px=_own_error_px(burst.offset_sigma_px, burst.frame_count),
         even_noise=even_noise,
         told_sigma=None if least is None else float(np.sqrt(least)) / unit,
+        clipped=clipped_pixels(values, used) if even_noise and kind is np.float64 else None,
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
+from lensshift.reconstruction.clipping import overexposed
 from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
@@ -123,7 +124,7 @@ def reconstruct(
     QualityWarning
         If the frames fit another sign, order of axes, unit or order of frames better, or contradict
         the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
-        changes. Or if they show another pixel response than was told.
+        changes. Or if they show another pixel response than was told, or are overexposed.
     """
     expect_burst(burst)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
@@ -181,13 +182,15 @@ def _estimates(
             burst, used, scale, chosen.name, request, photometric=photometric, **seen
         )
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
-    found = {}
+    found: dict[str, Estimate] = {}
     for key, values in _channels(part, channel).items():
         problem = make_problem(
             part, values, scale, even_noise=key != "distance", keep_outside=chosen.keep_outside,
             take_level=chosen.take_level and not request.non_negative,
             intensity=chosen.intensity, **seen,
         )  # fmt: skip
+        if (said := overexposed(values, problem.clipped)) and not (request.memory or found):
+            warnings.warn(said, QualityWarning, stacklevel=3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
         own = replace(request, law=None) if key == "distance" else request
@@ -264,7 +267,7 @@ def _solve(
     """Run the method and bring the estimate back to the units of the burst."""
     gain, bias = np.ones(len(used)), np.zeros(len(used))
     if photometric:
-        gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.weight)
+        gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.telling_weight)
         problem = problem.with_photometry(gain, bias)
     estimate = method(problem, request)
     unit, level = problem.intensity, problem.level

@@ -92,7 +92,8 @@ def solved(
     found, misfit = run(asked)
     shaken: dict[int, Array] = {}
     if memory is None and not asked.general and not asked.of_phasors:
-        asked, found, misfit, shaken = _as_they_fit(asked, found, misfit, run, request)
+        judging = problem.judging
+        asked, found, misfit, shaken = _as_they_fit(asked, found, misfit, run, request, judging)
         problem, noise = replace(problem, y=asked.y), asked.sigma
     if misfit.curable and not misfit.off_px and not request.shifts_doubted:
         misfit = _seen_otherwise(problem, noise, misfit, request)
@@ -219,7 +220,7 @@ def _solved_once(
     problem: Problem, request: Request, kept: Kept | None, asked: Asked
 ) -> tuple[Solution, Misfit]:
     """Return picture and misfit; that of a picture that rests is known already."""
-    A, noise = problem.model.operator, asked.sigma
+    A, noise = problem.model.operator, problem.judging(asked.sigma)
     found = _picture(asked, request)
     if asked.of_phasors:
         solve = partial(_picture, request=request)
@@ -236,6 +237,7 @@ def _as_they_fit(
     misfit: Misfit,
     run: Callable[[Asked], tuple[Solution, Misfit]],
     request: Request,
+    judging: Callable[[NDArray[np.float64]], NDArray[np.float64]],
 ) -> tuple[Asked, Solution, Misfit, dict[int, Array]]:
     """Return what is asked and found of frames that are not all as sharp or as noisy as told.
 
@@ -245,13 +247,13 @@ def _as_they_fit(
     shaken: dict[int, Array] = {}
     contradicted = misfit.lit or misfit.doubt.max(initial=0.0) > 1.0
     for _ in range(SHARPENINGS if contradicted and not misfit.off_px else 0):
-        moments = moments_px2(A, found.image, y, asked.sigma, scale)
+        moments = moments_px2(A, found.image, y, judging(asked.sigma), scale)
         if not moments:
             break
         shaken = moments
         asked = replace(asked, y=as_sharp_as_most(A, found.image, y, scale, shaken))
         found, misfit = run(asked)
-    if refuted(asked, found):
+    if refuted(replace(asked, sigma=judging(asked.sigma)), found):
         asked = as_predicted(asked, found, lambda other: _picture(other, request))
         found, misfit = run(asked)
     return asked, found, misfit, shaken
@@ -280,7 +282,9 @@ def _seen_otherwise(
     grids += [(2 * scale, np.zeros(2))] if 2 * scale <= MOST_SCALE else []
     for finer, moved_px in grids:
         other = model.on_grid(finer, moved_px).crop(rows, cols)
-        part = replace(problem, model=other, y=np.ascontiguousarray(problem.y[:, rows, cols]))
+        clipped = None if problem.clipped is None else problem.clipped[:, rows, cols]
+        y = np.ascontiguousarray(problem.y[:, rows, cols])
+        part = replace(problem, model=other, y=y, clipped=clipped)
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
         asked = Asked(other, part.y, sigma, blur_width_px(other.blur))
         _, again = _solved_once(part, request, None, asked)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.noise import estimate_noise
-from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, light_of, noise_law
+from lensshift.reconstruction.noise import estimate_noise, light_of
+from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
 from lensshift.reconstruction.problem import Problem
 
 # Training went down to noise of 2e-4 (SNR 4000); the median standard deviation of a scene is 0.15:
@@ -62,7 +63,11 @@ def _estimated_noise(problem: Problem) -> NoiseLaw:
     plain = problem.even_noise and model.shift_spread_px < EVEN_SHIFT_PX
     some = np.any(weight > 0, axis=(1, 2))
     if plain and np.count_nonzero(some) >= LEAST_FRAMES:
-        law = noise_law(problem.offset_px[some], y[some], weight[some], problem.blur_sigma_px)
+        silent = None if y.dtype.kind == "c" else silent_pixels(y, problem.clipped)[some]
+        law = noise_law(
+            problem.offset_px[some], y[some], weight[some], problem.blur_sigma_px, silent
+        )
         if law is not None:
             return law
+    weight = problem.telling_weight
     return constant_noise(estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma)

@@ -1,0 +1,99 @@
+"""Pixels at an end of what a camera can say: they tell no noise, and edges there look too sharp."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+
+from lensshift.forward.operator import LinearOperator
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+# An end of the range is one where the outermost value is more frequent than the next by so many
+# standard errors; of noise it is the rarest.
+SURE = 3.0
+# Ends of the ranges of cameras: of numbers up to 1, and of 8 to 16 bits. More than so many pixels
+# there are no glints.
+ENDS, TELLING_SHARE = (1.0, *(2.0**bits - 1 for bits in range(8, 17))), 0.05
+# Around a pixel whose noise is looked for; a tenth cut off leaves 0.84 of the variance of noise.
+AROUND_PX, CUT_SHARE = 3, 0.1
+# Of the frames at a place; and of what a pixel sees, so that it is near one.
+MOST, SEEN_SHARE = 0.5, 1e-3
+
+
+def clipped_pixels(values: Array, used: Mask) -> Mask | None:
+    """Return the pixels [frame row col] that were cut off at an end of the range, None if none.
+
+        y = min(max(A x + n, low), high):   c(high) > c(next) + 3 sqrt(c(high) + c(next)),
+        c how many pixels have a value
+
+    Also those of surfaces whose noise is less than the step between two values, if they are the
+    darkest or the brightest: they tell no noise either.
+
+    Parameters
+    ----------
+    values : [frame row col] real
+    used : [frame row col] where values count
+    """
+    seen = values[used]
+    if not seen.size:
+        return None
+    found: Mask | None = None
+    for end, inner in ((seen.max(), np.less), (seen.min(), np.greater)):
+        others = seen[inner(seen, end)]
+        if not others.size:  # one value is no range
+            return None
+        following = others.max() if inner is np.less else others.min()
+        count, beside = seen.size - others.size, np.count_nonzero(others == following)
+        if count - beside > SURE * np.sqrt(count + beside):
+            at_end = used & (values == end)
+            found = at_end if found is None else found | at_end
+    return found
+
+
+def silent_pixels(values: Array, clipped: Mask | None) -> Mask:
+    """Return the pixels [frame row col] that tell no noise: many around are clipped, or all alike.
+
+    Lone ones, as of salt and pepper, are outliers.
+    """
+    highest = maximum_filter(values.max(axis=0), AROUND_PX)
+    silent = highest == minimum_filter(values.min(axis=0), AROUND_PX)
+    if clipped is not None:
+        silent |= uniform_filter(clipped.mean(axis=0), AROUND_PX) > CUT_SHARE
+    return np.broadcast_to(silent, values.shape)
+
+
+def beside(A: LinearOperator, clipped: Mask, scale: int) -> Mask:
+    """Return the pixels [frame row col] within a pixel of what most frames show clipped.
+
+    What is brighter than the camera can say is no mean of anything there. Where few frames are
+    clipped, something moved, and they may say so.
+    """
+    one = np.ones(clipped.shape, np.float32)
+    most = A.adjoint(clipped * one) > MOST * A.adjoint(one)
+    near = maximum_filter(most, 2 * scale + 1).astype(np.float32)
+    return np.asarray(A.forward(near) > SEEN_SHARE)
+
+
+def overexposed(values: Array, clipped: Mask | None) -> str | None:
+    """Say how much of the frames is at the bright end of a range, and what to do, if much is.
+
+    Parameters
+    ----------
+    values : [frame row col] the frames as the camera gave them
+    clipped : as from `clipped_pixels`
+    """
+    if clipped is None or not clipped.any():
+        return None
+    end = float(values[clipped].max())
+    share = float(np.mean(values[clipped] == end)) * float(np.mean(clipped))
+    if end not in ENDS or share < TELLING_SHARE:
+        return None
+    return (
+        f"{100 * share:.0f} % of the pixels are at {end:g}, the end of their range: what is "
+        "brighter is lost there, also in the picture (expose for a shorter time)"
+    )

@@ -1,0 +1,101 @@
+"""Frames that were cut off at an end of the range of the camera."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mosaic import canvas, observe, square
+from numpy.typing import NDArray
+
+from lensshift import Burst, Reconstruction, reconstruct
+from lensshift.reconstruction.clipping import clipped_pixels, overexposed, silent_pixels
+
+SHAPE, SIGMA = (25, 34), 0.02
+NINE_PX = square(3)
+
+
+def seen(seed: int, offset_px: NDArray[np.float64] = NINE_PX) -> NDArray[np.float64]:
+    """Return frames of a mosaic in 0.1 .. 0.9 or so, with noise."""
+    rng = np.random.default_rng(seed)
+    y = observe(canvas(rng, SHAPE), SHAPE, offset_px=offset_px, snr=1e6, rng=rng).y
+    return np.asarray(y + SIGMA * rng.standard_normal(y.shape))
+
+
+def reconstructed(y: NDArray[np.float64]) -> tuple[Reconstruction, list[str]]:
+    burst = Burst.from_arrays(y, offset_px=NINE_PX, pitch_mm=0.1)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = reconstruct(burst, 2, psf_sigma_px=12**-0.5)
+    return found, [str(one.message) for one in said]
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 0.01, 37.0]), st.floats(-5, 5))
+def test_what_is_cut_off_is_found_in_any_unit(seed: int, unit: float, level: float) -> None:
+    rng = np.random.default_rng(seed)
+    y = rng.uniform(0, 1, (4, 11, 13)) + 0.05 * rng.standard_normal((4, 11, 13))
+    used = rng.random(y.shape) < 0.9
+    assert clipped_pixels(unit * y + level, used) is None
+    low, high = 0.15, 0.8
+    found = clipped_pixels(unit * np.clip(y, low, high) + level, used)
+    np.testing.assert_array_equal(found, used & ((y <= low) | (y >= high)))
+
+
+def test_levels_of_a_converter_are_no_ends_of_its_range() -> None:
+    for seed in range(20):
+        y = np.random.default_rng(seed).normal(128, 3, (4, 21, 26)).round()
+        assert clipped_pixels(y, np.ones(y.shape, bool)) is None
+
+
+@pytest.mark.parametrize("seed", [3, 4, 8])
+@pytest.mark.parametrize(("low", "high"), [(0.4, np.inf), (-np.inf, 0.6), (0.35, 0.65)])
+def test_noise_is_read_beside_what_is_cut_off_and_nothing_seems_to_contradict(
+    seed: int, low: float, high: float
+) -> None:
+    y = seen(seed)
+    cut = np.clip(y, low, high)
+    assert np.mean(cut != y) > 0.03
+    found, said = reconstructed(cut)
+    assert 0.7 * SIGMA < found["amplitude"].noise_sigma < 1.5 * SIGMA
+    assert said == []
+
+
+def test_a_frame_that_lies_elsewhere_is_told_of_frames_that_are_cut_off() -> None:
+    away_px = NINE_PX.copy()
+    away_px[5] += (1.0, -0.75)
+    for seed in (3, 4, 8):
+        _, said = reconstructed(np.clip(seen(seed, away_px), 0.3, 0.7))
+        assert "frame 5 does not fit" in said[0]
+
+
+def test_places_without_light_and_noise_tell_none() -> None:
+    rng = np.random.default_rng(5)
+    fine = np.clip(canvas(rng, SHAPE) - 0.4, 0, None)
+    y = observe(fine, SHAPE, offset_px=NINE_PX, snr=1e6, rng=rng).y
+    y = np.where(y > 1e-4, y, 0.0)
+    y = y + SIGMA * np.sqrt(y / 0.3) * rng.standard_normal(
+        y.shape
+    )  # shot noise alone, also below 0
+    still = silent_pixels(y, None)
+    assert np.all(y[still] == 0.0)
+    assert still.mean() > 0.05
+    found, said = reconstructed(y)
+    true = SIGMA * np.sqrt(np.mean(np.maximum(y, 0.0)[~still]) / 0.3)
+    assert 0.6 * true < found["amplitude"].noise_sigma < 1.6 * true
+    assert said == []
+
+
+@pytest.mark.parametrize(("end", "told"), [(1.0, True), (255.0, True), (0.83, False)])
+def test_overexposed_frames_are_told_with_the_cure(end: float, told: bool) -> None:
+    y = np.minimum(seen(4) / 0.6, 1.0) * end
+    share = np.mean(y == end)
+    assert share > 0.05
+    _, said = reconstructed(y)
+    assert [f"{100 * share:.0f} % of the pixels are at {end:g}" in one for one in said] == (
+        [True] if told else []
+    )
+    assert all("shorter time" in one for one in said)
+    few = np.zeros(y.shape, bool)
+    few[0, :2] = y[0, :2] == end
+    assert overexposed(y, few) is None
