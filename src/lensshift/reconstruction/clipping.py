@@ -21,6 +21,8 @@ SURE = 3.0
 ENDS, TELLING_SHARE = (1.0, *(2.0**bits - 1 for bits in range(8, 17))), 0.05
 # Around a pixel whose noise is looked for; a tenth cut off leaves 0.84 of the variance of noise.
 AROUND_PX, CUT_SHARE = 3, 0.1
+# Of the range, by the converters of cameras with 16 bits.
+FINEST_STEP = 2.0**-16
 # Of the frames at a place; and of what a pixel sees, so that it is near one.
 MOST, SEEN_SHARE = 0.5, 1e-3
 
@@ -58,10 +60,13 @@ def clipped_pixels(values: Array, used: Mask) -> Mask | None:
 def silent_pixels(values: Array, clipped: Mask | None) -> Mask:
     """Return the pixels [frame row col] that tell no noise: many around are clipped, or all alike.
 
-    Lone ones, as of salt and pepper, are outliers.
+    Lone ones, as of salt and pepper, are outliers. Alike are those that differ by less than the
+    finest converter would tell apart, as where simulated light and its shot noise are nothing.
     """
-    highest = maximum_filter(values.max(axis=0), AROUND_PX)
-    silent = highest == minimum_filter(values.min(axis=0), AROUND_PX)
+    highest, lowest = values.max(axis=0), values.min(axis=0)
+    step = FINEST_STEP * float(highest.max() - lowest.min())
+    around = maximum_filter(highest, AROUND_PX) - minimum_filter(lowest, AROUND_PX)
+    silent = around <= step
     if clipped is not None:
         silent |= uniform_filter(clipped.mean(axis=0), AROUND_PX) > CUT_SHARE
     return np.broadcast_to(silent, values.shape)
