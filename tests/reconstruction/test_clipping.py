@@ -1,4 +1,4 @@
-"""Frames that were cut off at an end of the range of the camera."""
+"""Frames that were cut off at an end of the range of the camera, or are on few levels."""
 
 import warnings
 
@@ -10,7 +10,11 @@ from mosaic import canvas, observe, square
 from numpy.typing import NDArray
 
 from lensshift import Burst, Reconstruction, reconstruct
+from lensshift.forward.blur import GaussianBlur
 from lensshift.reconstruction.clipping import clipped_pixels, overexposed, silent_pixels
+from lensshift.reconstruction.learned.noise import rounded_std
+from lensshift.reconstruction.noise_law import constant_noise
+from lensshift.reconstruction.problem import make_problem
 
 SHAPE, SIGMA = (25, 34), 0.02
 NINE_PX = square(3)
@@ -99,3 +103,31 @@ def test_overexposed_frames_are_told_with_the_cure(end: float, told: bool) -> No
     few = np.zeros(y.shape, bool)
     few[0, :2] = y[0, :2] == end
     assert overexposed(y, few) is None
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.2, 0.3, 0.5])
+def test_what_rounding_shares_is_what_a_mean_over_its_noise_leaves(sigma: float) -> None:
+    step, rng = 0.04, np.random.default_rng(3)
+    light = rng.uniform(0, 1, (4, 40, 60)) * 40 * step
+    rounded = np.round(light / step + sigma * rng.standard_normal((4000, 1, 1, 1))) * step
+    shared = np.sqrt(np.mean((rounded.mean(axis=0) - light) ** 2))
+    burst = Burst.from_arrays(rounded[0], offset_px=square(2), pitch_mm=0.1)
+    problem = make_problem(
+        burst, burst.amplitude, 2, blur=GaussianBlur(0.3), shift_field=None, noise_sigma=None
+    )
+    law = constant_noise(step * np.sqrt(sigma**2 + 1 / 12) / problem.intensity)
+    found = rounded_std(problem, law) * problem.intensity
+    chance = step * np.sqrt((sigma**2 + 1 / 12) / 4000)
+    assert found == pytest.approx(shared, rel=0.05, abs=2 * chance)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 8])
+def test_std_holds_the_step_of_a_converter_that_noise_does_not_dither(seed: int) -> None:
+    rng, step = np.random.default_rng(seed), 0.03
+    scene = observe(canvas(rng, SHAPE), SHAPE, offset_px=NINE_PX, snr=1e6, rng=rng)
+    y = np.round((scene.y + 0.15 * step * rng.standard_normal(scene.y.shape)) / step) * step
+    found, said = reconstructed(y)
+    image, std = found["amplitude"].image, found["amplitude"].std
+    assert found["amplitude"].noise_sigma >= step / np.sqrt(12) * 0.999
+    assert np.mean(np.abs(image - scene.truth) < 2 * std) > 0.9
+    assert said == []

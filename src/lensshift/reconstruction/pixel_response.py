@@ -15,6 +15,7 @@ from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
+from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.response import (
     ASSUMED_PX,
@@ -171,6 +172,8 @@ def _read(
         seen = dict(seen) | {"noise_sigma": None, "pixel_variance": None}
     problem = make_problem(part, values, take_level=values.dtype.kind != "c", **seen)
     law, _, noise = noise_map(problem)
+    if problem.y.dtype.kind != "c":  # the end of what was filled in is no edge of the scene
+        problem = replace(problem, clipped=silent_pixels(problem.y, problem.clipped))
     y, model = problem.y, replace(problem.model, blur=GaussianBlur(ASSUMED_PX)).on_grid(SCALE)
     if y.dtype.kind == "c":  # what lies along the mean phasor
         y = (y * np.exp(-1j * np.angle(np.sum(y)))).real

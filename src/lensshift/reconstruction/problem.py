@@ -145,7 +145,7 @@ def brightness_of(values: Array, used: NDArray[np.bool_]) -> float:
 
     A method that divides by it gives twice the image for twice the frames.
     """
-    return float(np.percentile(np.abs(_some(values, used)), 99.5)) or 1.0
+    return float(np.percentile(np.abs(some_pixels(values, used)), 99.5)) or 1.0
 
 
 def make_problem(
@@ -309,13 +309,13 @@ def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
     """Return median and contrast of frames far from 0 for their contrast, 0 and 0 of others."""
     if values.dtype.kind == "c":
         return 0.0, 0.0
-    low, level, high = np.percentile(_some(values, used), (0.5, 50.0, 99.5))
+    low, level, high = np.percentile(some_pixels(values, used), (0.5, 50.0, 99.5))
     if abs(level) <= LARGE_LEVEL * (high - low):
         return 0.0, 0.0
     return float(level), float(high - low)
 
 
-def _some(values: Array, used: NDArray[np.bool_]) -> Array:
+def some_pixels(values: Array, used: NDArray[np.bool_]) -> Array:
     """Return the pixels that are used, of many some that are spread over all frames."""
     step = values.size // MOST_PIXELS | 1  # odd, so that no column is seen alone
     some = values.ravel()[::step][used.ravel()[::step]]

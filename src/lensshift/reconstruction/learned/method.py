@@ -15,7 +15,7 @@ from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.learned.noise import noise_map
+from lensshift.reconstruction.learned.noise import noise_map, rounded_std
 from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
 from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution, solve_together
 from lensshift.reconstruction.method import Request
@@ -46,6 +46,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
     found, std = solved(problem, noise, request)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
+    std = np.hypot(std, rounded_std(problem, law))
     image = found.image
     if request.non_negative and image.dtype.kind == "f":
         image = np.maximum(image, 0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +12,10 @@ from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.noise import estimate_noise, light_of
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
-from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.problem import Problem, some_pixels
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
 
 # Training went down to noise of 2e-4 (SNR 4000); the median standard deviation of a scene is 0.15:
 # of less the weights have seen nothing, and errors of the model are larger.
@@ -18,6 +24,10 @@ LEAST_SHARE = 2e-4 / 0.15
 LEAST_SIGMA = 1e-7
 # Shifts that differ less over the sensor are one shift: what they are told to.
 EVEN_SHIFT_PX = 0.05
+# Numbers are on levels if each is there so many times; a drawing without noise has fewer levels.
+MOST_DIFFERENT, FEWEST_LEVELS = 4, 12
+# Of the error of rounding, so many that the rest is 1 % of its variance.
+HARMONICS = np.arange(1, 61)
 # Fewer frames show no frequency that a scene hardly reaches.
 LEAST_FRAMES = 3
 
@@ -49,10 +59,37 @@ def noise_map(
     Infinite where a pixel must not be used.
     """
     law, used = noise_of(problem, memory, known), problem.weight > 0
-    least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA)
+    rounding = _step(problem.y, used) / math.sqrt(12)
+    least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA, rounding)
     variance = np.maximum(law.variance(light_of(problem.y, used)), least**2)
     variance = variance / np.where(used, problem.weight, 1.0)
     return law, least, np.where(used, np.sqrt(variance), np.inf)
+
+
+def rounded_std(problem: Problem, law: NoiseLaw) -> float:
+    """Return the error that all pixels of a surface share since their numbers are on levels.
+
+        q^2 = step^2 / (2 pi^2) sum_k exp(-4 pi^2 k^2 d) / k^2,   d = sigma^2 / step^2 - 1 / 12
+
+    step / sqrt(12) without noise; a third of a step of it dithers nearly all away. Source: Widrow
+    and Kollar, Quantization Noise (2008).
+    """
+    if (step := _step(problem.y, problem.weight > 0)) == 0.0:
+        return 0.0
+    dither, k = max(law.sigma**2 / step**2 - 1 / 12, 0.0), HARMONICS
+    shared = np.sum(np.exp(-4 * np.pi**2 * k**2 * dither) / k**2) / (2 * np.pi**2)
+    return step * math.sqrt(shared)
+
+
+def _step(y: Array, used: Mask) -> float:
+    """Return the distance between the levels that real numbers are on, 0 if they are on none."""
+    if y.dtype.kind == "c":
+        return 0.0
+    some = some_pixels(y, used)
+    levels = np.unique(some)
+    if not FEWEST_LEVELS <= levels.size <= some.size / MOST_DIFFERENT:
+        return 0.0
+    return float(np.min(np.diff(levels)))
 
 
 def _estimated_noise(problem: Problem) -> NoiseLaw:
