@@ -28,6 +28,7 @@ from lensshift.io import (
     save_burst,
 )
 from lensshift.io.image_file import load_frames, load_named_arrays
+from lensshift.io.reading import memory_limit
 
 SHAPE = (4, 5, 7)
 OFFSETS = np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.5, 0.5]])
@@ -631,7 +632,10 @@ def test_fits_as_cube_extensions_and_compressed(tmp_path: Path, dtype: str) -> N
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(frames, quantize_level=0)]).writeto(
         tmp_path / "packed.fits"
     )
-    for name in ("cube.fits", "pages.fit", "packed.fits"):
+    fits.PrimaryHDU(frames).writeto(tmp_path / "archived.fits.gz")
+    (tmp_path / "tiles.FITS.fz").write_bytes((tmp_path / "packed.fits").read_bytes())
+    names = ("cube.fits", "pages.fit", "packed.fits", "archived.fits.gz", "tiles.FITS.fz")
+    for name in names:
         amplitude = load(tmp_path / name)
         assert amplitude.dtype == frames.dtype
         np.testing.assert_array_equal(amplitude, frames)
@@ -649,6 +653,22 @@ def test_jpegs_bitmaps_and_palettes_are_frames(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_image_stack(tmp_path / "bmp").amplitude[1], levels)
     Image.fromarray(levels).convert("P").save(tmp_path / "palette.png")
     np.testing.assert_array_equal(load_image_stack(tmp_path / "palette.png").amplitude[0], levels)
+
+
+def test_gzipped_fits_is_bounded_named_and_sorted_as_others(tmp_path: Path) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    frames, sky = frames_of("f4"), fits.Header({"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN"})
+    for number in (10, 2):
+        name = tmp_path / f"frame_{number}.fits.gz"
+        fits.PrimaryHDU(frames[number % 3], sky).writeto(name)
+    found = load_image_stack(tmp_path)
+    np.testing.assert_array_equal(found.amplitude, frames[[2, 1]])
+    assert found.meta["wcs"]["CTYPE1"] == "RA---TAN"
+    whole = (tmp_path / "frame_2.fits.gz").read_bytes()
+    (tmp_path / "cut.fits.gz").write_bytes(whole[: len(whole) // 2])
+    assert "cut short" in message_of(tmp_path / "cut.fits.gz")
+    with memory_limit(2_000), pytest.raises(DataError, match="at most 2000 bytes of memory"):
+        load_image_stack(tmp_path / "frame_2.fits.gz")
 
 
 def test_of_a_telescope_the_science_counts_not_its_error(tmp_path: Path) -> None:

@@ -271,3 +271,27 @@ def test_a_bright_card_across_the_sensor_does_not_make_the_map_its_own() -> None
     assert found.px_per_mm_sigma is not None
     assert np.all(np.abs(wrong) < 0.1)
     assert np.all(np.abs(wrong) < 3 * found.px_per_mm_sigma)
+
+
+@pytest.mark.parametrize("play_mm", [(0.031, 0.052), (0.007, 0.044)])
+@pytest.mark.parametrize("seed", [5, 6])
+def test_play_larger_than_the_steps_of_the_scan(play_mm: tuple[float, float], seed: int) -> None:
+    """An axis that turns by less than its play goes through a part of it (friction)."""
+    rng = np.random.default_rng(seed)
+    rig = Rig(play_mm=np.array(play_mm))
+    asked = calibration_scan_mm((3.0, 5.0), 0.3, steps=4)
+    load = [asked[0] - 0.5 * rig.play_mm]
+    for place in asked[1:]:
+        load.append(np.clip(load[-1], place - 0.5 * rig.play_mm, place + 0.5 * rig.play_mm))
+    offset_px = (np.array(load) - (3.0, 5.0)) @ rig.px_per_mm.T
+    burst = Burst.from_arrays(
+        rng.random((len(asked), 8, 8)),
+        offset_px=offset_px + 0.003 * rng.standard_normal(offset_px.shape),
+        pitch_mm=0.1,
+        stage_mm=asked,
+        stage_commanded_mm=asked,
+    )
+    found = fit_scan(burst, registered=True, over_sensor=False).calibration
+    np.testing.assert_allclose(found.play_mm, play_mm, atol=0.001)
+    np.testing.assert_allclose(found.stage_map.px_per_mm, rig.px_per_mm, atol=0.03)
+    assert found.stage_map.sigma_px < 0.005

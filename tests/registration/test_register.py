@@ -8,12 +8,18 @@ import numpy as np
 import pytest
 from scenes import PITCH_MM, checker, scene, taken, waves
 
-from lensshift.camera import QUARTER_SQUARE_PX, RunningCamera, camera_preset
+from lensshift.camera import (
+    QUARTER_SQUARE_PX,
+    RunningCamera,
+    camera_preset,
+    named_pattern_px,
+    simulate_tof,
+)
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
-from lensshift.registration import likely_shifts, phase_correlation, register
+from lensshift.registration import likely_shifts, phase_correlation, phase_shifts, register
 from lensshift.registration.blocks import blocks_of, scatter_over_blocks
-from lensshift.scene import four_boxes
+from lensshift.scene import four_boxes, slanted_edge_card
 
 OFFSETS = np.array([[0.0, 0.0], [0.31, -0.42], [-1.27, 0.66], [2.4, 3.1], [-0.2, 0.9]])
 
@@ -157,6 +163,66 @@ def test_along_an_edge_nothing_is_known(angle_deg: float) -> None:
         assert np.abs(wrong @ across).max() < 0.05
         assert np.all(found.offset_sigma_px[1:] @ np.abs(along) > 1.0)
         assert np.all(np.abs(wrong) < 2 * found.offset_sigma_px + 1e-9)
+
+
+def test_along_an_edge_whose_aliases_dwarf_the_noise_nothing_is_known() -> None:
+    """Nine sharp frames at SNR 1000: the likelihood has a maximum wherever it is asked."""
+    world = simulate_tof(
+        slanted_edge_card(), camera_preset("o3m151"), named_pattern_px("3x3"), scale=2, seed=7,
+        shift_error_px=0.02,
+    )  # fmt: skip
+    frames, true_px = world.burst.amplitude.astype(float), world.truth.offset_px
+    found = likely_shifts(frames, np.ones(frames.shape, bool), phase_shifts(frames, 0))
+    wrong = found.offset_px - (true_px - true_px[0])
+    assert np.abs(wrong).max() > 0.1
+    assert np.all(np.abs(wrong[1:]) < 2 * found.sigma_px[1:])
+
+
+def siemens_star(shape: tuple[int, int], cycles: int, seed: int) -> Burst:
+    """Black and white sectors on a grey card, 11 x 11 points in a pixel, SNR 50."""
+    rng = np.random.default_rng(seed)
+    corners = 0.25 * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+    offset_px = corners + 0.05 * rng.standard_normal((4, 2))
+    row, col = ((np.arange(11 * size) + 0.5) / 11 - size / 2 for size in shape)
+    frames = []
+    for down, right in offset_px:
+        y, x = row[:, None] - down, col - right
+        sectors = 0.5 + 0.35 * np.sign(np.sin(cycles * np.arctan2(y, x)))
+        whole = np.where(np.hypot(y, x) < 0.45 * min(shape), sectors, 0.5)
+        frames.append(whole.reshape(shape[0], 11, shape[1], 11).mean(axis=(1, 3)))
+    noise = rng.normal(scale=0.014, size=(4, *shape))
+    return Burst.from_arrays(np.array(frames) + noise, offset_px=offset_px, pitch_mm=PITCH_MM)
+
+
+@pytest.mark.parametrize(("shape", "cycles"), [((37, 53), 24), ((29, 31), 12), ((45, 38), 20)])
+def test_a_star_has_nothing_at_low_frequencies_and_is_found(
+    shape: tuple[int, int], cycles: int
+) -> None:
+    for seed in (1, 2):
+        burst = siemens_star(shape, cycles, seed)
+        found = register(Burst.from_arrays(burst.amplitude, pitch_mm=PITCH_MM))
+        wrong = (found.offset_px - burst.offset_px) - (found.offset_px - burst.offset_px)[0]
+        assert np.abs(wrong).max() < 0.05
+
+
+def test_texture_is_not_taken_for_a_pattern_that_repeats() -> None:
+    """A peak at half the height of the correlation is none where the frames are not alike."""
+    rng = np.random.default_rng(4)
+    waves_cpp, phase = rng.uniform(-0.6, 0.6, (160, 2)), rng.uniform(0, 2 * np.pi, 160)
+    size = (0.05 + np.hypot(*waves_cpp.T)) ** -1.2
+    row, col = np.arange(49.0)[:, None, None], np.arange(71.0)[:, None]
+    for seed in (0, 1):
+        offset_px = np.cumsum(np.random.default_rng(seed).uniform(-1.2, 1.2, (5, 2)), axis=0)
+        frames = np.array([
+            (size * np.cos(2 * np.pi * ((row - down) * waves_cpp[:, 0]
+                                        + (col - right) * waves_cpp[:, 1]) + phase)).sum(-1)
+            for down, right in offset_px
+        ])  # fmt: skip
+        frames += rng.normal(scale=frames.std() / 6, size=frames.shape)
+        found = register(Burst.from_arrays(frames, pitch_mm=PITCH_MM))
+        wrong = (found.offset_px - offset_px) - (found.offset_px - offset_px)[0]
+        assert found.offset_sigma_px.max() < 0.05
+        assert np.abs(wrong).max() < 0.1
 
 
 def test_planned_offsets_stay_where_the_frames_tell_nothing() -> None:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import gzip
 import logging
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import lr_to_hr
 from lensshift.core.types import Burst, Reconstruction
+from lensshift.io.reading import check_unpacked
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
 
+_GZIP, _PART_BYTES = b"\x1f\x8b", 2**20
 _USED = ("AMPLITUDE", "SCI")  # extensions beside which others lie that are no frames
 
 
@@ -44,6 +48,27 @@ def quiet_astropy() -> Iterator[None]:
             logger.disabled = before
 
 
+@contextmanager
+def opened_fits(path: Path) -> Iterator[Any]:
+    """Open a FITS file; one that gzip has packed is unpacked to no more than a file may take."""
+    fits = astropy_fits()
+    with path.open("rb") as raw:  # its own astropy may leave open
+        packed = raw.read(len(_GZIP)) == _GZIP
+        raw.seek(0)
+        with fits.open(_unpacked(raw, path.stat().st_size) if packed else raw) as pages:
+            yield pages
+
+
+def _unpacked(raw: BinaryIO, file_bytes: int) -> BytesIO:
+    whole = BytesIO()
+    with gzip.open(raw) as file:
+        while part := file.read(_PART_BYTES):
+            whole.write(part)
+            check_unpacked(whole.tell(), file_bytes, "images")
+    whole.seek(0)
+    return whole
+
+
 def images_of(pages: Any) -> list[Any]:
     """Return the pages of a FITS file that are frames."""
     images = [page for page in pages if page.is_image and page.shape]
@@ -57,7 +82,7 @@ def wcs_cards(path: Path) -> dict[str, Any]:
     from astropy.io import fits
     from astropy.wcs import WCS
 
-    with quiet_astropy(), path.open("rb") as raw, fits.open(raw) as pages:
+    with quiet_astropy(), opened_fits(path) as pages:
         try:
             header = images_of(pages)[0].header
             told = str(header.get("CTYPE1", "")).strip()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.container_reader import OTHERS, is_hdf5
-from lensshift.io.fits_wcs import astropy_fits, images_of, quiet_astropy
+from lensshift.io.fits_wcs import astropy_fits, images_of, opened_fits, quiet_astropy
 from lensshift.io.reading import (
     CONTAINER_SUFFIXES,
     RECORDING_SUFFIXES,
@@ -28,6 +28,7 @@ from lensshift.io.reading import (
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
+_PACKED = (".gz", ".fz")  # of telescopes' archives, after an ending of FITS
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 _PILLOW_SUFFIXES = (".png", *JPEG_SUFFIXES, ".bmp")
 IMAGE_SUFFIXES = (*TIFF_SUFFIXES, *_PILLOW_SUFFIXES, ".npy", *FITS_SUFFIXES)
@@ -39,11 +40,20 @@ TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to P
 _ADVICE = "save it as greyscale of 8 or 16 bits first"
 
 
+def image_suffix(path: str | Path) -> str:
+    """Return the ending that says what a file holds, in lower case; of x.fits.gz it is .fits."""
+    path = Path(path)
+    inner = Path(path.stem).suffix.lower()
+    packed = path.suffix.lower() in _PACKED and inner in FITS_SUFFIXES
+    return inner if packed else path.suffix.lower()
+
+
 def load_frames(path: str | Path) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
     Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS
-    file: the extensions AMPLITUDE or SCI, else all images, if they have one size.
+    file (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else all images, if they have
+    one size.
 
     Raises
     ------
@@ -53,7 +63,7 @@ def load_frames(path: str | Path) -> NDArray[Any]:
         If a FITS file is asked for and astropy is not installed.
     """
     require_file(path)
-    suffix = Path(path).suffix.lower()
+    suffix = image_suffix(path)
     loaders = {".npy": _load_npy, **dict.fromkeys(TIFF_SUFFIXES, _load_tiff)}
     loaders |= dict.fromkeys(_PILLOW_SUFFIXES, _load_pillow)
     loaders |= dict.fromkeys(FITS_SUFFIXES, _load_fits)
@@ -114,7 +124,7 @@ def _load_fits(path: str | Path) -> NDArray[Any]:
     fits = astropy_fits()
     with quiet_astropy():
         warnings.filterwarnings("error", ".*truncated")
-        with Path(path).open("rb") as raw, fits.open(raw) as file:  # its own it may leave open
+        with opened_fits(Path(path)) as file:
             try:
                 return _fits_images(file, Path(path).stat().st_size)
             except fits.VerifyError as error:  # no kin of any other

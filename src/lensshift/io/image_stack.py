@@ -18,6 +18,7 @@ from lensshift.io.fits_wcs import wcs_cards
 from lensshift.io.image_file import (
     FITS_SUFFIXES,
     IMAGE_SUFFIXES,
+    image_suffix,
     load_frames,
     load_named_arrays,
 )
@@ -121,7 +122,7 @@ def _plain_fields(frames: NDArray[Any], *first: Path) -> dict[str, Any]:
     if frames.ndim == 3 and not np.isfinite(frames).all():
         fields["valid"] = np.isfinite(frames)
     pitch_mm = pixel_size_mm(first[0]) if first else None
-    if first and first[0].suffix.lower() in FITS_SUFFIXES and (cards := wcs_cards(first[0])):
+    if first and image_suffix(first[0]) in FITS_SUFFIXES and (cards := wcs_cards(first[0])):
         fields["meta"] = {"wcs": cards}
     return fields if pitch_mm is None else fields | {"pitch_mm": pitch_mm}
 
@@ -131,9 +132,9 @@ def _images_in(folder: Path) -> list[Path]:
         images = [
             path
             for path in folder.iterdir()
-            if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
+            if image_suffix(path) in IMAGE_SUFFIXES and not path.name.startswith(".")
         ]
-        kinds = sorted({path.suffix.lower() for path in images})
+        kinds = sorted({image_suffix(path) for path in images})
         if len(kinds) > 1:
             raise DataError(f"the folder holds {' and '.join(kinds)} files; name those to use")
         if not images:

@@ -23,6 +23,8 @@ from lensshift.registration.register import filled, frames_of
 
 HUBER_SIGMAS = 1.345  # keeps 95 % of the efficiency where errors are normal
 _PASSES = 20  # of reweighting, at most
+_PLAY_PASSES = 4  # of play, and where in it the axes stand
+_LEAST_MOTION = 1e-3  # of the scan: less is none
 _LEAST_FRAMES = 9  # map, play, drift and constant, and some over
 BUDGET_PX = 0.02  # what reconstruction allows for in any case (benchmarks/shift_budget.py)
 _BLIND_SHARE = 0.05  # of the map: 0.02 px of a move by half a pixel, with two standard errors
@@ -70,7 +72,9 @@ def fit_scan(
         offset_k = M (stage_k - play / 2 direction_k - rest) + v (t_k - t_0) + c
 
     The shifts of all frames are registered together; the linear model is fitted by robust least
-    squares (Huber). What varies over the sensor comes from all pixels of all frames afterwards.
+    squares (Huber). Where the scan moves by less than the play, direction is the part of it that
+    the axis has gone through. What varies over the sensor comes from all pixels of all frames
+    afterwards.
 
     Parameters
     ----------
@@ -102,20 +106,22 @@ def fit_scan(
     if not registered:
         burst, known_px2 = _registered(burst, photometric=photometric)
     rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
-    direction = _directions(_commanded(burst))
+    commanded_mm = _commanded(burst)
+    direction = _directions(commanded_mm)
     # Nobody knows on which side of its play an axis stood before it moved.
     known = np.all((direction != 0) | ~_turns(direction), axis=1)
     burst, direction = burst.select(list(np.flatnonzero(known))), direction[known]
     known_px2 = known_px2[np.ix_(np.repeat(known, 2), np.repeat(known, 2))]
     away_mm = stage_mm[known] - rest
     time_s = None if burst.time_s is None else burst.time_s - burst.time_s.mean()
-    design = _design(away_mm, direction, time_s)
-    found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     turns = _turns(direction)
+    held = _held(commanded_mm[known], direction, away_mm, time_s, burst.offset_px, known_px2)
+    design = _design(away_mm, held, time_s)
+    found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     bent, order = None, 0
     if over_sensor:
         play_mm, _ = _play(found, covariance, turns)
-        effective_mm = away_mm - 0.5 * play_mm * direction
+        effective_mm = away_mm - 0.5 * play_mm * held
         known_px = _slip_px(lens_field, effective_mm @ found[:2])
         bent, order, texture_px, doubt_px2 = fit_field(
             burst, design @ found, effective_mm, known_px
@@ -125,8 +131,7 @@ def fit_scan(
         found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     matrix, sigma = found[:2].T, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
     play, play_sigma = _play(found, covariance, turns)
-    still = (np.zeros(2), np.zeros(2))
-    drift, drift_sigma = still if time_s is None else (found[-2], sigma[-2])
+    drift, drift_sigma = 2 * [np.zeros(2)] if time_s is None else (found[-2], sigma[-2])
     scale = len(residual) / max(len(residual) - design.shape[1], 1)
     sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
     _warn(sigma_px, matrix, sigma[:2].T)
@@ -242,7 +247,7 @@ def _stage(burst: Burst) -> Floats:
 def _directions(commanded_mm: Floats) -> Floats:
     """Return the sign of the last motion of each axis at each frame; 0 before it has moved."""
     direction = np.zeros_like(commanded_mm)
-    least = 1e-3 * np.ptp(commanded_mm, axis=0)
+    least = _LEAST_MOTION * np.ptp(commanded_mm, axis=0)
     for k in range(1, len(commanded_mm)):
         step = commanded_mm[k] - commanded_mm[k - 1]
         direction[k] = np.where(np.abs(step) > least, np.sign(step), direction[k - 1])
@@ -252,6 +257,33 @@ def _directions(commanded_mm: Floats) -> Floats:
 def _turns(direction: Floats) -> NDArray[np.bool_]:
     """Tell which axes were approached from both sides; the play of the others is not known."""
     return np.asarray((direction.max(axis=0) > 0) & (direction.min(axis=0) < 0))
+
+
+def _held(
+    commanded_mm: Floats,
+    direction: Floats,
+    away_mm: Floats,
+    time_s: Floats | None,
+    offset_px: Floats,
+    known_px2: Floats,
+) -> Floats:
+    """Return where in its play each axis stands, -1 to 1: its direction if motions exceed it.
+
+    The lens is moved when the play is used up, and else stays (friction holds it).
+    """
+    turns, held = _turns(direction), direction
+    steps_mm = np.abs(np.diff(commanded_mm, axis=0))
+    moves = steps_mm > _LEAST_MOTION * np.ptp(commanded_mm, axis=0)
+    least_mm = np.min(steps_mm, axis=0, where=moves, initial=np.inf)
+    for _ in range(_PLAY_PASSES):
+        found, covariance, _ = _robust(_design(away_mm, held, time_s), offset_px, known_px2)
+        half_mm = 0.5 * np.maximum(_play(found, covariance, turns)[0], 1e-12)
+        lens_mm = commanded_mm - half_mm * direction
+        for k in range(1, len(lens_mm)):
+            place = commanded_mm[k]
+            lens_mm[k] = np.clip(lens_mm[k - 1], place - half_mm, place + half_mm)
+        held = np.where(2 * half_mm > least_mm, (commanded_mm - lens_mm) / half_mm, direction)
+    return held
 
 
 def _design(away_mm: Floats, direction: Floats, time_s: Floats | None) -> Floats:

@@ -40,6 +40,13 @@ class Curvature:
     fixed: Square
     moved: Square
 
+    @property
+    def least_share(self) -> float:
+        """Share of the information that is left along the direction that loses most."""
+        least = _FLOOR * float(np.linalg.eigvalsh(self.fisher)[0])
+        white = _root(self.fixed, -0.5, max(least, 1e-300))
+        return float(np.linalg.svd(white @ self.moved @ white, compute_uv=False)[-1])
+
     def step(self, information: Square, kinds: int) -> Square:
         """Return what takes a score to a step, H^-1; 0 where nothing is known.
 

@@ -16,8 +16,12 @@ Shifts = NDArray[np.float64]
 
 # The least error that phase correlation is believed to have.
 PHASE_SIGMA_PX = 0.005
-# Aliases share the high frequencies with the scene; what lies below this is mostly scene.
-LOW_PASS_CYCLES_PER_PX = 0.18
+# Aliases share the high frequencies with the scene; what lies below the first is mostly scene.
+# Stars and fine print have nothing there, and are asked up to Nyquist.
+BANDS_CYCLES_PER_PX = (0.18, 0.5)
+# Frames that lie so share more than half of their power, or they are no copies of each other; and
+# one shift fits clearly better than another if it leaves half as much.
+_UNLIKE, _CLEARLY_BETTER = 0.5, 0.5
 # Bins weaker than this part of the strongest one hold more noise than scene.
 _LEAST_POWER = 1e-4
 _PLANE_PASSES = 6  # of fitting the phase
@@ -27,6 +31,7 @@ _REACH_OF_PEAK_PX = 0.5  # the fit may not leave the pixel of the peak
 # Another peak of so much of the height may be the true one (scenes that repeat have 0.5 and more
 # beside it, cards and textures up to 0.3), and one that is lower by less than so much noise.
 _RIVAL_SHARE, _RIVAL_SIGMAS = 0.5, 4.0
+_MOST_RIVALS = 12  # that are looked at
 
 
 def phase_correlation(reference: Array, frame: Array) -> Shifts:
@@ -37,7 +42,7 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
     The peak of the whitened cross power spectrum gives whole pixels and, on a padded transform,
     about a tenth of one; a weighted plane through the phases of the low frequencies, with the
     frames cut to what both see, gives the rest. Both steps use only frequencies that the pixels
-    do not alias much.
+    do not alias much, or all of them where the frames are unlike at the shift that these tell.
 
     Parameters
     ----------
@@ -55,12 +60,38 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
             f"expected two frames of one shape, 4 x 4 or more, got {reference.shape} and "
             f"{frame.shape}"
         )
-    shift_px = _peak(reference, frame)
+    low, whole = BANDS_CYCLES_PER_PX
+    found_px = _refined(reference, frame, _peak(_score(reference, frame, low)), low)
+    left = _misfit(reference, frame, found_px)
+    if left < _UNLIKE:
+        return found_px
+    other_px = _refined(reference, frame, _peak(_score(reference, frame, whole)), whole)
+    clearly = _misfit(reference, frame, other_px) < _CLEARLY_BETTER * left
+    return other_px if clearly else found_px
+
+
+def _refined(reference: Array, frame: Array, shift_px: Shifts, band: float) -> Shifts:
+    """Return a shift by the phases, from one that is right to a pixel."""
     whole = np.rint(shift_px).astype(np.intp)
     first, second = _overlap(reference, frame, whole)
     if min(first.shape) < 4:
         return shift_px
-    return whole + _plane(first, second, shift_px - whole)
+    return np.asarray(whole + _plane(first, second, shift_px - whole, band))
+
+
+def _misfit(reference: Array, frame: Array, shift_px: Shifts) -> float:
+    """Return what part of their power frames do not share, if one moved so: 0 to about 1."""
+    from scipy.ndimage import shift
+
+    whole = np.rint(shift_px).astype(np.intp)
+    first, second = _overlap(reference, frame, whole)
+    if min(first.shape) < 4:
+        return np.inf
+    moved = shift(first, shift_px - whole, order=3, mode="nearest")
+    parts = [part[1:-1, 1:-1] for part in (moved, second)]
+    one, two = (part - part.mean() for part in parts)
+    power = float(np.sum(np.abs(one) ** 2) + np.sum(np.abs(two) ** 2))
+    return float(np.sum(np.abs(one - two) ** 2)) / max(power, 1e-300)
 
 
 def phase_shifts(frames: Array, reference: int) -> Shifts:
@@ -86,27 +117,41 @@ def phase_fit(
     return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
 
 
-def rival_shifts(frames: Array, reference: int) -> Shifts:
-    """Return how far [frame 2] from its peak another one lies that may be the true one, or 0.
+def rival_shifts(frames: Array, offset_px: Shifts, reference: int) -> Shifts:
+    """Return how far [frame 2] from its shift each frame may lie as well, or 0.
 
-    Scenes that repeat have several peaks, scenes of which the noise hides most have any.
+    Scenes that repeat have several peaks of the correlation, scenes of which the noise hides most
+    have any. A peak counts if frames that lie there are alike, or as little as where found.
+
+    Parameters
+    ----------
+    frames : [frame row col]
+    offset_px : [frame 2] as found
     """
+    rivals_px = np.zeros((len(frames), 2))
+    for k in np.delete(np.arange(len(frames)), reference):
+        pair = frames[reference], frames[k]
+        found_px = offset_px[k] - offset_px[reference]
+        alike = max(_UNLIKE, _misfit(*pair, found_px) / _CLEARLY_BETTER)
+        score = _score(*pair, BANDS_CYCLES_PER_PX[0])
+        for peak in _peaks(score):
+            other_px = _at_peak(score, peak)
+            away_px = np.rint(other_px - found_px)
+            farther = np.hypot(*away_px) > np.hypot(*rivals_px[k])
+            if farther and np.abs(away_px).max() > 1 and _misfit(*pair, other_px) < alike:
+                rivals_px[k] = away_px
+    return rivals_px
+
+
+def _peaks(score: Array) -> NDArray[np.intp]:
+    """Return where [peak 2] in the correlation the highest peaks are that may be the true one."""
     from scipy.ndimage import maximum_filter
 
-    rivals_px = np.zeros((len(frames), 2))
-    for k, frame in enumerate(frames):
-        score = _score(frames[reference], frame)
-        peak = np.unravel_index(int(np.argmax(score)), score.shape)
-        spread = MAD_TO_SIGMA * float(np.median(np.abs(score - np.median(score))))
-        best = float(score[peak])
-        least = min(_RIVAL_SHARE * best, best - _RIVAL_SIGMAS * spread)
-        maxima = np.argwhere((score == maximum_filter(score, 3, mode="wrap")) & (score >= least))
-        size = np.array(score.shape)
-        away_px = (maxima - np.array(peak) + size // 2) % size - size // 2
-        if len(away_px) > 1 and k != reference:
-            # The one that is nearly as good, the farthest of them.
-            rivals_px[k] = away_px[np.argmax(np.hypot(*away_px.T))]
-    return rivals_px
+    best = float(score.max())
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(score - np.median(score))))
+    least = min(_RIVAL_SHARE * best, best - _RIVAL_SIGMAS * spread)
+    maxima = np.argwhere((score == maximum_filter(score, 3, mode="wrap")) & (score >= least))
+    return maxima[np.argsort(-score[tuple(maxima.T)])[:_MOST_RIVALS]]
 
 
 def _windowed(image: Array) -> Array:
@@ -118,10 +163,13 @@ def _windowed(image: Array) -> Array:
     return tapered
 
 
-def _peak(reference: Array, frame: Array) -> Shifts:
-    """Return the peak of the phase correlation, to a fraction of a pixel by a parabola."""
-    score = _score(reference, frame)
-    peak = np.unravel_index(int(np.argmax(score)), score.shape)
+def _peak(score: Array) -> Shifts:
+    """Return the shift of the highest peak of the correlation."""
+    return _at_peak(score, np.array(np.unravel_index(int(np.argmax(score)), score.shape)))
+
+
+def _at_peak(score: Array, peak: NDArray[np.intp]) -> Shifts:
+    """Return the shift of a peak, to a fraction of a pixel by a parabola."""
     found = np.empty(2)
     for axis, (at, count) in enumerate(zip(peak, score.shape, strict=True)):
         before, here, after = (
@@ -133,13 +181,13 @@ def _peak(reference: Array, frame: Array) -> Shifts:
     return found
 
 
-def _score(reference: Array, frame: Array) -> Array:
-    """Return the phase correlation for every shift of whole pixels, on twice the area."""
+def _score(reference: Array, frame: Array, band: float) -> Array:
+    """Return the phase correlation of a band for every shift of whole pixels, on twice the area."""
     padded = tuple(2 * size for size in reference.shape)
     cross = np.fft.fft2(_windowed(frame), padded)
     cross = cross * np.conj(np.fft.fft2(_windowed(reference), padded))
     size = np.abs(cross)
-    weight = _low_pass(*np.meshgrid(*map(np.fft.fftfreq, padded), indexing="ij"))
+    weight = _low_pass(band, *np.meshgrid(*map(np.fft.fftfreq, padded), indexing="ij"))
     # Half whitened: wholly whitened, the noise of empty bins counts as much as the scene.
     whitened = weight * cross / np.sqrt(np.maximum(size, _LEAST_POWER * size.max() + 1e-300))
     return np.asarray(np.real(np.fft.ifft2(whitened)))
@@ -154,8 +202,8 @@ def _overlap(reference: Array, frame: Array, whole: NDArray[np.intp]) -> tuple[A
     return reference[first], frame[second]
 
 
-def _plane(first: Array, second: Array, start_px: Shifts) -> Shifts:
-    """Return the slope of the phase over the low frequencies, starting near the answer.
+def _plane(first: Array, second: Array, start_px: Shifts, band: float) -> Shifts:
+    """Return the slope of the phase over the frequencies of a band, starting near the answer.
 
     The taper follows the content; a fixed one would pull the shift towards 0.
     """
@@ -164,7 +212,7 @@ def _plane(first: Array, second: Array, start_px: Shifts) -> Shifts:
     # The bin in the middle of the aliases is the frequency itself.
     middle = at.down.shape[1] // 2
     frequency = np.stack([at.down[:, middle], at.right[:, middle]])
-    low = at.weight * _low_pass(*frequency)
+    low = at.weight * _low_pass(band, *frequency)
     shift_px = start_px.copy()
     for _ in range(_PLANE_PASSES):
         offset_px = np.stack([np.zeros(2), shift_px])
@@ -182,7 +230,7 @@ def _plane(first: Array, second: Array, start_px: Shifts) -> Shifts:
     return shift_px
 
 
-def _low_pass(row: Array, col: Array) -> Array:
-    """Return a weight that keeps the low frequencies (cycles/px)."""
-    width = 0.5 * LOW_PASS_CYCLES_PER_PX
+def _low_pass(band: float, row: Array, col: Array) -> Array:
+    """Return a weight that keeps the frequencies (cycles/px) below a band."""
+    width = 0.5 * band
     return np.asarray(np.exp(-0.5 * (row**2 + col**2) / width**2))

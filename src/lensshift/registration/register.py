@@ -135,7 +135,7 @@ def register(
             fit, affine = _turned(fit, alike, valid, motion, reference)
     rivals_px = np.zeros_like(given_px)
     if method == "phase" or not said:
-        rivals_px = rival_shifts(whole, reference)
+        rivals_px = rival_shifts(whole, fit.offset_px, reference)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
     factor = 1.0 if apart is None else apart.factor
     _warn_if_poor(sigma_px, rivals_px, kept, converged=fit.converged, apart=factor)
