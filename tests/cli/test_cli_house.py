@@ -17,7 +17,7 @@ from stand_in import Call
 from lensshift import Burst, DataError, load_image_stack, save_burst
 from lensshift.cli import _one_line, main, session
 from lensshift.cli.reconstruct import _WIDTH_SOURCES
-from lensshift.cli.session import Progress
+from lensshift.cli.session import Progress, StatusLine
 from lensshift.core.settings import to_json
 from lensshift.io import memory_limit
 from lensshift.reconstruction.pixel_response import WidthSource
@@ -257,6 +257,19 @@ def test_progress_speaks_after_a_second_and_not_too_often(
     assert written.count("working: iteration") == lines
     assert written.endswith("\n")
     assert ("\r" in written) is terminal
+
+
+def test_a_status_stays_on_a_line_of_a_narrow_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "40")
+    line = StatusLine()
+    line.show("reconstructing with auto: " + "preparing " * 9)
+    line.show("done")
+    first, second = capsys.readouterr().err.split("\r")[1:]
+    assert len(first) == len(second) == 39  # the last column would begin a new line
+    assert first.endswith("...")
 
 
 def test_json_knows_no_nan_and_no_numpy() -> None:

@@ -121,6 +121,8 @@ def test_info_of_a_stack_that_is_not_yet_a_burst(call: Call, tmp_path: Path) -> 
     assert "pitch       not told: --pitch-mm" in done.stdout
     found = json.loads(call("info", tmp_path / "a.npz", "--pitch-mm", 1, "--json").stdout)
     assert (found["shape"], found["missing"]) == ([5, 7], ["offsets"])
+    np.savez(tmp_path / "b.npz", frames=np.ones((2, 5, 7)), pitch_mm=(0.1, 0.2))
+    assert "pitch       0.1 x 0.2 mm (row, col)" in call("info", tmp_path / "b.npz").stdout
     (tmp_path / "s.csv").write_text("row,col\n0,0\n0,0.5\n")
     options = ("--pitch-mm", 1, "--offsets", tmp_path / "s.csv")
     assert "+0.5000" in call("info", tmp_path / "a.npz", *options).stdout
@@ -171,6 +173,7 @@ def write_images(folder: Path) -> dict[str, Path]:
     save_burst(burst, folder / "burst.nc")
     np.save(folder / "truth.npy", TRUTH)
     np.save(folder / "line.npy", np.ones(3))
+    np.save(folder / "wide.npy", np.ones((4, 5)))
     return {path.name: path for path in folder.iterdir()}
 
 
@@ -228,6 +231,7 @@ def test_integers_with_peak_one_get_a_warning(call: Call, tmp_path: Path) -> Non
         (("a.tif", "none.tif"), 1, "there is no such file"),
         (("a.tif",), 2, "Missing argument"),
         (("line.npy", "truth.npy"), 1, "expected [row col] and frame 0, got shape (3,)"),
+        (("wide.npy", "truth.npy"), 1, "got 4 x 5 px and 21 x 33 px; compare the result of"),
         (("a.tif", "truth.npy", "--border-px", "-1"), 2, "Invalid value for '--border-px'"),
         (("a.tif", "truth.npy", "--border-px", "99"), 1, "expected a border from 0 to 10"),
         (("a.tif", "truth.npy", "--peak", "0"), 1, "expected a positive peak"),

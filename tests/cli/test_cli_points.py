@@ -97,7 +97,7 @@ def test_info_says_how_wide_a_camera_looks(call: Call, burst: Burst, tmp_path: P
     [
         ([*ANGLE, "--focal-length-px", "3"], "give one of them"),
         (["--fov-deg", "wide"], "expected degrees as in 60 or 60x45, got 'wide'"),
-        (["--fov-deg", "180"], "below 180 degrees"),
+        (["--fov-deg", "180"], "below 180 degrees, got '180'"),
         (["--focal-length-mm", "-1"], "focal lengths above 0"),
         (["--export", "a.ply"], "points need to know where the pixels look"),
         ([*ANGLE, "--export", "a.pcd", "--channel", "amplitude"], "points need distances"),

@@ -251,6 +251,27 @@ def test_complex_pictures_are_not_for_tiff(refused: Refused, tmp_path: Path) -> 
     refused(["reconstruct", tmp_path / "a.npz", "--export", tmp_path / "a.tif"], 1, said)
 
 
+def test_complex_frames_need_a_frequency_for_distances(call: Call, tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    waves = 100 * np.exp(1j) + rng.standard_normal((4, 8, 9, 2)) @ [1, 1j]
+    shifts = [[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5]]
+    np.savez(tmp_path / "a.npz", frames=waves, offset_px=shifts)
+    silent = call("reconstruct", tmp_path / "a.npz")
+    assert "without distances; --modulation-hz" in silent.stderr
+    told = call("reconstruct", tmp_path / "a.npz", "--modulation-hz", "20e6")
+    assert "distance: " in told.stdout
+    assert told.stdout.rstrip().splitlines()[-2].endswith(" m")  # the noise of the distance
+    distance_m = load_reconstruction(tmp_path / "a_x2.nc")["distance"].image
+    np.testing.assert_allclose(distance_m, 299792458.0 / (4 * np.pi * 20e6), rtol=0.02)
+
+
+def test_one_frame_is_called_one(call: Call, fake: FakeReconstruct, tmp_path: Path) -> None:
+    np.save(tmp_path / "one.npy", np.arange(35.0).reshape(5, 7))
+    said = call("reconstruct", tmp_path / "one.npy").stdout
+    assert "one.npy: one frame of 5 x 7 px" in said
+    assert "planned" not in said
+
+
 def test_reconstruction_as_input_is_refused(
     call: Call, fake: FakeReconstruct, burst_file: Path
 ) -> None:

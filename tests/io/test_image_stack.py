@@ -372,7 +372,8 @@ def test_frames_along_the_last_axis_are_noticed(tmp_path: Path) -> None:
     np.save(tmp_path / "wrong.npy", turned)
     np.savez(tmp_path / "wrong.npz", amplitude=turned)
     np.savez(tmp_path / "said.npz", amplitude=turned, offset_px=np.zeros((12, 2)))
-    for name in ("wrong.npy", "wrong.npz"):
+    tifffile.imwrite(tmp_path / "wrong.tif", turned, photometric="minisblack")
+    for name in ("wrong.npy", "wrong.npz", "wrong.tif"):
         with pytest.raises(DataError, match=f"{name}.*--frame-axis last"):
             load_image_stack(tmp_path / name)
         assert load_image_stack(tmp_path / name, frame_axis=-1).amplitude.shape == frames.shape
@@ -712,6 +713,8 @@ def test_fits_of_our_own_and_wrong_ones(tmp_path: Path) -> None:
         (np.zeros(SHAPE, [("a", "f4")]), "expected numbers"),
         (np.zeros(SHAPE, "M8[s]"), "expected numbers"),
         (np.zeros((0, 5, 7)), "holds no pixel"),
+        (np.zeros((3, 4, 5, 7)), "(3, 4, 5, 7); of four phases, make complex frames: (d0 - d2)"),
+        (np.zeros((3, 2, 5, 7)), "of real and imaginary parts, make complex frames"),
         (np.full(SHAPE, -3.4e38, "f4"), "expected values up to 1e+15, got 3.4e+38; write NaN"),
     ],
 )
@@ -746,5 +749,7 @@ def test_arrays_are_told_what_makes_a_burst_of_them(tmp_path: Path) -> None:
     for call in (reconstruct, register, lambda x: save_burst(x, tmp_path / "a.nc")):
         with pytest.raises(TypeError, match=r"got ndarray; Burst\.from_arrays"):
             call(frames_of("f8"))
+    with pytest.raises(DataError, match="load_image_stack reads files"):
+        Burst.from_arrays("frames.tif")
     with pytest.raises(DataError, match="pitch_mm: expected one or two numbers"):
         Burst.from_arrays(frames_of("f8"), pitch_mm=(1, 2, 3))

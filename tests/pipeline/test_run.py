@@ -86,6 +86,8 @@ def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="cannot make the folder"):
         run(tmp_path / "out" / "deeper", method="nearest")
     assert (tmp_path / "out").read_text() == "mine"
+    with pytest.raises(DataError, match="give it as config"):
+        run(tmp_path / "mine.toml")
 
 
 def test_demo_burst_takes_any_sensor() -> None:

@@ -293,8 +293,11 @@ def test_distances_beyond_the_range_are_kept() -> None:
 
 def test_auto_chooses_phasors_only_where_they_can_be_had() -> None:
     burst = card_burst(0.01)
+    waves = replace(burst, amplitude=burst.amplitude * np.exp(1j), distance_m=None)
     cases: list[tuple[Burst, dict[str, Any], str]] = [
         (burst, {}, "phasor"),
+        (waves, {}, "phasor"),
+        (replace(waves, modulation_hz=None), {}, "separate"),
         (replace(burst, modulation_hz=None), {}, "separate"),
         (replace(burst, distance_m=None), {}, "separate"),
         (replace(burst, amplitude=0 * burst.amplitude), {}, "separate"),

@@ -1,11 +1,15 @@
 """The picture of a result shows every channel, on one scale with what it is compared to."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from drawn import assert_well_drawn, axes_titled
 
 from lensshift.core.grid import Grid
+from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Estimate, Reconstruction, Status
+from lensshift.report.cloud import cloud_figure, drawn_pixels
 from lensshift.report.result import result_figure
 
 
@@ -51,3 +55,15 @@ def test_pictures_of_nothing_and_of_phasors_are_drawn() -> None:
         one = Estimate(values, status=Status.DIRECT)
         drawn = _drawn(result_figure(Reconstruction(one, None, grid, 1, "x", {})), "amplitude")
         np.testing.assert_array_equal(np.ma.getdata(drawn.get_array()), np.abs(values))
+
+
+def test_no_label_beside_tall_points_is_cut_off() -> None:
+    place_m = np.random.default_rng(0).uniform(-3, 3, (400, 3)) * (1, 1, 0.5)  # tall
+    figure = cloud_figure(PointCloud(place_m, *np.divmod(np.arange(400), 20)))
+    drawn_pixels(figure)
+    axes: Any = figure.axes[0]
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        box = axis.label.get_window_extent()
+        assert min(box.x0, box.y0) >= 0
+        assert box.x1 <= figure.bbox.x1
+        assert box.y1 <= figure.bbox.y1

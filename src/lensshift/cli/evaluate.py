@@ -15,7 +15,7 @@ from lensshift.cli.mtf import mtf
 from lensshift.cli.session import Session
 from lensshift.cli.star import frc, resolution, star, zone
 from lensshift.cli.verbs import argument, option, verb, verb_group
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import DataError, QualityWarning
 
 evaluate = verb_group()
 
@@ -61,6 +61,13 @@ def fidelity(current: Session, asked: FidelityOptions) -> None:
     peak = asked.peak
     values = measured_image(asked.image, None, key=asked.key, frame=asked.frame).values
     truth = measured_image(asked.truth, None, key=asked.truth_key).values
+    if values.shape != truth.shape:
+        shapes = ("{} x {} px".format(*one.shape) for one in (values, truth))
+        raise DataError(
+            "expected as many pixels as the truth, got {} and {}; compare the result of "
+            "`lensshift reconstruct` at the scale of the truth".format(*shapes),
+            source=asked.image,
+        )
     if truth.dtype.kind in "ui" and truth.max() > peak:
         told = f"the truth has integers up to {truth.max()} but white is {peak:g}; set --peak"
         warnings.warn(told, QualityWarning, stacklevel=1)

@@ -133,8 +133,11 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
     _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))
     if not with_offsets:
         current.say("shifts      not told: --offsets, or `lensshift reconstruct` finds them")
-    if not with_pitch:
-        current.say("pitch       not told: --pitch-mm, if lengths matter")
+    told = "not told: --pitch-mm, if lengths matter"
+    if with_pitch:
+        told = stack.pitch_mm or "{:g} x {:g}".format(*fields["pitch_mm"])
+        told += " mm (row, col)"
+    current.say(f"pitch       {told}")
 
 
 def _say_frames(
@@ -176,7 +179,8 @@ def _say_result(current: Session, result: Reconstruction) -> None:
     current.say(f"image       {rows} x {cols} px, x{result.scale} by {result.method}")
     _say_pitch(current, result.grid, result.scale)
     view = view_of(result.intrinsics, result.grid.shape)
-    current.say(f"looks       {view_text(view)}")
+    if view is not None or result.distance_m is not None:
+        current.say(f"looks       {view_text(view)}")
     say_channels(current, result)
     current.tell(result.grid, "shape pitch_mm")
     current.tell(result, "scale method")

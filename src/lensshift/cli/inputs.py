@@ -43,7 +43,7 @@ class StackOptions:
     key: str | None = option(None, "Name of the frames in an NPZ file.")
     frame_axis: Literal["first", "last"] | None = option(
         None,
-        "Where the frames lie in an NPY or NPZ array; default: first, if that can be.",
+        "Where the frames lie in an array or a TIFF; default: first, if that can be.",
     )
     modulation_hz: list[float] | None = option(
         None, "Modulation frequency of an image stack; again for each further one."

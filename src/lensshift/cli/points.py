@@ -108,4 +108,8 @@ def _angles_rad(text: str) -> tuple[float, ...]:
         raise typer.BadParameter(
             f"expected degrees as in 60 or 60x45, got {text!r}", param_hint="--fov-deg"
         )
+    if not all(0.0 < angle < 180.0 for angle in angles_deg):
+        raise typer.BadParameter(
+            f"expected angles above 0 and below 180 degrees, got {text!r}", param_hint="--fov-deg"
+        )
     return tuple(radians(angle) for angle in angles_deg)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -160,6 +161,13 @@ def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
     waves = burst.amplitude.dtype.kind == "c"
     phasors = waves and burst.modulation_hz is not None
+    if waves and not phasors and asked.channel == "auto":
+        warnings.warn(
+            "the frames are complex and nobody told how fast their light was modulated: they stay "
+            "complex, without distances; --modulation-hz 20e6 would tell 20 MHz",
+            QualityWarning,
+            stacklevel=1,
+        )
     if waves and not phasors and (lost := [p for p in asked.export or () if _is_plain(p)]):
         raise ValueError(f"{lost[0]}: the frames are complex; take .npz, .ome.tif or .fits")
     distances = phasors or burst.phasors is not None or burst.distance_m is not None
@@ -213,7 +221,8 @@ def say_channels(current: Session, result: Reconstruction) -> None:
         current.say(f"{name}: {status}" + (f", {count} iterations" if count else ""))
         for label, number in numbers.items():
             if number is not None:
-                current.say(f"  {label.replace('_', ' '):<13}{number:.4g}")
+                unit = " m" if (name, label) == ("distance", "noise_sigma") else ""
+                current.say(f"  {label.replace('_', ' '):<13}{number:.4g}{unit}")
 
 
 def _reconstruct(
@@ -229,7 +238,8 @@ def _reconstruct(
 
     rows, cols = burst.grid.shape
     source, points, count = asked.burst, asked.points, burst.frame_count
-    current.say(f"{source}: {count} frames of {rows} x {cols} px, offsets {burst.offset_source}")
+    told = f"{count} frames of {rows} x {cols} px, offsets {burst.offset_source}"
+    current.say(f"{source}: {told if count > 1 else f'one frame of {rows} x {cols} px'}")
     if (little := _adds_little(burst)) and not settings.keys() & {"shift_field", "lens_field"}:
         current.warn(little, QualityWarning, "", 0)
     start_s = time.perf_counter()

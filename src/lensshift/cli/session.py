@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
@@ -164,7 +165,10 @@ class StatusLine:
     def show(self, text: str) -> None:
         """Show a text."""
         text, self._open = printable(text), self.on_terminal
-        typer.echo(f"\r{text:<100}" if self._open else text, err=True, nl=not self._open)
+        if self.on_terminal:  # a longer one would break, and the next begin a line below
+            wide = get_terminal_size().columns - 1
+            text = "\r" + (text if len(text) <= wide else text[: wide - 3] + "...").ljust(wide)
+        typer.echo(text, err=True, nl=not self._open)
 
     def close(self) -> None:
         """End the line on a terminal; again does nothing."""

@@ -22,7 +22,8 @@ def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
     """Return images [frame row col] of numbers, of this shape if one is given."""
     frames = np.asarray(values)
     if frames.dtype.kind not in "uifc":
-        raise DataError(f"expected numbers, got dtype {frames.dtype}", field=name)
+        cure = "; load_image_stack reads files" if frames.dtype.kind == "U" else ""
+        raise DataError(f"expected numbers, got dtype {frames.dtype}{cure}", field=name)
     if frames.ndim != 3:
         raise DataError(f"expected [frame row col], got shape {frames.shape}", field=name)
     if frames.size == 0:

@@ -18,7 +18,10 @@ from lensshift.core.settings import parse_json
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
 GROUP = "entry/data"
-OTHERS = "arrays of other programs are read from NPZ: amplitude, distance_m, valid ..."
+OTHERS = (
+    "load_image_stack reads images, and arrays of other programs from NPZ: amplitude, distance_m, "
+    "valid ..."
+)
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -199,7 +202,9 @@ def open_container(path: str | Path, schema: str) -> Iterator[Container]:
         declared = container.text("schema")
         found = re.fullmatch(rf"{re.escape(name)}/([1-9][0-9]{{0,3}})", declared)
         if found is None:
-            problem = f"expected a file of schema {schema}, got {declared!r:.80}"
+            kind = re.match("lensshift-(burst|reconstruction|lens-field)/", declared)
+            cure = f"; load_{kind[1].replace('-', '_')} reads it" if kind else ""
+            problem = f"expected a file of schema {schema}, got {declared!r:.80}{cure}"
             raise DataError(problem, field="schema", source=path)
         if int(found[1]) > int(newest):
             problem = (

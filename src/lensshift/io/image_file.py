@@ -78,7 +78,9 @@ def load_frames(path: str | Path) -> NDArray[Any]:
         if suffix in CONTAINER_SUFFIXES:
             ours = is_hdf5(path)
             problem = f"not a netCDF-4/HDF5 file; {OTHERS}"
-            raise DataError("no image, but a netCDF file" if ours else problem)
+            raise DataError(
+                "no image, but a netCDF file: load_burst reads bursts" if ours else problem
+            )
         if suffix in RECORDING_SUFFIXES:
             raise DataError("no image, but a recording: lensshift live --replay plays it")
         raise DataError(f"expected {', '.join(IMAGE_SUFFIXES)} or .npz, got {suffix!r:.40}")

@@ -178,11 +178,14 @@ def _stack(
     if values.ndim == 4 and values.dtype.kind == "c":  # phasors [frequency frame row col]
         return values
     if values.ndim != 3:
+        cure = ""
+        if values.ndim == 4 and 4 in values.shape[:2]:  # as those of a time-of-flight pixel
+            cure = "; of four phases, make complex frames: (d0 - d2) + 1j * (d1 - d3)"
+        elif values.ndim == 4 and 2 in values.shape[:2]:
+            cure = "; of real and imaginary parts, make complex frames"
         raise DataError(
-            f"expected [frame row col], got shape {values.shape}", field=field, source=path
+            f"expected [frame row col], got shape {values.shape}{cure}", field=field, source=path
         )
-    if path.suffix.lower() not in (".npy", ".npz"):
-        return values
     if frame_axis is None and _lie_last(values):
         raise DataError(
             f"the {values.shape[-1]} slices of {values.shape} along the last axis are as alike as "

@@ -96,6 +96,11 @@ def writable_folder(out_dir: str | Path) -> Path:
     folder = Path(out_dir)
     if folder.exists() and not folder.is_dir():
         raise DataError("expected a folder to write to, this is a file", source=folder)
+    if folder.suffix.lower() == ".toml":
+        raise DataError(
+            "expected a folder to write to, this is the name of an experiment: give it as config",
+            source=folder,
+        )
     return folder
 
 

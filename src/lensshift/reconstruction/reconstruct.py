@@ -344,8 +344,8 @@ def _check(scale: int, noise_sigma: float | None, photometric: bool) -> None:
     truth().check("photometric", photometric)
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)
-    if isinstance(scale, bool) or scale != int(scale) or not 1 <= scale <= 8:
-        raise ValueError(f"expected a whole scale from 1 to 8, got {scale}")
+    if isinstance(scale, bool) or scale not in range(1, 9):
+        raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
 
 
 def _settings(

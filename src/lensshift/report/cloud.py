@@ -85,7 +85,7 @@ def _lay_out(axes: Any, low_m: NDArray[np.float64], high_m: NDArray[np.float64])
         getattr(axes, f"set_{name}label")(label, labelpad=8.0)
         ticks = max(1, round(_TICKS * span / span_m.max()))
         axes.locator_params(axis=name, nbins=ticks, min_n_ticks=1)
-    axes.set_box_aspect(span_m, zoom=0.92)
+    axes.set_box_aspect(span_m, zoom=0.8)
     axes.view_init(elev=_ABOVE_DEG, azim=_BESIDE_DEG)
 
 

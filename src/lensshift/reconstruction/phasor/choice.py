@@ -59,9 +59,11 @@ def choose_channel(
         raise ValueError(f"expected channel auto, amplitude, distance or phasor, got {channel!r}")
     if channel != "auto":
         return Choice(channel, "asked for")
+    waves = burst.amplitude.dtype.kind == "c"
+    phasors = burst.phasors is not None or waves
     obstacles = {
-        "complex frames stay complex": burst.amplitude.dtype.kind == "c",
-        "the burst has no distance": burst.distance_m is None and burst.phasors is None,
+        "complex frames of unknown frequency stay complex": waves and burst.modulation_hz is None,
+        "the burst has no distance": burst.distance_m is None and not phasors,
         "the modulation frequency is not known": burst.modulation_hz is None,
         "amplitudes of 0 weigh no distance": not np.any(burst.amplitude[burst.valid]),
         "its distances are of several frequencies, and their phasors are not known": (
@@ -74,5 +76,5 @@ def choose_channel(
     for reason, holds in obstacles.items():
         if holds:
             return Choice("separate", reason)
-    known = "phasors" if burst.phasors is not None else "amplitude, distance"
+    known = "phasors" if phasors else "amplitude, distance"
     return Choice("phasor", f"{known} and modulation frequency are known")
