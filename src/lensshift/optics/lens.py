@@ -338,6 +338,14 @@ class Lens:
         """Return the lens with the sensor at another distance behind the last vertex."""
         return replace(self, gaps_mm=(*self.gaps_mm[:-1], back_focal_mm))
 
+    def is_symmetric(self) -> bool:
+        """Return whether nothing in the lens is decentred or tilted."""
+        leans = (
+            (*one.decenter_mm, *one.tilt_rad, *(t for s in one.surfaces for t in s.tilt_rad))
+            for one in self.elements
+        )
+        return not any(value for values in leans for value in values)
+
     def check_element(self, element: int) -> None:
         """Raise a ValueError if there is no element of this number, counted from 0."""
         if not 0 <= element < len(self.elements):
