@@ -163,10 +163,9 @@ def _traced_light(lens: Lens, down: Array, right: Array) -> Callable[[Array, Arr
     from scipy.interpolate import CubicSpline, RectBivariateSpline
 
     from lensshift.optics.aberrations import relative_illumination as traced
-    from lensshift.optics.spots import spots
+    from lensshift.optics.mtf import axial_light
 
-    # What is stopped on the axis between stop and sensor, which the f-number counts.
-    through = float(spots(lens, np.zeros(2)).transmission)
+    through = axial_light(lens)[0]  # the f-number counts what is stopped on the axis, too
     if lens.is_symmetric():
         tangent = np.linspace(0.0, np.hypot(down, right).max(), _LIGHT_NODES)
         light = through * traced(lens, tangent[:, None] * np.array([0.0, 1.0]))
@@ -211,6 +210,7 @@ def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> 
 def _spot_blurs(optics: LensOptics, element: int, grid: Grid, decenter_mm: Array) -> list[SpotBlur]:
     """Return the spots of the lens in each frame."""
     from lensshift.optics.directions import nodes_px, places_mm
+    from lensshift.optics.mtf import axial_light
     from lensshift.optics.shift import moving
     from lensshift.optics.spots import fields_for_image, spots
 
@@ -223,17 +223,19 @@ def _spot_blurs(optics: LensOptics, element: int, grid: Grid, decenter_mm: Array
     landing_mm = spot.ray_mm
     if optics.diffraction:
         spread_mm = lens.wavelength_nm * 1e-6 * optics.f_number
-        landing_mm = landing_mm + airy_points(landing_mm.shape[-2]) * spread_mm
+        points = airy_points(landing_mm.shape[-2], axial_light(lens)[1])
+        landing_mm = landing_mm + points * spread_mm
         landing_mm -= np.einsum("...k,...ki->...i", spot.weight, landing_mm)[..., None, :]
     landing_px = landing_mm / np.asarray(grid.pitch_mm)
     pairs = zip(landing_px, spot.weight, strict=True)
     return [SpotBlur(rows, cols, landing, weight) for landing, weight in pairs]
 
 
-def airy_points(count: int) -> Array:
+def airy_points(count: int, inner: float = 0.0) -> Array:
     """Return points [point 2] of equal light of an Airy disc, in wavelength times f-number.
 
         light within r = 1 - J0(pi r)^2 - J1(pi r)^2
+        light at r ~ [J1(pi r) - e J1(e pi r)]^2 / r^2,  behind a pupil with an obstruction e
 
     Their order goes evenly through radii and angles, so that each may be added to another ray.
 
@@ -242,6 +244,11 @@ def airy_points(count: int) -> Array:
     from scipy.special import j0, j1
 
     light = 1.0 - j0(_DENSE) ** 2 - j1(_DENSE) ** 2
+    if inner:  # summed by trapezia; twice its whole is 1 - inner^2
+        wave = j1(_DENSE) - inner * j1(inner * _DENSE)
+        each = wave**2 / np.maximum(_DENSE, 1e-12)
+        within = np.concatenate([[0.0], np.cumsum(0.5 * (each[1:] + each[:-1]))])
+        light = 2.0 * within * (_DENSE[1] - _DENSE[0]) / (1.0 - inner**2)
     number = np.arange(count)
     share = (np.argsort(np.argsort(np.mod(number * GOLDEN, 1.0))) + 0.5) / count
     radius = np.interp(share, light, _DENSE) / np.pi

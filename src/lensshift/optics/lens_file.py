@@ -43,8 +43,8 @@ _ELEMENT: _Fields = {
 }  # fmt: skip
 _SURFACE: _Fields = {
     "radius_mm": (float, ...), "conic": (float, 0.0), "asphere": (tuple, ()),
-    "semi_diameter_mm": (float, math.inf), "radial": (tuple, ()), "mirror": (bool, False),
-    "tilt_deg": (2, (0.0, 0.0)),
+    "semi_diameter_mm": (float, math.inf), "inner_mm": (float, 0.0), "radial": (tuple, ()),
+    "mirror": (bool, False), "tilt_deg": (2, (0.0, 0.0)),
 }  # fmt: skip
 _GLASS: _Fields = {
     "name": (str, ...), "formula": (str, ...), "constants": (tuple, ...),
@@ -139,6 +139,7 @@ def format_lens(lens: Lens) -> str:
                 mirror=surface.mirror or None,
                 tilt_deg=_degrees(surface.tilt_rad),
                 semi_diameter_mm=surface.semi_diameter_mm,
+                inner_mm=surface.inner_mm or None,
             )
     return "\n".join(lines) + "\n"
 
