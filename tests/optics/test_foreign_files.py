@@ -287,3 +287,21 @@ def test_a_file_that_is_cut_off_is_refused() -> None:
         with pytest.raises(DataError, match=r"cut off|at least one surface"):
             parse_zmx(text[: text.index(f"SURF {number + 1}")])
     assert math.isinf(parse_zmx(text).object_mm)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "program"), [(".seq", "CODE V"), (".LEN", "OSLO"), (".zar", "archive")]
+)
+def test_files_of_other_programs_are_refused_by_name(
+    tmp_path: Path, suffix: str, program: str
+) -> None:
+    path = tmp_path / f"bought{suffix}"
+    path.write_text("RDM;LEN\nEPD 10\nS 50 4 NBK7_SCHOTT\nGO\n")
+    with pytest.raises(DataError, match=program):
+        load_lens(path)
+
+
+def test_a_surface_that_is_not_traced_is_refused_for_its_shape_and_not_for_its_parameters() -> None:
+    front = FRONT.replace("STANDARD", "SZERNSAG; PARM 13 3")
+    with pytest.raises(DataError, match="SZERNSAG"):
+        parse_zmx(zmx(FAR, front, BACK, IMAGE))

@@ -24,6 +24,11 @@ from lensshift.optics.lens import WAVELENGTH_NM, Element, Lens, Stop, Surface
 from lensshift.optics.sequential import about
 from lensshift.optics.zmx import load_zmx
 
+# Lens files of other programs, which all of them can write as .zmx.
+_FOREIGN = {
+    ".seq": "CODE V", ".len": "CODE V or OSLO", ".osl": "OSLO", ".zar": "Zemax (archive)",
+    ".zos": "Zemax (project)", ".zmf": "Zemax (catalogue)",
+}  # fmt: skip
 _PRESCRIPTIONS = resources.files("lensshift.optics") / "prescriptions"
 # Entry of a table -> what it is (numbers: how many, or a tuple of any), and what it is if it is
 # missing; with `...` it must be there.
@@ -84,6 +89,12 @@ def load_lens(path_or_name: str | Path) -> Lens:
     path = Path(path_or_name)
     if not path.is_file():
         raise DataError(f"expected a lens file or a name of {', '.join(lens_names())}", source=path)
+    if path.suffix.lower() in _FOREIGN:
+        program = _FOREIGN[path.suffix.lower()]
+        raise DataError(
+            f"expected a lens in TOML or .zmx, got one of {program}: save it as .zmx there",
+            source=path,
+        )
     return parse_lens(read_text(path), source=path)
 
 

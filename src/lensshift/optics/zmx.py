@@ -175,7 +175,8 @@ def _read_surface_line(
         entry.conic = _finite(values[0])
     elif key in ("PARM", "XDAT"):
         number = int(values[0])
-        if key == "PARM" and not 0 <= number <= MOST_PARAMETERS and float(values[1]):
+        known = 0 <= number <= MOST_PARAMETERS or not is_traced(entry.type)
+        if key == "PARM" and not known and float(values[1]):
             raise DataError(
                 f"line {line}: expected a parameter up to {MOST_PARAMETERS}, got {number}",
                 field=entry.where(),
