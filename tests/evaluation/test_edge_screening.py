@@ -86,6 +86,18 @@ def test_grey_levels_are_not_taken_for_clipping() -> None:
         assert not measure_edge(np.clip(bright, 0.0, 255.0)).usable
 
 
+@pytest.mark.parametrize(("seed", "whole"), [(1, False), (2, True)])
+def test_few_pixels_of_an_overshoot_that_is_cut_off_are_told(seed: int, whole: bool) -> None:
+    """Sharpened by a mask of 1.2 px: what lies beyond the bright level is lost, 3 % of its side."""
+    sharpened = 1.7 * step(0.3) - 0.7 * step(0.3, np.hypot(0.6, 1.2))
+    values = 60.0 + 188.0 * noisy(sharpened, 0.008, seed)
+    values = np.round(values) if whole else values
+    cut = measure_edge(np.minimum(values, 255.0))
+    assert not cut.usable
+    assert any("clipped at 255" in note for note in cut.notes)
+    assert not any("clipped" in note for note in measure_edge(values).notes)
+
+
 def test_a_prediction_leaves_the_plateaus_their_level() -> None:
     """The sum of a moving mean's prediction tends to 1: a constant would be whitened away."""
     lag = np.abs(np.arange(-3, 4))

@@ -16,6 +16,7 @@ _LEAST_CONTRAST = 0.2
 _SMALLEST_ANGLE_DEG, _LARGEST_ANGLE_DEG = 2.0, 43.0
 _LARGEST_GAP_PX = 0.25  # between the phases at which the lines cross the pixels
 _CLIPPED_SHARE = 0.05
+_SURELY = 4.0  # standard deviations of counts: less than one edge in 10^4 by chance
 _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
 _LARGEST_APART_PX = 0.1  # rms: as a blur, it takes 2 % of the contrast at 0.3 cycles a pixel
@@ -115,7 +116,8 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
     """A clipped plateau holds its extreme value more often than the value next to it.
 
     That of noise is rarer than its neighbour. Where the noise is below the step between the two any
-    value is frequent; then the extreme one must be the end of a range of whole numbers.
+    value is frequent; then the extreme one must be the end of a range of whole numbers. Few pixels
+    tell, too, where only the overshoot of a sharpened edge is cut off.
     """
     if result.noise < _NO_NOISE:
         return []  # computed, not taken: plateaus are level without being clipped
@@ -132,8 +134,9 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
         coarse = result.noise * (result.bright - result.dark) < step
         if coarse and outer not in _ENDS_OF_RANGE:
             continue
-        share = counts[end] / side.size
-        if share > _CLIPPED_SHARE and counts[end] > counts[end + inwards]:
+        share, more = counts[end] / side.size, int(counts[end]) - int(counts[end + inwards])
+        surely = more > _SURELY * np.sqrt(counts[end] + counts[end + inwards])
+        if surely or (share > _CLIPPED_SHARE and more > 0):
             found.append(f"{100 * share:.0f} % of the {name} pixels are clipped at {outer:g}")
     return found
 
