@@ -305,3 +305,15 @@ def test_a_surface_that_is_not_traced_is_refused_for_its_shape_and_not_for_its_p
     front = FRONT.replace("STANDARD", "SZERNSAG; PARM 13 3")
     with pytest.raises(DataError, match="SZERNSAG"):
         parse_zmx(zmx(FAR, front, BACK, IMAGE))
+
+
+def test_a_curved_object_is_said_where_it_is_near() -> None:
+    """Its vertex is imaged as that of a plane; of one infinitely far nothing is to be said."""
+    near = "TYPE STANDARD; CURV {}; DISZ 300"
+    with pytest.warns(QualityWarning, match="the object is curved: taken as the plane at its"):
+        curved = parse_zmx(zmx(near.format(0.002), FRONT, BACK, IMAGE))
+    flat = parse_zmx(zmx(near.format(0.0), FRONT, BACK, IMAGE))
+    assert paraxial(curved).image_mm == paraxial(flat).image_mm
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parse_zmx(zmx(FAR + "; CURV 0.002", FRONT, BACK, IMAGE))
