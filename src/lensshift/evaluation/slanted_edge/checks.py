@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
 _LARGEST_APART_PX = 0.1  # rms: as a blur, it takes 2 % of the contrast at 0.3 cycles a pixel
 _LEAST_BEND_PX = 0.05
+_LARGEST_TURN_DEG = 15.0  # from the middle of an edge to its ends; distortion turns far less
 _LEAST_LINES = 8
 _LARGEST_RISE = 0.5  # of the extent of the region across the edge
 _FEWEST_LEVELS = 4
@@ -61,6 +63,7 @@ def doubted(
         found.append(f"the edge is tilted by {angle_deg:.2f} degrees, expected 2 or more")
     elif angle_deg > _LARGEST_ANGLE_DEG:
         found.append(f"the edge is tilted by {angle_deg:.1f} degrees, expected 43 or less")
+    found += _corner(result)
     if gap_px > _LARGEST_GAP_PX:
         found.append(
             f"the lines leave {gap_px:.2f} px of the pixel unsampled at {angle_deg:.2f} degrees; "
@@ -110,6 +113,17 @@ def _shape(values: Vector, result: EdgeResult) -> list[str]:
             "seen; choose a wider region"
         )
     return found
+
+
+def _corner(result: EdgeResult) -> list[str]:
+    """Two sides of a square look like one edge that bends: as a parabola, by so many degrees."""
+    turn_deg = math.degrees(math.atan(6.0 * 5.0**0.5 * result.bend_px / result.extent_px[0]))
+    if turn_deg <= _LARGEST_TURN_DEG:
+        return []
+    return [
+        f"the edge turns by {turn_deg:.0f} degrees from its middle to its ends: does the region "
+        "hold a corner, two sides of a square?"
+    ]
 
 
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:
