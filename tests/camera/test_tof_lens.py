@@ -11,6 +11,7 @@ from tof_worlds import EXACT, make_camera, quiet, still, wall, wave_of
 from lensshift.camera import LensOptics, camera_preset, simulate_tof
 from lensshift.camera.view import airy_points
 from lensshift.core.grid import Grid
+from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import diffraction_mtf, fast_mtf
 from lensshift.optics.shift import decenter_for_shift, moving, shift_map
@@ -60,9 +61,11 @@ def test_offsets_are_the_traced_ones(element: int) -> None:
 
 def test_content_moves_by_the_field_of_offsets() -> None:
     cycles = 53.0
-    scene = wall(DISTANCE_M, stripes(cycles))
-    capture = simulate_tof(scene, lens_camera(), np.array([(0.0, 0.0), (0.0, 0.8)]), **EXACT)
-    rest, moved = capture.burst.amplitude[:, 2]
+    capture, blank = (
+        simulate_tof(wall(DISTANCE_M, one), lens_camera(), [(0.0, 0.0), (0.0, 0.8)], **EXACT)
+        for one in (stripes(cycles), 0.6)
+    )
+    rest, moved = capture.burst.amplitude[:, 2] / blank.burst.amplitude[:, 2]
     field = capture.truth.offset_field
     assert field is not None
     for first in (0, 21, 43):
@@ -135,6 +138,38 @@ def test_preset_behind_a_lens_with_everything_on() -> None:
     assert ratio == pytest.approx((2.1 / 2.17) ** 2, rel=0.02)
     error_px = capture.truth.offset_px - PLANNED
     assert 0 < np.abs(error_px).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("edge_mm", "tilt_rad", "near_bend"), [(30.0, 0.0, 1e-3), (5.4, 0.0, 8e-3), (5.4, 1e-9, 0.015)]
+)
+def test_a_traced_lens_darkens_by_its_stop_and_its_edge(
+    edge_mm: float, tilt_rad: float, near_bend: float
+) -> None:
+    """A stop in front of a plane surface: cos^4 / distortion times the overlap of two circles."""
+
+    def landscape(edge_mm: float) -> Lens:
+        surfaces = Surface(np.inf, semi_diameter_mm=edge_mm), Surface(-26.0)
+        element = Element(surfaces, ("N-BK7",), (6.0,), tilt_rad=(0.0, tilt_rad))
+        return Lens((element,), (48.0,), Stop(4.0, -15.0))
+
+    place_mm = 1.25 * (np.arange(25) - 12.0)
+    camera = make_camera(Grid((3, 25), (1.25, 1.25)), optics=LensOptics(landscape(edge_mm), None))
+    tangent = fields_for_image(landscape(edge_mm), np.stack([0.0 * place_mm, place_mm], -1))[:, 1]
+    near = tangent[:, None] + 1e-4 * np.array([-1.0, 1.0])
+    image_mm = spots(landscape(30.0), np.stack([0.0 * near, near], -1)).centroid_mm[..., 1]
+    slope_mm = np.diff(image_mm)[:, 0] / 2e-4
+    sagittal_mm = image_mm.mean(axis=1) / np.where(tangent == 0.0, np.inf, tangent)
+    focal_mm = sagittal_mm[12] = slope_mm[12]
+    away_mm = 15.0 * np.abs(tangent)
+    row, col = np.mgrid[-2:2:801j, -2:2:801j]  # points of the stop
+    inside = np.hypot(row, col) < 2.0
+    passed = [(np.hypot(row, col + a) < edge_mm)[inside].mean() for a in away_mm]
+    falloff = (1 + tangent**2) ** -2 * focal_mm**2 / (slope_mm * sagittal_mm) * passed
+    seen = still(wall(), camera).burst.amplitude[0, 1]
+    expected = falloff * (1 + tangent**2) ** -1.5  # of a wall lit from the camera
+    assert falloff.min() < (0.93 if edge_mm > 20.0 else 0.75)
+    np.testing.assert_allclose(seen / seen[12], expected, atol=near_bend)
 
 
 def test_a_lens_that_cannot_move_the_image_is_refused() -> None:

@@ -211,6 +211,22 @@ def test_too_little_light_is_invalid() -> None:
     assert np.all(o3m.confidence[0, :, :6] & (1 | 4096) == 0)
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_what_an_o3m_cannot_write_is_invalid(seed: int) -> None:
+    """A card at 149.9 m before a wall at 155 m, at a frequency that tells both."""
+    scene = near_edge(0.0, 149.9, 155.0, 0.5, 0.5)
+    camera = make_camera(illumination=Illumination((0.5e6,)), output="o3m", readout=quiet(bits=16))
+    capture = still(scene, camera, seed=seed)
+    assert capture.o3m is not None
+    near, far = np.s_[0, :, :6], np.s_[0, :, 7:]
+    np.testing.assert_allclose(capture.burst.distance_m[near], 149.9, atol=0.1)
+    assert capture.burst.valid[near].all()
+    assert not capture.burst.valid[far].any()
+    assert np.all(capture.o3m.distance_cm[far] == 1)
+    assert np.all(capture.o3m.confidence[far] & (1 | 4096) == 1)
+    assert still(scene, replace(camera, output="float"), seed=seed).burst.valid.all()
+
+
 def test_same_seed_same_burst() -> None:
     camera = replace(camera_preset("o3m151"), grid=SMALL)
     scene = near_edge(0.3, 3.3, 3.8, 0.4, 0.1)

@@ -86,6 +86,18 @@ def test_grey_levels_are_not_taken_for_clipping() -> None:
         assert not measure_edge(np.clip(bright, 0.0, 255.0)).usable
 
 
+@pytest.mark.parametrize(("seed", "whole"), [(1, False), (2, True)])
+def test_few_pixels_of_an_overshoot_that_is_cut_off_are_told(seed: int, whole: bool) -> None:
+    """Sharpened by a mask of 1.2 px: what lies beyond the bright level is lost, 3 % of its side."""
+    sharpened = 1.7 * step(0.3) - 0.7 * step(0.3, np.hypot(0.6, 1.2))
+    values = 60.0 + 188.0 * noisy(sharpened, 0.008, seed)
+    values = np.round(values) if whole else values
+    cut = measure_edge(np.minimum(values, 255.0))
+    assert not cut.usable
+    assert any("clipped at 255" in note for note in cut.notes)
+    assert not any("clipped" in note for note in measure_edge(values).notes)
+
+
 def test_a_prediction_leaves_the_plateaus_their_level() -> None:
     """The sum of a moving mean's prediction tends to 1: a constant would be whitened away."""
     lag = np.abs(np.arange(-3, 4))
@@ -143,3 +155,19 @@ def test_a_corner_within_the_region_does_not_move_the_result(rows: tuple[int, in
     assert found.usable
     assert abs(found.mtf50_lpmm.value / truth - 1.0) < 0.01
     assert found.mtf50_lpmm.low < truth < found.mtf50_lpmm.high
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_two_sides_of_a_square_are_not_one_edge(seed: int) -> None:
+    """A corner of 90 degrees in the region read 0.41 for 0.28 cycles per pixel, as a bend."""
+    row, col = np.arange(45) - 15.5, np.arange(36)[None] + 14.5
+    row = row[:, None] + 16.0
+    across = col * np.cos(0.105) + row * np.sin(0.105)
+    along = row * np.cos(0.105) - col * np.sin(0.105)
+    square = ndtr((30.0 - across) / 0.65) * ndtr((30.0 - along) / 0.65)
+    image = 200.0 - 150.0 * square + np.random.default_rng(seed).standard_normal(square.shape)
+    found = measure_edge(image, region=(0, 45, 0, 36))
+    assert not found.usable
+    one_side = measure_edge(image[:22], region=(0, 22, 0, 36))
+    assert one_side.usable
+    assert one_side.mtf50_lpmm.value == pytest.approx(0.187 / 0.65, rel=0.03)  # of the Gaussian

@@ -201,3 +201,14 @@ def test_wrong_requests() -> None:
         field.at([[np.nan, 0.0]])
     with pytest.raises(DataError, match=r"shift_px: expected \[i j a b 2\]"):
         replace(field, shift_px=np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("reach_px", [None, 0.6])
+def test_the_traces_of_a_field_are_counted(reach_px: float | None) -> None:
+    told: list[tuple[int, int]] = []
+    lens_field(
+        load_lens("al2550"), Grid((3, 5), (0.5, 0.5)), 0, reach_px=reach_px,
+        on_progress=lambda done, of: told.append((done, of)),
+    )  # fmt: skip
+    assert [done for done, _ in told] == list(range(1, len(told) + 1))
+    assert 5 <= len(told) <= told[0][1]  # the least: one degree each of shifts and spots

@@ -287,3 +287,33 @@ def test_a_file_that_is_cut_off_is_refused() -> None:
         with pytest.raises(DataError, match=r"cut off|at least one surface"):
             parse_zmx(text[: text.index(f"SURF {number + 1}")])
     assert math.isinf(parse_zmx(text).object_mm)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "program"), [(".seq", "CODE V"), (".LEN", "OSLO"), (".zar", "archive")]
+)
+def test_files_of_other_programs_are_refused_by_name(
+    tmp_path: Path, suffix: str, program: str
+) -> None:
+    path = tmp_path / f"bought{suffix}"
+    path.write_text("RDM;LEN\nEPD 10\nS 50 4 NBK7_SCHOTT\nGO\n")
+    with pytest.raises(DataError, match=program):
+        load_lens(path)
+
+
+def test_a_surface_that_is_not_traced_is_refused_for_its_shape_and_not_for_its_parameters() -> None:
+    front = FRONT.replace("STANDARD", "SZERNSAG; PARM 13 3")
+    with pytest.raises(DataError, match="SZERNSAG"):
+        parse_zmx(zmx(FAR, front, BACK, IMAGE))
+
+
+def test_a_curved_object_is_said_where_it_is_near() -> None:
+    """Its vertex is imaged as that of a plane; of one infinitely far nothing is to be said."""
+    near = "TYPE STANDARD; CURV {}; DISZ 300"
+    with pytest.warns(QualityWarning, match="the object is curved: taken as the plane at its"):
+        curved = parse_zmx(zmx(near.format(0.002), FRONT, BACK, IMAGE))
+    flat = parse_zmx(zmx(near.format(0.0), FRONT, BACK, IMAGE))
+    assert paraxial(curved).image_mm == paraxial(flat).image_mm
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parse_zmx(zmx(FAR + "; CURV 0.002", FRONT, BACK, IMAGE))

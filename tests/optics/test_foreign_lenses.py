@@ -477,3 +477,29 @@ def parse_agf_reference(name: str) -> float:
     from lensshift.optics.glass import glass_data
 
     return glass_data(name).reference_c
+
+
+@pytest.mark.parametrize(
+    ("before", "aperture"),
+    [("OBSC 0 7.5 0", ""), ("", "CLAP 7.5 30 0"), ("OBSC 0 7.5 0", "CLAP 5 30 0")],
+)
+def test_the_obstruction_of_a_cassegrain_is_traced(before: str, aperture: str) -> None:
+    """At the mirror, or on a plane in front of it: rays nearer to the axis than 7.5 mm are lost."""
+    hidden = f"TYPE STANDARD; DISZ 50; DIAM 30; {before}" if before else "TYPE STANDARD; DISZ 50"
+    text = zmx(
+        FAR, hidden,
+        f"STOP; TYPE STANDARD; CURV -0.005; CONI -1; DISZ -65; GLAS MIRROR; DIAM 30; {aperture}",
+        "TYPE STANDARD; CURV -0.02; CONI -4; DISZ 80; GLAS MIRROR; DIAM 14", IMAGE,
+        aperture="ENPD 50",
+    )  # fmt: skip
+    if before:
+        with pytest.warns(QualityWarning, match="surface 1: its obstruction is taken at surface 2"):
+            lens = parse_zmx(text)
+    else:
+        lens = parse_zmx(text)
+    assert lens.elements[0].surfaces[0].inner_mm == pytest.approx(7.5)
+    radius = np.array([0.29, 0.31, 0.99])  # of 25 mm
+    passed = trace(lens, [0.0, 0.0], radius[:, None] * [0.6, 0.8]).passed
+    assert passed.tolist() == [False, True, True]
+    for again in (parse_lens(format_lens(lens)), parse_zmx(format_zmx(lens))):
+        assert again.elements[0].surfaces[0].inner_mm == pytest.approx(7.5)

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from lenses import WAVELENGTH_NM, perfect_lens
 
+from lensshift.camera.view import airy_points
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import (
     Band,
+    axial_light,
     diffraction_limit,
     diffraction_mtf,
     fast_mtf,
@@ -350,3 +352,27 @@ def test_exact_functions_take_one_field() -> None:
         exact_otf(lens, [[0.0, 0.0], [0.0, 0.1]], [3.0])
     with pytest.raises(ValueError, match="one field and one build"):
         wavefront(lens, [[0.0, 0.0], [0.0, 0.1]])
+
+
+@pytest.mark.parametrize("inner", [0.0, 0.21, 0.38, 0.5])
+def test_an_obstructed_mirror_has_the_contrast_of_a_ring(inner: float) -> None:
+    """A paraboloid, against the autocorrelation of its pupil and the light that is left."""
+    surface = Surface(-200.0, -1.0, semi_diameter_mm=12.5, inner_mm=10 * inner, mirror=True)
+    lens = Lens((Element((surface,), (), ()),), (100.0,), Stop(20.0), wavelength_nm=550.0)
+    along = np.arange(-1.0, 1.0, 1e-3) + 5e-4
+    radius = np.hypot(along[:, None], along)
+    pupil = ((radius <= 1.0) & (radius >= inner)).astype(float)
+    shares = np.array([0.05, 0.1, 0.3, 0.5, 0.7, 0.9])
+    both = [(pupil[k:] * pupil[: len(pupil) - k]).sum() for k in np.rint(2000 * shares).astype(int)]
+    ring = np.array(both) / pupil.sum()
+    lpmm = shares * 1e6 / (550.0 * 5.0)
+    assert exact_mtf(lens, [0.0, 0.0], lpmm).modulation == pytest.approx(ring, abs=3e-3)
+    assert diffraction_limit(lens, lpmm).modulation == pytest.approx(ring, abs=5e-4)
+    light, seen = axial_light(lens)
+    assert (light, seen) == pytest.approx((1.0 - inner**2, inner), abs=2e-3)
+    points = airy_points(4096, inner)
+    waves = [np.cos(2 * np.pi * f * points[:, 1]).mean() for f in shares]
+    assert waves == pytest.approx(ring, abs=0.015)
+    if inner:
+        with pytest.warns(QualityWarning, match="not in diffraction"):
+            fast_mtf(lens, [0.0, 0.0], lpmm)

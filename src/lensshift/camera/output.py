@@ -23,7 +23,7 @@ class O3mImages:
 
     Parameters
     ----------
-    distance_cm : radial, 0 to 15000; 1 where invalid
+    distance_cm : radial, 0 to 15000; 1 where invalid, as what is farther than 150 m
     amplitude_counts : of the exposure and gain that the pixel used
     confidence : bits: 1 invalid, 2 long exposure, 4 high gain, 4096 too little signal
     amplitude_normalization : [4] factor on `amplitude_counts` for (confidence >> 1) & 3
@@ -71,8 +71,9 @@ def image_of(reading: Reading, camera: TofCamera) -> Image:
         return Image(counts * unit, distance_m, valid, phasors=each * unit)
     fraction = 2 ** (MOST_BITS - (readout.bits or MOST_BITS))
     words = np.minimum(np.rint(counts * fraction), 2**MOST_BITS - 1).astype(np.uint16)
-    distance_cm = np.clip(np.rint(100.0 * distance_m), 0, _FARTHEST_CM).astype(np.uint16)
-    distance_cm[~valid] = _INVALID_CM
+    rounded_cm = np.rint(100.0 * distance_m)
+    valid &= rounded_cm <= _FARTHEST_CM
+    distance_cm = np.where(valid, np.maximum(rounded_cm, 0), _INVALID_CM).astype(np.uint16)
     state = reading.exposure + 2 * reading.gain
     confidence = 2 * state.astype(np.uint16)
     confidence[~valid] |= _INVALID

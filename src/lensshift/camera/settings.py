@@ -94,8 +94,9 @@ class LensOptics:
     """A traced lens: distortion, point spread and shift vary over the sensor.
 
     Everything is imaged as from the object distance of the lens: things nearer or farther are
-    not out of focus. The image does not darken towards its corners. The lens is traced in its own
-    light, whatever that of the camera.
+    not out of focus. The image darkens towards its corners as traced at rest, by the aperture that
+    each place sees (natural falloff, vignetting, pupil aberrations); a moving element does not
+    change that. The lens is traced in its own light, whatever that of the camera.
 
     Parameters
     ----------
@@ -312,7 +313,8 @@ class TofCamera:
     optics, illumination, pixels, readout, validity : always there
     ambient, scatter, multipath, drift : effects, off where None
     output : "float": distance and amplitude as computed; "o3m": whole centimetres up to 150 m,
-        1 cm where invalid, and 16-bit amplitudes of the exposure and gain that a pixel used
+        1 cm where invalid or farther, and 16-bit amplitudes of the exposure and gain that a pixel
+        used
     name : for the notes in a burst
     """
 

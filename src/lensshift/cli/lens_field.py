@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from dataclasses import field as group
 from pathlib import Path
@@ -11,7 +12,7 @@ import typer
 
 from lensshift.cli import optics, outputs
 from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
-from lensshift.cli.session import Session
+from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
@@ -75,7 +76,10 @@ def field(current: Session, asked: FieldOptions) -> None:
     moved = optics.element_of(model, asked.element) if asked.element else None
     motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
-    found = lens_field(model, grid, moved, motion=motion, reach_px=reach_px)
+    with closing(Progress("tracing")) as progress:
+        found = lens_field(
+            model, grid, moved, motion=motion, reach_px=reach_px, on_progress=progress.count
+        )
     found = replace(found, lens=found.lens or Path(asked.lens).stem)
     if out is not None:
         save_lens_field(found, out)

@@ -23,6 +23,7 @@ _MISSED_MM = 1e-6  # from the point of the stop: a ray that does not go there
 _TURN_RAD = math.radians(5.0)  # from field to field, over which the pupil moves little
 _NEWTON_STEPS = 6  # from the field before
 _MISSED = 1  # of `RayBundle.status`
+_NEARLY = 0.1  # of the radius of the stop off: Newton's method leads to the same ray from there
 _PROBE = 1e-4  # of the radius of the stop, for differences
 
 
@@ -61,9 +62,17 @@ def launch(lens: Lens, system: System, pupil: Floats) -> Rays:
         entering = entering + np.nan_to_num(error) * aim.scale
         off_mm = np.abs(error).max(axis=-1)
         largest_mm, before_mm = float(np.nanmax(off_mm, initial=0.0)), largest_mm
-    rows = np.flatnonzero(~np.all(off_mm < _CLOSE_MM, axis=-1))
-    if rows.size:
-        found, error = aim.part(rows).followed(target[rows])
+    nearly_mm = _NEARLY * 0.5 * stop.diameter_mm
+    for near in (True, False):  # Newton's method from where rays are, if that is near; or led there
+        far = ~np.all(off_mm < _CLOSE_MM, axis=-1)
+        rows = np.flatnonzero(far & np.all(off_mm < nearly_mm, axis=-1) if near else far)
+        if not rows.size:
+            continue
+        some = aim.part(rows)
+        if near:
+            found, error = some.newton(entering[rows], target[rows])[:2]
+        else:
+            found, error = some.followed(target[rows])
         closer_mm = np.abs(error).max(axis=-1)
         there = ~(off_mm[rows] < closer_mm) & np.isfinite(closer_mm)
         entering[rows] = np.where(there[..., None], found, entering[rows])
@@ -119,11 +128,11 @@ class _Aim:
         for share in np.linspace(0.0, 1.0, 1 + max(1, math.ceil(angle_rad.max() / _TURN_RAD))):
             self._fields = wanted * (np.tan(share * angle_rad) / np.maximum(tangent, 1e-12))
             narrow = np.cos(share * angle_rad)[..., None]
-            found, _, slope = self._newton((2.0 * across - before) / narrow, middle)
+            found, _, slope = self.newton((2.0 * across - before) / narrow, middle)
             across, before = found * narrow, across
-        return self._newton(found + _solved(slope, target - middle), target)[:2]
+        return self.newton(found + _solved(slope, target - middle), target)[:2]
 
-    def _newton(self, entering: Floats, target: Floats) -> tuple[Floats, Floats, Floats]:
+    def newton(self, entering: Floats, target: Floats) -> tuple[Floats, Floats, Floats]:
         """Return better points, by how much they miss, and landing over entering [... 2 2]."""
         probe_mm = _PROBE * 0.5 * self._lens.stop.diameter_mm
         for _ in range(_NEWTON_STEPS):

@@ -35,6 +35,7 @@ _DOUBTFUL_PX = 1e-3  # far below what costs anything (docs/lens.md)
 _DOUBTFUL_WIDTH_PX = 0.03  # beside the 0.29 px of a pixel a change of 0.5 %
 _SPOT_PX2 = 1e-4  # and a variance: a width of 0.3 px by 2e-4 px
 _CHECKED = (5, 4)  # places and states along an axis where a fit is checked
+_MOST_TRACES = len(_DEGREES) + len(_SPOT_DEGREES) + 3  # those of each degree, and those checked
 # Cycles per pixel at which the spot is compared with a Gaussian.
 _CPP = np.arange(1, 8) / 8.0
 _NO_CONTRAST = 1e-3  # its logarithm would weigh nothing
@@ -48,6 +49,7 @@ def lens_field(
     *,
     motion: Motion | None = None,
     reach_px: float | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> LensField:
     """Return shift and spot of a lens over a sensor for all positions of what moves.
 
@@ -63,6 +65,7 @@ def lens_field(
     motion : "decentre" (the default) or "tilt" of the element
     reach_px : largest shift along each axis that the field is to hold for; by default one pixel,
         or half of one where the lens cuts off light beyond it or blurs it away
+    on_progress : is told how many traces of at most how many are done
 
     Raises
     ------
@@ -79,9 +82,9 @@ def lens_field(
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*of its light", QualityWarning)  # once, in our words
         if reach_px is None:
-            found = _reaching(lens, grid, element, motion)
+            found = _reaching(lens, grid, element, motion, on_progress)
         else:
-            found = _fitted(_mover(lens, grid, element, motion, reach_px))
+            found = _fitted(_mover(lens, grid, element, motion, reach_px), on_progress)
     for what, error_px, most_px in zip(
         ("shifts", "widths of the spot"),
         (found.shift_error_px, found.spot_error_px),
@@ -119,25 +122,48 @@ class _Fitted(NamedTuple):
     shift_error_px: float
     spot_px2: Floats
     spot_error_px: float
+    near_error_px: float  # of widths in the inner half of the states
     contrast_error: float
 
 
-def _fitted(mover: _Mover) -> _Fitted:
-    shift_px, shift_error_px = _fit(mover.shifts, _DEGREES, _SHIFT_PX)
-    spot_px2, _ = _fit(mover.spots, _SPOT_DEGREES, _SPOT_PX2)
-    return _Fitted(mover, shift_px, shift_error_px, spot_px2, *_spot_errors(mover, spot_px2))
+def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> _Fitted:
+    done = 0
+
+    def counted(sample: Sample) -> Sample:
+        def one(places: Floats, states: Floats) -> Floats:
+            nonlocal done
+            found = sample(places, states)
+            done += 1
+            if told is not None:
+                told(done, _MOST_TRACES)
+            return found
+
+        return one
+
+    shift_px, shift_error_px = _fit(counted(mover.shifts), _DEGREES, _SHIFT_PX)
+    spot_px2, _ = _fit(counted(mover.spots), _SPOT_DEGREES, _SPOT_PX2)
+    errors = _spot_errors(counted(mover.contrast), spot_px2)
+    return _Fitted(mover, shift_px, shift_error_px, spot_px2, *errors)
 
 
-def _reaching(lens: Lens, grid: Grid, element: int | None, motion: Motion | None) -> _Fitted:
+def _reaching(
+    lens: Lens,
+    grid: Grid,
+    element: int | None,
+    motion: Motion | None,
+    told: Callable[[int, int], None] | None,
+) -> _Fitted:
     """Return the fit for the reach that the lens allows."""
     mover = _mover(lens, grid, element, motion, _REACH_PX)
     try:
-        found = _fitted(mover)
-        if found.shift_error_px < _DOUBTFUL_PX and found.spot_error_px < _DOUBTFUL_WIDTH_PX:
+        found = _fitted(mover, told)
+        # Widths that are as far off near rest are no better with less reach.
+        sharp = found.spot_error_px < _DOUBTFUL_WIDTH_PX or found.near_error_px > _DOUBTFUL_WIDTH_PX
+        if found.shift_error_px < _DOUBTFUL_PX and sharp:
             return found
     except ValueError:  # no light at all so far away
         pass
-    return _fitted(_mover(lens, grid, element, motion, 0.5 * _REACH_PX))
+    return _fitted(_mover(lens, grid, element, motion, 0.5 * _REACH_PX), told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,15 +275,20 @@ def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> t
     return best, least
 
 
-def _spot_errors(mover: _Mover, spot_px2: Floats) -> tuple[float, float]:
-    """Return the largest errors of a width in px, and of the contrast behind lens and pixel."""
+def _spot_errors(sample: Sample, spot_px2: Floats) -> tuple[float, float, float]:
+    """Return the largest errors of a width in px, everywhere and near rest, and of the contrast.
+
+    The contrast is that behind lens and pixel.
+    """
     places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
-    contrast = mover.contrast(places, states)
+    contrast = sample(places, states)
     fitted_px2 = np.maximum(_values(spot_px2, places, states), 0.0)
     width_px = np.sqrt(np.maximum(equivalent_px2(contrast), 0.0))
     gaussian = np.exp(-2.0 * np.pi**2 * fitted_px2[..., None] * _CPP**2)
     off = np.abs(gaussian - contrast) * np.sinc(_CPP)
-    return float(np.abs(np.sqrt(fitted_px2) - width_px).max()), float(off.max())
+    wrong_px = np.abs(np.sqrt(fitted_px2) - width_px).max(axis=(0, 2))
+    near = np.abs(states).max(axis=-1) < 0.5
+    return float(wrong_px.max()), float(wrong_px[near].max()), float(off.max())
 
 
 def _values(coefficients: Floats, places: Floats, states: Floats) -> Floats:

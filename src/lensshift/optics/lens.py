@@ -33,6 +33,8 @@ class Surface:
     semi_diameter_mm : light farther from the axis of the element is stopped
     radial : B1, B2, B3, ... in mm^0, mm^-1, mm^-2, ...
     mirror : whether it reflects
+    inner_mm : light nearer to the axis of the element is stopped: by a hole in a mirror, or by
+        what stands in front of it; needs a semi-diameter
     tilt_rad : (row, col) by how much its axis leans in the element, about its own vertex, as
         `Element.tilt_rad`; makes a wedge. First-order data leave it out.
 
@@ -49,8 +51,14 @@ class Surface:
     radial: tuple[float, ...] = ()
     mirror: bool = False
     tilt_rad: tuple[float, float] = (0.0, 0.0)
+    inner_mm: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.inner_mm and not 0 < self.inner_mm < self.semi_diameter_mm < math.inf:
+            raise ValueError(
+                f"expected inner_mm from 0 to below the semi-diameter {self.semi_diameter_mm} mm, "
+                f"which is finite, got {self.inner_mm}"
+            )
         if math.isnan(self.radius_mm) or self.radius_mm == 0:
             raise ValueError(f"expected a radius other than 0 mm, got {self.radius_mm}")
         if not self.semi_diameter_mm > 0:
@@ -337,6 +345,14 @@ class Lens:
     def with_sensor(self, back_focal_mm: float) -> Lens:
         """Return the lens with the sensor at another distance behind the last vertex."""
         return replace(self, gaps_mm=(*self.gaps_mm[:-1], back_focal_mm))
+
+    def is_symmetric(self) -> bool:
+        """Return whether nothing in the lens is decentred or tilted."""
+        leans = (
+            (*one.decenter_mm, *one.tilt_rad, *(t for s in one.surfaces for t in s.tilt_rad))
+            for one in self.elements
+        )
+        return not any(value for values in leans for value in values)
 
     def check_element(self, element: int) -> None:
         """Raise a ValueError if there is no element of this number, counted from 0."""

@@ -24,6 +24,11 @@ from lensshift.optics.lens import WAVELENGTH_NM, Element, Lens, Stop, Surface
 from lensshift.optics.sequential import about
 from lensshift.optics.zmx import load_zmx
 
+# Lens files of other programs, which all of them can write as .zmx.
+_FOREIGN = {
+    ".seq": "CODE V", ".len": "CODE V or OSLO", ".osl": "OSLO", ".zar": "Zemax (archive)",
+    ".zos": "Zemax (project)", ".zmf": "Zemax (catalogue)",
+}  # fmt: skip
 _PRESCRIPTIONS = resources.files("lensshift.optics") / "prescriptions"
 # Entry of a table -> what it is (numbers: how many, or a tuple of any), and what it is if it is
 # missing; with `...` it must be there.
@@ -43,8 +48,8 @@ _ELEMENT: _Fields = {
 }  # fmt: skip
 _SURFACE: _Fields = {
     "radius_mm": (float, ...), "conic": (float, 0.0), "asphere": (tuple, ()),
-    "semi_diameter_mm": (float, math.inf), "radial": (tuple, ()), "mirror": (bool, False),
-    "tilt_deg": (2, (0.0, 0.0)),
+    "semi_diameter_mm": (float, math.inf), "inner_mm": (float, 0.0), "radial": (tuple, ()),
+    "mirror": (bool, False), "tilt_deg": (2, (0.0, 0.0)),
 }  # fmt: skip
 _GLASS: _Fields = {
     "name": (str, ...), "formula": (str, ...), "constants": (tuple, ...),
@@ -84,6 +89,12 @@ def load_lens(path_or_name: str | Path) -> Lens:
     path = Path(path_or_name)
     if not path.is_file():
         raise DataError(f"expected a lens file or a name of {', '.join(lens_names())}", source=path)
+    if path.suffix.lower() in _FOREIGN:
+        program = _FOREIGN[path.suffix.lower()]
+        raise DataError(
+            f"expected a lens in TOML or .zmx, got one of {program}: save it as .zmx there",
+            source=path,
+        )
     return parse_lens(read_text(path), source=path)
 
 
@@ -139,6 +150,7 @@ def format_lens(lens: Lens) -> str:
                 mirror=surface.mirror or None,
                 tilt_deg=_degrees(surface.tilt_rad),
                 semi_diameter_mm=surface.semi_diameter_mm,
+                inner_mm=surface.inner_mm or None,
             )
     return "\n".join(lines) + "\n"
 

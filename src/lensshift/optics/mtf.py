@@ -18,14 +18,15 @@ from lensshift.core.optical import MtfCurve
 from lensshift.optics.directions import places_mm
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_arms, ring_edges
+from lensshift.optics.pupil import midpoints, pupil_arms, ring_edges
 from lensshift.optics.spots import Spots, fields_for_image, spots
-from lensshift.optics.trace import Build
+from lensshift.optics.trace import Build, trace
 
 AZIMUTHS_RAD = (0.0, 0.5 * np.pi)  # across columns (a vertical edge), across rows
 _FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 _RINGS = 6  # of rays where nothing asks for more
 _MOST_PERIODS = 0.5  # between neighbouring rays: two of them for each period
+_AXIAL_RAYS = 2000  # rings of the pupil, by which an obstruction is known
 _SPARE = 1.1  # rings more than the ratio says: the outermost are not evenly apart
 _MOST_RAYS = 1e6  # at once, some 250 MB
 
@@ -107,7 +108,52 @@ def diffraction_limit(lens: Lens, frequency_lpmm: ArrayLike) -> MtfCurve:
     """Return the MTF on the axis that the lens would have without aberrations."""
     cutoff_lpmm = 1e6 / (lens.wavelength_nm * paraxial(lens).working_f_number)
     frequency = np.asarray(frequency_lpmm, dtype=np.float64)
-    return MtfCurve(frequency, diffraction_mtf(frequency, cutoff_lpmm), label="diffraction limit")
+    modulation = annular_mtf(frequency / cutoff_lpmm, axial_light(lens)[1])
+    return MtfCurve(frequency, modulation, label="diffraction limit")
+
+
+def annular_mtf(share: ArrayLike, inner: float) -> Floats:
+    """Return the MTF of a perfect lens whose pupil is a ring, at shares of its cutoff.
+
+        MTF = [A(1, 1) - 2 A(1, inner) + A(inner, inner)] / (pi (1 - inner^2))
+
+    with A the common area of two circles, 2 share apart.
+
+    Parameters
+    ----------
+    share : of the cutoff
+    inner : radius of what is stopped in the middle, over that of the pupil
+
+    Source: O'Neill, J. Opt. Soc. Am. 46 (1956) 285.
+    """
+    v = np.abs(np.asarray(share, dtype=np.float64))
+    if inner == 0:
+        return diffraction_mtf(v, 1.0)
+    apart = np.clip(2.0 * v, 1.0 - inner, 1.0 + inner)  # nearer, one circle lies in the other
+    outer_angle, inner_angle = (
+        np.arccos(np.clip(cosine, -1.0, 1.0))
+        for cosine in (
+            (apart**2 + 1.0 - inner**2) / (2.0 * apart),
+            (apart**2 + inner**2 - 1.0) / (2.0 * apart * inner),
+        )
+    )
+    outer = outer_angle - 0.5 * np.sin(2.0 * outer_angle)
+    crossed = outer + inner**2 * (inner_angle - 0.5 * np.sin(2.0 * inner_angle))
+    own = diffraction_mtf(v, 1.0) + inner**2 * diffraction_mtf(v, inner)
+    return np.asarray((own - 2.0 / np.pi * crossed) / (1.0 - inner**2))
+
+
+def axial_light(lens: Lens) -> tuple[float, float]:
+    """Return the share of the light through the stop that arrives on the axis, and the obstruction.
+
+    The obstruction is the radius of what is stopped about the axis over that of the pupil.
+    """
+    radius = np.sqrt(midpoints(2 * _AXIAL_RAYS)[_AXIAL_RAYS:])
+    passed = trace(lens, np.zeros(2), radius[:, None] * np.array([0.0, 1.0])).passed
+    if not passed.any():
+        return 0.0, 0.0
+    stopped = int(passed.argmax())
+    return float(passed.mean()), float(np.sqrt(stopped / _AXIAL_RAYS))
 
 
 def fast_mtf(
@@ -204,6 +250,13 @@ def _enough_spots(
 ) -> tuple[list[Spots], int]:
     """Return the spots of each wavelength and their rings: those told, or as many as it takes."""
     highest_lpmm = float(np.abs(frequency_lpmm).max())
+    if any(surface.inner_mm for element in lens.elements for surface in element.surfaces):
+        warnings.warn(
+            "what stands in the middle of the light is counted in rays only, not in diffraction; "
+            "`exact_otf` does both",
+            QualityWarning,
+            stacklevel=4,
+        )
 
     def traced(count: int) -> tuple[list[Spots], float]:
         parts = [

@@ -122,7 +122,7 @@ def pupils(
     share = share / share.sum()
     centre = share @ np.stack([spot.centroid_mm for _, spot in traced])
     return [
-        (float(part), 1e-6 * nm, _fit(rays, spot, points, weight, centre))
+        (float(part), 1e-6 * nm, _fit(lens, rays, spot, points, weight, centre))
         for part, (nm, _), (rays, spot) in zip(share, light, traced, strict=True)
     ]
 
@@ -139,12 +139,14 @@ class PupilFit:
         near the outermost ray is, squared
     reach_mm : distance of the outermost ray from the centroid
     light : share of the light through the stop that arrives
+    unsure : by how much rays may misjudge that: half a ring of them at an obstruction
     """
 
     span: float
     terms: Floats
     reach_mm: float
     light: float
+    unsure: float = 0.0
 
     def waves(self, samples: int, wave: float) -> tuple[Floats, NDArray[np.complex128], float]:
         """Return cosines [sample] along each axis, the wave [row col] there, and its energy.
@@ -188,7 +190,7 @@ class PupilFit:
 
 
 def _fit(
-    rays: RayBundle, spot: Spots, points: Floats, weight: Floats, centre_mm: Floats
+    lens: Lens, rays: RayBundle, spot: Spots, points: Floats, weight: Floats, centre_mm: Floats
 ) -> PupilFit:
     traced = np.isfinite(rays.path_mm)  # vignetted rays too: their paths are smooth
     cosine = rays.direction[traced, :2]
@@ -201,6 +203,13 @@ def _fit(
     if rays.heights is not None:
         squares = rays.heights[traced] ** 2
         quantities += [square for square in squares.T if square.max() > 0.98]
+        inner = [s.inner_mm / s.semi_diameter_mm for e in lens.elements for s in e.surfaces]
+        # Below 1 beyond the inner edge, with the slope that the outer one has at the pupil's edge.
+        quantities += [
+            1.0 - (square - share**2) / share
+            for square, share in zip(squares.T, inner, strict=True)
+            if share and square.min() < (1.02 * share) ** 2
+        ]
     quantities.append(_nearness(cosine))
     scaled = (cosine - middle) / radius
     first, second = np.meshgrid(range(_DEGREE + 1), range(_DEGREE + 1), indexing="ij")
@@ -216,7 +225,9 @@ def _fit(
     slopes[1::2, :, :-1] = chebder(terms[1:3], axis=2)
     reach_mm = float(np.linalg.norm(spot.ray_mm[rays.passed], axis=-1).max())
     light = float(spot.transmission)
-    return PupilFit(radius, np.concatenate([terms[:1], slopes, terms[1:]]), reach_mm, light)
+    terms = np.concatenate([terms[:1], slopes, terms[1:]])
+    hidden = any(s.inner_mm for e in lens.elements for s in e.surfaces)
+    return PupilFit(radius, terms, reach_mm, light, 0.5 * _ARMS * weight.max() * hidden)
 
 
 def _nearness(cosine: Floats) -> Floats:
@@ -236,7 +247,7 @@ def _autocorrelate(
     wave = 2.0 * np.pi / wavelength_mm
     total = pupil.overlap(np.zeros(2), samples, wave).real
     light = total * (2.0 / samples) ** 2 / np.pi
-    if abs(light - pupil.light) > _LOST:
+    if abs(light - pupil.light) > _LOST + pupil.unsure:
         warnings.warn(
             f"the pupil of the OTF passes {100 * light:.1f} % of the light through the stop, rays "
             f"{100 * pupil.light:.1f} %: it ends where polynomials cannot tell",

@@ -40,6 +40,7 @@ class Entry:
     is_stop: bool = False
     mirror: bool = False
     clear_mm: float = math.inf
+    inner_mm: float = 0.0
     comment: str = ""
     extra: dict[int, float] = field(default_factory=dict)
     asphere: tuple[float, ...] = ()
@@ -347,6 +348,7 @@ def _surface(entry: Entry, notes: list[str]) -> Surface:
             conic=entry.conic,
             asphere=entry.asphere,
             semi_diameter_mm=semi_mm,
+            inner_mm=entry.inner_mm,
             radial=entry.radial,
             mirror=entry.mirror,
         )

@@ -45,6 +45,7 @@ class RayBundle:
     path_mm : [... ray] optical path from the object, or from a plane across the incoming light
         through the centre of the entrance pupil
     status : [... ray] 0 passed, 1 missed a surface, 2 totally reflected, 3 outside a semi-diameter
+        or within what is stopped about the axis
     failed_at : [... ray] number of the surface where that happened, -1 if it did not
     heights : [... ray surface] distance from the axis of the element over the semi-diameter, or
         None
@@ -187,6 +188,7 @@ class System:
         self.curvature = np.array([surface.curvature_per_mm for surface in surfaces])
         self.conic = np.array([surface.conic for surface in surfaces])
         self.semi_diameter = np.array([surface.semi_diameter_mm for surface in surfaces])
+        self.inner = np.array([one.inner_mm / one.semi_diameter_mm for one in surfaces])
         self.terms, self.asphere = _table([surface.asphere for surface in surfaces])
         self.radial_terms, self.radial = _table([surface.radial for surface in surfaces])
         self.mirror = np.array([surface.mirror for surface in surfaces])
@@ -222,7 +224,8 @@ class System:
             _NO_CROSSINGS if crossings is None else crossings,
             self.vertices, self.rotations, self.index, plane_mm,
             self.frame, self.depth, self.curvature, self.conic, self.asphere,
-            self.terms, self.radial, self.radial_terms, self.mirror, self.semi_diameter, surfaces,
+            self.terms, self.radial, self.radial_terms, self.mirror, self.semi_diameter,
+            self.inner, surfaces,
         )  # fmt: skip
 
     def bundle(self, rays: Rays, with_heights: bool, with_crossings: bool) -> RayBundle:

@@ -160,7 +160,7 @@ def trace_kernel(
     heights: Array, crossings: Array, vertices: Array, rotations: Array, index: Array,
     plane: Array, element: Array, depth: Array, curvature: Array, conic: Array,
     asphere: Array, terms: Array, radial: Array, radial_terms: Array, mirror: Array,
-    semi_diameter: Array, surfaces: int,
+    semi_diameter: Array, inner: Array, surfaces: int,
 ) -> None:  # fmt: skip
     """Trace rays in place through the first `surfaces` surfaces to a plane across the axis.
 
@@ -179,6 +179,7 @@ def trace_kernel(
     plane : [batch] axial position of the last plane
     element, depth : [surface] its frame, and how far its vertex lies behind the origin: those of
         an element share one, a surface that leans in its element has its own
+    inner : [surface] what is stopped about the axis, over the semi-diameter
     curvature, conic, asphere, terms, semi_diameter : [surface], asphere [surface term] of which
         `terms` are used, and as many of powers of r as `radial_terms`
     mirror : [surface] whether it reflects; behind it everything is seen in its vertex plane
@@ -205,7 +206,7 @@ def trace_kernel(
                     met = _leave(rotations, vertices, b, e, p, d)[0]
                     for i in range(3):
                         crossings[b, r, s, i] = met[i]
-                if height > 1.0 and status[b, r] == PASSED:
+                if (height > 1.0 or height < inner[s]) and status[b, r] == PASSED:
                     status[b, r], failed_at[b, r] = VIGNETTED, s
                 if mirror[s]:
                     d = _reflect(d, p[0], p[1], slope)

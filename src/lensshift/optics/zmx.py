@@ -175,7 +175,8 @@ def _read_surface_line(
         entry.conic = _finite(values[0])
     elif key in ("PARM", "XDAT"):
         number = int(values[0])
-        if key == "PARM" and not 0 <= number <= MOST_PARAMETERS and float(values[1]):
+        known = 0 <= number <= MOST_PARAMETERS or not is_traced(entry.type)
+        if key == "PARM" and not known and float(values[1]):
             raise DataError(
                 f"line {line}: expected a parameter up to {MOST_PARAMETERS}, got {number}",
                 field=entry.where(),
@@ -188,11 +189,12 @@ def _read_surface_line(
         entry.semi_diameter_mm = mm * _finite(values[0])
     elif key in ("CLAP", "FLAP") and len(values) > 1 and float(values[1]) > 0:
         entry.clear_mm = mm * _finite(values[1])
-        if float(values[0]) > 0:
-            content.notes.append(f"surface {entry.number}: its central obstruction is left out")
+        entry.inner_mm = max(entry.inner_mm, mm * _finite(values[0]))
+    elif key == "OBSC" and len(values) > 1 and float(values[0]) == 0:
+        entry.inner_mm = max(entry.inner_mm, mm * _finite(values[1]))
     elif key == "OBDC" and any(map(float, values[:2])):
         content.notes.append(f"surface {entry.number}: its aperture lies aside, and is left out")
-        entry.clear_mm = math.inf
+        entry.clear_mm, entry.inner_mm = math.inf, 0.0
     elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
         content.notes.append(f"surface {entry.number}: aperture {key} is left out")
     elif key == "SCBD" and any(map(float, values[3:])):
@@ -274,6 +276,7 @@ def _lens(content: _File) -> Lens:
         if entry.glass:
             entry.glass, note = glass_in_light(entry.glass, wavelength_nm)
             content.notes += [f"surface {entry.number}: {note}"] if note else []
+    _carry_obstructions(content)
     image = content.entries[-1]
     shaped = image.type not in ("STANDARD", "COORDBRK") and any(image.parameters.values())
     if image.curvature_per_mm or shaped:
@@ -297,6 +300,32 @@ def _lens(content: _File) -> Lens:
     if content.turned:  # of no account where the lens is refused for what it is
         raise content.turned
     return lens
+
+
+def _carry_obstructions(content: _File) -> None:
+    """Take what hides the middle of a beam in air at the surface that the light meets next.
+
+    That is exact for light from infinitely far along the axis; elsewhere it is left out.
+    """
+    hidden: Entry | None = None
+    far = content.entries[0].distance_mm >= _FAR_MM
+    for entry in content.entries[1:-1]:
+        optical = entry.glass or (entry.mirror and entry.curvature_per_mm)
+        if hidden is not None and optical:
+            entry.inner_mm = max(entry.inner_mm, hidden.inner_mm)
+            note = f"its obstruction is taken at surface {entry.number}"
+            content.notes.append(f"surface {hidden.number}: {note}")
+            hidden = None
+        elif entry.inner_mm and not optical and not _ends_glass(content.entries, entry):
+            if far:
+                hidden = entry if hidden is None or hidden.inner_mm < entry.inner_mm else hidden
+            else:
+                content.notes.append(f"surface {entry.number}: its obstruction is left out")
+        far = far and not optical
+
+
+def _ends_glass(entries: list[Entry], entry: Entry) -> bool:
+    return bool(entries[entries.index(entry) - 1].glass)
 
 
 def _frames(entries: list[Entry]) -> list[Frame]:

@@ -150,6 +150,8 @@ def _surface(surface: Surface, glass: str, distance_mm: float) -> list[str]:
         lines.append(f"GLAS {_GLASS_NAMES.get(glass, glass)}")
     if math.isfinite(surface.semi_diameter_mm):
         lines.append(f"DIAM {_number(surface.semi_diameter_mm)} 1 0 0 1")
+    if surface.inner_mm:
+        lines.append(f"CLAP {_number(surface.inner_mm)} {_number(surface.semi_diameter_mm)} 0")
     return lines
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import replace
 
@@ -16,10 +17,12 @@ _LEAST_CONTRAST = 0.2
 _SMALLEST_ANGLE_DEG, _LARGEST_ANGLE_DEG = 2.0, 43.0
 _LARGEST_GAP_PX = 0.25  # between the phases at which the lines cross the pixels
 _CLIPPED_SHARE = 0.05
+_SURELY = 4.0  # standard deviations of counts: less than one edge in 10^4 by chance
 _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
 _LARGEST_APART_PX = 0.1  # rms: as a blur, it takes 2 % of the contrast at 0.3 cycles a pixel
 _LEAST_BEND_PX = 0.05
+_LARGEST_TURN_DEG = 15.0  # from the middle of an edge to its ends; distortion turns far less
 _LEAST_LINES = 8
 _LARGEST_RISE = 0.5  # of the extent of the region across the edge
 _FEWEST_LEVELS = 4
@@ -60,6 +63,7 @@ def doubted(
         found.append(f"the edge is tilted by {angle_deg:.2f} degrees, expected 2 or more")
     elif angle_deg > _LARGEST_ANGLE_DEG:
         found.append(f"the edge is tilted by {angle_deg:.1f} degrees, expected 43 or less")
+    found += _corner(result)
     if gap_px > _LARGEST_GAP_PX:
         found.append(
             f"the lines leave {gap_px:.2f} px of the pixel unsampled at {angle_deg:.2f} degrees; "
@@ -111,11 +115,23 @@ def _shape(values: Vector, result: EdgeResult) -> list[str]:
     return found
 
 
+def _corner(result: EdgeResult) -> list[str]:
+    """Two sides of a square look like one edge that bends: as a parabola, by so many degrees."""
+    turn_deg = math.degrees(math.atan(6.0 * 5.0**0.5 * result.bend_px / result.extent_px[0]))
+    if turn_deg <= _LARGEST_TURN_DEG:
+        return []
+    return [
+        f"the edge turns by {turn_deg:.0f} degrees from its middle to its ends: does the region "
+        "hold a corner, two sides of a square?"
+    ]
+
+
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:
     """A clipped plateau holds its extreme value more often than the value next to it.
 
     That of noise is rarer than its neighbour. Where the noise is below the step between the two any
-    value is frequent; then the extreme one must be the end of a range of whole numbers.
+    value is frequent; then the extreme one must be the end of a range of whole numbers. Few pixels
+    tell, too, where only the overshoot of a sharpened edge is cut off.
     """
     if result.noise < _NO_NOISE:
         return []  # computed, not taken: plateaus are level without being clipped
@@ -132,8 +148,9 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
         coarse = result.noise * (result.bright - result.dark) < step
         if coarse and outer not in _ENDS_OF_RANGE:
             continue
-        share = counts[end] / side.size
-        if share > _CLIPPED_SHARE and counts[end] > counts[end + inwards]:
+        share, more = counts[end] / side.size, int(counts[end]) - int(counts[end + inwards])
+        surely = more > _SURELY * np.sqrt(counts[end] + counts[end + inwards])
+        if surely or (share > _CLIPPED_SHARE and more > 0):
             found.append(f"{100 * share:.0f} % of the {name} pixels are clipped at {outer:g}")
     return found
 
