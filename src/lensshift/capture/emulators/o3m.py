@@ -28,6 +28,7 @@ PACKET_BYTES = 1460  # header and payload
 _DIAGNOSIS = (b"O3M!DIK1\x01\x05\0\0", 360)
 _PARAMETERS = (b"O3M!DID1\x01\x04\0\0", 6648)
 _LONG_EXPOSURE, _HIGH_GAIN = 10.0, 4.0  # how much more a pixel reads
+_FARTHEST_M = 150.0  # what two bytes of centimetres are defined for; farther is invalid
 _FULL_COUNT = 60000  # above it a pixel takes the next weaker setting
 _HALF_FIELD_RAD = (math.radians(1.6), math.radians(6.5))  # (row, col)
 _CAMERA_M = (1.5, 0.2, 0.8)  # where it stands in the coordinates of the vehicle
@@ -86,17 +87,19 @@ def pixel_message(
     """
     if frame.amplitude.shape != (ROWS, COLS):
         raise ValueError(f"expected a frame of shape ({ROWS}, {COLS}), got {frame.amplitude.shape}")
-    amplitude = np.where(frame.valid, np.nan_to_num(frame.amplitude, nan=0.0), 0.0)
+    seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
+    told = np.isfinite(seen_m) & (seen_m <= _FARTHEST_M)
+    valid = frame.valid & told
+    amplitude = np.where(valid, np.nan_to_num(frame.amplitude, nan=0.0), 0.0)
     sensitivity = np.array([1.0, _LONG_EXPOSURE, _HIGH_GAIN, _LONG_EXPOSURE * _HIGH_GAIN])
     factors = (full_scale / _FULL_COUNT / sensitivity).astype("<f4")
     setting = np.zeros((ROWS, COLS), dtype=np.uint16)
     for choice in (2, 1, 3):  # from weak to sensitive
         setting[amplitude <= _FULL_COUNT * factors[choice]] = choice
     counts = np.clip(np.rint(amplitude / factors[setting]), 0, 65535)
-    confidence = (setting << 1) | ~frame.valid
-    seen_m = np.zeros((ROWS, COLS)) if frame.distance_m is None else frame.distance_m
-    distance_m = np.where(frame.valid & np.isfinite(seen_m), seen_m, 0.01)  # invalid: 1 cm
-    coarse_cm = np.clip(np.rint(distance_m * 100.0), 0, 15000)
+    confidence = (setting << 1) | ~valid
+    distance_m = np.where(valid, seen_m, 0.01)  # invalid: 1 cm
+    coarse_cm = np.maximum(np.rint(distance_m * 100.0), 0)
     place_m = np.asarray(_CAMERA_M)[:, None, None] + _directions() * distance_m
     body = b"".join(
         [
