@@ -1,13 +1,18 @@
-"""Pixels at an end of what a camera can say: they tell no noise, and edges there look too sharp."""
+"""Pixels that cannot say what is before them: at an end of the range of the camera, or stuck."""
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
+from lensshift.core.defects import stuck_pixels
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst
 from lensshift.forward.operator import LinearOperator
 
 Array = NDArray[Any]
@@ -25,6 +30,8 @@ AROUND_PX, CUT_SHARE = 3, 0.1
 FINEST_STEP = 2.0**-16
 # Of the frames at a place; and of what a pixel sees, so that it is near one.
 MOST, SEEN_SHARE = 0.5, 1e-3
+# Frames that lie less apart than a square of four does leave a point of light where it is.
+TELLING_MOVE_PX = 0.4
 
 
 def clipped_pixels(values: Array, used: Mask) -> Mask | None:
@@ -102,3 +109,28 @@ def overexposed(values: Array, clipped: Mask | None) -> str | None:
         f"{100 * share:.0f} % of the pixels are at {end:g}, the end of their range: what is "
         "brighter is lost there, also in the picture (expose for a shorter time)"
     )
+
+
+def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
+    """Return the burst without pixels that stay as they are while the scene moves.
+
+    Warns
+    -----
+    QualityWarning
+        Of these.
+    """
+    y = burst.amplitude
+    if y.dtype.kind == "c" or np.ptp(burst.offset_px, axis=0).max() < TELLING_MOVE_PX:
+        return burst
+    if (stuck := stuck_pixels(y, burst.valid)) is None:
+        return burst
+    places = [f"({row}, {col})" for row, col in np.argwhere(stuck)]
+    shown = ", ".join(places[:3]) + (" ..." if len(places) > 3 else "")
+    warnings.warn(
+        f"{len(places)} pixels do not follow the scene, (row, col) {shown}: they are left out as "
+        "defective (mark such pixels False in valid)",
+        QualityWarning,
+        stacklevel=stacklevel + 1,
+    )
+    valid = ~stuck if burst.valid is None else burst.valid & ~stuck
+    return replace(burst, valid=np.broadcast_to(valid, y.shape))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
-from lensshift.reconstruction.clipping import overexposed
+from lensshift.reconstruction.clipping import overexposed, without_stuck
 from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
@@ -126,12 +126,12 @@ def reconstruct(
         the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
         changes. Or if they show another pixel response than was told, or are overexposed.
     """
-    expect_burst(burst)
+    _check(burst, scale, noise_sigma, photometric)
+    burst = burst if memory else without_stuck(burst, stacklevel=3)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, told = chosen.name, chosen.settings
     request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
-    _check(scale, noise_sigma, photometric)
     field = _field_of(burst, shift_field, lens_field)
     response = told_response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
@@ -340,7 +340,8 @@ def _field_of(
     return lens_field.of(burst)
 
 
-def _check(scale: int, noise_sigma: float | None, photometric: bool) -> None:
+def _check(burst: Burst, scale: int, noise_sigma: float | None, photometric: bool) -> None:
+    expect_burst(burst)
     truth().check("photometric", photometric)
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)

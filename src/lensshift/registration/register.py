@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
+from lensshift.core.defects import stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
@@ -108,6 +109,8 @@ def register(
         reference = int(np.searchsorted(kept, reference)) % len(kept)
     frames = frames_of(burst, channel)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
+    stuck = None if np.iscomplexobj(frames) else stuck_pixels(frames, valid)
+    valid = valid if stuck is None else valid & ~stuck
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
     said, affine, apart = bool(np.any(given_px)), None, None

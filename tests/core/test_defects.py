@@ -1,0 +1,85 @@
+"""Pixels that show the same whatever lies before them."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.special import erf
+
+from lensshift import Burst, QualityWarning, reconstruct, register
+from lensshift.core.defects import stuck_pixels
+
+SHAPE = (23, 34)
+FOUR_PX = np.array([(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)])
+
+
+def soft_scene(seed: int, offset_px: np.ndarray, sigma: float = 0.01) -> np.ndarray:
+    """Return frames [frame row col] of smooth texture that moves by Fourier's shift."""
+    rng = np.random.default_rng(seed)
+    scene = gaussian_filter(rng.standard_normal(SHAPE), 1.2, mode="wrap")
+    scene = 0.5 + 0.15 * scene / scene.std()
+    row, col = np.fft.fftfreq(SHAPE[0])[:, None], np.fft.fftfreq(SHAPE[1])
+    turns = [np.exp(-2j * np.pi * (row * r + col * c)) for r, c in offset_px]
+    y = np.stack([np.fft.ifft2(np.fft.fft2(scene) * turn).real for turn in turns])
+    return np.asarray(y + sigma * rng.standard_normal(y.shape))
+
+
+def star(at: tuple[float, float], offset_px: np.ndarray, lens_px: float) -> np.ndarray:
+    """Return frames of a point of light 1 at a place, behind a Gaussian lens, by square pixels."""
+    shares = []
+    for axis, size in enumerate(SHAPE):
+        edge = np.arange(size + 1) - 0.5 - at[axis] - offset_px[:, axis, None]
+        shares.append(np.diff(0.5 * erf(edge / lens_px / np.sqrt(2)), axis=1))
+    return np.einsum("kr,kc->krc", *shares)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("unit", [1.0, -250.0])
+def test_hot_and_dead_pixels_are_found_and_no_others(seed: int, unit: float) -> None:
+    y = soft_scene(seed, FOUR_PX)
+    assert stuck_pixels(unit * y) is None
+    y[:, 4, 7], y[:, 22, 0], y[:, 15, 30] = 9.0, 8.0, -6.0
+    found = stuck_pixels(unit * y)
+    assert found is not None
+    assert np.argwhere(found).tolist() == [[4, 7], [15, 30], [22, 0]]
+    valid = np.ones(y.shape, bool)
+    valid[1, 4, 7] = valid[:, 15, 29] = False
+    found = stuck_pixels(np.where(valid, unit * y, np.nan), valid)
+    assert found is not None
+    assert np.argwhere(found).tolist() == [[15, 30], [22, 0]]
+
+
+def test_points_of_light_behind_a_lens_are_no_defects() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        at = rng.uniform(4, 19, 2)
+        y = 0.2 + 30 * star((at[0], at[1]), FOUR_PX, float(rng.uniform(0.2, 0.5)))
+        assert stuck_pixels(y + 0.01 * rng.standard_normal(y.shape)) is None
+
+
+def test_levels_of_a_flat_hill_are_no_defects() -> None:
+    row, col = np.indices(SHAPE)
+    hill = 100.6 - ((row - 11) ** 2 + (col - 17) ** 2) / 30
+    assert stuck_pixels(np.round(np.stack([hill] * 4))) is None
+
+
+def test_few_frames_and_narrow_ones_tell_no_defects() -> None:
+    y = soft_scene(1, FOUR_PX)
+    y[:, 4, 7] = 9.0
+    assert stuck_pixels(y[:2]) is None
+    assert stuck_pixels(y[:, 4:6]) is None
+
+
+def test_defects_pull_no_shifts_and_are_no_part_of_the_picture() -> None:
+    clean = soft_scene(2, FOUR_PX)
+    y = clean.copy()
+    y[:, 4, 7], y[:, 15, 30], y[:, 12, 12] = 9.0, 8.0, -5.0
+    unknown = Burst.from_arrays(y, offset_px=np.zeros((4, 2)), pitch_mm=0.1)
+    found = register(unknown).offset_px
+    np.testing.assert_allclose(found - found[0], FOUR_PX - FOUR_PX[0], atol=0.04)
+    known = Burst.from_arrays(y, offset_px=FOUR_PX, pitch_mm=0.1)
+    with pytest.warns(
+        QualityWarning, match=r"3 pixels do not follow the scene.*\(4, 7\), \(12, 12"
+    ):
+        with_defects = reconstruct(known, 2).amplitude
+    right = reconstruct(Burst.from_arrays(clean, offset_px=FOUR_PX, pitch_mm=0.1), 2).amplitude
+    assert np.sqrt(np.mean((with_defects.image - right.image) ** 2)) < 0.02
