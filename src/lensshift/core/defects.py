@@ -23,7 +23,7 @@ def stuck_pixels(
 ) -> NDArray[np.bool_] | None:
     """Return the pixels [row col] that do not follow a scene that moves, None if there are none.
 
-        min_k |y_k - nearest of 8 neighbours| > 10 max over the 9 of (max_k y - min_k y)
+        min_k y - max_k of 8 neighbours > 10 max over the 9 of (max_k y - min_k y),   or below them
 
     Hot and dead pixels lie at one place in all frames: they hold shifts that are looked for at 0,
     and the picture shows them as squares. The frames have to lie apart by a good part of a pixel.
@@ -35,26 +35,25 @@ def stuck_pixels(
     """
     if len(frames) < LEAST_FRAMES or min(frames.shape[1:]) < 3:
         return None
-    y = np.asarray(frames, np.float64)
-    used = np.ones(y.shape, np.bool_) if valid is None else valid
-    above = y - _of_neighbours(np.where(used, y, -np.inf), np.maximum)
-    below = _of_neighbours(np.where(used, y, np.inf), np.minimum) - y
-    stands_out = np.maximum(above.min(axis=0), below.min(axis=0))
-    highest, lowest = np.where(used, y, -np.inf).max(axis=0), np.where(used, y, np.inf).min(axis=0)
+    used = np.ones(frames.shape, np.bool_) if valid is None else valid
+    highest = np.where(used, frames, -np.inf).max(axis=0)
+    lowest = np.where(used, frames, np.inf).min(axis=0)
+    most, least = _of_neighbours(highest, np.maximum), _of_neighbours(lowest, np.minimum)
+    stands_out = np.maximum(lowest - most, least - highest)
     change = np.maximum(highest - lowest, 0.0)  # -inf where a pixel is never valid
-    change = np.maximum(change, _of_neighbours(change[None], np.maximum)[0])
-    least = np.maximum(STANDS_OUT * change, LEAST_CONTRAST * float(np.std(y[used])))
-    stuck = used.all(axis=0) & np.isfinite(stands_out) & (stands_out > least)
-    return np.asarray(stuck) if stuck.any() else None
+    change = np.maximum(change, _of_neighbours(change, np.maximum))
+    limit = np.maximum(STANDS_OUT * change, LEAST_CONTRAST * float(np.std(frames[used])))
+    stuck = used.all(axis=0) & np.isfinite(stands_out) & (stands_out > limit)
+    return stuck if stuck.any() else None
 
 
 def _of_neighbours(values: NDArray[Any], least_or_most: np.ufunc) -> NDArray[Any]:
-    """Return the least or the most [frame row col] of the eight neighbours that there are."""
+    """Return the least or the most [row col] of the eight neighbours that there are."""
     beyond = np.inf if least_or_most is np.minimum else -np.inf
-    rows, cols = values.shape[1:]
-    padded = np.pad(values, ((0, 0), (1, 1), (1, 1)), constant_values=beyond)
-    parts = [
-        padded[:, i : i + rows, j : j + cols]
-        for i in range(3) for j in range(3) if (i, j) != (1, 1)
-    ]  # fmt: skip
-    return np.asarray(least_or_most.reduce(np.stack(parts)))
+    rows, cols = values.shape
+    padded = np.pad(values, 1, constant_values=beyond)
+    found = np.full(values.shape, beyond)
+    for i, j in np.ndindex(3, 3):
+        if (i, j) != (1, 1):
+            least_or_most(found, padded[i : i + rows, j : j + cols], out=found)
+    return found

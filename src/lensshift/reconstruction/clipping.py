@@ -21,6 +21,8 @@ Mask = NDArray[np.bool_]
 # An end of the range is one where the outermost value is more frequent than the next by so many
 # standard errors; of noise it is the rarest.
 SURE = 3.0
+# So few are never surely more than one.
+FEW = 11
 # Ends of the ranges of cameras: of numbers up to 1, and of 8 to 16 bits. More than so many pixels
 # there are no glints.
 ENDS, TELLING_SHARE = (1.0, *(2.0**bits - 1 for bits in range(8, 17))), 0.05
@@ -52,15 +54,18 @@ def clipped_pixels(values: Array, used: Mask) -> Mask | None:
     if not seen.size:
         return None
     found: Mask | None = None
-    for end, inner in ((seen.max(), np.less), (seen.min(), np.greater)):
-        others = seen[inner(seen, end)]
-        if not others.size:  # one value is no range
+    for end, outermost in ((seen.max(), np.max), (seen.min(), np.min)):
+        at_end = seen == end
+        count = np.count_nonzero(at_end)
+        if count <= FEW:
+            continue
+        if count == seen.size:  # one value is no range
             return None
-        following = others.max() if inner is np.less else others.min()
-        count, beside = seen.size - others.size, np.count_nonzero(others == following)
+        others = seen[~at_end]
+        beside = np.count_nonzero(others == outermost(others))
         if count - beside > SURE * np.sqrt(count + beside):
-            at_end = used & (values == end)
-            found = at_end if found is None else found | at_end
+            clipped = used & (values == end)
+            found = clipped if found is None else found | clipped
     return found
 
 

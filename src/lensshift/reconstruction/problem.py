@@ -315,9 +315,9 @@ def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
     return float(level), float(high - low)
 
 
-def some_pixels(values: Array, used: NDArray[np.bool_]) -> Array:
+def some_pixels(values: Array, used: NDArray[np.bool_], most: int = MOST_PIXELS) -> Array:
     """Return the pixels that are used, of many some that are spread over all frames."""
-    step = values.size // MOST_PIXELS | 1  # odd, so that no column is seen alone
+    step = values.size // most | 1  # odd, so that no column is seen alone
     some = values.ravel()[::step][used.ravel()[::step]]
     return some if some.size else values[used]
 

@@ -26,6 +26,8 @@ LEAST_SIGMA = 1e-7
 EVEN_SHIFT_PX = 0.05
 # Numbers are on levels if each is there so many times; a drawing without noise has fewer levels.
 MOST_DIFFERENT, FEWEST_LEVELS = 4, 12
+# So many pixels are asked: finer levels than a quarter of them are less than any noise that counts.
+MOST_PIXELS = 2048
 # Of the error of rounding, so many that the rest is 1 % of its variance.
 HARMONICS = np.arange(1, 61)
 # Fewer frames show no frequency that a scene hardly reaches.
@@ -85,7 +87,7 @@ def _step(y: Array, used: Mask) -> float:
     """Return the distance between the levels that real numbers are on, 0 if they are on none."""
     if y.dtype.kind == "c":
         return 0.0
-    some = some_pixels(y, used)
+    some = some_pixels(y, used, MOST_PIXELS)
     levels = np.unique(some)
     if not FEWEST_LEVELS <= levels.size <= some.size / MOST_DIFFERENT:
         return 0.0
