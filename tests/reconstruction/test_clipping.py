@@ -32,6 +32,7 @@ def reconstructed(y: NDArray[np.float64]) -> tuple[Reconstruction, list[str]]:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         found = reconstruct(burst, 2, psf_sigma_px=12**-0.5)
+    assert all(one.filename == __file__ for one in said)
     return found, [str(one.message) for one in said]
 
 

@@ -132,8 +132,8 @@ def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
     places = [f"({row}, {col})" for row, col in np.argwhere(stuck)]
     shown = ", ".join(places[:3]) + (" ..." if len(places) > 3 else "")
     warnings.warn(
-        f"{len(places)} pixels do not follow the scene, (row, col) {shown}: they are left out as "
-        "defective (mark such pixels False in valid)",
+        f"pixels that do not follow the scene are left out as defective: {len(places)}, at "
+        f"(row, col) {shown} (mark such pixels False in valid)",
         QualityWarning,
         stacklevel=stacklevel + 1,
     )

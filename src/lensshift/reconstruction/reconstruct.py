@@ -126,8 +126,7 @@ def reconstruct(
         the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
         changes. Or if they show another pixel response than was told, or are overexposed.
     """
-    _check(burst, scale, noise_sigma, photometric)
-    burst = burst if memory else without_stuck(burst, stacklevel=3)
+    burst = _checked(burst, scale, noise_sigma, photometric, memory)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, told = chosen.name, chosen.settings
@@ -340,13 +339,17 @@ def _field_of(
     return lens_field.of(burst)
 
 
-def _check(burst: Burst, scale: int, noise_sigma: float | None, photometric: bool) -> None:
+def _checked(
+    burst: Burst, scale: int, noise_sigma: float | None, photometric: bool, memory: Memory | None
+) -> Burst:
+    """Return the burst without the pixels that are stuck; a stream does not look for them."""
     expect_burst(burst)
     truth().check("photometric", photometric)
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)
     if isinstance(scale, bool) or scale not in range(1, 9):
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
+    return burst if memory else without_stuck(burst, stacklevel=3)
 
 
 def _settings(

@@ -120,8 +120,7 @@ def fit_scan(
     found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     bent, order = None, 0
     if over_sensor:
-        play_mm, _ = _play(found, covariance, turns)
-        effective_mm = away_mm - 0.5 * play_mm * held
+        effective_mm = away_mm - 0.5 * _play(found, covariance, turns)[0] * held
         known_px = _slip_px(lens_field, effective_mm @ found[:2])
         bent, order, texture_px, doubt_px2 = fit_field(
             burst, design @ found, effective_mm, known_px
