@@ -59,6 +59,7 @@ class NoiseLaw:
     sigma : root of the mean variance
     a, b : level and slope
     darkest, brightest : range of light that was seen; beyond it the variance is that at its end
+    ceiling : whether texture may be in all that was seen, and there is less noise
     """
 
     sigma: float
@@ -66,6 +67,7 @@ class NoiseLaw:
     b: float
     darkest: float
     brightest: float
+    ceiling: bool = False
 
     @property
     def coefficients(self) -> dict[str, float]:
@@ -80,7 +82,13 @@ class NoiseLaw:
             self.b * unit,
             self.darkest * unit + level,
             self.brightest * unit + level,
+            self.ceiling,
         )
+
+    def times(self, factor: float) -> NoiseLaw:
+        """Return the law of so many times the noise."""
+        a, b = self.a * factor**2, self.b * factor**2
+        return NoiseLaw(self.sigma * factor, a, b, self.darkest, self.brightest)
 
     def variance(self, light: Array) -> NDArray[np.float64]:
         """Return the variance at each pixel."""
@@ -144,9 +152,9 @@ def noise_law(
     return _fitted(energy, light, filters.energy).scaled(unit, level) if light.size else None
 
 
-def constant_noise(sigma: float) -> NoiseLaw:
+def constant_noise(sigma: float, *, ceiling: bool = False) -> NoiseLaw:
     """Return the law of noise that is the same at any light."""
-    return NoiseLaw(sigma, sigma**2, 0.0, -np.inf, np.inf)
+    return NoiseLaw(sigma, sigma**2, 0.0, -np.inf, np.inf, ceiling)
 
 
 def _windows(values: Array) -> Array:
@@ -346,7 +354,9 @@ def _fitted(energy: Array, light: Array, white: Array) -> NoiseLaw:
     """Return level and slope from blocks [fit block] and those of white noise."""
     purity, usual = energy[0] / np.maximum(energy[-1], 1e-30), white[0] / white[-1]
     limit = np.quantile(usual, PASSING)
-    pure = purity <= max(limit, np.quantile(purity, 1 - PASSING))
+    # Of fewer blocks than of noise are left out none is known to be free of texture.
+    ceiling = bool((least := np.quantile(purity, 1 - PASSING)) > limit)
+    pure = purity <= max(limit, least)
     white = white[:, usual <= limit]
     reference = np.quantile(white, LOW, axis=1)
     best = int((np.quantile(energy[:, pure], LOW, axis=1) / reference).argmin())
@@ -356,7 +366,7 @@ def _fitted(energy: Array, light: Array, white: Array) -> NoiseLaw:
     # At the darkest; the low quantile is no block that texture is in.
     level = float(np.quantile(values / (1 + slope * (seen - low)), LOW))
     mean = level * float(np.mean(1 + slope * (np.clip(light, low, high) - low)))
-    return NoiseLaw(math.sqrt(mean), level * (1 - slope * low), level * slope, low, high)
+    return NoiseLaw(math.sqrt(mean), level * (1 - slope * low), level * slope, low, high, ceiling)
 
 
 def _brighter(values: Array, light: Array, white: Array) -> float:

@@ -74,12 +74,12 @@ def as_predicted(asked: Asked, found: Solution, solve: Callable[[Asked], Solutio
         replace(asked, sigma=factor * even, alike=alike)
         for factor in factors for alike in (False, True)
     ]  # fmt: skip
-    errors = [_error(_middle(one), solve) for one in tried]
+    errors = [_error(middle_of(one), solve) for one in tried]
     best = int(np.argmin(errors))
     return tried[best if errors[best] < BETTER * errors[0] else 0]
 
 
-def _middle(asked: Asked) -> Asked:
+def middle_of(asked: Asked) -> Asked:
     """Return what is asked of the middle of large frames: it says as much in less time."""
     rows, cols = (
         slice(start := max(0, (n - MOST_PX) // 2), start + min(n, MOST_PX))

@@ -17,6 +17,7 @@ from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels,
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.learned.noise import noise_map, rounded_std
 from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
+from lensshift.reconstruction.learned.residual import less_noise
 from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution, solve_together
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
@@ -43,6 +44,10 @@ SHARPENINGS = 2
 def auto(problem: Problem, request: Request) -> Estimate:
     """Exact data steps and a learned prior; the noise decides what is believed of both."""
     law, least, noise = noise_map(problem, request.memory, request.law)
+    if law.ceiling:
+        law = law.times(_share_of_noise(problem, noise, request))
+        known = law.scaled(problem.intensity, problem.level)
+        law, least, noise = noise_map(problem, known=known)
     found, std = solved(problem, noise, request)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
@@ -58,6 +63,18 @@ def auto(problem: Problem, request: Request) -> Estimate:
         noise_sigma=max(law.sigma, least),
         notes=dict(found.notes) | {"noise_law": in_units.coefficients},
     )
+
+
+def _share_of_noise(problem: Problem, noise: NDArray[np.float64], request: Request) -> float:
+    """Return how much there is of the noise that was read, as the last step of a stream said."""
+    memory = request.memory
+    share: float | None = None if memory is None else memory.recalled()
+    if share is None:
+        asked = _asked(problem, with_shift_errors(noise, problem))
+        share = less_noise(asked, partial(_picture, request=request))
+    if memory is not None:
+        memory.keep(share)
+    return share
 
 
 def solved(

@@ -109,4 +109,5 @@ def _estimated_noise(problem: Problem) -> NoiseLaw:
         if law is not None:
             return law
     weight = problem.telling_weight
-    return constant_noise(estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma)
+    sigma = estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma
+    return constant_noise(sigma, ceiling=problem.even_noise)
