@@ -12,7 +12,7 @@ from lensshift.core.units import within_half_a_turn
 
 Array = NDArray[Any]
 
-WINDOW_PX = 5
+WINDOW = (1, 5, 5)  # frame row col, LR pixels
 # What mixes in the frames lies farther apart than its mixtures: one range more on either side.
 MOST_RANGES = 1.5
 
@@ -42,12 +42,12 @@ def within_reach(
     scale : HR pixels per LR pixel
     """
     low, high, first = np.full(phase_rad.shape, np.inf), np.full(phase_rad.shape, -np.inf), None
-    for z, seen, moved_px in zip(y, used, offset_px, strict=True):
+    for *ranges, moved_px in zip(*_range_around(np.angle(y), used), offset_px, strict=True):
         nearest = [
             np.rint((np.arange(scale * n) + 0.5) / scale - 0.5 + move).astype(int).clip(0, n - 1)
-            for n, move in zip(z.shape, moved_px, strict=True)
+            for n, move in zip(y.shape[1:], moved_px, strict=True)
         ]
-        middle, half = (one[np.ix_(*nearest)] for one in _range_around(np.angle(z), seen))
+        middle, half = (one[np.ix_(*nearest)] for one in ranges)
         first = middle if first is None else first
         apart = within_half_a_turn(middle - first)
         low, high = np.minimum(low, apart - half), np.maximum(high, apart + half)
@@ -59,14 +59,14 @@ def within_reach(
 
 
 def _range_around(phase_rad: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return middle and half width of the phases around each pixel, -inf where there are none.
+    """Return middle and half width [frame row col] of the phases around each pixel of its frame.
 
-    Of the two ways to count, from -pi or from 0, that which does not part them.
+    Of none -inf. Of the two ways to count, from -pi or from 0, that which does not part them.
     """
     ways = []
     for counted in (phase_rad, np.mod(phase_rad, 2 * np.pi)):
-        least = minimum_filter(np.where(seen, counted, np.inf), WINDOW_PX)
-        most = maximum_filter(np.where(seen, counted, -np.inf), WINDOW_PX)
+        least = minimum_filter(np.where(seen, counted, np.inf), WINDOW)
+        most = maximum_filter(np.where(seen, counted, -np.inf), WINDOW)
         some = most >= least
         least, most = np.where(some, least, 0.0), np.where(some, most, 0.0)
         ways.append(((least + most) / 2, np.where(some, (most - least) / 2, -np.inf)))
