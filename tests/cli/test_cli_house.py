@@ -230,7 +230,7 @@ def test_what_takes_long_before_the_first_iteration_is_said(
     slow._begun.join(10.0)
     slow.close()
     said = capsys.readouterr().err
-    assert said.count("preparing (the first call after an installation compiles") == 1
+    assert said.count("preparing (compiles once, after an installation)") == 1
 
 
 def test_every_source_of_a_width_has_words() -> None:
