@@ -7,6 +7,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import get_args
 
@@ -18,6 +19,7 @@ from lensshift import Burst, DataError, load_image_stack, save_burst
 from lensshift.cli import _one_line, main, session
 from lensshift.cli.reconstruct import _WIDTH_SOURCES
 from lensshift.cli.session import Progress, StatusLine
+from lensshift.core.processes import ready_with
 from lensshift.core.settings import to_json
 from lensshift.io import memory_limit
 from lensshift.reconstruction.pixel_response import WidthSource
@@ -212,6 +214,38 @@ def test_unexpected_error_is_one_line_too(capsys: pytest.CaptureFixture[str]) ->
     assert caught.value.code == 130
 
 
+INTERRUPTED_EARLY = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored under nohup
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == "lensshift.cli.app":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+from lensshift.cli import main
+main()
+"""
+
+
+def test_ctrl_c_while_modules_are_loaded_shows_no_traceback() -> None:
+    command = [sys.executable, "-c", INTERRUPTED_EARLY, "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
+def test_the_server_of_processes_leaves_ctrl_c_to_this_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    met: list[object] = []
+    monkeypatch.setattr(
+        forkserver, "ensure_running", lambda: met.append(signal.getsignal(signal.SIGINT))
+    )
+    before = signal.getsignal(signal.SIGINT)
+    ready_with("lensshift.core.units")
+    assert met == [signal.SIG_IGN]  # which the server inherits, and its processes from it
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 class Clock:
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -230,7 +264,7 @@ def test_what_takes_long_before_the_first_iteration_is_said(
     slow._begun.join(10.0)
     slow.close()
     said = capsys.readouterr().err
-    assert said.count("preparing (the first call after an installation compiles") == 1
+    assert said.count("preparing (compiles once, after an installation)") == 1
 
 
 def test_every_source_of_a_width_has_words() -> None:

@@ -291,3 +291,38 @@ def test_complex_result_has_a_preview_but_no_picture(
     done = call("reconstruct", tmp_path / "b.nc", "--export", tmp_path / "b.tif")
     assert done.exit_code == 1
     assert "complex" in done.stderr
+
+
+def test_photometric_goes_for_unknown_shifts_as_well(call: Call, tmp_path: Path) -> None:
+    """Frames of other exposures, which have no shifts in common as they are."""
+    rows, cols = np.mgrid[:96, :128] / 2.0
+    waves = np.random.default_rng(2).uniform(-0.6, 0.6, (12, 2))
+    scene = 100 + sum(9 * np.cos(2 * np.pi * (a * rows + b * cols) / 2 + 5 * a) for a, b in waves)
+    moved = [(0, 0), (0, 1), (1, 1), (1, 0)]  # of the finer grid, half pixels
+    frames = np.stack(
+        [
+            np.roll(scene, one, (0, 1)).reshape(48, 2, 64, 2).mean(axis=(1, 3))[4:-4, 4:-4]
+            for one in moved
+        ]
+    )
+    frames += np.random.default_rng(3).normal(0, 0.05, frames.shape)
+    np.save(tmp_path / "stack.npy", frames * np.array([1, 1, 0.4, 1])[:, None, None])
+    plain = call("reconstruct", tmp_path / "stack.npy", "--json")
+    assert "the brightness of the frames differs" in plain.stderr
+    done = call("reconstruct", tmp_path / "stack.npy", "--photometric", "--json")
+    assert "brightness of the frames differs" not in done.stderr
+    found = np.array(json.loads(done.stdout)["offset_px"])
+    np.testing.assert_allclose(found - found[0], np.array(moved) / 2, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--psf-sigma-px", "30"], "LR px from 0 to 10, got '30'"),
+        (["--out", ""], "is a folder; expected the name of the result"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_any_work(
+    refused: Refused, burst_file: Path, options: list[str], said: str
+) -> None:
+    refused(["reconstruct", burst_file, *options], 2, said)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Pinhole, PixelDirections, points_m
 from lensshift.core.point_cloud import PointCloud, make_cloud
@@ -180,3 +180,12 @@ def test_directions_of_few_pixels_are_refined_too(shape: tuple[int, int]) -> Non
     fine = PixelDirections(pinhole.directions(shape)).refine(2)
     wanted = pinhole.refine(2).directions((2 * shape[0], 2 * shape[1]))
     np.testing.assert_allclose(fine.direction, wanted, atol=3e-3)
+
+
+@pytest.mark.parametrize("focal_length_mm", [0.0045, 4500.0])
+def test_a_focal_length_in_metres_or_micrometres_is_questioned(focal_length_mm: float) -> None:
+    Pinhole.of_focal_length(GRID, 4.5)
+    with pytest.warns(QualityWarning, match="right unit"):
+        Pinhole.of_focal_length(GRID, focal_length_mm)
+    with pytest.warns(QualityWarning, match="right unit"):
+        Pinhole.centred(GRID, 0.045)

@@ -190,3 +190,10 @@ def test_what_cannot_be_stored_is_refused(
         save_burst(make_burst(**fields), tmp_path / "new.nc")
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["x.tif", "x.NPZ", "x.png", "x.fits"])
+def test_a_name_of_another_format_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"\.nc, for a netCDF file"):
+        save_burst(make_burst(), tmp_path / name)
+    assert not list(tmp_path.iterdir())

@@ -22,7 +22,7 @@ from lensshift import (
     save_reconstruction,
 )
 from lensshift.camera import PlainOptics, camera_preset, simulate_tof_burst
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.units import distance_to_phase
 from lensshift.evaluation import depth_error
@@ -271,3 +271,15 @@ def test_phasors_that_do_not_fit(fields: dict[str, Any], field: str) -> None:
     given = {"amplitude": np.ones((2, 4, *SHAPE), complex), "modulation_hz": PAIR_HZ} | fields
     with pytest.raises(DataError, match=field):
         Burst.from_arrays(given.pop("amplitude"), offset_px=OFFSETS, pitch_mm=0.1, **given)
+
+
+@pytest.mark.parametrize("hz", [(20e6, 80e6), (100e6, 80e6, 60e6), (80e6, 60e6)])
+def test_frequencies_in_the_wrong_order_are_told(hz: tuple[float, ...]) -> None:
+    burst = wall(hz)
+    reconstruct(burst)  # and no warning
+    wrong = (*hz[1:], hz[0])
+    right = ", ".join(f"{one:g}" for one in hz)
+    with pytest.warns(QualityWarning, match="fit no distance") as said:
+        reconstruct(replace(burst, modulation_hz=wrong))
+    assert any(f"in that of {right} Hz" in str(one.message) for one in said)
+    assert said[0].filename == __file__

@@ -200,3 +200,13 @@ def test_strict_types_need_no_assertion(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
     assert "Estimate" in done.stdout
+
+
+def test_a_pitch_that_nobody_told_is_not_shown() -> None:
+    frames = np.arange(48.0).reshape(2, 4, 6)
+    untold = Burst.from_arrays(frames)
+    result = Reconstruction(Estimate(np.ones((8, 12))), None, untold.grid.refine(2), 2, "x", {})
+    for value, shape in ((untold, "4, 6"), (result, "8, 12")):
+        assert f"shape {shape}, pitch not told" in repr(value)
+        assert "pitch_mm" not in repr(value) + value._repr_html_()
+    assert "pitch_mm 0.1, 0.1" in repr(Burst.from_arrays(frames, pitch_mm=0.1))

@@ -48,6 +48,19 @@ def test_all_there_is_to_know_is_drawn(shape: tuple[int, int], distance: bool) -
         assert_well_drawn(figure)
 
 
+@pytest.mark.parametrize("shape", [(40, 30), (16, 64)])
+def test_each_kind_of_picture_has_its_column_where_one_is_missing(shape: tuple[int, int]) -> None:
+    """Phasors of several frequencies have no bicubic of their distance."""
+    figure = result_figure(_result(shape), {"amplitude": np.ones(shape)})
+    along = 0 if shape[0] > shape[1] else 1
+    for kind in ("", "standard deviation of "):
+        first, second = (
+            axes_titled(figure, f"{kind}{name}").get_position().get_points()[0, along]
+            for name in ("amplitude", "distance")
+        )
+        assert first == pytest.approx(second)
+
+
 def test_pictures_of_nothing_and_of_phasors_are_drawn() -> None:
     image = np.full((5, 9), np.nan)
     grid = Grid((5, 9), (0.1, 0.1))

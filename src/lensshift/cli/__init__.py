@@ -15,11 +15,12 @@ from lensshift.core.errors import printable
 
 def main() -> None:
     """Run `lensshift`; exit code 0: done, 1: failed, 2: wrong usage, 130: interrupted."""
+    sys.excepthook = _one_line  # before the imports, which may be interrupted too
+
     from typer.main import get_command
 
     from lensshift.cli.app import app
 
-    sys.excepthook = _one_line
     if sys.stdout is not None:  # as it is where the caller closed it
         sys.stdout = cast(TextIO, _Unread(sys.stdout))
     if sys.stderr is not None:
@@ -73,6 +74,7 @@ class _Printable:
 def _one_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Report an error that no verb expected; it is ours, so ask for the traceback."""
     if issubclass(kind, KeyboardInterrupt):
+        sys.stderr.write("interrupted\n")
         sys.exit(130)
     text = " ".join(f"{kind.__name__}: {error}".split())
     sys.stderr.write(f"error: this should not happen ({text}); see where with --debug\n")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import typer
 
 from lensshift.cli import outputs
 from lensshift.cli.images import (
@@ -118,6 +121,8 @@ def _pictures(asked: ChartOptions) -> tuple[list[Photograph], Measured]:
     paths, focus, count = asked.images, asked.focus, len(asked.images)
     expected = f"a focus for each of {count} photographs, as 0,10,20"
     places = range(count) if focus is None else parse_numbers(focus, count, expected)
+    if not all(map(math.isfinite, places)):
+        raise typer.BadParameter(f"expected {expected}, got {focus!r}")
     if asked.pitch_mm is not None:
         parse_pitch_mm(asked.pitch_mm)
     read = [measured_photograph(ImageOptions(one, asked.pitch_mm), asked.photo) for one in paths]

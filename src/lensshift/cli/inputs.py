@@ -157,7 +157,9 @@ def check_files(inputs: Iterable[Path | None], outputs: Sequence[Path]) -> None:
 
 def check_netcdf(path: Path, what: str, cure: str = "") -> None:
     """Refuse a name that promises another format than the one that is written."""
-    if path.suffix.lower() != ".nc" and not path.is_dir():  # of which others say what is wrong
+    if path.is_dir():
+        raise typer.BadParameter(f"{path} is a folder; expected the name of {what}, a .nc file")
+    if path.suffix.lower() != ".nc":
         raise typer.BadParameter(f"{path}: {what} is a netCDF file (.nc){cure}")
 
 

@@ -30,7 +30,7 @@ class EdgeOptions:
         None, "Of ml: light is uneven, or not; else it is found out.", "--tilt/--no-tilt"
     )
     at: list[float] | None = option(
-        None, "Frequency at which the MTF is wanted; again for each further one."
+        None, "Frequency at which the MTF is wanted; again for each further one.", min=0.0
     )
 
     def given(self) -> dict[str, Any]:

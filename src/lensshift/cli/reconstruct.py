@@ -52,12 +52,15 @@ def width_px(text: str) -> float | None:
     """Return the width that an option tells, None for auto."""
     if text == "auto":
         return None
+    from lensshift.reconstruction.problem import MOST_BLUR_PX
+
     try:
         told_px = float(text)
     except ValueError:
         told_px = -1.0
-    if not told_px >= 0.0:
-        raise typer.BadParameter(f"expected auto or a number of LR px from 0, got {text!r}")
+    if not 0.0 <= told_px <= MOST_BLUR_PX:
+        expected = f"auto or a number of LR px from 0 to {MOST_BLUR_PX:g}"
+        raise typer.BadParameter(f"expected {expected}, got {text!r}")
     return told_px
 
 
@@ -190,7 +193,7 @@ def _located(
     known: dict[str, Any] = {}
     lens_field, calibration = asked.lens_field, asked.calibration
     if burst.offset_source == "unknown" and calibration is None:
-        burst = with_shifts(current, burst, asked.motion)
+        burst = with_shifts(current, burst, asked.motion, photometric=asked.photometric)
     elif asked.motion != "auto":
         raise ValueError("--motion is for unknown shifts; lensshift register finds others anew")
     if calibration is not None:
@@ -300,7 +303,9 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
     same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
     if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
         same["channel"] = "auto"
-    bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
+    with warnings.catch_warnings():  # of the burst all was said
+        warnings.simplefilter("ignore", QualityWarning)
+        bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
     reference = {name: one.image for name, one in bicubic.channels.items()}
     title = f"{result.method} x{result.scale}"
     try:

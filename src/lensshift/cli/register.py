@@ -69,12 +69,12 @@ def register(current: Session, asked: RegisterOptions) -> None:
     current.wrote(target)
 
 
-def with_shifts(current: Session, burst: Burst, motion: Motion) -> Burst:
+def with_shifts(current: Session, burst: Burst, motion: Motion, *, photometric: bool) -> Burst:
     """Return a burst of unknown shifts with those that its frames tell, and say them."""
     from lensshift.registration import register as find_shifts
 
     with closing(Waiting("finding the shifts")):
-        found = find_shifts(burst, motion=motion)
+        found = find_shifts(burst, motion=motion, photometric=photometric)
     current.say("no shifts are given; the frames say:")
     _say(current, found)
     return found

@@ -18,7 +18,7 @@ class ReproduceOptions:
     """Options of `lensshift reproduce`."""
 
     out: Path = option(Path("lensshift-paper"), "Folder for results.json and report.html.", "-o")
-    quick: bool = option(False, "Fewer draws, under a minute.")
+    quick: bool = option(False, "Fewer draws, about a minute.")
     processes: int | None = option(None, "Side by side; default: all cores.", min=1)
 
 
@@ -32,7 +32,7 @@ def reproduce(current: Session, asked: ReproduceOptions) -> None:
     """
     from lensshift.pipeline.paper import reproduce as reproduce_paper
 
-    with closing(Progress("measuring")) as progress:
+    with closing(Progress("experiments of the paper", preparing=True)) as progress:
         found = reproduce_paper(
             asked.out,
             quick=asked.quick,

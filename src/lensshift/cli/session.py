@@ -37,7 +37,7 @@ _EXTRAS = {
     "astropy": "fits", "torch": "torch", "distributed": "cluster", "starlette": "live",
 }  # fmt: skip
 _QUIET_S = 1.0  # what is over sooner needs no word
-_PREPARING = "preparing (the first call after an installation compiles its inner loops)"
+_PREPARING = "preparing (compiles once, after an installation)"
 _TERMINAL_EVERY_S = 0.1  # smooth to the eye
 _FILE_EVERY_S = 5.0  # a line of a log
 

@@ -1,4 +1,4 @@
-"""Pixels that show the same whatever lies before them."""
+"""What frames of one still scene cannot show: stuck pixels, other exposures, a colour mosaic."""
 
 from __future__ import annotations
 
@@ -14,6 +14,15 @@ STANDS_OUT = 10.0
 # And by this part of the standard deviation of the frames: less does little harm, and a flat hill
 # whose top is one level of a converter higher does so, too.
 LEAST_CONTRAST = 0.5
+# What enters and leaves a picture at its borders changes its mean by a few hundredths of the
+# standard deviation of its pixels; half of that is another exposure or another light.
+OTHER_LIGHT = 0.5
+# Of the standard deviation of a frame: rows and columns of real frames, odd against even, differ by
+# up to 0.03, those behind the filters of a colour camera by some 0.5.
+MOSAIC = 0.1
+# What shows by chance once in a million: five standard errors.
+NO_CHANCE = 5.0
+LEAST_BLOCKS = 16  # of 2 x 2 pixels; fewer say nothing of how they scatter
 # Fewer frames show no change that noise would not.
 LEAST_FRAMES = 3
 
@@ -45,6 +54,93 @@ def stuck_pixels(
     limit = np.maximum(STANDS_OUT * change, LEAST_CONTRAST * float(np.std(frames[used])))
     stuck = used.all(axis=0) & np.isfinite(stands_out) & (stands_out > limit)
     return stuck if stuck.any() else None
+
+
+def doubts_about_frames(
+    frames: NDArray[Any], valid: NDArray[np.bool_] | None = None, *, photometric: bool
+) -> list[str]:
+    """Say what frames of one still scene by one camera can hardly be like.
+
+    Parameters
+    ----------
+    photometric : whether their brightness may differ
+    """
+    said = [colour_mosaic(frames, valid)]
+    if not photometric:
+        said.append(unequal_brightness(frames, valid))
+    return [text for text in said if text]
+
+
+def unequal_brightness(frames: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> str:
+    """Say that the brightness of frames of one still scene differs, as by exposure; or "".
+
+    Parameters
+    ----------
+    frames : [frame row col]; complex ones by their modulus
+    valid : [frame row col], None: all pixels are
+    """
+    used = np.ones(frames.shape, np.bool_) if valid is None else valid
+    count = used.sum(axis=(1, 2))
+    numbers = np.flatnonzero(2 * count >= count.max())  # the others show too little to say
+    common = used[numbers].all(axis=0)
+    if len(numbers) < 2 or common.sum() < 4 * LEAST_BLOCKS:
+        return ""
+    light = [frames[k][common] for k in numbers]
+    light = [np.abs(one) if one.dtype.kind == "c" else one for one in light]
+    mean, spread = (
+        np.array([of(one, dtype=np.float64) for one in light]) for of in (np.mean, np.std)
+    )
+    if not np.ptp(mean) > OTHER_LIGHT * np.median(spread):
+        return ""
+    dark, bright = (int(numbers[pick(mean)]) for pick in (np.argmin, np.argmax))
+    return (
+        f"the brightness of the frames differs: {mean.min():.4g} on average in frame {dark}, "
+        f"{mean.max():.4g} in frame {bright}. Divide them by their exposure, or have gain and bias "
+        "of real frames estimated: photometric=True (--photometric)"
+    )
+
+
+def colour_mosaic(frames: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> str:
+    """Say that pixels lie behind a mosaic of filters, which does not move with the scene; or "".
+
+    Parameters
+    ----------
+    frames : [frame row col] real
+    valid : [frame row col], None: all pixels are
+    """
+    if len(frames) < LEAST_FRAMES or frames.dtype.kind == "c" or min(frames.shape[1:]) < 4:
+        return ""
+    everywhere = np.ones(frames.shape, np.bool_) if valid is None else valid
+    used: NDArray[np.bool_] = np.all(everywhere, axis=0)
+    whole = (used & (_of_neighbours(used.astype(np.float64), np.minimum) > 0))[1:-1, 1:-1]
+    plain = np.where(used, frames, 0.0)
+    # Of what is around, weighed 1 2 1, each place has a quarter: the rest shows no ramp.
+    rest = plain[:, 1:-1, 1:-1] - _one_two_one(_one_two_one(plain, 1), 2)
+    blocks = _blocks_of_four(rest)[:, :, _blocks_of_four(whole[None])[0].all(axis=0)]
+    if blocks.shape[2] < LEAST_BLOCKS:
+        return ""
+    stays = np.abs(blocks.mean(axis=(0, 2)))
+    error = blocks.mean(axis=0).std(axis=1, ddof=1) / np.sqrt(blocks.shape[2])
+    chance = NO_CHANCE * np.hypot(error, blocks.mean(axis=2).std(axis=0, ddof=1))
+    if not np.any(stays > np.maximum(chance, MOSAIC * np.std(plain[:, used], axis=1).mean())):
+        return ""
+    return (
+        "even and odd rows and columns differ alike in all frames, as behind the colour filters of "
+        "a Bayer camera, which do not move with the scene; take the pixels of one colour, such as "
+        "frames[:, ::2, 1::2], with half the offset_px and twice the pitch_mm"
+    )
+
+
+def _one_two_one(values: NDArray[Any], axis: int) -> NDArray[Any]:
+    ends = [values.take(range(k, values.shape[axis] - 2 + k), axis) for k in range(3)]
+    return np.asarray(0.25 * (ends[0] + ends[2]) + 0.5 * ends[1])
+
+
+def _blocks_of_four(values: NDArray[Any]) -> NDArray[Any]:
+    """Return [frame place block] of the four places in blocks of 2 x 2 pixels."""
+    count, rows, cols = len(values), values.shape[1] // 2, values.shape[2] // 2
+    whole = values[:, : 2 * rows, : 2 * cols].reshape(count, rows, 2, cols, 2)
+    return whole.transpose(0, 2, 4, 1, 3).reshape(count, 4, rows * cols)
 
 
 def _of_neighbours(values: NDArray[Any], least_or_most: np.ufunc) -> NDArray[Any]:

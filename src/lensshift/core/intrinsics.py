@@ -6,6 +6,7 @@ those of the image at offset (0, 0), with the lens at rest.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
@@ -13,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats, frozen
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
+from lensshift.core.units import doubt_about_focal_length
 
 _STEPS = 30  # of Newton's method: distortion that needs more is none of a lens
 _CONVERGED = 1e-12  # of a tangent: 1e-12 of the distance
@@ -63,7 +65,14 @@ class Pinhole:
         Parameters
         ----------
         fy_px : None: from `fx_px`, for pixels of the grid's pitch behind one lens
+
+        Warns
+        -----
+        QualityWarning
+            If the field of view can hardly be that of a lens.
         """
+        if fx_px > 0 and (doubt := doubt_about_focal_length(fx_px, grid.shape[1])):
+            warnings.warn(doubt, QualityWarning, stacklevel=2)
         rows, cols = grid.shape
         if fy_px is None:
             fy_px = fx_px * grid.pitch_mm[1] / grid.pitch_mm[0]
@@ -71,7 +80,7 @@ class Pinhole:
 
     @classmethod
     def of_focal_length(cls, grid: Grid, focal_length_mm: float) -> Pinhole:
-        """Return a pinhole at this distance from the middle of a grid."""
+        """Return a pinhole at this distance from the middle of a grid; warns as `centred`."""
         return cls.centred(grid, focal_length_mm / grid.pitch_mm[1])
 
     @classmethod

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensshift.core.grid import Grid
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
@@ -80,6 +82,9 @@ class AsTable:
 def described(value: Any) -> dict[str, str]:
     """Return what the fields of a dataclass hold, one line each; empty ones are left out."""
     found = {one.name: brief(getattr(value, one.name)) for one in fields(value)}
+    grid = getattr(value, "grid", None)
+    if isinstance(grid, Grid) and not grid.tells_pitch(getattr(value, "scale", 1)):
+        found["grid"] = f"shape {brief(grid.shape)}, pitch not told"
     return {name: text for name, text in found.items() if text}
 
 

@@ -13,6 +13,9 @@ MILLIMETRE_M = 1e-3
 LEAST_MODULATION_HZ = 1e3
 # No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
 MOST_PITCH_MM = 10.0
+# The widest lenses without distortion see 135 degrees, the narrowest of cameras (1.2 m of focal
+# length) 0.05 degrees with a sensor of 1 mm.
+LEAST_FIELD_DEG, MOST_FIELD_DEG = 0.05, 150.0
 # What no camera lights.
 MOST_DISTANCE_M = 1e3
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
@@ -74,6 +77,17 @@ def doubt_about_pitch(pitch_mm: float) -> str:
     if pitch_mm <= MOST_PITCH_MM:
         return ""
     return f"pitch_mm: expected the pixel pitch in mm, got {pitch_mm:g}; 155 um are 0.155"
+
+
+def doubt_about_focal_length(focal_length_px: float, width_px: int) -> str:
+    """Say why a focal length can hardly be in the unit it was meant in; or ""."""
+    field_deg = float(np.rad2deg(2.0 * np.arctan2(0.5 * width_px, focal_length_px)))
+    if LEAST_FIELD_DEG <= field_deg <= MOST_FIELD_DEG:
+        return ""
+    return (
+        f"focal length: {focal_length_px:.3g} pixels let {width_px} of them see {field_deg:.3g} "
+        "degrees, which no lens without distortion does; is it in the right unit, mm or pixels?"
+    )
 
 
 @dataclass(frozen=True, slots=True)

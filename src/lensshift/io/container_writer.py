@@ -25,6 +25,10 @@ from lensshift.io.atomic import written_whole
 
 CHUNK_BYTES = 1_000_000  # what HDF5 caches by default
 _LIBVER = ("v110", "v110")
+_OTHERS = frozenset([
+    ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".npy", ".npz", ".fits", ".fit", ".fts",
+    ".ply", ".pcd", ".mcap", ".rrd", ".csv", ".json", ".txt", ".toml", ".zip",
+])  # fmt: skip
 _STORABLE = frozenset(["u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8", "c8", "c16"])
 
 
@@ -76,6 +80,17 @@ class Content:
     attributes: Mapping[str, Any]
 
 
+def refuse_other_ending(path: str | Path) -> None:
+    """Raise a `DataError` if a name promises another format to whoever opens the file."""
+    ending = Path(path).suffix.lower()
+    if ending in _OTHERS:
+        raise DataError(
+            "expected a name that ends in .nc, for a netCDF file is written; export_burst and "
+            "export_reconstruction of lensshift.io write others",
+            source=path,
+        )
+
+
 def write_container(content: Content, path: str | Path) -> None:
     """Write variables and attributes to a new file; an old one is replaced in one step.
 
@@ -84,6 +99,7 @@ def write_container(content: Content, path: str | Path) -> None:
     DataError
         If a variable does not fit or the file cannot be written.
     """
+    refuse_other_ending(path)
     # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
     image = BytesIO()
     write_hdf5(content, image, path)

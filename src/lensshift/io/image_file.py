@@ -29,6 +29,7 @@ from lensshift.io.reading import (
 TIFF_SUFFIXES = (".tif", ".tiff")
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _PACKED = (".gz", ".fz")  # of telescopes' archives, after an ending of FITS
+_PACKERS = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar", ".tgz")  # of anything else
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 _PILLOW_SUFFIXES = (".png", *JPEG_SUFFIXES, ".bmp")
 IMAGE_SUFFIXES = (*TIFF_SUFFIXES, *_PILLOW_SUFFIXES, ".npy", *FITS_SUFFIXES)
@@ -83,7 +84,9 @@ def load_frames(path: str | Path) -> NDArray[Any]:
             )
         if suffix in RECORDING_SUFFIXES:
             raise DataError("no image, but a recording: lensshift live --replay plays it")
-        raise DataError(f"expected {', '.join(IMAGE_SUFFIXES)} or .npz, got {suffix!r:.40}")
+        cure = "; unpack it first" if suffix in _PACKERS else ""
+        known = ", ".join(IMAGE_SUFFIXES)
+        raise DataError(f"expected {known} or .npz, got {suffix!r:.40}{cure}")
 
 
 def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
@@ -285,7 +288,10 @@ def _pillow_frame(image: Any, number: int) -> NDArray[Any]:
     if image.mode not in _CHANNEL_MODES:
         raise DataError(f"expected greyscale, got mode {image.mode!r}; {_ADVICE}")
     if any("16" in str(tile[3]) for tile in image.tile):
-        raise DataError(f"colour of 16 bits a channel would lose its lower bits; {_ADVICE}")
+        raise DataError(
+            "16 bits a channel with colour or transparency would lose the lower ones; "
+            f"{_ADVICE}, without transparency"
+        )
     return _grey(np.asarray(image.convert("RGB") if image.mode == "P" else image))
 
 

@@ -179,10 +179,10 @@ def _stack(
         return values
     if values.ndim != 3:
         cure = ""
+        if values.ndim == 4 and 2 in values.shape[:2]:
+            cure += "; of real and imaginary parts, make complex frames: re + 1j * im"
         if values.ndim == 4 and 4 in values.shape[:2]:  # as those of a time-of-flight pixel
-            cure = "; of four phases, make complex frames: (d0 - d2) + 1j * (d1 - d3)"
-        elif values.ndim == 4 and 2 in values.shape[:2]:
-            cure = "; of real and imaginary parts, make complex frames"
+            cure += "; of four phases, make complex frames: (d0 - d2) + 1j * (d1 - d3)"
         raise DataError(
             f"expected [frame row col], got shape {values.shape}{cure}", field=field, source=path
         )

@@ -21,7 +21,14 @@ from lensshift.core.errors import DataError, naming
 from lensshift.io.atomic import GrowingFile, writable_target, written_whole
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import Allocated, Content, measured, sealed_text, write_hdf5
+from lensshift.io.container_writer import (
+    Allocated,
+    Content,
+    measured,
+    refuse_other_ending,
+    sealed_text,
+    write_hdf5,
+)
 
 WRITTEN = "written"
 
@@ -63,6 +70,7 @@ class PiecewiseFile(GrowingFile):
             If there is too little room, the file cannot be written, another process writes it, or
             it was begun otherwise.
         """
+        refuse_other_ending(path)
         target = writable_target(path)
         part = target.with_name(f"{target.name}.part")
         first = next(iter(content.variables.values()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -101,6 +102,10 @@ def writable_folder(out_dir: str | Path) -> Path:
             "expected a folder to write to, this is the name of an experiment: give it as config",
             source=folder,
         )
+    there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        kind = "no permission to write to" if there.is_dir() else "this is a file:"
+        raise DataError(f"cannot make the folder: {kind} {there}", source=folder)
     return folder
 
 

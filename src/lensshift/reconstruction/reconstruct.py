@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.defects import doubts_about_frames
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
@@ -137,6 +138,7 @@ def reconstruct(
     used = _frame_numbers(burst, frames, field)
     request = replace(request, frames=used, memory=memory, device=on_device(device, name))
     part = burst if frames is None else burst.select(used)
+    part = part if memory else _questioned(part, photometric=photometric)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
@@ -350,6 +352,13 @@ def _checked(
     if isinstance(scale, bool) or scale not in range(1, 9):
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
     return burst if memory else without_stuck(burst, stacklevel=3)
+
+
+def _questioned(burst: Burst, *, photometric: bool) -> Burst:
+    """Return the burst, after warnings of what its frames can hardly be like."""
+    for said in doubts_about_frames(burst.amplitude, burst.valid, photometric=photometric):
+        warnings.warn(said, QualityWarning, stacklevel=3)
+    return burst
 
 
 def _settings(

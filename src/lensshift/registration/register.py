@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
-from lensshift.core.defects import stuck_pixels
+from lensshift.core.defects import doubts_about_frames, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
@@ -111,9 +111,12 @@ def register(
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     stuck = None if np.iscomplexobj(frames) else stuck_pixels(frames, valid)
     valid = valid if stuck is None else valid & ~stuck
+    if channel == "amplitude":
+        for said in doubts_about_frames(frames, valid, photometric=photometric):
+            warnings.warn(said, QualityWarning, stacklevel=2)
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
-    said, affine, apart = bool(np.any(given_px)), None, None
+    known, affine, apart = bool(np.any(given_px)), None, None
     phase_px = phase_shifts(whole, reference)
     if method == "phase":
         fit = phase_fit(whole, valid, phase_px, reference)
@@ -134,10 +137,10 @@ def register(
             apart = _scatter_of_parts(frames, valid, fit, reference, photometric)
             if apart is not None:
                 fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
-            fit = with_given(fit, given_px, told_px, said=said)
+            fit = with_given(fit, given_px, told_px, said=known)
             fit, affine = _turned(fit, alike, valid, motion, reference)
     rivals_px = np.zeros_like(given_px)
-    if method == "phase" or not said:
+    if method == "phase" or not known:
         rivals_px = rival_shifts(whole, fit.offset_px, reference)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
     factor = 1.0 if apart is None else apart.factor

@@ -22,6 +22,7 @@ from lensshift.report.style import SMALL_PT, new_figure, styled
 _UNITS = {"amplitude": "", "distance": " (m)"}
 _MOST_MISFIT = 10.0  # ten times the variance that was expected
 _TITLE_IN, _CLOUD_IN = 0.32, 6.0  # heights
+_KINDS = ("image", "reference", "std", "misfit")  # of panels, in the order that they are shown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,10 +54,13 @@ def result_figure(
     wide_in : width of the figure
     """
     lists = [_panels(name, one, reference) for name, one in result.channels.items()]
-    lists = [panels + _misfit(result) * (number == 0) for number, panels in enumerate(lists)]
+    if not lists:
+        raise ValueError("expected a channel to draw, this result has none")
+    lists[0] |= _misfit(result)
+    kinds = [kind for kind in _KINDS if any(kind in panels for panels in lists)]
     rows, cols = result.grid.shape
     beside = 2 * rows > cols  # else wide images, below each other
-    most = max(map(len, lists))
+    most = len(kinds)
     down, across = (len(lists), most) if beside else (most, len(lists))
     if beside and len(lists) == 1 and most > 2:  # large enough to see something
         down, across = -(-most // 2), 2
@@ -71,7 +75,8 @@ def result_figure(
     for spare in axes.flat:
         spare.set_axis_off()
     for number, panels in enumerate(lists):
-        for place, panel in enumerate(panels):
+        for kind, panel in panels.items():  # one kind below or beside the other, gaps or none
+            place = kinds.index(kind)
             at = divmod(number * most + place, across) if beside else (place, number)
             _draw(axes[at], panel)
     if cloud is not None:
@@ -87,7 +92,7 @@ def result_figure(
 @styled()
 def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
     """Draw one channel and its standard deviation below each other or side by side."""
-    panels = _panels("image", estimate, None)
+    panels = list(_panels("image", estimate, None).values())
     rows, cols = estimate.image.shape
     across = len(panels) if 2 * rows > cols else 1
     high_in = wide_in / across * rows / cols * 0.85 + _TITLE_IN
@@ -102,32 +107,33 @@ def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
 
 def _panels(
     name: str, estimate: Estimate, reference: Mapping[str, NDArray[Any]] | None
-) -> list[_Panel]:
+) -> dict[str, _Panel]:
     unit, colours = _UNITS.get(name, ""), COLOURS.get(name, "gray")
     image = np.abs(estimate.image) if np.iscomplexobj(estimate.image) else estimate.image
     scale, measured = Normalize(*shown_range(image)), name + unit
-    found = [_Panel(name, image, colours, scale, measured)]
+    found = {"image": _Panel(name, image, colours, scale, measured)}
     if reference is not None and name in reference:
         other = reference[name]
         other = np.abs(other) if np.iscomplexobj(other) else other
-        found.append(_Panel(f"{name}, one frame, bicubic", other, colours, scale, measured))
+        label = f"{name}, one frame, bicubic"
+        found["reference"] = _Panel(label, other, colours, scale, measured)
     if estimate.std is not None:
         std = np.asarray(estimate.std)
         zero_to_most = Normalize(0.0, shown_range(std)[1])
-        found.append(
-            _Panel(f"standard deviation of {name}", std, "magma", zero_to_most, f"std{unit}")
-        )
+        label = f"standard deviation of {name}"
+        found["std"] = _Panel(label, std, "magma", zero_to_most, f"std{unit}")
     return found
 
 
-def _misfit(result: Reconstruction) -> list[_Panel]:
+def _misfit(result: Reconstruction) -> dict[str, _Panel]:
     """Return the misfit of the frames, which phasors have in common, or none."""
     known = [one.misfit for one in result.channels.values() if one.misfit is not None]
     label = "misfit of the frames, 1 where noise explains it"
     scale = LogNorm(1.0, _MOST_MISFIT)
-    return [
-        _Panel(label, np.clip(m, 1.0, _MOST_MISFIT), "gray", scale, "chi-square") for m in known[:1]
-    ]
+    if not known:
+        return {}
+    clipped = np.clip(known[0], 1.0, _MOST_MISFIT)
+    return {"misfit": _Panel(label, clipped, "gray", scale, "chi-square")}
 
 
 def _draw(axes: Any, panel: _Panel) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,22 @@ class Tones:
 
     def _weight(self) -> NDArray[np.float64]:
         return np.asarray((self.rad_per_m / self.std_rad) ** 2)
+
+
+def likelier_order(pictures: Tones) -> tuple[float, ...] | None:
+    """Return the frequencies in another order if most pixels fit that far better, else None.
+
+    Phases of another frequency than they are told to be of fit no distance.
+    """
+
+    def cost(hz: tuple[float, ...]) -> float:
+        return float(np.median(Tones(hz, pictures.phase_rad, pictures.std_rad).alone()[1]))
+
+    given = cost(pictures.hz)
+    if given < SURE:
+        return None
+    best = min(permutations(pictures.hz), key=cost)
+    return best if cost(best) < given / SURE else None
 
 
 def common_distance(pictures: Tones) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
