@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from independent_matrix import on_image, response
 
-from lensshift.forward.blur import ApertureBlur, GaussianBlur, sees_image
+from lensshift.forward.blur import ApertureBlur, GaussianBlur, sees_image, varying_taps
 
 blurs = st.one_of(
     st.builds(GaussianBlur, st.floats(0, 1)),
@@ -112,6 +112,24 @@ def test_spots_add_in_variance_and_none_is_sharper_than_a_point(spot_px2):
         own_px2 = blur.sigma_px**2 if isinstance(blur, GaussianBlur) else blur.optics_sigma_px**2
         grown = max(spot_px2, -own_px2)
         assert more - there == pytest.approx(4 * grown, rel=5e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("skew_px3", [-0.2, 0.02, 0.1])
+@pytest.mark.parametrize("scale", [2, 3, 4])
+def test_a_third_moment_turns_phases_and_nothing_else(scale, skew_px3):
+    position = 200 + (np.arange(64) + 0.5) / 64
+    spot_px2, seen = np.full(64, 0.09), {}
+    for skew in (0.0, skew_px3):
+        start, weight = varying_taps(GaussianBlur(0.3), position, spot_px2, scale, 401,
+                                     np.full(64, skew))  # fmt: skip
+        at = start[:, None] + np.arange(weight.shape[1]) - position[:, None]
+        w = 2 * np.pi * np.array([0.05, 0.15, 0.3])  # per LR pixel
+        seen[skew] = np.einsum("pt,ptf->pf", weight, np.exp(1j * at[..., None] * w / scale))
+        np.testing.assert_allclose(weight.sum(axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(seen[skew_px3]), np.abs(seen[0.0]), atol=5e-3)
+    turned = np.angle(seen[skew_px3] / seen[0.0])
+    expected = np.broadcast_to(skew_px3 * w**3 / 6, turned.shape)
+    np.testing.assert_allclose(turned, expected, rtol=0.02, atol=8e-3)
 
 
 @given(blur=blurs, scale=st.integers(1, 4), size=st.integers(1, 12), position=st.floats(-6, 18))

@@ -17,6 +17,7 @@ def made_up(seed: int = 0) -> LensField:
     return LensField(
         Grid((5, 9), (0.1, 0.2)), rng.normal(size=(4, 5, 2, 3, 2)), rng.random((3, 3, 2, 2, 2)),
         (0.1, 0.3), "tilt", 2, "a lens", 1e-8, 2e-4, 0.01, {"wavelength_nm": 850.0},
+        rng.normal(size=(2, 3, 1, 2, 2)),
     )  # fmt: skip
 
 
@@ -28,7 +29,9 @@ def test_comes_back_exactly(tmp_path: Path) -> None:
         np.testing.assert_equal(getattr(found, name), getattr(field, name))
     sensor = LensField(field.grid, field.shift_px, field.spot_px2, (1.0, 1.0), "sensor", None)
     save_lens_field(sensor, tmp_path / "sensor.nc")
-    assert load_lens_field(tmp_path / "sensor.nc").element is None
+    loaded = load_lens_field(tmp_path / "sensor.nc")
+    assert loaded.element is None
+    assert loaded.skew_px3 is None  # as in files of before
 
 
 def test_anything_else_is_a_data_error(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from mosaic import SAMPLES, MosaicBurst, canvas, observe, square
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.optimize import brentq
 
 import lensshift
 from lensshift import Burst, fidelity, reconstruct
@@ -175,6 +177,19 @@ def test_a_wide_response_that_is_right_is_believed(lens_px: float) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             reconstruct(stack_of(soft), psf_sigma_px=math.hypot(lens_px, width_of(12)))
+
+
+def test_a_square_pixel_that_was_told_by_its_edge_is_believed() -> None:
+    """At an edge it has the MTF50 of a Gaussian of 0.3106 px, and the variance of one of 0.2887."""
+    edge_px = math.sqrt(math.log(2.0) / 2.0) / (math.pi * brentq(lambda f: np.sinc(f) - 0.5, 0, 1))
+    for seed in (20, 21):
+        burst = stack_of(seen_by(12, seed, shape=(72, 110), snr=3000))
+        told = replace(burst, meta={**burst.meta, "psf_sigma_px": edge_px})
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", lensshift.QualityWarning)
+            reconstruct(told, method="tikhonov")
+    with pytest.warns(lensshift.QualityWarning, match="sharper than psf_sigma_px"):
+        reconstruct(replace(burst, meta={"psf_sigma_px": 0.4}), method="tikhonov")
 
 
 @pytest.mark.parametrize("method", ["auto", "tikhonov", "tv"])

@@ -116,7 +116,7 @@ def say_field(current: Session, found: LensField) -> None:
     )
     current.say(
         f"fit: shift {found.shift_error_px:.1e} px, width of the spot {found.spot_error_px:.1e} "
-        f"px, contrast of a Gaussian spot {found.contrast_error:.3f} (largest errors)"
+        f"px, contrast of a spot of such moments {found.contrast_error:.3f} (largest errors)"
     )
     current.result["element"] = None if found.element is None else found.element + 1
     current.tell(found.grid, "shape pitch_mm")

@@ -47,9 +47,10 @@ class LensField:
     lens : its name
     shift_error_px : largest difference to the traced shift where it was not fitted
     spot_error_px : largest difference of a width (standard deviation) in the same way
-    contrast_error : largest difference of the contrast behind lens and pixel that the Gaussian
-        makes up to the pixel frequency
+    contrast_error : largest difference of the contrast behind lens and pixel, phase included, that
+        a Gaussian of that variance and third moment makes up to the pixel frequency
     notes : text and numbers: wavelength, temperature
+    skew_px3 : [i j a b 2] of the third central moment (row, col) of the spot; none: it is even
     """
 
     grid: Grid
@@ -63,9 +64,12 @@ class LensField:
     spot_error_px: float = 0.0
     contrast_error: float = 0.0
     notes: Mapping[str, Any] | None = None
+    skew_px3: Floats | None = None
 
     def __post_init__(self) -> None:
-        for name in ("shift_px", "spot_px2"):
+        for name in ("shift_px", "spot_px2", "skew_px3"):
+            if name == "skew_px3" and self.skew_px3 is None:
+                continue
             values = np.asarray(getattr(self, name), dtype=np.float64)
             if values.ndim != 5 or values.shape[-1] != 2 or not values.size:
                 raise DataError(f"expected [i j a b 2], got shape {values.shape}", field=name)
@@ -175,7 +179,8 @@ class LensField:
     def _at(self, s: Floats) -> ShiftField:
         u = self._places()
         offset_px, spot_px2 = (_evaluated(c, u, s) for c in (self.shift_px, self.spot_px2))
-        return ShiftField(offset_px, self.grid.pitch_mm, np.maximum(spot_px2, 0.0))
+        skew_px3 = None if self.skew_px3 is None else _evaluated(self.skew_px3, u, s)
+        return ShiftField(offset_px, self.grid.pitch_mm, np.maximum(spot_px2, 0.0), skew_px3)
 
     def _states_of(self, offset_px: ArrayLike) -> Floats:
         """Return scaled states by Newton's method on the polynomial in the middle."""

@@ -28,11 +28,14 @@ class ShiftField:
     pitch_mm : (row, col) of the pixels it was made for, or None
     spot_px2 : [frame row col 2] variance (row, col) of the spot that the lens makes of a point,
         beyond what the response holds that `reconstruct` is told; None if it does not vary
+    skew_px3 : [frame row col 2] third central moment (row, col) of that spot, as of coma; None
+        for spots that are even, or that do not vary
     """
 
     offset_px: NDArray[np.float64]
     pitch_mm: tuple[float, float] | None = None
     spot_px2: NDArray[np.float64] | None = None
+    skew_px3: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         offset = np.asarray(self.offset_px, dtype=np.float64)
@@ -41,17 +44,21 @@ class ShiftField:
         if not np.all(np.isfinite(offset)):
             raise ValueError("expected finite offsets in the shift field")
         object.__setattr__(self, "offset_px", frozen(offset))
-        if self.spot_px2 is not None:
-            spot = np.asarray(self.spot_px2, dtype=np.float64)
+        if self.spot_px2 is None:
+            object.__setattr__(self, "skew_px3", None)
+        for name in ("spot_px2", "skew_px3"):
+            if getattr(self, name) is None:
+                continue
+            spot = np.asarray(getattr(self, name), dtype=np.float64)
             if spot.shape != offset.shape or not np.all(np.isfinite(spot)):
-                raise ValueError(f"expected finite spot_px2 {offset.shape}, got {spot.shape}")
-            object.__setattr__(self, "spot_px2", frozen(spot))
+                raise ValueError(f"expected finite {name} {offset.shape}, got {spot.shape}")
+            object.__setattr__(self, name, frozen(spot))
 
     def select(self, frames: Sequence[int]) -> ShiftField:
         """Return the field of some of the frames."""
         index = list(frames)
-        spot_px2 = None if self.spot_px2 is None else self.spot_px2[index]
-        return ShiftField(self.offset_px[index], self.pitch_mm, spot_px2)
+        spot, skew = (None if of is None else of[index] for of in (self.spot_px2, self.skew_px3))
+        return ShiftField(self.offset_px[index], self.pitch_mm, spot, skew)
 
     def check_belongs(self, offset_px: NDArray[np.float64], grid: Grid) -> None:
         """Refuse the offsets [frame 2] and the grid of another burst.

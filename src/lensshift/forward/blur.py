@@ -26,6 +26,14 @@ _PHASES = 4096
 # which keeps the variance, and the contrast at the Nyquist frequency of the frames to 0.002.
 _VARYING_PHASES = 512
 _SPOT_STEP_PX2 = 0.025
+# The same of third moments (px^3): linear between phases 2.65 times as far apart at 0.4 cycles
+# per px keeps the contrast there to 0.002.
+_SKEW_STEP_PX3 = 0.05
+_MOST_NODES = 128  # those of a lens that leaves nothing to resolve need not be as near
+_SKEW_TAIL = 1e-3  # of taps that change sign where they fade, and so add up to less than that
+# Central differences of sixth order: the cube of a frequency to 2.5 % at 0.37 cycles per pixel and
+# scale 2, and 0 at the Nyquist frequency of the HR grid, where that of a sampled response jumps.
+_THIRD_DERIVATIVE = (61 / 15, -169 / 60, 3 / 5, -7 / 120)  # of sin f, sin 2f ..
 
 
 class Blur(Hashable, Protocol):
@@ -138,39 +146,88 @@ class ApertureBlur:
 
 
 def varying_taps(
-    blur: Blur, position_hr_px: Positions, spot_px2: Weights, scale: int, size: int
+    blur: Blur,
+    position_hr_px: Positions,
+    spot_px2: Weights,
+    scale: int,
+    size: int,
+    skew_px3: Weights | None = None,
 ) -> tuple[Starts, Weights]:
     """Return the taps of LR pixels whose spots differ, as `Blur.taps`.
 
     A few responses times weight maps: each pixel takes the two that are next to it in variance, in
-    the shares that keep the variance of its own.
+    the shares that keep the variance of its own, and of each the two next to it in third moment.
 
     Parameters
     ----------
     blur : the response without the differences
     position_hr_px : [...]
     spot_px2 : [...] variance of the spot beyond that of `blur`, in LR pixels, also negative
+    skew_px3 : [...] its third central moment in LR pixels, or None if it is even
     """
     position = _as_positions(position_hr_px)
-    low, high = float(spot_px2.min()), float(spot_px2.max())
-    count = 1 + max(1, int(np.ceil((high - low) / _SPOT_STEP_PX2)))
+    spots_px2, spot, spot_part = _noded(spot_px2, _SPOT_STEP_PX2)
+    skews_px3, skew, skew_part = np.zeros(1), np.zeros_like(spot), np.zeros_like(spot_part)
+    if skew_px3 is not None and np.any(skew_px3):
+        skews_px3, skew, skew_part = _noded(skew_px3, _SKEW_STEP_PX3)
     phases = np.linspace(0.0, 1.0, _VARYING_PHASES + 1)
-    found = [blur.widened(spot).table(phases, scale) for spot in np.linspace(low, high, count)]
-    first_tap = min(first for first, _ in found)
-    taps = max(first + table.shape[1] for first, table in found) - first_tap
-    tables = np.zeros((count, len(phases), taps))
-    for number, (first, table) in enumerate(found):
-        tables[number, :, first - first_tap : first - first_tap + table.shape[1]] = table
+    found: dict[int, tuple[int, Weights]] = {}  # by the nodes that any pixel needs
+    corners = [(up, aside) for up in (0, 1) for aside in range(min(2, len(skews_px3)))]
+    for up, aside in corners:
+        for one in np.unique((spot + up) * len(skews_px3) + skew + aside):
+            number, turn = divmod(int(one), len(skews_px3))
+            even = blur.widened(spots_px2[number]).table(phases, scale)
+            found[int(one)] = skewed(*even, skews_px3[turn] * scale**3)
+    first_tap = min(first for first, _ in found.values())
+    taps = max(first + table.shape[1] for first, table in found.values()) - first_tap
+    tables = np.zeros((len(spots_px2) * len(skews_px3), len(phases), taps))
+    for one, (first, table) in found.items():
+        tables[one, :, first - first_tap : first - first_tap + table.shape[1]] = table
     base = np.floor(position)
-    spot, spot_part = _between((spot_px2 - low) / max(high - low, 1e-12), count - 1)
     phase, phase_part = _between(position - base, _VARYING_PHASES)
     weight = np.zeros((*position.shape, taps))
-    for up in (0, 1):
+    for up, aside in corners:
+        of_node = np.abs(1 - up - spot_part) * np.abs(1 - aside - skew_part)
+        one = (spot + up) * len(skews_px3) + skew + aside
         for beside in (0, 1):
-            share = np.abs(1 - up - spot_part) * np.abs(1 - beside - phase_part)
-            weight += share[..., None] * tables[spot + up, phase + beside]
+            share = of_node * np.abs(1 - beside - phase_part)
+            weight += share[..., None] * tables[one, phase + beside]
     lead, weight = _pack(weight)
     return _crop(base.astype(np.int64) + first_tap + lead, weight, size)
+
+
+def skewed(first_tap: int, table: Weights, skew_hr_px3: float) -> tuple[int, Weights]:
+    """Return first tap and weights [phase T] of a response with another third central moment.
+
+        sum_n w_n exp(i f n)  becomes  exp(i skew f^3 / 6) times as much
+
+    which leaves sum, mean, variance and contrast as they are.
+
+    Parameters
+    ----------
+    skew_hr_px3 : by how much it is more, in HR pixels
+    """
+    if skew_hr_px3 == 0:
+        return first_tap, table
+    spare = table.shape[1] + int(np.ceil(3.0 * abs(skew_hr_px3)))  # no frequency moves farther
+    padded = np.pad(table, ((0, 0), (spare, spare)))
+    f = 2.0 * np.pi * np.fft.rfftfreq(padded.shape[1])
+    cube = sum(c * np.sin(n * f) for n, c in enumerate(_THIRD_DERIVATIVE, start=1))
+    turned = np.fft.rfft(padded, axis=1) * np.exp(-1j / 6.0 * skew_hr_px3 * cube)
+    found = np.fft.irfft(turned, padded.shape[1], axis=1)
+    found[np.abs(found) < _SKEW_TAIL] = 0.0
+    used = np.flatnonzero(found.any(axis=0))
+    found = found[:, used[0] : used[-1] + 1]
+    return first_tap - spare + int(used[0]), found / found.sum(axis=1, keepdims=True)
+
+
+def _noded(values: Weights, step: float) -> tuple[Weights, Starts, Weights]:
+    """Return nodes so far apart, the one below each value, and how far on the way it is."""
+    low, high = float(values.min()), float(values.max())
+    count = max(1, min(_MOST_NODES, int(np.ceil((high - low) / step))))
+    return np.linspace(low, high, count + 1), *_between(
+        (values - low) / max(high - low, 1e-12), count
+    )
 
 
 def _between(at: Weights, steps: int) -> tuple[Starts, Weights]:
@@ -314,7 +371,7 @@ def _moment_start(p: Positions, sigma: float, excess: Positions) -> tuple[Positi
 def _pack(table: Weights) -> tuple[Starts, Weights]:
     """Move the non-zero taps to the left; return how far, and as few taps as hold them all."""
     count = table.shape[-1]
-    used = table > 0
+    used = table != 0
     lead = np.argmax(used, axis=-1)
     last = count - 1 - np.argmax(used[..., ::-1], axis=-1)
     columns = lead[..., None] + np.arange(int((last - lead).max(initial=0)) + 1)
@@ -331,7 +388,8 @@ def _crop(first: Starts, weight: Weights, size: int) -> tuple[Starts, Weights]:
     start = np.clip(first, 0, size - kept)
     source = start[cut][:, None] + np.arange(kept) - first[cut][:, None]
     taken = np.take_along_axis(weight[cut], np.clip(source, 0, count - 1), axis=-1)
-    border = np.where((source >= 0) & (source < count), taken, 0.0)
+    # Skewed responses turn negative where they fade, and the sum of such taps may vanish.
+    border = np.where((source >= 0) & (source < count), np.maximum(taken, 0.0), 0.0)
     total = border.sum(axis=-1)
     above = first[cut] < 0
     border[(total == 0) & above, 0] = 1.0

@@ -60,6 +60,7 @@ class ForwardModel:
     inside : [frame row col] False where the centre of an LR pixel lies outside the HR image
     spot_px2 : [frame row col 2] variance (row, col) of the optical spot beyond that of `blur`, or
         None if all pixels have the same response
+    skew_px3 : [frame row col 2] third central moment (row, col) of that spot, or None if it is even
     """
 
     lr_shape: tuple[int, int]
@@ -73,6 +74,7 @@ class ForwardModel:
     bias: NDArray[np.float64]
     inside: NDArray[np.bool_]
     spot_px2: NDArray[np.float64] | None = None
+    skew_px3: NDArray[np.float64] | None = None
 
     @property
     def frames(self) -> int:
@@ -143,7 +145,7 @@ class ForwardModel:
         offset_px = np.stack([u - at for u, at in zip((rows, cols), seen, strict=True)], axis=-1)
         return forward_model(
             self.lr_shape, scale, shift_field_px=offset_px - moved, spot_px2=self.spot_px2,
-            blur=self.blur,
+            skew_px3=self.skew_px3, blur=self.blur,
         )  # fmt: skip
 
     def crop(self, rows: slice, cols: slice) -> ForwardModel:
@@ -153,15 +155,16 @@ class ForwardModel:
         at = [taps.position_hr_px for taps in (self.rows, self.cols)]
         at = [p[:, rows, cols] for p in at] if at[0].ndim == 3 else [at[0][:, rows], at[1][:, cols]]
         row_at, col_at = at[0] - rows.start * self.scale, at[1] - cols.start * self.scale
-        spot_px2 = None if self.spot_px2 is None else self.spot_px2[:, rows, cols]
+        spots = [None if of is None else of[:, rows, cols] for of in (self.spot_px2, self.skew_px3)]
         return replace(
             self,
             lr_shape=lr_shape,
             hr_shape=hr_shape,
-            rows=_taps(self.blur, row_at, self.scale, hr_shape[0], spot_px2, 0),
-            cols=_taps(self.blur, col_at, self.scale, hr_shape[1], spot_px2, 1),
+            rows=_taps(self.blur, row_at, self.scale, hr_shape[0], *spots, axis=0),
+            cols=_taps(self.blur, col_at, self.scale, hr_shape[1], *spots, axis=1),
             inside=_inside(row_at, col_at, hr_shape),
-            spot_px2=spot_px2,
+            spot_px2=spots[0],
+            skew_px3=spots[1],
         )
 
 
@@ -172,6 +175,7 @@ def forward_model(
     *,
     shift_field_px: ArrayLike | None = None,
     spot_px2: ArrayLike | None = None,
+    skew_px3: ArrayLike | None = None,
     blur: Blur | None = None,
     gain: ArrayLike | None = None,
     bias: ArrayLike | None = None,
@@ -187,6 +191,7 @@ def forward_model(
     shift_field_px : [frame row col 2] instead of `offset_px`, a shift for every pixel
     spot_px2 : [frame row col 2], with a shift field: variance (row, col) of the optical spot of
         every pixel beyond that of `blur`
+    skew_px3 : [frame row col 2], with `spot_px2`: third central moment (row, col) of that spot
     blur : the pixel response; by default a Gaussian of 0.3 px
     gain, bias : [frame], by default 1 and 0
 
@@ -199,24 +204,35 @@ def forward_model(
     blur = GaussianBlur(0.3) if blur is None else blur
     hr_shape = (lr_shape[0] * scale, lr_shape[1] * scale)
     offset, row_at, col_at = _look_where(lr_shape, scale, offset_px, shift_field_px)
-    count, spot = row_at.shape[0], None
-    if spot_px2 is not None:
-        spot = np.asarray(spot_px2, dtype=np.float64)
-        if row_at.ndim != 3 or spot.shape != (*row_at.shape, 2) or not np.all(np.isfinite(spot)):
-            raise ValueError(f"expected finite spot_px2 of a shift field, got shape {spot.shape}")
+    count = row_at.shape[0]
+    spot, skew = (_of_field(of, name, row_at)
+                  for of, name in ((spot_px2, "spot_px2"), (skew_px3, "skew_px3")))  # fmt: skip
+    if skew is not None and spot is None:
+        raise ValueError("expected skew_px3 with spot_px2, got it alone")
     return ForwardModel(
         lr_shape=lr_shape,
         hr_shape=hr_shape,
         scale=scale,
         blur=blur,
-        rows=_taps(blur, row_at, scale, hr_shape[0], spot, 0),
-        cols=_taps(blur, col_at, scale, hr_shape[1], spot, 1),
+        rows=_taps(blur, row_at, scale, hr_shape[0], spot, skew, axis=0),
+        cols=_taps(blur, col_at, scale, hr_shape[1], spot, skew, axis=1),
         offset_px=offset,
         gain=_per_frame(gain, 1.0, count, "gain"),
         bias=_per_frame(bias, 0.0, count, "bias"),
         inside=_inside(row_at, col_at, hr_shape),
         spot_px2=spot,
+        skew_px3=skew,
     )
+
+
+def _of_field(values: ArrayLike | None, name: str, row_at: Positions) -> NDArray[np.float64] | None:
+    """Return what there is of spots [frame row col 2], which only a shift field has."""
+    if values is None:
+        return None
+    of = np.asarray(values, dtype=np.float64)
+    if row_at.ndim != 3 or of.shape != (*row_at.shape, 2) or not np.all(np.isfinite(of)):
+        raise ValueError(f"expected finite {name} of a shift field, got shape {of.shape}")
+    return of
 
 
 def _taps(
@@ -225,10 +241,13 @@ def _taps(
     scale: int,
     size: int,
     spot_px2: NDArray[np.float64] | None,
+    skew_px3: NDArray[np.float64] | None,
+    *,
     axis: int,
 ) -> Taps:
     if spot_px2 is not None:
-        taps = varying_taps(blur, at, spot_px2[..., axis], scale, size)
+        skew = None if skew_px3 is None else skew_px3[..., axis]
+        taps = varying_taps(blur, at, spot_px2[..., axis], scale, size, skew)
         return _read_only(Taps(at, *taps, np.empty((0, 2), np.int64)))
     if at.ndim > 2:
         return _read_only(Taps(at, *blur.taps(at, scale, size), np.empty((0, 2), np.int64)))

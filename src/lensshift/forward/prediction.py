@@ -26,6 +26,7 @@ class FramePredictor:
     gain, bias : [frame]
     shift_field_px : [frame row col 2] instead of `offset_px`, or None
     spot_px2 : [frame row col 2] variance of the spot beyond that of `blur`, or None
+    skew_px3 : [frame row col 2] third central moment of that spot, or None
     """
 
     image: Array
@@ -36,6 +37,7 @@ class FramePredictor:
     bias: NDArray[np.float64]
     shift_field_px: NDArray[np.float64] | None = None
     spot_px2: NDArray[np.float64] | None = None
+    skew_px3: NDArray[np.float64] | None = None
 
     @property
     def lr_shape(self) -> tuple[int, int]:
@@ -53,11 +55,14 @@ class FramePredictor:
                 f"expected a frame from 0 to {len(self.offset_px) - 1} or an offset (row, col), "
                 f"got {frame!r}"
             )
-        one, field, spot = slice(number, number + 1), self.shift_field_px, self.spot_px2
+        one = slice(number, number + 1)
+        field, spot, skew = (
+            None if of is None else of[one]
+            for of in (self.shift_field_px, self.spot_px2, self.skew_px3)
+        )
         model = forward_model(
             self.lr_shape, self.scale, self.offset_px[one] if field is None else None,
-            shift_field_px=None if field is None else field[one],
-            spot_px2=None if spot is None else spot[one],
+            shift_field_px=field, spot_px2=spot, skew_px3=skew,
             blur=self.blur, gain=self.gain[one], bias=self.bias[one],
         )  # fmt: skip
         return np.asarray(model.predict(self.image)[0])
@@ -70,7 +75,9 @@ class FramePredictor:
         model = forward_model(
             self.lr_shape, self.scale,
             shift_field_px=np.broadcast_to(offset_px, (1, *self.lr_shape, 2)),
-            spot_px2=self.spot_px2.mean(axis=0)[None], blur=self.blur,
+            spot_px2=self.spot_px2.mean(axis=0)[None],
+            skew_px3=None if self.skew_px3 is None else self.skew_px3.mean(axis=0)[None],
+            blur=self.blur,
         )  # fmt: skip
         return np.asarray(model.predict(self.image)[0])
 

@@ -25,6 +25,7 @@ _NUMBERS = ("shift_error_px", "spot_error_px", "contrast_error")
 _COEFFICIENTS = {
     "shift": ("shift_px", "pixel", "Chebyshev coefficients of the image offset"),
     "spot": ("spot_px2", "pixel2", "Chebyshev coefficients of the variance of the spot"),
+    "skew": ("skew_px3", "pixel3", "Chebyshev coefficients of the third moment of the spot"),
 }
 
 
@@ -38,6 +39,8 @@ def save_lens_field(field: LensField, path: str | Path) -> None:
     """
     variables: dict[str, Variable] = {}
     for name, (own, units, meaning) in _COEFFICIENTS.items():
+        if getattr(field, own) is None:
+            continue
         dims = *(f"{name}_{axis}" for axis in ("row", "col", "state_row", "state_col")), "axis"
         variables[name] = measured(dims, getattr(field, own), units, meaning)
     attributes = {
@@ -66,7 +69,9 @@ def load_lens_field(path: str | Path) -> LensField:
         rows, cols = container.number_pair("shape")
         element = container.number("element")
         values: dict[str, Any] = {
-            own: container.array(name, kinds="f") for name, (own, *_) in _COEFFICIENTS.items()
+            own: container.array(name, kinds="f")
+            for name, (own, *_) in _COEFFICIENTS.items()
+            if name != "skew" or container.has(name)
         }
         values |= {name: container.number(name) or 0.0 for name in _NUMBERS}
         try:

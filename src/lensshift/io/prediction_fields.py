@@ -3,6 +3,7 @@
     seen_offset_row, seen_offset_col   [burst_frame]                 pixel, of every frame
     seen_shift_row, seen_shift_col     [burst_frame lr_row lr_col]   pixel, of a shift field
     seen_spot_row, seen_spot_col       [burst_frame lr_row lr_col]   pixel2, variance of the spot
+    seen_skew_row, seen_skew_col       [burst_frame lr_row lr_col]   pixel3, its third moment
     c_gain, c_bias                     [burst_frame]                 of channel c
     attributes of the distance of phasors: modulation_hz, reference_m, circular
 
@@ -43,6 +44,7 @@ def prediction_variables(channels: Mapping[str, Estimate]) -> dict[str, Variable
                 ("offset", _FRAME, plain.offset_px, "pixel", "image offset"),
                 ("shift", _PIXEL, plain.shift_field_px, "pixel", "image offset"),
                 ("spot", _PIXEL, plain.spot_px2, "pixel2", "variance of the spot"),
+                ("skew", _PIXEL, plain.skew_px3, "pixel3", "third central moment of the spot"),
             ):
                 if pairs is not None:
                     one = measured(dims, pairs[..., index], unit, f"{meaning} along {axis}s")
@@ -104,10 +106,10 @@ def _predictor(
     gain, bias = (container.array(f"{name}_{what}", kinds="f") for what in ("gain", "bias"))
     lr_shape = (image.shape[0] // scale, image.shape[1] // scale)
     shape = (len(offset_px), *lr_shape)
-    field, spot = (_of_pixels(container, what, shape) for what in ("shift", "spot"))
+    of_pixels = [_of_pixels(container, what, shape) for what in ("shift", "spot", "skew")]
     if gain.shape != (len(offset_px),) or bias.shape != gain.shape:
         raise DataError("expected one number a frame", field=f"{name}_gain")
-    return FramePredictor(image, scale, blur, offset_px, gain, bias, field, spot)
+    return FramePredictor(image, scale, blur, offset_px, gain, bias, *of_pixels)
 
 
 def _of_pixels(

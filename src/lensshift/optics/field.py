@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
@@ -21,7 +22,8 @@ from lensshift.optics.shift import NEAR, PROBE_MM, central_slope, moving
 from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
 from lensshift.optics.trace import Build
 
-Sample = Callable[[Floats, Floats], Floats]
+Waves = NDArray[np.complex128]
+Sample = Callable[[Floats, Floats], NDArray[Any]]
 
 _PROBE = {"decentre": PROBE_MM, "tilt": 2e-3, "sensor": PROBE_MM}  # or rad, where it is linear
 _MARGIN = 1.02  # of the states, for what is not linear
@@ -39,6 +41,8 @@ _MOST_TRACES = len(_DEGREES) + len(_SPOT_DEGREES) + 3  # those of each degree, a
 # Cycles per pixel at which the spot is compared with a Gaussian.
 _CPP = np.arange(1, 8) / 8.0
 _NO_CONTRAST = 1e-3  # its logarithm would weigh nothing
+_SPOT_STEPS, _SPOT_STILL = 30, 1e-6  # far below what a fit may be off by
+_SPOT_STRIDE = 0.1  # px^2 and px^3: a step farther may leave where the OTF is nearly linear in them
 _LEAST_GAIN_PX = 1e-6  # of a probe: an element that moves the image by less does not move it
 
 
@@ -54,9 +58,10 @@ def lens_field(
     """Return shift and spot of a lens over a sensor for all positions of what moves.
 
     The offset of a pixel is that of the object point whose image is there after the move, against
-    where its image is at rest. The spot of light and diffraction is described by the Gaussian that
-    lets as much contrast through, each frequency up to that of the pixels weighted with the square
-    of the contrast behind lens and pixel.
+    where its image is at rest. The spot of light and diffraction is described by the variance of
+    the Gaussian that lets as much contrast through, and by the third moment that turns the phase as
+    coma does, each frequency up to that of the pixels weighted with the square of the contrast
+    behind lens and pixel.
 
     Parameters
     ----------
@@ -102,7 +107,8 @@ def lens_field(
     return LensField(
         grid=grid,
         shift_px=found.shift_px,
-        spot_px2=found.spot_px2,
+        spot_px2=found.spot[..., :2],
+        skew_px3=found.spot[..., 2:],
         reach=found.mover.reach,
         motion=found.mover.motion,
         element=element,
@@ -120,7 +126,7 @@ class _Fitted(NamedTuple):
     mover: _Mover
     shift_px: Floats
     shift_error_px: float
-    spot_px2: Floats
+    spot: Floats  # variances, and third moments
     spot_error_px: float
     near_error_px: float  # of widths in the inner half of the states
     contrast_error: float
@@ -130,7 +136,7 @@ def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> _Fitted:
     done = 0
 
     def counted(sample: Sample) -> Sample:
-        def one(places: Floats, states: Floats) -> Floats:
+        def one(places: Floats, states: Floats) -> NDArray[Any]:
             nonlocal done
             found = sample(places, states)
             done += 1
@@ -141,9 +147,9 @@ def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> _Fitted:
         return one
 
     shift_px, shift_error_px = _fit(counted(mover.shifts), _DEGREES, _SHIFT_PX)
-    spot_px2, _ = _fit(counted(mover.spots), _SPOT_DEGREES, _SPOT_PX2)
-    errors = _spot_errors(counted(mover.contrast), spot_px2)
-    return _Fitted(mover, shift_px, shift_error_px, spot_px2, *errors)
+    spot, _ = _fit(counted(mover.spots), _SPOT_DEGREES, _SPOT_PX2)
+    errors = _spot_errors(counted(mover.otf), spot)
+    return _Fitted(mover, shift_px, shift_error_px, spot, *errors)
 
 
 def _reaching(
@@ -186,22 +192,23 @@ class _Mover:
         resting_mm = spots(self.lens, fields, rings=CENTROID_RINGS).centroid_mm
         return np.asarray((moved_mm - resting_mm) / pitch_mm)
 
-    def contrast(self, u: Floats, s: Floats) -> Floats:
-        """Return the real part of the OTF [place state 2 frequency] along (row, col)."""
+    def otf(self, u: Floats, s: Floats) -> Waves:
+        """Return the OTF about the centroid [place state 2 frequency] along (row, col)."""
         fields, build = self._aimed(u, s * np.asarray(self.reach))
-        found = np.empty((len(u), len(s), 2, len(_CPP)))
+        found = np.empty((len(u), len(s), 2, len(_CPP)), np.complex128)
         azimuths_rad, pitches_mm = np.array([0.5 * np.pi, 0.0]), np.asarray(self.grid.pitch_mm)
         parts = [slice(0, 2)] if pitches_mm[0] == pitches_mm[1] else [slice(0, 1), slice(1, 2)]
         for place, field_tan in enumerate(fields):  # each with as many rays as it needs
             for axes in parts:
                 lpmm = _CPP / pitches_mm[axes][0]
-                otf = fast_otf(self.lens, field_tan, lpmm, azimuths_rad[axes], build=build)
-                found[place, :, axes] = otf.real
+                found[place, :, axes] = fast_otf(
+                    self.lens, field_tan, lpmm, azimuths_rad[axes], build=build
+                )
         return found
 
     def spots(self, u: Floats, s: Floats) -> Floats:
-        """Return the variance in px^2 [place state 2] of the Gaussian that stands for the spot."""
-        return equivalent_px2(self.contrast(u, s))
+        """Return variances in px^2 and third moments in px^3 [place state 4] of the spots."""
+        return np.concatenate(equivalent_spot(self.otf(u, s)), axis=-1)
 
     def _aimed(self, u: Floats, state: Floats) -> tuple[Floats, Build | None]:
         """Return the fields [place state 2] imaged at places, and the build [state]."""
@@ -229,6 +236,35 @@ def equivalent_px2(contrast: Floats) -> Floats:
     return np.asarray(above / below)
 
 
+def spot_otf(spot_px2: Floats, skew_px3: Floats) -> Waves:
+    """Return the OTF [... frequency] of spots of a variance and a third central moment."""
+    w = 2.0 * np.pi * _CPP
+    return np.asarray(
+        np.exp(-0.5 * spot_px2[..., None] * w**2 + 1j / 6 * skew_px3[..., None] * w**3)
+    )
+
+
+def equivalent_spot(otf: Waves) -> tuple[Floats, Floats]:
+    """Return variance in px^2 and third moment in px^3 of the spot nearest to an OTF.
+
+    Least squares of the OTF behind a square pixel by Gauss and Newton, whose steps in the two are
+    independent: one is along the model, the other across it.
+    """
+    w, pixel = 2.0 * np.pi * _CPP, np.sinc(_CPP) ** 2
+    spot_px2, skew_px3 = equivalent_px2(np.abs(otf)), np.zeros(otf.shape[:-1])
+    most, none_px2 = _SPOT_STRIDE, -2.0 * np.log(_NO_CONTRAST) / w[0] ** 2
+    for _ in range(_SPOT_STEPS):
+        model = spot_otf(spot_px2, skew_px3)
+        off, weight = model.conj() * (otf - model), pixel * np.abs(model) ** 2
+        less = np.sum(pixel * w**2 * off.real, axis=-1) / np.sum(weight * w**4, axis=-1)
+        more = np.sum(pixel * w**3 * off.imag, axis=-1) / np.sum(weight * w**6, axis=-1)
+        spot_px2 = np.clip(spot_px2 - np.clip(2.0 * less, -most, most), 0.0, none_px2)
+        skew_px3 = skew_px3 + np.clip(6.0 * more, -most, most)
+        if max(np.abs(less).max(), np.abs(more).max()) < _SPOT_STILL:
+            break
+    return spot_px2, skew_px3
+
+
 def _mover(
     lens: Lens, grid: Grid, element: int | None, motion: Motion | None, reach_px: float
 ) -> _Mover:
@@ -253,16 +289,16 @@ def _mover(
 
 
 def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> tuple[Floats, float]:
-    """Return Chebyshev coefficients [i j a b 2] and the largest error where it is checked.
+    """Return Chebyshev coefficients [i j a b quantity] and the largest error where it is checked.
 
     Interpolation at the Chebyshev nodes, of the least of the degrees that reaches the goal.
     """
     places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
     traced = sample(places, states)
-    best, least = np.zeros((1, 1, 1, 1, 2)), np.inf
+    best, least = np.zeros((1, 1, 1, 1, traced.shape[-1])), np.inf
     for of_field, of_state in degrees:
         n, m = of_field + 1, of_state + 1
-        at_nodes = sample(_crossed(_nodes(n)), _crossed(_nodes(m))).reshape(n, n, m, m, 2)
+        at_nodes = sample(_crossed(_nodes(n)), _crossed(_nodes(m))).reshape(n, n, m, m, -1)
         to_n, to_m = (np.linalg.inv(chebvander(_nodes(k), k - 1)) for k in (n, m))
         found = np.einsum("ip,jq,ar,bs,pqrsc->ijabc", to_n, to_n, to_m, to_m, at_nodes,
                           optimize=True)  # fmt: skip
@@ -275,24 +311,24 @@ def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> t
     return best, least
 
 
-def _spot_errors(sample: Sample, spot_px2: Floats) -> tuple[float, float, float]:
+def _spot_errors(sample: Sample, spot: Floats) -> tuple[float, float, float]:
     """Return the largest errors of a width in px, everywhere and near rest, and of the contrast.
 
     The contrast is that behind lens and pixel.
     """
     places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
-    contrast = sample(places, states)
-    fitted_px2 = np.maximum(_values(spot_px2, places, states), 0.0)
-    width_px = np.sqrt(np.maximum(equivalent_px2(contrast), 0.0))
-    gaussian = np.exp(-2.0 * np.pi**2 * fitted_px2[..., None] * _CPP**2)
-    off = np.abs(gaussian - contrast) * np.sinc(_CPP)
+    otf = sample(places, states)
+    fitted_px2, fitted_px3 = np.split(_values(spot, places, states), 2, axis=-1)
+    fitted_px2 = np.maximum(fitted_px2, 0.0)
+    width_px = np.sqrt(equivalent_spot(otf)[0])
+    off = np.abs(spot_otf(fitted_px2, fitted_px3) - otf) * np.sinc(_CPP)
     wrong_px = np.abs(np.sqrt(fitted_px2) - width_px).max(axis=(0, 2))
     near = np.abs(states).max(axis=-1) < 0.5
     return float(wrong_px.max()), float(wrong_px[near].max()), float(off.max())
 
 
 def _values(coefficients: Floats, places: Floats, states: Floats) -> Floats:
-    """Return the polynomials [place state 2] at places [place 2] and states [state 2]."""
+    """Return the polynomials [place state quantity] at places [place 2] and states [state 2]."""
     bases: list[Any] = [
         chebvander(points[:, axis], coefficients.shape[2 * part + axis] - 1)
         for part, points in enumerate((places, states))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
+from lensshift.core.optical import gaussian_width
 from lensshift.core.types import Burst
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.reconstruction.clipping import silent_pixels
@@ -48,6 +49,9 @@ SHARPENED_PX2 = 0.0037
 # training drew (0.08 px), or say by two standard deviations that a square pixel is another. One
 # that was told is right until they say by three that it is not.
 TELLING_PX, REFUTED, OBJECTED = 0.04, 2.0, 3.0
+# The width of a burst is that of a Gaussian of the same MTF50 at an edge. A square pixel has its
+# MTF50 at 0.6034 cycles per pixel, sinc f = 1/2, so it was told as wider than it is by so much.
+WIDER_BY_MTF50 = gaussian_width(0.6034) / SQUARE_PIXEL_PX
 BYTES = 256
 # Of few numbers all but chance is different, if they were measured finely.
 ALL_DIFFER = 0.9
@@ -131,7 +135,9 @@ def _questioned(
     if request.memory is not None and request.memory.quick:
         return request  # It was said when a step was last computed anew.
     told_px, named = blur_width_px(told), ""
-    off_px = found.width_px - float(np.clip(told_px, *known_widths_px()))
+    least_px = told_px / (WIDER_BY_MTF50 if response["psf_source"] == "burst" else 1.0)
+    nearest_px = np.clip(found.width_px, least_px, told_px)
+    off_px = found.width_px - float(np.clip(nearest_px, *known_widths_px()))
     std_px = math.hypot(found.std_px, response.get("psf_std_px", 0.0))
     if isinstance(told, ApertureBlur):
         named = f"fill_factor {told.fill_factor:g}"

@@ -183,7 +183,7 @@ def make_problem(
             )
         model = forward_model(
             burst.grid.shape, scale, shift_field_px=shift_field.offset_px,
-            spot_px2=shift_field.spot_px2, blur=blur,
+            spot_px2=shift_field.spot_px2, skew_px3=shift_field.skew_px3, blur=blur,
         )  # fmt: skip
     else:
         model = forward_model(burst.grid.shape, scale, burst.offset_px, blur=blur)
@@ -291,18 +291,20 @@ def predictor(
     """
     gains, biases = np.ones(burst.frame_count), np.zeros(burst.frame_count)
     gains[list(used)], biases[list(used)] = gain, bias
-    field_px = spot_px2 = None
+    field_px, of_spots = None, []
     if shift_field is not None:
         shape = (burst.frame_count, *burst.grid.shape, 2)
         others = burst.shift_field
         others_px = burst.offset_px[:, None, None] if others is None else others.offset_px
         field_px = np.array(np.broadcast_to(others_px, shape))
         field_px[list(used)] = shift_field.offset_px
-        if shift_field.spot_px2 is not None:  # that of others is the mean of those
-            spot_px2 = np.tile(shift_field.spot_px2.mean(axis=0), (burst.frame_count, 1, 1, 1))
-            spot_px2[list(used)] = shift_field.spot_px2
+        for known in (shift_field.spot_px2, shift_field.skew_px3):
+            if known is not None:  # that of others is the mean of those
+                of_all = np.tile(known.mean(axis=0), (burst.frame_count, 1, 1, 1))
+                of_all[list(used)] = known
+                of_spots.append(of_all)
     scale, blur = image.shape[0] // burst.grid.shape[0], problem.model.blur
-    return FramePredictor(image, scale, blur, burst.offset_px, gains, biases, field_px, spot_px2)
+    return FramePredictor(image, scale, blur, burst.offset_px, gains, biases, field_px, *of_spots)
 
 
 def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:

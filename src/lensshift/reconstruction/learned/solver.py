@@ -123,7 +123,7 @@ class Asked:
         """What bursts have to share to be solved together; what begins with `held` is alone."""
         model, held = self.model, self.held and id(self.held)
         places = [taps.position_hr_px.tobytes() for taps in (model.rows, model.cols)]
-        places += [] if model.spot_px2 is None else [model.spot_px2.tobytes()]
+        places += [of.tobytes() for of in (model.spot_px2, model.skew_px3) if of is not None]
         kinds = (
             self.of_phasors,
             self.general,
