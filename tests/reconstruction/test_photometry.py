@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pixel_camera import SQUARE_PX, edge_scene, photograph
+from pixel_camera import SQUARE_PX, edge_scene, make_burst, photograph
 
+from lensshift import QualityWarning, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.photometry import estimate_photometry
@@ -54,6 +55,35 @@ def test_frames_brought_back_are_as_noisy_as_their_gain_is_small(seed: int) -> N
     np.testing.assert_allclose(found.y, np.where(weight > 0, scene, 0.0), atol=1e-12)
     variance = 1 / np.minimum(GAIN, 1.0) ** 2
     np.testing.assert_allclose(found.weight, weight / variance[:, None, None])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("gain", [(1.0, 0.5, 2.0, 0.7), (1.0, 0.25, 2.0, 4.0)])
+def test_exposures_of_very_different_length_are_found(
+    A, gain: tuple[float, ...], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.array(gain)[:, None, None]
+    y = times * photograph(edge_scene, SHAPE, SQUARE_PX)
+    y += 0.003 * rng.standard_normal(y.shape)
+    found, bias = estimate_photometry(A, y, np.ones(y.shape))
+    np.testing.assert_allclose(found, gain / np.exp(np.mean(np.log(gain))), rtol=0.01)
+    np.testing.assert_allclose(bias, 0.0, atol=0.01)
+
+
+def test_nobody_is_told_to_estimate_brightness_that_was_estimated() -> None:
+    """In texture that frames alias what is brightness and what is a place is found roughly."""
+    rng = np.random.default_rng(0)
+    frequency, turn, phase = rng.uniform([[0.3], [0], [0]], [[0.6], [np.pi], [2 * np.pi]], (3, 30))
+
+    def scene(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        along = np.multiply.outer(row, np.cos(turn)) + np.multiply.outer(col, np.sin(turn))
+        return 0.5 + 0.08 * np.cos(2 * np.pi * frequency * along + phase).sum(axis=-1)
+
+    y = photograph(scene, SHAPE, SQUARE_PX) * np.array([1.0, 0.25, 2.0, 4.0])[:, None, None]
+    y += 0.003 * rng.standard_normal(y.shape)
+    with pytest.warns(QualityWarning, match="differ in brightness.*found for each frame do not"):
+        reconstruct(make_burst(y), channel="amplitude", photometric=True, psf_sigma_px=0.3)
 
 
 def test_equal_frames_keep_gain_one_and_bias_zero(A) -> None:

@@ -56,6 +56,9 @@ ALONE_SHARE = 0.25
 UNSURE = 1.1
 # What all frames contradict by at least this part of the most is no movement.
 ALIKE = 0.5
+# What is done about other brightness, and what is left to say where it was done.
+ESTIMATED = "photometric=True (--photometric) estimates gain and bias"
+NOT_ENOUGH = "the gain and bias found for each frame do not explain it (use fewer by frames=)"
 # Standard errors that chi-square has to be larger than 1 by before it counts against `std`.
 SIGNIFICANT = 3.0
 
@@ -144,7 +147,7 @@ class Misfit:
         if self.lit:
             lit = (
                 f"the frames differ in brightness by {self.brightness:.1f} times what they differ "
-                "by otherwise: photometric=True (--photometric) estimates gain and bias"
+                f"by otherwise: {ESTIMATED}"
             )
             return f"{lit}; and {self._moved(frames[self.first])}" if self.more else lit
         said = [self._elsewhere(frames)] if self.off_px else []

@@ -14,10 +14,13 @@ from lensshift.reconstruction.noise import robust_scale
 Array = NDArray[Any]
 
 HUBER_SIGMAS = 1.345
+# Rounds end when no gain changes by more than this share, far below what it is off by in the end:
+# 0.3 % on boxes and photographs of SNR 100. Each halves what is left, whatever it began with.
+SETTLED, MOST_ROUNDS = 1e-3, 16
 
 
 def estimate_photometry(
-    A: LinearOperator, y: Array, weight: Array, rounds: int = 4
+    A: LinearOperator, y: Array, weight: Array
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Estimate gain and bias [frame] such that y_k = gain_k (A x)_k + bias_k.
 
@@ -39,7 +42,8 @@ def estimate_photometry(
         raise ValueError("photometric estimation expects real frames, got complex phasors")
     count = len(y)
     gain, bias = np.ones(count), np.zeros(count)
-    for _ in range(rounds):
+    for _ in range(MOST_ROUNDS):
+        before = gain.copy()
         corrected = (y - bias[:, None, None]) / gain[:, None, None]
         seen = A.forward(smooth_fit(A, corrected, weight, 0.03, 20))
         for k in range(count):
@@ -49,6 +53,8 @@ def estimate_photometry(
         gain = np.maximum(gain, 1e-3)
         gain /= np.exp(np.mean(np.log(gain)))
         bias -= bias.mean()
+        if np.max(np.abs(gain / before - 1.0)) < SETTLED:
+            break
     return gain, bias
 
 

@@ -19,6 +19,7 @@ from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
+from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
 from lensshift.reconstruction.options import positive, truth
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
@@ -275,8 +276,11 @@ def _solve(
     image = np.asarray(estimate.image) * unit + level
     fine = None if estimate.fine is None else estimate.fine * unit + level
     bias = bias * unit + level * (1.0 - gain)
-    notes = dict(estimate.notes) | ({"gain": gain.tolist(), "bias": bias.tolist()}
-                                    if photometric else {})  # fmt: skip
+    notes = dict(estimate.notes)
+    if photometric:
+        notes |= {"gain": gain.tolist(), "bias": bias.tolist()}
+        if "contradiction" in notes:
+            notes["contradiction"] = notes["contradiction"].replace(ESTIMATED, NOT_ENOUGH)
     std = estimate.uncertainty
     if isinstance(std, PropagatedStd):
         std = replace(std, unit=unit)
