@@ -8,7 +8,9 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.main import get_command
@@ -91,11 +93,16 @@ def lensshift_calls(line: str) -> Iterator[list[str]]:
             yield words[1:]
 
 
+@cache
+def all_commands() -> Any:
+    return get_command(app)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=named)
 def test_every_command_names_verbs_and_options_that_exist(document: Path) -> None:
     for line in told_by(document):
         for words in lensshift_calls(line):
-            verb = get_command(app)
+            verb = all_commands()
             while words and words[0] in getattr(verb, "commands", {}):
                 verb = verb.commands[words.pop(0)]
             assert not getattr(verb, "commands", {}) or words in (["--help"], []), line

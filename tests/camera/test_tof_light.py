@@ -1,6 +1,7 @@
 """How much light arrives, and from where else."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from lensshift.camera import (
     Scatter,
 )
 from lensshift.camera.radiometry import relative_illumination
+from lensshift.core.arrays import Array
 from lensshift.core.grid import Grid
 from lensshift.scene import Cuboid, Rectangle, Scene, Sphere
 
@@ -44,6 +46,15 @@ def test_light_of_a_ball_falls_with_the_fourth_power_of_the_cosine(natural: bool
     assert capture.burst.distance_m == pytest.approx(2.0, abs=1e-6)
 
 
+@cache
+def counted_shares() -> tuple[Array, Array]:
+    """Return how far apart two unit circles are, and the share of points of one in the other."""
+    x, y = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 2_000_000))
+    x, y = (values[x * x + y * y < 1.0] for values in (x, y))
+    apart = np.linspace(0.0, 2.0, 201)
+    return apart, np.array([np.mean((x - s) ** 2 + y * y < 1.0) for s in apart])
+
+
 @pytest.mark.parametrize("lost", [0.1, 0.5, 1.0])
 def test_vignetting_is_the_common_share_of_two_circles(lost: float) -> None:
     grid = Grid((9, 13), (0.02, 0.03))
@@ -51,11 +62,7 @@ def test_vignetting_is_the_common_share_of_two_circles(lost: float) -> None:
     corner = np.array([4.5 * 0.02, 6.5 * 0.03]) / 0.2
     light = relative_illumination(optics, grid, *np.multiply.outer(corner, [0.0, 0.37, 1.0]))
     assert light[[0, 2]] == pytest.approx([1.0, 1.0 - lost], abs=1e-9)
-    # Counted: points of a circle that lie in another one, moved so that the corner loses as told.
-    x, y = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 2_000_000))
-    x, y = (values[x * x + y * y < 1.0] for values in (x, y))
-    apart = np.linspace(0.0, 2.0, 201)
-    share = np.array([np.mean((x - s) ** 2 + y * y < 1.0) for s in apart])
+    apart, share = counted_shares()
     corner_apart = np.interp(lost, 1.0 - share, apart)
     expected = np.interp(0.37 * corner_apart, apart, share)
     assert light[1] == pytest.approx(expected, abs=2e-3)

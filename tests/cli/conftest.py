@@ -1,5 +1,6 @@
 """What the tests of the command line share."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +13,19 @@ import lensshift
 from lensshift.cli.app import app
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
+
+
+@pytest.fixture
+def drawn() -> None:
+    """Let previews be drawn by matplotlib."""
+
+
+@pytest.fixture(autouse=True)
+def previews_are_plain(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write previews as without matplotlib: drawn, they take most of the time of a call."""
+    if "drawn" not in request.fixturenames:
+        for name in ("result", "shots"):
+            monkeypatch.setitem(sys.modules, f"lensshift.report.{name}", None)
 
 
 @pytest.fixture

@@ -191,6 +191,7 @@ def test_one_burst_after_another(call: Call, rig_file: Path, tmp_path: Path) -> 
     assert not (tmp_path / "a-0001.nc").exists()
 
 
+@pytest.mark.usefixtures("drawn")
 def test_capture_and_reconstruct_in_one_go(call: Call, rig_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     said = answer(call, "run", "--rig", rig_file, "--method", "shift-and-add", "--out", out)

@@ -17,6 +17,7 @@ from lensshift.optics.lens_file import load_lens
 ANGLE = ["--fov-deg", "50x40"]
 
 
+@pytest.mark.usefixtures("drawn")
 def test_points_are_written_and_drawn(
     call: Call, fake: FakeReconstruct, burst_file: Path, tmp_path: Path
 ) -> None:

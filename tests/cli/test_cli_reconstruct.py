@@ -18,6 +18,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.usefixtures("drawn")
 def test_default_names_and_words(call: Call, fake: FakeReconstruct, burst_file: Path) -> None:
     done = call("reconstruct", burst_file)
     assert done.exit_code == 0, done.output
@@ -281,6 +282,7 @@ def test_reconstruction_as_input_is_refused(
     assert "expected a burst, got a reconstruction" in done.stderr
 
 
+@pytest.mark.usefixtures("drawn")
 def test_complex_result_has_a_preview_but_no_picture(
     call: Call, fake: FakeReconstruct, tmp_path: Path
 ) -> None:

@@ -89,6 +89,7 @@ def test_register_needs_no_offsets(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.offset_px, OFFSETS - OFFSETS.mean(axis=0), atol=0.04)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_bare_stack_is_reconstructed(reference_dir: Path, tmp_path: Path) -> None:
     with np.load(reference_dir / "real_sequences" / "mdsp_eia.npz") as data:
         frames = data["frames"]

@@ -42,7 +42,7 @@ def until(what: Callable[[], object], seconds: float = 60.0) -> None:
         time.sleep(0.01)
 
 
-def source_of(burst: Burst, rate_hz: float = 50.0) -> BurstSource:
+def source_of(burst: Burst, rate_hz: float = 20.0) -> BurstSource:
     return BurstSource(burst, "frames", rate_hz=rate_hz)
 
 

@@ -113,7 +113,7 @@ def test_an_emulated_rig_is_shown_fast_and_does_not_grow(page: Page, tmp_path: P
 
 
 def test_a_stopped_tab_slows_no_frame(page: Page, burst: Burst, tmp_path: Path) -> None:
-    with served(source_of(burst), tmp_path) as (address, live):
+    with served(source_of(burst, 50.0), tmp_path) as (address, live):
         opened(page, address)
         page.call("Debugger.enable")
         page.call("Debugger.pause")

@@ -18,6 +18,7 @@ from lensshift.core.types import Status
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
 from lensshift.pipeline.experiment_file import named_scene
+from lensshift.reconstruction.learned import response
 from lensshift.reconstruction.learned.response import (
     ASSUMED_PX,
     SCALE,
@@ -269,11 +270,14 @@ def test_bytes_are_no_measure_of_edges() -> None:
         assert reconstruct(burst, channel="amplitude").settings["psf_source"] == "assumed"
 
 
-def test_a_hole_in_the_middle_of_a_large_sensor_is_no_obstacle() -> None:
-    seen = seen_by(6, 531, shape=(166, 170))
+def test_a_hole_in_the_middle_of_a_large_sensor_is_no_obstacle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(response, "WINDOW_PX", 20)  # that is looked at of a larger sensor
+    seen = seen_by(6, 531, shape=(26, 30))
     valid = np.ones(seen.y.shape, np.bool_)
     valid[:, 2:-2, 4:-4] = False
     sigma = np.where(valid, seen.sigma, np.inf)
-    model = forward_model((166, 170), SCALE, seen.offset_px, blur=GaussianBlur(ASSUMED_PX))
+    model = forward_model((26, 30), SCALE, seen.offset_px, blur=GaussianBlur(ASSUMED_PX))
     found = likely_response(model, seen.y, sigma)
     assert np.isfinite([found.width_px, found.std_px]).all()
