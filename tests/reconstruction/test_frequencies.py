@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mosaic import mosaic_burst
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from lensshift import (
     Burst,
@@ -284,42 +283,3 @@ def test_frequencies_in_the_wrong_order_are_told(hz: tuple[float, ...]) -> None:
         reconstruct(replace(burst, modulation_hz=wrong))
     assert any(f"in that of {right} Hz" in str(one.message) for one in said)
     assert said[0].filename == __file__
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("hz", [(100e6, 20e6), (80e6, 60e6), TRIPLE_HZ])
-def test_contradicting_phases_are_reconciled_as_mandel_and_paule_have_it(
-    hz: tuple[float, ...], seed: int
-) -> None:
-    """The error that grows with the square of the frequency makes chi-square F - 1, and no less."""
-    rng, per_m = np.random.default_rng(seed), distance_to_phase(1.0, 1.0) * np.array(hz)
-    off_m = rng.normal(0, 0.05, (40, len(hz))) * (np.arange(40) > 9)[:, None]  # ten agree
-    std_m = rng.uniform(1e-3, 1e-2, off_m.shape)
-    tones = Tones(hz, (per_m * (2.2 + off_m)).T, (per_m * std_m).T)
-    found_m, found_std_m = tones.reconciled(np.full(40, 2.2))
-    grows = (np.array(hz) / max(hz)) ** 4
-
-    def excess(v: float, off: NDArray[Any], std: NDArray[Any]) -> float:
-        w = 1 / (std**2 + v * grows)
-        return float(w @ (off - w @ off / w.sum()) ** 2) - (len(hz) - 1)
-
-    for off, std, got_m, got_std_m in zip(off_m, std_m, found_m, found_std_m, strict=True):
-        v = brentq(excess, 0.0, 1e4, (off, std), 1e-15) if excess(0.0, off, std) > 0 else 0.0
-        w = 1 / (std**2 + v * grows)
-        assert got_m - 2.2 == pytest.approx(w @ off / w.sum(), abs=1e-6)
-        assert got_std_m == pytest.approx(w.sum() ** -0.5, rel=1e-4)
-
-
-@pytest.mark.parametrize("box_m", [2.9, 2.95, 3.0])
-def test_a_pixel_of_two_surfaces_is_where_the_lowest_frequency_sees_it(box_m: float) -> None:
-    """Unless 100 MHz by chance says one of both: it is off by up to half of its turn."""
-    hz, wall_m = (100e6, 20e6), 3.9
-    per_m = distance_to_phase(1.0, 1.0) * np.array(hz)
-    near, far = (np.exp(1j * per_m * m) for m in (box_m, wall_m))
-    z = np.where(np.arange(12) < 6, near[:, None], far[:, None])[:, None] * np.ones((2, 9, 1))
-    z[:, 4, 6] = (near + far) / 2
-    found_m, std_m = common_distance(Tones(hz, np.mod(np.angle(z), 2 * np.pi), 2e-3 / np.abs(z)))
-    truth_m = np.where(np.arange(12) < 6, box_m, wall_m) * np.ones((9, 1))
-    truth_m[4, 6] = (box_m + wall_m) / 2
-    np.testing.assert_allclose(found_m, truth_m, atol=0.05)
-    assert std_m[4, 6] == std_m.max()

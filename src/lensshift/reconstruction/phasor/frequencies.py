@@ -26,7 +26,6 @@ SURE = 3.0**2  # chi-square by which a turn is sure: the usual 3 sigma
 CORNER = 3  # neighbours alike, where a surface of four pixels or more ends
 FORBIDDEN = 1e12  # chi-square that no noise reaches
 AROUND = [(row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)]
-NEWTON_STEPS = 8  # of 1 / C, which of two frequencies is a straight line
 ROUNDS = 8  # in which a turn is told on, by a pixel each
 
 
@@ -104,33 +103,6 @@ class Tones:
         per_m = 4.0 * np.pi / SPEED_OF_LIGHT_MPS * np.asarray(self.hz)
         return per_m.reshape(-1, *(1,) * (self.phase_rad.ndim - 1))
 
-    def reconciled(
-        self, distance_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return distances [...] in the turn of those given that contradicting phases allow.
-
-            C = sum_f (d_f - d)^2 / (s_f^2 + v f^4) = F - 1,   F frequencies
-
-        What a phase of two surfaces is off by grows with its frequency, to second order with the
-        square. Where phases contradict each other by more than 3 sigma, such an error v f^4 of
-        all of them makes the contradiction likely: the lowest counts most. And the standard
-        deviation. Source: Mandel and Paule, of measurements that differ (1970).
-        """
-        off_m = within_half_a_turn(self.phase_rad - self.rad_per_m * distance_m) / self.rad_per_m
-        noise_m2 = (self.std_rad / self.rad_per_m) ** 2
-        grows = (self.rad_per_m / self.rad_per_m.max()) ** 4
-        allowed = len(self.hz) - 1
-        spread_m2 = np.zeros(distance_m.shape)
-        for _ in range(NEWTON_STEPS):
-            weight = 1.0 / (noise_m2 + spread_m2 * grows)
-            rest = off_m - np.sum(weight * off_m, axis=0) / np.sum(weight, axis=0)
-            cost = np.sum(weight * rest**2, axis=0)
-            slope = np.maximum(np.sum(grows * (weight * rest) ** 2, axis=0), 1e-30)
-            spread_m2 = np.maximum(spread_m2 + (cost / allowed - 1.0) * cost / slope, 0.0)
-        weight = 1.0 / (noise_m2 + spread_m2 * grows)
-        total = np.sum(weight, axis=0)
-        return distance_m + np.sum(weight * off_m, axis=0) / total, 1.0 / np.sqrt(total)
-
     def _weight(self) -> NDArray[np.float64]:
         return np.asarray((self.rad_per_m / self.std_rad) ** 2)
 
@@ -159,9 +131,8 @@ def common_distance(pictures: Tones) -> tuple[NDArray[np.float64], NDArray[np.fl
     A pixel that is sure and like three around keeps the turn of its own phases. Any other takes
     the one that its phases and those around ask for: all around a turn away are worth 3 sigma. A
     pixel that sees two surfaces has phases of none, fits no turn, and must be among or between the
-    surfaces near it; where it is on none, the lowest frequency counts most (`Tones.reconciled`).
-    The variance is what the phases allow, more where they contradict each other, and the square of
-    how far the other turns are, by how likely they are.
+    surfaces near it. The variance is what the phases allow, more where they contradict each other,
+    and the square of how far the other turns are, by how likely they are.
     """
     found_m, least, sure = pictures.alone()
     doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
@@ -189,17 +160,10 @@ def common_distance(pictures: Tones) -> tuple[NDArray[np.float64], NDArray[np.fl
     found_m[asked] = _least(tried_m, total)
     likely = np.exp(0.5 * (total.min(axis=0) - total))
     likely /= likely.sum(axis=0)
+    contradiction = np.maximum(_least(cost, total) / max(len(pictures.hz) - 1, 1), 1.0)
     others = np.sum(likely * (tried_m - found_m[asked]) ** 2, axis=0)
-    doubt[asked] *= np.maximum(_least(cost, total) / max(len(pictures.hz) - 1, 1), 1.0)
-    variance_m2 = pictures.sigma_m**2 * doubt
-    variance_m2[asked] += others
-    torn = (doubt > SURE) & (_alike(found_m, pictures.sigma_m, pictures.turn_m) < CORNER)
-    if torn.any():
-        lowest_m, own_m = pictures.at(torn).reconciled(found_m[torn])
-        far = np.abs(lowest_m - found_m[torn]) > ALIKE * pictures.turn_m
-        found_m[torn] = np.where(far, lowest_m, found_m[torn])
-        variance_m2[torn] = np.maximum(variance_m2[torn], far * own_m**2)
-    return found_m, np.sqrt(variance_m2)
+    std_m[asked] = np.sqrt(some.sigma_m**2 * doubt[asked] * contradiction + others)
+    return found_m, std_m
 
 
 def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]:
