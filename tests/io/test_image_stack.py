@@ -543,6 +543,30 @@ def test_a_pixel_size_that_is_damaged_is_said(
     assert "damaged" in message_of(path, pitch_mm=None)
 
 
+@pytest.mark.parametrize("silenced", ["all", "tifffile", "level"])
+def test_a_program_that_silences_its_loggers_loses_no_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, silenced: str
+) -> None:
+    """Pages that are missing are only logged by tifffile, and the others were all there was."""
+    logger = logging.getLogger("tifffile")
+    if silenced == "all":
+        monkeypatch.setattr(logger.manager, "disable", logging.CRITICAL)
+    elif silenced == "tifffile":
+        monkeypatch.setattr(logger, "disabled", True)
+    else:
+        monkeypatch.setattr(logger, "level", logging.CRITICAL + 1)
+    logger._cache.clear()  # type: ignore[attr-defined]
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, frames_of("u2"), photometric="minisblack", compression="zlib")
+    content = path.read_bytes()
+    for length in range(8, len(content) - 20, 7):
+        path.write_bytes(content[:length])
+        assert "damaged" in message_of(path)
+    assert logger.disabled is (silenced == "tifffile")
+    assert not logger.isEnabledFor(logging.ERROR)
+    logger._cache.clear()  # type: ignore[attr-defined]
+
+
 def test_what_tifffile_logs_reaches_no_terminal(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -237,8 +237,15 @@ def test_what_frames_contradict_is_counted_and_named(tmp_path: Path):
     assert load_window(found.path, 3).amplitude.status is Status.COMPLETE
 
 
-@pytest.mark.parametrize("step_px", [0.0, 0.01])
-@pytest.mark.parametrize("every", [4, 3])
+@pytest.mark.parametrize(
+    ("step_px", "every"),  # the default run takes each once
+    [
+        (0.0, 4),
+        (0.01, 3),
+        pytest.param(0.0, 3, marks=pytest.mark.slow),
+        pytest.param(0.01, 4, marks=pytest.mark.slow),
+    ],
+)
 def test_windows_that_show_nothing_stop_no_other(tmp_path: Path, step_px: float, every: int):
     """The first frames and all of a task are dark; and one frame between."""
     dark = np.isin(np.arange(60), [*range(7), 13, *range(20, 48)])

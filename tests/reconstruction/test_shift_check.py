@@ -70,12 +70,14 @@ def _turned(scene: Callable[..., Array], offset_px: Array, most_deg: float, seed
 
 @pytest.mark.parametrize("scene", [_boxes, _weave])
 @pytest.mark.parametrize("offset_px", [SQUARE_PX, SCATTERED_PX], ids=["square", "scattered"])
-def test_a_camera_that_turned_is_named(scene: Callable[..., Array], offset_px: Array) -> None:
-    for seed in (0, 1):
-        doubt = doubtful_shifts(_turned(scene, offset_px, 3.0, seed), offset_px)
-        assert doubt is not None
-        assert doubt.mistake == "frames that turn"
-        assert doubtful_shifts(_turned(scene, offset_px, 0.0, seed), offset_px) is None
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_camera_that_turned_is_named(
+    scene: Callable[..., Array], offset_px: Array, seed: int
+) -> None:
+    doubt = doubtful_shifts(_turned(scene, offset_px, 3.0, seed), offset_px)
+    assert doubt is not None
+    assert doubt.mistake == "frames that turn"
+    assert doubtful_shifts(_turned(scene, offset_px, 0.0, seed), offset_px) is None
 
 
 def _frames(scene: Callable[..., Array], offset_px: Array, sigma: float, seed: int = 0) -> Array:
@@ -288,7 +290,7 @@ def test_a_part_of_a_large_sensor_tells_with_shift_fields_and_phasors_too() -> N
         reconstruct(burst, channel="phasor", std=False, shift_field=ShiftField(field))
 
 
-@pytest.mark.parametrize("seed", [4, 6])
+@pytest.mark.parametrize("seed", [4, pytest.param(6, marks=pytest.mark.slow)])
 def test_an_edge_seen_at_thirds_of_a_pixel_is_where_it_is_said_to_be(seed: int) -> None:
     """On a grid of halves its frames are predicted best by shifts of half the size."""
     taken = simulate_tof(

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge import EdgeResult, Interval, average_interval
 
-Array = NDArray[np.float64]
 Direction = Literal["sagittal", "tangential"]
 DIRECTIONS: tuple[Direction, ...] = ("sagittal", "tangential")
 
@@ -75,7 +74,7 @@ def chart_edges(
     return edges
 
 
-def _along(one: EdgeResult) -> Array:
+def _along(one: EdgeResult) -> Floats:
     """Return the direction (row, col) of an edge."""
     turn = one.angle_rad.value
     upright = np.array([np.cos(turn), -np.sin(turn)])  # col = -row tan(turn)
@@ -216,7 +215,7 @@ def best_focus(
     return fit
 
 
-def _extremum(x: Array, y: Array, std: Array, power: int) -> tuple[float, FocusFit]:
+def _extremum(x: Floats, y: Floats, std: Floats, power: int) -> tuple[float, FocusFit]:
     """Return what a parabola through y^power leaves of y, squared, and its extremum.
 
     Three points leave nothing: the order of the laws decides. Infinite where y has no maximum.

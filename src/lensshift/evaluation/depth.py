@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.edge_gradient import profile_edge
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 EDGE_SHARE = 0.05  # of the nearer distance: smaller steps are no edges
 _MIN_LINE_SAMPLES = 4

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.steps import refuse_two_edges
 
-Floats = NDArray[np.float64]
 Limits = Literal["range", "literal"]
 Plateaus = Literal["median", "extremes"]
 

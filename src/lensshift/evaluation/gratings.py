@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.optimize import minimize
 
+from lensshift.core.arrays import Floats
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels
 
-Floats = NDArray[np.float64]
 Box = tuple[int, int, int, int]  # row start, row stop, col start, col stop
 
 _FEWEST_TO_EXTRAPOLATE = 3

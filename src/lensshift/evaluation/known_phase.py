@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.limits import pitch_pair_mm
-
-Floats = NDArray[np.float64]
 
 _MAX_CONDITION = 10.0  # of the columns of one fit, each of norm 1; full rings have about 1.5
 _MAX_CENTER_STEPS = 30

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from lensshift.core.arrays import Floats
+
 CHANNELS = ("luminance", "red", "green", "blue")
 # Shares of red, green and blue in the luminance that ISO 12233 measures (ITU-R BT.709).
 LUMINANCE = (0.2125, 0.7154, 0.0721)
@@ -16,7 +17,7 @@ PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 def linear_light(
     levels: ArrayLike, curve: float | ArrayLike | None = None, *, white: float | None = None
-) -> Array:
+) -> Floats:
     """Undo the tone curve of a camera.
 
         light = white (level / white)^gamma,   or a table (level, light), straight in between
@@ -87,7 +88,7 @@ def one_channel(image: ArrayLike, channel: str | None = None) -> NDArray[Any]:
 
 def bayer_frames(
     mosaic: ArrayLike, pattern: str, channel: str = "green"
-) -> tuple[NDArray[Any], Array]:
+) -> tuple[NDArray[Any], Floats]:
     """Return the pixels of one colour of a mosaic as frames [frame row col], and their offsets.
 
     Red and blue are one frame, green is two, each of half the rows and columns: nothing is

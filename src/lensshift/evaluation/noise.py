@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
-from lensshift.evaluation.depth import Floats, mask_array, real_array
+from lensshift.evaluation.depth import mask_array, real_array
 
 _MAX_NOISE_ERROR = 0.1
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.limits import first_fall
-
-Floats = NDArray[np.float64]
 
 FIXED_THRESHOLD = 1 / 7
 _MIN_SIDE_PX = 8

@@ -11,12 +11,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
-
-Floats = NDArray[np.float64]
 
 _FEWEST_CYCLES = 5  # below, the wave is one of the terms of uneven light or next to it
 _MIN_RINGS = 3

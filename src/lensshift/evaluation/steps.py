@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from lensshift.core.arrays import Floats
 
 _STEEP_SHARE = 0.2  # of the steepest place of the line
 _APART_PX = 3  # places nearer than this belong to one edge, so does the spike of a flying pixel

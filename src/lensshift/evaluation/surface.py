@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation import depth
-from lensshift.evaluation.depth import Floats, Mask
 from lensshift.evaluation.edge_gradient import split_index
 
 STEP_SHARE = 0.10  # a pixel farther than this share of the step from a surface is not on it

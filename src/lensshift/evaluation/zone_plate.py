@@ -6,15 +6,14 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
 from lensshift.evaluation.limits import pitch_pair_mm
-
-Floats = NDArray[np.float64]
 
 _WEDGE_RAD = np.pi / 12  # half the angle about an axis whose pixels show that axis
 _MIN_RINGS = 3

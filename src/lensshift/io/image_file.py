@@ -236,7 +236,8 @@ def _are_frames(series: Any, planes: NDArray[Any]) -> bool:
 def strict_tifffile() -> Iterator[None]:
     """Turn the errors that tifffile raises or only logs into a `DataError`.
 
-    It logs pages that it cannot find, and leaves them out.
+    It logs pages that it cannot find, and leaves them out. A program may have silenced all loggers
+    (`logging.disable`, or `logging.config`, which disables those that exist): this one must speak.
     """
     import tifffile
 
@@ -244,6 +245,9 @@ def strict_tifffile() -> Iterator[None]:
     handler = logging.Handler(logging.ERROR)
     handler.emit = lambda record: complaints.append(record.getMessage())  # type: ignore[method-assign]
     logger = logging.getLogger("tifffile")
+    before = logger.disabled, logger.propagate
+    logger.disabled, logger.propagate = False, False
+    logger.isEnabledFor = lambda level: level >= logging.ERROR  # type: ignore[method-assign]
     logger.addHandler(handler)
     try:
         yield
@@ -251,6 +255,8 @@ def strict_tifffile() -> Iterator[None]:
         complaints.append(str(error))
     finally:
         logger.removeHandler(handler)
+        del logger.isEnabledFor
+        logger.disabled, logger.propagate = before
     if complaints:
         raise DataError(f"damaged or cut short ({complaints[0]:.200})")
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.evaluation.chart import (
     DIRECTIONS,
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 _MOST_HIGH_IN = 8.0  # of a screen
 _COLOURS = dict(zip(DIRECTIONS, (BLUE, RED), strict=True))

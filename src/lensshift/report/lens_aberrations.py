@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.patches import Rectangle
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.optics import aberrations
 from lensshift.optics.lens import Lens
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 _FIELD_STEPS, _MTF_FIELDS = 25, 13  # from centre to corner: smooth; every other for the slow MTF

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.patches import Circle, Rectangle
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.optics.layout import distortion_grid
 from lensshift.optics.mtf import AZIMUTHS_RAD, sensor_mtf, through_focus
 from lensshift.optics.paraxial import paraxial
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from lensshift.core.motion import ShiftField
     from lensshift.optics.lens import Lens
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 _LABELS_IN = 0.75  # a title and two rows of text

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.evaluation.limits import paper_sensor_limit, pixel_aperture_mtf
 from lensshift.optics.layout import layout
 from lensshift.optics.mtf import diffraction_limit
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from lensshift.optics.lens import Lens
     from lensshift.optics.which import Mover
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 _GLASS = "#E3EDF6"

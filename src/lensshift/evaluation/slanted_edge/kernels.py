@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
-
+from lensshift.core.arrays import Array
 
 _ROOT_HALF = math.sqrt(0.5)
 _INVERSE_ROOT_2PI = 1.0 / math.sqrt(2.0 * math.pi)

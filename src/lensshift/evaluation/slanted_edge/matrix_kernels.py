@@ -13,13 +13,10 @@ areas times coefficients up to i.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.special import fdtr, fdtrc
 
+from lensshift.core.arrays import Mask
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 
 _LARGEST_ORDER = 3
@@ -24,8 +25,6 @@ _FREE_ERROR = 2e-3  # of the contrast: what a free ESF may be off by near a shar
 _NEAR_STEP_PX = 2.0  # of the distance from the edge, in which noise near it is told
 _NEAR_PX = 8.0  # how far its own correlation reaches: a block of a JPEG
 _FEWEST_SITES = 40  # plateau pixels below which noise counts as white and even
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Mask
 from lensshift.evaluation.slanted_edge import noise_model
 from lensshift.evaluation.slanted_edge.bending import FreeResponse, bend_edge
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector, core_slopes
@@ -18,7 +19,7 @@ from lensshift.evaluation.slanted_edge.gathering import (
     splines_for,
 )
 from lensshift.evaluation.slanted_edge.geometry import EdgeLine, find_edge
-from lensshift.evaluation.slanted_edge.noise_model import Mask, NoiseModel
+from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.result import Region
 
 _FEWEST_PIXELS = 64

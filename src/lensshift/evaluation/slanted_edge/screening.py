@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lensshift.core.arrays import Mask
 from lensshift.evaluation.slanted_edge.edge_model import Vector
-from lensshift.evaluation.slanted_edge.noise_model import Mask
 from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_upright
 from lensshift.evaluation.steps import OF_NORMAL
 
@@ -105,7 +105,7 @@ class _Bins(NamedTuple):
 
     number: NDArray[np.intp]
     size: NDArray[np.intp]
-    large: NDArray[np.bool_]
+    large: Mask
 
 
 def _bins(edge: UprightEdge) -> _Bins:
