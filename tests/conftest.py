@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -45,7 +46,9 @@ def pytest_configure(config: pytest.Config) -> None:
     Else every worker, and each of the many processes that tests start, would make anew that of
     all that it imports: two thirds of the time of a command.
     """
-    if sys.dont_write_bytecode and hasattr(config, "cache"):
+    if not (sys.dont_write_bytecode and hasattr(config, "cache")):
+        return
+    with suppress(OSError):  # nothing may be written there: then as ever
         folder = str(config.cache.mkdir("bytecode"))
         sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = folder
         sys.dont_write_bytecode = False

@@ -85,14 +85,30 @@ def test_all_kernels_equal_a_sparse_matrix(
     expected = D.T @ (a.ravel() * (D @ x.ravel()))
     np.testing.assert_allclose((out - start).ravel(), expected, **close(dtype))
 
-    length = np.repeat(np.hypot(*directions.T), x.size)
-    expected = D.T @ ((D @ x.ravel()) / length)
-    np.testing.assert_allclose(laplacian(x, directions).ravel(), expected, **close(dtype))
-
     diagonal = np.zeros(shape, a.dtype)
     add_laplacian_diagonal(a, directions, diagonal)
     expected = (D.T @ scipy.sparse.diags_array(a.ravel()) @ D).diagonal()
     np.testing.assert_allclose(diagonal.ravel(), expected, **close(dtype))
+
+
+@pytest.mark.parametrize("dtype", TYPES)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_laplacian_equals_a_sparse_matrix_whatever_the_level(
+    shape: tuple[int, int], dtype: type
+) -> None:
+    directions = half_plane(1)
+    D = difference_matrix(shape, directions)
+    x = draw(np.random.default_rng(0), shape, dtype)
+    length = np.repeat(np.hypot(*directions.T), x.size)
+    expected = D.T @ ((D @ x.ravel()) / length)
+    found = laplacian(x)
+    assert found.dtype == dtype
+    np.testing.assert_allclose(found.ravel(), expected, **close(dtype))
+    hot = np.ones(shape, dtype) * dtype(290.0)
+    np.testing.assert_array_equal(laplacian(hot), 0.0)
+    # What is left is the rounding of x + 290 itself, in each of up to eight differences.
+    rounding = 16 * 290.0 * np.finfo(dtype).eps
+    np.testing.assert_allclose(laplacian(x + hot), found, rtol=0, atol=rounding)
 
 
 def test_differences_are_the_numpy_slices() -> None:

@@ -35,17 +35,25 @@ def square(scale: int) -> NDArray[np.float64]:
 def canvas(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Return a mosaic on the fine grid of frames of that shape, with its margin."""
     rows, cols = ((n + 2 * MARGIN_PX) * SAMPLES for n in shape)
-    row, col = np.mgrid[:rows, :cols] / SAMPLES
+    row, col = np.arange(rows)[:, None] / SAMPLES, np.arange(cols) / SAMPLES
     count = int(rng.integers(4, 25))
     points = rng.uniform(0, 1, (count, 2)) * (row.max(), col.max())
-    nearest = np.argmin([(row - p[0]) ** 2 + (col - p[1]) ** 2 for p in points], axis=0)
+    nearest, least = np.zeros((rows, cols), int), np.full((rows, cols), np.inf)
+    for cell, (down, right) in enumerate(points):
+        away = (row - down) ** 2 + (col - right) ** 2
+        nearest[away < least] = cell
+        np.minimum(away, least, out=least)
     ground = np.zeros((rows, cols))
     for cell in range(count):
         turn, frequency = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.6)  # cycles per LR px
-        along = row * np.sin(turn) + col * np.cos(turn)
-        wave = 0.2 * np.sin(2 * np.pi * frequency * along)
-        more = (0, 0, 0.02 * (along - along.mean()), wave)[rng.integers(4)]
-        ground = np.where(nearest == cell, rng.uniform(0.1, 0.9) + more, ground)
+        kind, tone = rng.integers(4), rng.uniform(0.1, 0.9)
+        inside = nearest == cell
+        ground[inside] = tone
+        if kind > 1:
+            along = row * np.sin(turn) + col * np.cos(turn)
+            ramp = 0.02 * (along[inside] - along.mean())
+            wave = 0.2 * np.sin(2 * np.pi * frequency * along[inside])
+            ground[inside] += ramp if kind == 2 else wave
     return ground
 
 

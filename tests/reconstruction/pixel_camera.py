@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -33,15 +34,17 @@ def photograph(
 ) -> NDArray[np.float64]:
     """Return the frames [frame row col]; with one offset 0 and a scale, the HR truth."""
     offsets = np.atleast_2d(np.asarray(offset_px, np.float64))
+    return np.stack([_frame(scene, shape, (row, col), scale) for row, col in offsets.tolist()])
+
+
+@lru_cache(maxsize=200)  # many tests look at the same scene from the same places
+def _frame(
+    scene: Scene, shape: tuple[int, int], offset_px: tuple[float, float], scale: int
+) -> NDArray[np.float64]:
     step = 1.0 / (FINE * scale)
     rows, cols = (-0.5 + step * (np.arange(n * scale * FINE) + 0.5) for n in shape)
-    frames = [
-        scene(rows[:, None] - row, cols[None, :] - col)
-        .reshape(shape[0] * scale, FINE, shape[1] * scale, FINE)
-        .mean(axis=(1, 3))
-        for row, col in offsets
-    ]
-    return np.stack(frames)
+    seen = scene(rows[:, None] - offset_px[0], cols[None, :] - offset_px[1])
+    return seen.reshape(shape[0] * scale, FINE, shape[1] * scale, FINE).mean(axis=(1, 3))
 
 
 def truth(scene: Scene, shape: tuple[int, int], scale: int) -> NDArray[np.float64]:

@@ -142,7 +142,7 @@ def smooth_fit(
     square = weight.dtype.type(stiffness / len(NEIGHBOURS) ** 2)
 
     def apply(x: Array) -> Array:
-        rough = laplacian(laplacian(x, NEIGHBOURS), NEIGHBOURS)
+        rough = laplacian(laplacian(x))
         rough *= square
         rough += A.adjoint(weight * A.forward(x))
         return rough
