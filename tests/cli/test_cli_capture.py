@@ -146,20 +146,20 @@ def test_an_unfinished_capture_is_set_aside(call: Call, rig_file: Path, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("name", "problem"),
+    ("name", "status", "problem"),
     [
-        ("burst.nc", "there is a file of this name"),
-        ("none/a.nc", "there is no folder"),
-        (".", "this is a folder"),
+        ("burst.nc", 1, "there is a file of this name"),
+        ("none/a.nc", 1, "there is no folder"),
+        (".", 2, "is a folder; expected the name of"),
     ],
 )
 def test_the_file_is_looked_at_before_anything_is_opened(
-    call: Call, burst_file: Path, tmp_path: Path, name: str, problem: str
+    call: Call, burst_file: Path, tmp_path: Path, name: str, status: int, problem: str
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(EXAMPLE)  # no such devices: opening them is another error
     refused = call("capture", rig, "-o", tmp_path / name)
-    assert refused.exit_code == 1
+    assert refused.exit_code == status
     assert problem in refused.stderr
     assert sorted(file.name for file in tmp_path.iterdir()) == ["burst.nc", "rig.toml"]
     assert burst_file.stat().st_size > 0

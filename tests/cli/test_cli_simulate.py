@@ -57,7 +57,7 @@ def test_reconstruct_says_that_the_burst_knows_its_blur(
     call: Call, small: Path, tmp_path: Path
 ) -> None:
     burst = tmp_path / "b.nc"
-    assert "a folder, not a file" in call("simulate", "-o", ".").stderr
+    assert ". is a folder; expected the name of" in call("simulate", "-o", ".").stderr
     assert call("simulate", "slanted_edge", "--camera", small, "-o", burst).exit_code == 0
     bicubic = "reconstruct", burst, "--method", "bicubic"
     assert "blur 0.224 px, as the burst says" in call(*bicubic).stdout

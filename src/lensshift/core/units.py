@@ -14,8 +14,8 @@ LEAST_MODULATION_HZ = 1e3
 # No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
 MOST_PITCH_MM = 10.0
 # The widest lenses without distortion see 135 degrees, the narrowest of cameras (1.2 m of focal
-# length) 0.05 degrees with a sensor of 1 mm.
-LEAST_FIELD_DEG, MOST_FIELD_DEG = 0.05, 150.0
+# length) 0.05 degrees with a sensor of 1 mm. Parts of sensors of fewer pixels are no camera's.
+LEAST_FIELD_DEG, MOST_FIELD_DEG, FEWEST_PX = 0.05, 150.0, 16
 # What no camera lights.
 MOST_DISTANCE_M = 1e3
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
@@ -82,7 +82,7 @@ def doubt_about_pitch(pitch_mm: float) -> str:
 def doubt_about_focal_length(focal_length_px: float, width_px: int) -> str:
     """Say why a focal length can hardly be in the unit it was meant in; or ""."""
     field_deg = float(np.rad2deg(2.0 * np.arctan2(0.5 * width_px, focal_length_px)))
-    if LEAST_FIELD_DEG <= field_deg <= MOST_FIELD_DEG:
+    if field_deg <= MOST_FIELD_DEG and (field_deg >= LEAST_FIELD_DEG or width_px < FEWEST_PX):
         return ""
     return (
         f"focal length: {focal_length_px:.3g} pixels let {width_px} of them see {field_deg:.3g} "
