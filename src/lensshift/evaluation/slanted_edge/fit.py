@@ -35,7 +35,6 @@ _SEEN = 0.05  # of the pixels lie beyond what counts as the ends of the region
 _LIGHT_SPREAD = 0.1  # of the contrast: by how much light changes to the ends of a region
 _WORSE = 0.5  # of the log posterior
 _SETTLED_PX = 3e-3  # a move whose square changes no pixel
-_FARTHEST_MOVE_PX = 0.5  # at a time
 _SPARE_PX = 4.0  # by which the edge may move until pixels leave the nodes
 
 
