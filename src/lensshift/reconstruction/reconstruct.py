@@ -144,11 +144,10 @@ def reconstruct(
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    shifts = part.offset_px if field is None else field.offset_px
     too_wide = response["psf_sigma_px"] > QUESTIONED_BLUR_PX  # of which the user was told
     doubt, request = None, replace(request, shifts_doubted=too_wide)
     if (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick):
-        doubt, request = _doubted(part, shifts, scale, request)
+        doubt, request = _doubted(part, field, scale, request)
     seen: dict[str, Any] = {"blur": undone(blur, response, chosen, lens_field),
                             "shift_field": field, "noise_sigma": noise_sigma,
                             "pixel_variance": variance}  # fmt: skip
@@ -215,9 +214,10 @@ def _warn_of_blind_frames(burst: Burst, used: tuple[int, ...]) -> None:
 
 
 def _doubted(
-    part: Burst, shifts: Array, scale: int, request: Request
+    part: Burst, field: ShiftField | None, scale: int, request: Request
 ) -> tuple[Doubt | None, Request]:
     """Return what is doubtful of the shifts; if it has a name, the user is told at once."""
+    shifts = part.offset_px if field is None else field.offset_px
     doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
     if doubt is None or not doubt.named:
         return doubt, request
