@@ -6,7 +6,6 @@ that goes astray, is stopped and sent again. Nothing is done because of a single
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -78,7 +77,8 @@ class AptAxis:
         self.repeated_moves = 0
         self._counts_per_mm = settings.scale(axis)
         self._run_up_mm = settings.run_up_mm(axis)
-        self._halted = threading.Event()
+        # No Event: a signal that ends a move may come while it holds its lock, for ever.
+        self._halted = False
         self._command = ""
         self._cube = AptCube(
             port,
@@ -277,13 +277,13 @@ class AptAxis:
 
     def halt(self) -> None:
         """Say stop and do not wait for it. Never raises."""
-        self._halted.set()
+        self._halted = True
         with suppress(DeviceError):
             self._cube.link.send(Message(Id.MOVE_STOP, (CHANNEL, apt.STOP_AT_ONCE)))
 
     def stop(self) -> None:
         """Stand still at once, and end a move that another thread waits for. Never raises."""
-        self._halted.set()
+        self._halted = True
         with suppress(DeviceError):
             self._cube.stand_still()
 
@@ -306,7 +306,7 @@ class AptAxis:
 
         Polls, since it may be this program that was kept from looking, not the motor from moving.
         """
-        if self._halted.is_set():
+        if self._halted:
             raise self._error("stopped before it arrived")
         if late > self.settings.settle_polls:
             raise self._error(
@@ -316,7 +316,7 @@ class AptAxis:
     @contextmanager
     def _doing(self, command: str) -> Iterator[None]:
         """Name the command and the last position in every error of the device meanwhile."""
-        self._halted.clear()
+        self._halted = False
         self._command = command
         try:
             yield

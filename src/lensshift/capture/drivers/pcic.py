@@ -63,7 +63,8 @@ class PcicCamera(ReceivingCamera):
 
     def _reset(self) -> None:
         self._parser = PcicParser()
-        self._changed = threading.Condition()
+        self._lock = threading.RLock()  # entered itself, as in `Receiver`
+        self._changed = threading.Condition(self._lock)
         self._answers: dict[bytes, bytes] = {}
         self._ticket = 1000
         self._grid: Grid | None = None
@@ -104,7 +105,7 @@ class PcicCamera(ReceivingCamera):
                 text = self._schema.encode()
                 self._command(b"c%09d%s" % (len(text), text))
             self._command(b"p1")
-            with self._changed:
+            with self._lock:
                 opened = self._changed.wait_for(lambda: self._grid is not None, self._timeout_s)
             if not opened:
                 problem = f"no result in {self._timeout_s:g} s: {self._explain(0, 0)}"
@@ -116,11 +117,11 @@ class PcicCamera(ReceivingCamera):
     def _command(self, command: bytes) -> bytes:
         """Send a command and return its answer; raise if the camera refuses it."""
         what = command[:20].decode("ascii", "replace")
-        with self._changed:
+        with self._lock:
             self._ticket += 1
             ticket = b"%04d" % self._ticket
         self._send(write_message(ticket, command), what)
-        with self._changed:
+        with self._lock:
             if not self._changed.wait_for(lambda: ticket in self._answers, self._timeout_s):
                 raise self._error(f"no answer in {self._timeout_s:g} s", what, DeviceTimeout)
             answer = self._answers.pop(ticket)
@@ -164,7 +165,7 @@ class PcicCamera(ReceivingCamera):
     def _take(self, message: Message) -> None:
         if message.ticket != RESULT_TICKET:
             self._bytes -= len(write_message(*message))
-            with self._changed:
+            with self._lock:
                 if len(self._answers) < 16:  # nobody waits for more
                     self._answers[message.ticket] = message.content
                 self._changed.notify_all()
@@ -200,7 +201,7 @@ class PcicCamera(ReceivingCamera):
         frame = Frame(image.amplitude, image.distance_m, image.valid, time_s)
         self._receiver.put(CameraFrame(frame, self._newest, time.monotonic(), image.raw))
         if self._grid is None:
-            with self._changed:
+            with self._lock:
                 self._grid = Grid((int(rows), int(cols)), self._pitch_mm)
                 self._changed.notify_all()
 

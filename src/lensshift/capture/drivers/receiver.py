@@ -43,7 +43,9 @@ class Receiver:
         self.dropped = 0
         self._held: deque[CameraFrame] = deque()
         self._depth = depth
-        self._changed = threading.Condition()
+        # What is interrupted while it enters a Condition holds its lock for ever; a lock cannot be.
+        self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._notice = ""
@@ -65,7 +67,7 @@ class Receiver:
 
     def put(self, frame: CameraFrame, *, wait: bool = False) -> None:
         """Add a frame; if the queue is full drop the oldest, or wait for room."""
-        with self._changed:
+        with self._lock:
             if wait:
                 self._changed.wait_for(lambda: len(self._held) < self._depth or self._stop.is_set())
             if len(self._held) >= self._depth:
@@ -77,7 +79,7 @@ class Receiver:
 
     def interrupt(self, problem: str, *, wait: bool = False) -> None:
         """Forget the frames held, or wait until they are fetched; raise `problem` once."""
-        with self._changed:
+        with self._lock:
             if wait:
                 self._changed.wait_for(lambda: not self._held or self._stop.is_set())
             self.dropped += len(self._held)
@@ -87,7 +89,7 @@ class Receiver:
 
     def end(self, problem: str) -> None:
         """Let `take` hand out what is held, then raise `problem` for ever."""
-        with self._changed:
+        with self._lock:
             self._ended = problem
             self._changed.notify_all()
 
@@ -108,7 +110,7 @@ class Receiver:
         """
         if not (math.isfinite(timeout_s) and timeout_s >= 0):
             raise ValueError(f"expected a time to wait of at least 0 s, got {timeout_s}")
-        with self._changed:
+        with self._lock:
             if self._thread is None:
                 raise DeviceError("not open: call open() first", device=self.device)
             self._changed.wait_for(
@@ -127,7 +129,7 @@ class Receiver:
     def close(self) -> None:
         """Stop the loop and wait for its thread; a second call does nothing."""
         self._stop.set()
-        with self._changed:
+        with self._lock:
             self._changed.notify_all()
         if self._thread is not None:
             self._thread.join(_JOIN_S)
