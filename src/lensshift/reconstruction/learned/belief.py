@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import single
@@ -30,20 +31,31 @@ LEAST_FACTOR, LARGEST_FACTOR = 0.125, 4.0
 BETTER = 0.97
 # Fewer frames than this in each half predict others by what the prior adds.
 LEAST_HALF = 3
+# Pixels that are far off, where noise puts 0.3 % of them beyond three sigma; a frame that is wrong
+# makes some as well, so that halves have to hold more frames than are likely to be wrong.
+FAR, FAR_SHARE, LEAST_HALF_OF_FAR = 3.0, 0.01, 4
 # Of large frames the middle is asked, so many LR pixels along a side.
 MOST_PX = 96
 
 
 def refuted(asked: Asked, found: Solution) -> bool:
-    """Tell whether most pixels of most frames are off by more than noise and usual shifts."""
-    some = np.array([np.isfinite(one).any() for one in asked.sigma])
-    if min(np.sum(some[0::2]), np.sum(some[1::2])) < LEAST_HALF or asked.of_phasors:
+    """Tell whether frames are off by more than noise and usual shifts: most pixels, or some by far.
+
+    Most pixels of most frames where all are compressed or turn, some by far where edges are
+    sharpened.
+    """
+    used = np.isfinite(asked.sigma)
+    some = np.array([one.any() for one in used])
+    half = min(np.sum(some[0::2]), np.sum(some[1::2]))
+    if half < LEAST_HALF or asked.of_phasors:
         return False
-    return _excess(asked, found, ALIKE_PX) > 1.0
+    squares = _squares(asked, found, ALIKE_PX)
+    far = float(np.mean(squares[used] > FAR**2))
+    return _usual(squares, used) > 1.0 or (half >= LEAST_HALF_OF_FAR and far > FAR_SHARE)
 
 
-def _excess(asked: Asked, found: Solution, shift_px: float = 0.0) -> float:
-    """Return the variance over that of the noise, of half of the pixels in half of the frames.
+def _squares(asked: Asked, found: Solution, shift_px: float = 0.0) -> NDArray[np.float64]:
+    """Return [frame row col] squared residuals over the variance of the noise.
 
     Parameters
     ----------
@@ -53,10 +65,15 @@ def _excess(asked: Asked, found: Solution, shift_px: float = 0.0) -> float:
     variance = asked.sigma**2
     if shift_px:
         variance = variance + shift_px**2 * slopes_of(A, image, asked.model.scale)[1]
-    chi = (asked.y - A.forward(image)) ** 2 / variance
-    seen = zip(chi, asked.sigma < np.inf, strict=True)
-    squares = [np.median(c[used]) for c, used in seen if used.any()]
-    return float(np.median(squares)) / MEDIAN_SIZE**2
+    return np.asarray((asked.y - A.forward(image)) ** 2 / variance)
+
+
+def _usual(squares: NDArray[np.float64], used: NDArray[np.bool_]) -> float:
+    """Return the variance over that of the noise, of half of the pixels in half of the frames."""
+    seen = zip(squares, used, strict=True)
+    return float(np.median([np.median(one[there]) for one, there in seen if there.any()])) / (
+        MEDIAN_SIZE**2
+    )
 
 
 def as_predicted(asked: Asked, found: Solution, solve: Callable[[Asked], Solution]) -> Asked:
@@ -67,7 +84,7 @@ def as_predicted(asked: Asked, found: Solution, solve: Callable[[Asked], Solutio
     found : the picture that refuted the noise as it was read
     """
     used = np.isfinite(asked.sigma)
-    largest = max(np.sqrt(_excess(asked, found)), LARGEST_FACTOR)
+    largest = max(np.sqrt(_usual(_squares(asked, found), used)), LARGEST_FACTOR)
     factors = LEAST_FACTOR * 2.0 ** np.arange(np.ceil(np.log2(largest / LEAST_FACTOR)) + 1)
     even = np.where(used, np.sqrt(np.mean(asked.sigma[used] ** 2)), np.inf)
     tried = [asked] + [
