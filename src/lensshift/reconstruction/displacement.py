@@ -77,13 +77,13 @@ def displaced(r: Array, slopes: Array, variance: Array, seen: Array) -> Array:
     pull = np.stack([cos * p + sin * q, cos * q - sin * p])
     squares = pull[0] ** 2 / known[0]
     # Errors of a camera are in every frame; what moves is where the picture has it in some.
-    usual = [_usual(squares[k], known[0, k]) for k in range(len(r)) if seen[k].any()]
-    chance = max(min(usual, default=0.0) / MEDIAN_SIZE**2, 1.0)
+    ordinary = [usual(squares[k], known[0, k]) for k in range(len(r)) if seen[k].any()]
+    chance = max(min(ordinary, default=0.0) / MEDIAN_SIZE**2, 1.0)
     least = LEAST_OFF_PX**2 * known**2 + SURE**2 * chance * known
     return np.asarray(np.max(pull**2 / least, axis=0))
 
 
-def _usual(values: Array, weight: Array) -> float:
+def usual(values: Array, weight: Array) -> float:
     """Return the weighted median of values."""
     values, weight = some_pixels(values).ravel(), some_pixels(weight).ravel()
     order = np.argsort(values)

@@ -29,6 +29,7 @@ from lensshift.reconstruction.displacement import (
     middle,
     slopes_of,
     some_pixels,
+    usual,
 )
 
 Array = NDArray[Any]
@@ -312,12 +313,16 @@ def _brightness(
     )
     odd = np.maximum(doubt / np.maximum(middle(doubt, on), 1e-12), 1.0)
     fit = fits(terms, variance * odd**2, r, on)[0][:, None]
-    rest = middle(np.abs(r - (fit @ terms)[:, 0]), on) / MEDIAN_SIZE
-    rest = np.maximum(rest, LEAST_REST * np.sqrt(middle(variance, on)))[:, 0]
     own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
     found[enough] = own[:, 0]
-    light = np.abs((own @ terms[:, :2])[:, 0]) ** 2
-    return float(np.max(np.sqrt(np.mean(light, axis=-1, where=on)) / rest)), found
+    light = np.abs((own @ terms[:, :2])[:, 0]) ** 2 * on
+    # A few bright pixels that do not fit have a gain of their own, whatever the dark ones say.
+    left = zip(np.abs(r - (fit @ terms)[:, 0]), variance, light, strict=True)
+    rest = [
+        max(usual(size, there) / MEDIAN_SIZE, LEAST_REST * np.sqrt(usual(var, there)))
+        for size, var, there in left
+    ]
+    return float(np.max(np.sqrt(np.sum(light, axis=-1) / on.sum(axis=-1)) / rest)), found
 
 
 def _lone_frame(doubt: Array) -> int | None:
