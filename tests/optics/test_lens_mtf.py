@@ -245,6 +245,16 @@ def test_sensor_mtf_is_symmetric_and_contains_single_fields() -> None:
     assert got[1, 7] == pytest.approx(fast_mtf(lens, field, [3.0, 7.0]), abs=1e-3)
 
 
+def test_sensor_mtf_of_many_pixels_is_linear_between_places() -> None:
+    lens, grid = load_lens("al2550"), Grid((2, 301), (0.1, 0.02))
+    got = sensor_mtf(lens, grid, 12.0, rings=6)
+    assert got.shape == (2, 301, 2, 1)
+    columns = [0, 7, 150, 222, 300]
+    fields = fields_for_image(lens, pixel_centres_mm(grid)[1, columns])
+    assert got[1, columns] == pytest.approx(fast_mtf(lens, fields, 12.0, rings=6), abs=1e-3)
+    assert np.ptp(got) > 0.1
+
+
 def test_an_led_blurs_by_axial_and_lateral_colour() -> None:
     lens = load_lens("petzval_a")
     narrow = led_band(850.0, 0.0, 3)

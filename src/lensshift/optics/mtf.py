@@ -27,6 +27,7 @@ _FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 _RINGS = 6  # of rays where nothing asks for more
 _MOST_PERIODS = 0.5  # between neighbouring rays: two of them for each period
 _SPARE = 1.1  # rings more than the ratio says: the outermost are not evenly apart
+_MOST_PLACES = 65  # along an axis of a sensor
 _MOST_RAYS = 1e6  # at once, some 250 MB
 
 
@@ -338,14 +339,26 @@ def sensor_mtf(
 ) -> Floats:
     """Return the fast MTF at every pixel of a sensor, [row col azimuth frequency].
 
+    Traced at up to 65 places along each axis, linear between them: within 0.006 for `wide_940` and
+    320 x 240 pixels, 0.02 where light is cut off in between.
+
     Parameters
     ----------
     grid : of the sensor, centred on the axis
     frequency_lpmm, azimuth_rad, build, band, rings : as for `fast_mtf`
     """
     near_mm = 1e-2 * min(grid.pitch_mm)  # the MTF changes slowly
-    fields = fields_for_image(lens, pixel_centres_mm(grid), tolerance_mm=near_mm)
-    return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, build=build, band=band, rings=rings)
+    rows, cols = (np.linspace(0.0, n - 1.0, min(n, _MOST_PLACES)) for n in grid.shape)
+    fields = fields_for_image(lens, places_mm(grid, rows, cols), tolerance_mm=near_mm)
+    found = [  # row by row: many places at once leave few rays to each
+        fast_mtf(lens, row, frequency_lpmm, azimuth_rad, build=build, band=band, rings=rings)
+        for row in fields
+    ]
+    down, across = (
+        np.stack([np.interp(np.arange(n), at, one) for one in np.eye(len(at))], axis=-1)
+        for n, at in zip(grid.shape, (rows, cols), strict=True)
+    )
+    return np.asarray(np.einsum("rn,cm,nm...->rc...", down, across, np.stack(found), optimize=True))
 
 
 def through_focus(
