@@ -307,7 +307,11 @@ def _why_dark(lens: Lens, rays: RayBundle) -> str:
     surface = int(np.bincount(failed_at).argmax())
     kind = int(np.bincount(status[failed_at == surface]).argmax())
     how = ("", "miss it", "are totally reflected", "lie outside its semi-diameter")[kind]
-    named = [(n, one.name) for one in lens.elements for n, _ in enumerate(one.surfaces, start=1)]
+    named = [
+        (n, one.name or f"element {number}")
+        for number, one in enumerate(lens.elements, start=1)
+        for n, _ in enumerate(one.surfaces, start=1)
+    ]
     number, name = named[surface]
     return (
         f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "
