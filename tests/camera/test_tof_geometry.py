@@ -1,5 +1,7 @@
 """Where things appear: shifts, apertures, blur, mixed pixels, the truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tof_worlds import (
@@ -129,6 +131,12 @@ def test_truth_is_what_smaller_pixels_see(scale: int) -> None:
     binned = fine.reshape(9, scale, 31, scale).mean(axis=(1, 3))
     frame = phasors(burst.amplitude[0], burst.distance_m[0])
     np.testing.assert_allclose(binned, frame, atol=1e-9)
+    np.testing.assert_array_equal(truth.sharp_amplitude, truth.amplitude)  # this lens is sharp
+    np.testing.assert_array_equal(truth.sharp_distance_m, truth.distance_m)
+    blurred = replace(camera, optics=replace(camera.optics, blur_sigma_px=0.3))
+    through = still(four_boxes(), blurred, scale=scale).truth
+    np.testing.assert_allclose(through.sharp_amplitude, truth.amplitude, rtol=1e-9)
+    assert np.abs(through.amplitude - truth.amplitude).max() > 0.02 * truth.amplitude.max()
     assert truth.valid.all()
     assert truth.offset_field is None
     assert 0.02 < truth.flying.mean() < truth.flying_in_frames.mean() < 0.4

@@ -120,6 +120,34 @@ def test_contrast_is_aperture_times_lens(name: str, col: int, shift_px: float, m
     assert swing == pytest.approx(0.5 * np.sinc(local) * contrast, abs=0.002)
 
 
+def test_the_sharp_truth_lacks_what_the_lens_takes_and_nothing_else() -> None:
+    """Stripes: their contrast over the sharp one is the MTF, and they lie at the same place."""
+    cycles, col, scale = 170.0, 60, 2
+    lens, grid = load_lens("petzval_b"), Grid((3, 64), (0.155, 0.155))
+    field = fields_for_image(lens, [0.0, (col - 31.5) * 0.155])
+    local = per_px(cycles, col, lens=lens)
+    contrast = fast_mtf(lens, field, [local / 0.155], [0.0], rings=8)[0, 0]
+    assert contrast < 0.96
+    camera = make_camera(grid, optics=LensOptics(lens))
+    turns = (0.0, 1 / 3, 2 / 3)
+    truths = [
+        still(wall(DISTANCE_M, stripes(cycles, turn)), camera, scale=scale).truth for turn in turns
+    ]
+    back = np.exp(2j * np.pi * np.arange(3) / 3)
+    seen, sharp = (
+        sum(b * getattr(one, name)[1, scale * col] for b, one in zip(back, truths, strict=True))
+        for name in ("amplitude", "sharp_amplitude")
+    )
+    assert abs(seen / sharp) == pytest.approx(contrast, abs=0.003)
+    assert np.angle(seen / sharp) == pytest.approx(0.0, abs=0.02)
+    mean, sharp_mean = (
+        sum(getattr(one, name)[1, scale * col] for one in truths)
+        for name in ("amplitude", "sharp_amplitude")
+    )
+    assert mean == pytest.approx(sharp_mean, rel=1e-3)
+    np.testing.assert_allclose(truths[0].sharp_distance_m, truths[0].distance_m, atol=1e-4)
+
+
 def test_airy_points_have_the_contrast_of_a_perfect_lens() -> None:
     points = airy_points(4096)
     for frequency in (0.02, 0.1, 0.3, 0.6):  # of the cutoff, 1 / (wavelength x f-number)

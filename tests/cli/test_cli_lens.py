@@ -151,6 +151,9 @@ def test_there_and_back_again(call: Call, tmp_path: Path) -> None:
         (["field", "petzval_a", "--burst", "none.nc"], 1, "none.nc"),
         (["field", "petzval_a", "--burst", "b.nc", "--sensor", "9x5"], 2, "give one of both"),
         (["field", "petzval_a", "-o", "field.npz"], 2, "netCDF file"),
+        (["field", "lens.toml", "--csv", "lens.toml"], 2, "would overwrite the input"),
+        (["mtf", "lens.toml", "--csv", "lens.toml"], 2, "would overwrite the input"),
+        (["which", "lens.toml", "--csv", "./lens.toml"], 2, "would overwrite the input"),
         (["convert", "petzval_a", "lens.txt"], 2, "to end in .toml or .zmx"),
     ],
 )

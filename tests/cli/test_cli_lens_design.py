@@ -45,6 +45,13 @@ def test_builds_are_told_counted_and_drawn(call: Call, tmp_path: Path) -> None:
     assert other["sensitivity"] == rows
 
 
+def test_builds_that_are_dark_tell_of_no_shift(call: Call) -> None:
+    done = call("lens", "tolerance", "petzval_a", "--builds", 2, "--decenter-mm", 1000)
+    assert done.exit_code == 0, done.output
+    assert "2 builds leave a field dark, without a shift" in done.stdout
+    assert "largest error of a shift" not in done.stdout
+
+
 def test_without_tolerances_every_build_is_the_lens_as_drawn(call: Call) -> None:
     arguments = "tolerance", "petzval_b", "--builds", 3, *NONE, *SENSOR
     low, median, high = numbers(call, *arguments)["percentiles_5_50_95"]  # type: ignore[misc]
@@ -154,6 +161,10 @@ def test_a_budget_beyond_what_was_simulated_warns(call: Call) -> None:
     done = call("lens", "budget", "petzval_a", "--drift-um", "100")
     assert done.exit_code == 0, done.output
     assert "outside what was simulated" in " ".join(done.stderr.split())
+    assert "costs at least " in done.stdout
+
+
+OF_A = ("petzval_a", "--focal-length-mm", "42", "--f-number", "2")
 
 
 @pytest.mark.parametrize(
@@ -188,6 +199,10 @@ def test_a_budget_beyond_what_was_simulated_warns(call: Call) -> None:
             2,
             "numbers like 0.4,1",
         ),
+        (["refine", *OF_A, "--glass-mm", "inf,inf"], 1, "glass_mm (least, most)"),
+        (["refine", *OF_A, "--aspheres", "40"], 1, "expected 0 to 20 terms, got 40"),
+        (["refine", *OF_A, "-o", "petzval_a"], 2, "would overwrite the input"),
+        (["tolerance", "petzval_a", "--csv", "petzval_a"], 2, "would overwrite the input"),
         (["budget", "petzval_a", "--noise", "0"], 1, "noise > 0"),
         (["budget", "petzval_a", "--drift-um", "-1"], 2, "'--drift-um'"),
     ],

@@ -42,6 +42,7 @@ def test_burst_with_truth_and_phases_beside_it(call: Call, small: Path, tmp_path
     assert burst.amplitude.shape == (9, 11, 13)
     with np.load(tmp_path / "edge.truth.npz") as truth:
         assert truth["amplitude"].shape == truth["distance_m"].shape == (33, 39)
+        assert truth["sharp_amplitude"].shape == truth["sharp_distance_m"].shape == (33, 39)
         error_px = truth["offset_px"] - burst.offset_px
     assert 0 < np.abs(error_px).max() < 0.1
     with np.load(phases) as raw:

@@ -14,14 +14,14 @@ from lensshift.optics.design import assess, optimise_gaps
 from lensshift.optics.focus import scan_focus, spot_means
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.goal import Goal
-from lensshift.optics.lens import Lens, Stop, cover_glass
+from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import fast_mtf, led_band
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.shift import decenter_for_shift, moving, shift_map, shift_uniformity
-from lensshift.optics.spots import image_per_field_mm, spots
+from lensshift.optics.spots import image_per_field_mm, obstruction, spots
 from lensshift.optics.stock import format_designs, search_stock
 from lensshift.optics.trace import trace
 from lensshift.optics.which import least_mtf
@@ -57,6 +57,18 @@ def test_a_focus_scan_equals_the_fast_mtf_of_moved_sensors() -> None:
     assert centroid_mm == pytest.approx(spot.centroid_mm, abs=1e-13)
     away = spots(lens.with_sensor(lens.gaps_mm[-1] + 0.2), fields, rings=4).centroid_mm
     assert centroid_mm + 0.2 * slope == pytest.approx(away, abs=1e-12)
+
+
+def test_a_focus_scan_of_an_obstructed_lens_equals_the_fast_mtf() -> None:
+    surface = Surface(-200.0, -1.0, semi_diameter_mm=12.5, inner_mm=4.0, mirror=True)
+    lens = Lens((Element((surface,), (), ()),), (100.1,), Stop(20.0), wavelength_nm=550.0)
+    points, weight = pupil_quadrature(6, inner=obstruction(lens))
+    rays = trace(lens, [0.0, 0.005], points)
+    lpmm, azimuths = 60.0, [0.0, 1.0]
+    got = scan_focus(rays, weight, 6, lpmm, azimuths, 550.0, step_mm=0.02, planes=2, inner=0.4)
+    for plane in range(2):
+        expected = fast_mtf(lens, [0.0, 0.005], [lpmm], azimuths, defocus_mm=0.02 * plane, rings=6)
+        assert got[:, plane] == pytest.approx(expected[:, 0], abs=1e-4)
 
 
 def test_dark_spots_have_no_sharpness_but_raise_nothing() -> None:

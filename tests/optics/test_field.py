@@ -228,6 +228,15 @@ def test_wrong_requests() -> None:
         replace(field, shift_px=np.zeros((2, 2)))
 
 
+def test_a_lens_out_of_focus_is_refused_before_the_work() -> None:
+    lens = load_lens("petzval_a")
+    blurred = lens.with_sensor(lens.gaps_mm[-1] + 60.0)
+    told: list[int] = []
+    with pytest.raises(ValueError, match=r"in focus, got a spot of .* lies -59\.\d+ mm from it"):
+        lens_field(blurred, SENSOR, on_progress=lambda done, of: told.append(done))
+    assert not told
+
+
 @pytest.mark.parametrize("reach_px", [None, 0.6])
 def test_the_traces_of_a_field_are_counted(reach_px: float | None) -> None:
     told: list[tuple[int, int]] = []

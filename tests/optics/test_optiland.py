@@ -15,6 +15,7 @@ from lensshift.optics.lens_file import lens_names, load_lens
 from lensshift.optics.optiland import from_optiland, to_optiland
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
+from lensshift.optics.trace import trace
 
 FIELD = np.array([0.03, 0.09])
 POINTS = pupil_grid(5)
@@ -128,6 +129,21 @@ def test_a_cover_glass_of_infinite_size() -> None:
     back = from_optiland(optic)
     assert [one.glass for one in back.elements] == [("N-BK7",), ("fused silica",)]
     assert math.isinf(back.elements[1].surfaces[0].semi_diameter_mm)
+
+
+@pytest.mark.filterwarnings("default")
+def test_an_obstruction_goes_and_comes_back() -> None:
+    pytest.importorskip("optiland")
+    lens = load_lens("al2550")
+    front = replace(lens.elements[0].surfaces[0], inner_mm=3.0)
+    element = replace(lens.elements[0], surfaces=(front, *lens.elements[0].surfaces[1:]))
+    lens = replace(lens, elements=(element,))
+    optic = to_optiland(lens)
+    rays = optic.trace_generic(0.0, 0.0, POINTS[:, 1], POINTS[:, 0], 1e-3 * lens.wavelength_nm)
+    dark = np.asarray(rays.i) == 0
+    assert dark.tolist() == (~trace(lens, [0.0, 0.0], POINTS).passed).tolist()
+    assert 0 < dark.sum() < len(dark)
+    assert from_optiland(optic).elements[0].surfaces[0].inner_mm == 3.0
 
 
 def test_a_far_object_is_no_cause_for_warnings() -> None:

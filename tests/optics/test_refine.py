@@ -194,8 +194,14 @@ def test_what_cannot_be() -> None:
         refine(lens, task, Freedom((), gaps=False))
     with pytest.raises(ValueError, match="element from 0 to 2, got 3"):
         refine(lens, task, Freedom((3,)))
-    with pytest.raises(ValueError, match="terms of at least 0, got -1"):
-        Freedom(aspheres=-1)
+    for terms in (-1, 40):
+        with pytest.raises(ValueError, match=f"0 to 20 terms, got {terms}"):
+            Freedom(aspheres=terms)
+    first = lens.elements[0]
+    hidden = replace(first.surfaces[0], inner_mm=2.0)
+    dark = replace(first, surfaces=(hidden, *first.surfaces[1:]))
+    with pytest.raises(ValueError, match="without obstructions"):
+        refine(replace(lens, elements=(dark, *lens.elements[1:])), task, Freedom())
     with pytest.raises(ValueError, match="aspheres or conics"):
         Freedom(aspheric=(0,))
     with pytest.raises(ValueError, match=r"among those made, \[3\], got \[2\]"):

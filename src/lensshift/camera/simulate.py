@@ -33,12 +33,15 @@ class TofTruth:
     """What an experimenter never gets to know.
 
     Images are on the HR grid [row col]: what pixels of 1/scale pitch, sensitive all over, see
-    through the same lens at rest, without noise, scattered or indirect light, and errors.
+    through the same lens at rest, without noise, scattered or indirect light, and errors. The sharp
+    ones are those of a lens that images the same place onto each pixel and as bright, but every
+    point as a point.
 
     Parameters
     ----------
     amplitude : in the unit of the burst
     distance_m : radial, from the mean phasor of the first modulation frequency
+    sharp_amplitude, sharp_distance_m : the same without blur
     valid : whether anything is there
     flying : whether a pixel mixes surfaces, see `Validity`
     flying_in_frames : [frame row col] the same for the LR pixels of the frames
@@ -48,6 +51,8 @@ class TofTruth:
 
     amplitude: Floats
     distance_m: Floats
+    sharp_amplitude: Floats
+    sharp_distance_m: Floats
     valid: Mask
     flying: Mask
     flying_in_frames: Mask
@@ -159,11 +164,13 @@ def simulate_tof(
     *moved, (_, rest_blur) = motions(camera, np.concatenate([offset, np.zeros((1, 2))]))
     side_px = camera.pixels.fill_factor**0.5
     looks = [Footprints(1, moved_px, side_px, blur) for moved_px, blur in moved]
-    looks.append(Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, rest_blur))
+    looks += [
+        Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, blur) for blur in (rest_blur, 0.0)
+    ]
     tones = Tones(camera.illumination.modulation_hz, tuple(harmonic_shares(camera.pixels)))
-    *frames, ideal = see(scene, camera, tones, looks, samples)
+    *frames, ideal, sharp = see(scene, camera, tones, looks, samples)
     if camera.multipath is not None:
-        (ideal,) = see(scene, replace(camera, multipath=None), tones, looks[-1:], samples)
+        ideal, sharp = see(scene, replace(camera, multipath=None), tones, looks[-2:], samples)
     readings = [
         read(rates_of(seen, camera, number), camera.pixels, camera.readout, rng)
         for number, seen in enumerate(frames)
@@ -181,6 +188,7 @@ def simulate_tof(
         burst=_burst(images, camera, planned, shift_error_px, notes),
         truth=TofTruth(
             *true_images(ideal, camera),
+            *true_images(sharp, camera),
             valid=ideal.light > 0,
             flying=_flying(ideal, camera),
             flying_in_frames=np.stack([_flying(seen, camera) for seen in frames]),

@@ -163,7 +163,7 @@ def _traced_light(lens: Lens, down: Array, right: Array) -> Callable[[Array, Arr
     from scipy.interpolate import CubicSpline, RectBivariateSpline
 
     from lensshift.optics.aberrations import relative_illumination as traced
-    from lensshift.optics.mtf import axial_light
+    from lensshift.optics.spots import axial_light
 
     through = axial_light(lens)[0]  # the f-number counts what is stopped on the axis, too
     if lens.is_symmetric():
@@ -210,9 +210,8 @@ def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> 
 def _spot_blurs(optics: LensOptics, element: int, grid: Grid, decenter_mm: Array) -> list[SpotBlur]:
     """Return the spots of the lens in each frame."""
     from lensshift.optics.directions import nodes_px, places_mm
-    from lensshift.optics.mtf import axial_light
     from lensshift.optics.shift import moving
-    from lensshift.optics.spots import fields_for_image, spots
+    from lensshift.optics.spots import fields_for_image, obstruction, spots
 
     rows, cols = (nodes_px(count, 0.5) for count in grid.shape)
     lens = optics.lens
@@ -223,7 +222,7 @@ def _spot_blurs(optics: LensOptics, element: int, grid: Grid, decenter_mm: Array
     landing_mm = spot.ray_mm
     if optics.diffraction:
         spread_mm = lens.wavelength_nm * 1e-6 * optics.f_number
-        points = airy_points(landing_mm.shape[-2], axial_light(lens)[1])
+        points = airy_points(landing_mm.shape[-2], obstruction(lens))
         landing_mm = landing_mm + points * spread_mm
         landing_mm -= np.einsum("...k,...ki->...i", spot.weight, landing_mm)[..., None, :]
     landing_px = landing_mm / np.asarray(grid.pitch_mm)

@@ -55,6 +55,7 @@ def fidelity(current: Session, asked: FidelityOptions) -> None:
     \b
     Example:
       lensshift evaluate fidelity sharp.nc truth.tif --border-px 4 --peak 1
+      lensshift evaluate fidelity sharp.nc burst.truth.npz --truth-key sharp_amplitude
     """
     from lensshift.evaluation import fidelity as measure
 

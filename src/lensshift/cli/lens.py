@@ -65,7 +65,7 @@ def show(current: Session, asked: ShowOptions) -> None:
     """
     from lensshift.optics.paraxial import decenter_gains, focal_length_mm, paraxial
 
-    outputs.check([], plot=asked.plot)
+    outputs.check([Path(asked.of.lens)], plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     element, shift_px = asked.of.element, asked.of.shift_px
     data = paraxial(model)
@@ -139,7 +139,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
 
     from lensshift.optics.mtf import diffraction_limit
 
-    outputs.check([], asked.csv, asked.plot)
+    outputs.check([Path(asked.of.lens)], asked.csv, asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     fields_tan = optics.parse_fields_tan(asked.field_deg)
     travel_mm = optics.diagonal_mm(model, moved, asked.of.shift_px, grid)
@@ -223,7 +223,7 @@ def which(current: Session, asked: WhichOptions) -> None:
     from lensshift.optics.movers import which_mover
     from lensshift.optics.which import format_movers
 
-    outputs.check([], asked.to.csv, asked.to.plot)
+    outputs.check([Path(asked.of.lens)], asked.to.csv, asked.to.plot)
     model, grid = optics.opened(asked.of)
     movers = which_mover(model, grid, shift_px=asked.shift_px)
     current.say(format_movers(movers))

@@ -78,7 +78,7 @@ def optimise(current: Session, asked: OptimiseOptions) -> None:
     from lensshift.optics.mtf import led_band
     from lensshift.optics.stock import format_designs
 
-    check_out(asked.out)
+    check_out(asked.out, *(Path(name) for place in asked.places for name in place.split(",")))
     plate, air_mm = _cover(asked.cover)
     wanted = Goal(
         optics.sensor_grid(asked.sensor), asked.focal_length_mm, asked.object_mm,
@@ -107,6 +107,8 @@ def _cover(text: str) -> tuple[Element | None, float]:
     if not text:
         return None, 0.0
     glass, _, lengths = text.partition(",")
+    if "," not in lengths:
+        raise typer.BadParameter(f"expected a plate like N-BK7,1,0.5, got {text!r}")
     thick_mm, air_mm = parse_numbers(lengths, 2, "a plate like N-BK7,1,0.5")
     return cover_glass(glass.strip(), thick_mm), air_mm
 
@@ -210,7 +212,7 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         tolerance_analysis,
     )
 
-    outputs.check([], asked.to.csv, asked.to.plot)
+    outputs.check([Path(asked.of.lens)], asked.to.csv, asked.to.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     shift_px, builds = asked.of.shift_px, asked.builds
     limits = Tolerances(
@@ -247,10 +249,11 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
     errors_px = found.shift_error_px[found.shift_error_px >= 0]  # NaN where a field is dark
     if len(errors_px) < builds:
         current.say(f"{builds - len(errors_px)} builds leave a field dark, without a shift")
-    current.say(
-        f"largest error of a shift: {errors_px.max(initial=0.0):.4f} px, "
-        f"refocus up to {float(abs(found.refocus_mm).max()):.3f} mm"
-    )
+    if len(errors_px):
+        current.say(
+            f"largest error of a shift: {errors_px.max():.4f} px, "
+            f"refocus up to {float(abs(found.refocus_mm).max()):.3f} mm"
+        )
     current.result |= {"builds": builds, "percentiles_5_50_95": (low, median, high)}
     current.result |= {"limit": limit, "yield": share, "frequency_lpmm": found.frequency_lpmm}
 
@@ -281,7 +284,7 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     """
     from lensshift.optics.actuator import Actuator, actuator_budget, format_budget
 
-    outputs.check([], plot=asked.plot)
+    outputs.check([Path(asked.of.lens)], plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     found = actuator_budget(
         model,

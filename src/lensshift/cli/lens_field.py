@@ -62,7 +62,10 @@ def field(current: Session, asked: FieldOptions) -> None:
     out, reach_px = asked.out, asked.reach_px
     if out is not None:
         check_netcdf(out, "a lens field")
-        check_files((asked.burst, Path(asked.lens)), [out])
+    check_files(
+        (asked.burst, Path(asked.lens)),
+        [path for path in (out, asked.to.csv, asked.to.plot) if path is not None],
+    )
     outputs.check([], asked.to.csv, asked.to.plot)
     wanted_px = named_pattern_px(asked.pattern)
     if reach_px is not None and reach_px < abs(wanted_px).max():

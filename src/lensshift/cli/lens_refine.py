@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import closing
 from dataclasses import MISSING, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -70,7 +71,7 @@ def refine(current: Session, asked: RefineOptions) -> None:
     from lensshift.optics.task import Limits, Task
     from lensshift.optics.variables import Freedom
 
-    check_out(asked.out)
+    check_out(asked.out, Path(asked.of.lens))
     start, grid = opened(asked.of)
     grow = _numbers(asked.grow)
     if grow[-1:] != (1.0,):

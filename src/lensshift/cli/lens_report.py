@@ -55,7 +55,7 @@ def report(current: Session, asked: ReportOptions) -> None:
       lensshift lens report petzval_b --band-nm 40 --json
     """
     out, shift_px = asked.out, asked.of.shift_px
-    outputs.check([], out)
+    outputs.check([Path(asked.of.lens)], out)
     if out is not None and out.suffix.lower() != ".html":
         raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
     model, grid, moved = optics.opened_moving(asked.of)

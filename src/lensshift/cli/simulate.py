@@ -50,7 +50,9 @@ class SimulateOptions:
 def simulate(current: Session, asked: SimulateOptions) -> None:
     """Simulate a burst of a time-of-flight camera whose lens moves.
 
-    Writes the burst and, as NPZ beside it, what an experimenter never knows.
+    Writes the burst and, as NPZ beside it, what an experimenter never knows: among others what
+    finer pixels would see through the lens (amplitude, distance_m) and without its blur
+    (sharp_amplitude, sharp_distance_m).
 
     \b
     Examples:

@@ -34,6 +34,7 @@ _CONVERGES = 0.3  # of the error that the degree before left: what is no polynom
 _SHIFT_PX = 1e-7  # what a shift may be off by: a tenth of what is promised
 _REACH_PX = 1.0  # all patterns reach less than half of it
 _DOUBTFUL_PX = 1e-3  # far below what costs anything (docs/lens.md)
+_WIDEST_PX = 10.0  # of a spot: nothing is left of what pixels could see
 _DOUBTFUL_WIDTH_PX = 0.03  # beside the 0.29 px of a pixel a change of 0.5 %
 _SPOT_PX2 = 1e-4  # and a variance: a width of 0.3 px by 2e-4 px
 _CHECKED = (5, 4)  # places and states along an axis where a fit is checked
@@ -75,7 +76,8 @@ def lens_field(
     Raises
     ------
     ValueError
-        If there is no such element, moving it does not move the image, or no light arrives.
+        If there is no such element, moving it does not move the image, no light arrives, or the
+        lens is out of focus by more than any picture could tell.
 
     Warns
     -----
@@ -83,7 +85,7 @@ def lens_field(
         If the fit of the shifts is no better than 0.001 px, as where the lens cuts off light, or
         that of the widths of the spot no better than 0.03 px.
     """
-    paraxial(lens)  # refuses a lens without power before the work
+    _check_focus(lens, grid)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*of its light", QualityWarning)  # once, in our words
         if reach_px is None:
@@ -118,6 +120,17 @@ def lens_field(
         contrast_error=found.contrast_error,
         notes={"wavelength_nm": lens.wavelength_nm, "temperature_c": lens.temperature_c},
     )
+
+
+def _check_focus(lens: Lens, grid: Grid) -> None:
+    """Refuse before the work a lens without power, or whose spot leaves no contrast to describe."""
+    away_mm = paraxial(lens).image_mm - lens.gaps_mm[-1]
+    width_px = float(spots(lens, np.zeros(2)).rms_radius_mm) / (2**0.5 * max(grid.pitch_mm))
+    if width_px > _WIDEST_PX:
+        raise ValueError(
+            f"expected a lens in focus, got a spot of {width_px:.3g} px rms in the middle of the "
+            f"sensor: the paraxial image of the object lies {away_mm:+.4g} mm from it"
+        )
 
 
 class _Fitted(NamedTuple):
@@ -279,10 +292,9 @@ def _mover(
     trial = _Mover(lens, grid, element, kind, (probe, probe))
     px_per_unit = central_slope(lambda ends: trial.shifts(np.zeros((1, 2)), ends)[0], 1.0) / probe
     if np.linalg.cond(px_per_unit) > 1e6 or np.abs(px_per_unit).max() * probe < _LEAST_GAIN_PX:
-        name = "" if element is None else lens.elements[element].name
         raise ValueError(
-            f"expected an element whose {kind} moves the image, but element "
-            f"{(element or 0) + 1} ({name}) does not"
+            f"expected an element whose {kind} moves the image, but {lens.called(element or 0)} "
+            "does not"
         )
     row, col = _MARGIN * reach_px * np.abs(np.linalg.inv(px_per_unit)).sum(axis=1)
     return _Mover(lens, grid, element, kind, (float(row), float(col)))

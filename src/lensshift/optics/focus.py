@@ -49,6 +49,7 @@ def scan_focus(
     first_mm: ArrayLike = 0.0,
     step_mm: float = 0.0,
     planes: int = 1,
+    inner: float = 0.0,
 ) -> Floats:
     """Return the fast MTF [... azimuth plane] at one frequency in evenly spaced planes.
 
@@ -56,11 +57,12 @@ def scan_focus(
 
     Parameters
     ----------
-    rays : [... ray] traced through the points of `pupil_quadrature(rings)`
+    rays : [... ray] traced through the points of `pupil_quadrature(rings, inner=inner)`
     weight : [ray] of the quadrature
     azimuth_rad : [azimuth] direction in which the pattern repeats
     first_mm : [...] of the first plane, behind the sensor
     step_mm, planes : from plane to plane, and how many
+    inner : the `obstruction`
     """
     from lensshift.optics import focus_kernel
 
@@ -72,7 +74,7 @@ def scan_focus(
         np.ascontiguousarray(rays.position_mm).reshape(-1, count, 2),
         np.ascontiguousarray(rays.direction).reshape(-1, count, 3),
         np.ascontiguousarray(rays.status).reshape(-1, count),
-        weight, axes, np.abs(axes @ pupil_arms(rings).T), ring_edges(rings),
+        weight, axes, np.abs(axes @ pupil_arms(rings).T), ring_edges(rings, inner), inner,
         frequency_lpmm, wavelength_nm * 1e-6, first, step_mm, mtf,
     )  # fmt: skip
     return mtf.reshape(*shape, len(axes), planes)

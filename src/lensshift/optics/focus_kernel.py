@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from lensshift.core.arrays import Array
-from lensshift.optics.otf_kernel import diffraction, overlap_square
+from lensshift.optics.otf_kernel import annular, hidden_squares, overlap_square, share_of
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -38,7 +38,8 @@ def _sum_planes(x: Array, y: Array, c: Array, d: Array, scale: float, out: Array
 @njit(cache=True, nogil=True, error_model="numpy")
 def focus_mtf(
     position: Array, direction: Array, status: Array, weight: Array, axes: Array, along: Array,
-    edges: Array, turns: float, wavelength_mm: float, first: Array, step: float, out: Array,
+    edges: Array, inner: float, turns: float, wavelength_mm: float, first: Array, step: float,
+    out: Array,
 ) -> None:  # fmt: skip
     """Write the fast MTF of spots in evenly spaced planes, 0 for dark spots.
 
@@ -49,6 +50,7 @@ def focus_mtf(
     axes : [azimuth 2] (row, col) directions in which the pattern repeats
     along : [azimuth arm] |cosine| of the angle between arm and azimuth
     edges : [ring + 1] squared radii of the annuli that the rings stand for
+    inner : radius of the dark middle of the pupil, 0 .. 1
     turns : line pairs per mm
     wavelength_mm : of the light
     first : [spot] the first plane, step : from plane to plane, in mm behind the sensor
@@ -58,18 +60,22 @@ def focus_mtf(
     x, y = np.empty(weight.size), np.empty(weight.size)
     c, d = np.empty(weight.size), np.empty(weight.size)
     omega = 2.0 * np.pi * turns
+    middle = inner * inner * (1.0 + 1e-9)
     for s in range(out.shape[0]):
         for a in range(out.shape[1]):
             row, col = axes[a, 0], axes[a, 1]
             width = _pupil_width(direction[s], status[s], weight, row, col)
+            width /= np.sqrt(1.0 + inner * inner)
             v = min(turns * wavelength_mm / width, 1.0)
             total, used = 0.0, 0
             for j in range(arms):
                 square = overlap_square(v, along[a, j])
+                dark = hidden_squares(v, along[a, j], inner)
                 for k in range(rings):
-                    share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
+                    share = share_of(edges[k], edges[k + 1], square, dark)
                     r = k * arms + j
-                    if share <= 0.0 or status[s, r] != 0:
+                    hidden = status[s, r] == 3 and edges[k + 1] <= middle  # lit when sheared
+                    if share <= 0.0 or (status[s, r] != 0 and not hidden):
                         continue
                     part = share * weight[r]
                     slope = row * direction[s, r, 0] + col * direction[s, r, 1]
@@ -81,5 +87,5 @@ def focus_mtf(
                     d[used] = np.sin(omega * step * slope)
                     total += part
                     used += 1
-            scale = diffraction(v) / total if total > 0.0 else 0.0
+            scale = annular(v, inner) / total if total > 0.0 else 0.0
             _sum_planes(x[:used], y[:used], c[:used], d[:used], scale, out[s, a])

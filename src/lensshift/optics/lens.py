@@ -328,8 +328,7 @@ class Lens:
                 break
             if stop_mm < start_mm + element.length_mm - _CLOSE_MM:
                 raise ValueError(
-                    f"expected a stop in air, got {stop_mm} mm, which is inside element "
-                    f"{count + 1} ({element.name})"
+                    f"expected a stop in air, got {stop_mm} mm, inside {self.called(count)}"
                 )
             count += 1
         return count
@@ -353,6 +352,11 @@ class Lens:
             for one in self.elements
         )
         return not any(value for values in leans for value in values)
+
+    def called(self, element: int) -> str:
+        """Return the number of an element, counted from 1, and its name if it has one."""
+        name = self.elements[element].name
+        return f"element {element + 1}" + (f" ({name})" if name else "")
 
     def check_element(self, element: int) -> None:
         """Raise a ValueError if there is no element of this number, counted from 0."""

@@ -127,7 +127,8 @@ def _options(surface: Surface, vertex_mm: Floats) -> dict[str, Any]:
             "tol": 1e-13,
         }
     if math.isfinite(surface.semi_diameter_mm):
-        options["aperture"] = 2.0 * surface.semi_diameter_mm
+        hole = _need("optiland.physical_apertures").RadialAperture
+        options["aperture"] = hole(surface.semi_diameter_mm, surface.inner_mm)
     return options
 
 
@@ -149,6 +150,7 @@ def _entry(number: int, surface: Any, wavelength_um: float) -> Entry:
     entry.radial = (0.0, square) if square else ()
     entry.asphere = tuple(higher[:-1]) if any(higher) else ()
     entry.semi_diameter_mm = float(getattr(surface.aperture, "r_max", 0.0))
+    entry.inner_mm = float(getattr(surface.aperture, "r_min", 0.0))
     entry.is_stop = bool(surface.is_stop)
     entry.glass = _glass(surface.material_post, wavelength_um, entry)
     return entry

@@ -28,36 +28,81 @@ def diffraction(v: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _angle(cosine: float) -> float:
+    """Return the angle of a cosine that rounding may put beyond 1."""
+    return float(np.arccos(min(max(cosine, -1.0), 1.0)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def annular(v: float, inner: float) -> float:
+    """Return `annular_mtf` at `v` times the cutoff, 0 <= v <= 1."""
+    if inner == 0.0:
+        return diffraction(v)
+    apart = min(max(2.0 * v, 1.0 - inner), 1.0 + inner)  # nearer, one circle lies in the other
+    wide = _angle((apart * apart + 1.0 - inner * inner) / (2.0 * apart))
+    narrow = _angle((apart * apart + inner * inner - 1.0) / (2.0 * apart * inner))
+    crossed = wide - 0.5 * np.sin(2.0 * wide)
+    crossed += inner * inner * (narrow - 0.5 * np.sin(2.0 * narrow))
+    own = diffraction(v) + inner * inner * diffraction(min(v / inner, 1.0))
+    return float((own - 2.0 / np.pi * crossed) / (1.0 - inner * inner))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hidden_squares(shear: float, along: float, inner: float) -> tuple[float, float]:
+    """Return the squared radii between which an arm is dark in one of two sheared rings.
+
+    Parameters
+    ----------
+    shear, along : as for `overlap_square`
+    inner : radius of the dark middle of the discs
+    """
+    square = inner * inner - shear * shear * (1.0 - along * along)
+    if square <= 0.0:
+        return 0.0, 0.0
+    root = np.sqrt(square)
+    return max(shear * along - root, 0.0) ** 2, (shear * along + root) ** 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def share_of(first: float, last: float, square: float, dark: tuple[float, float]) -> float:
+    """Return the share of squared radii from `first` to `last` that is below `square` and light."""
+    end = min(last, square)
+    lit = end - first - max(min(end, dark[1]) - max(first, dark[0]), 0.0)
+    return float(lit / (last - first))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sum_rays(
-    landing: Array, weight: Array, along: Array, edges: Array, v: float, turn: float
+    landing: Array, weight: Array, along: Array, edges: Array, inner: float, v: float, turn: float
 ) -> complex:
     """Return the OTF of one spot, azimuth and frequency."""
     rings, arms = edges.size - 1, along.size
     real, imaginary, total = 0.0, 0.0, 0.0
     for j in range(arms):
         square = overlap_square(v, along[j])
+        dark = hidden_squares(v, along[j], inner)
         for k in range(rings):
-            share = min((square - edges[k]) / (edges[k + 1] - edges[k]), 1.0)
+            share = share_of(edges[k], edges[k + 1], square, dark)
             if share <= 0.0:
-                break
+                continue
             r = k * arms + j
             part = share * weight[r]
             real += part * np.cos(turn * landing[r])
             imaginary += part * np.sin(turn * landing[r])
             total += part
-    scale = diffraction(v) / total if total > 0.0 else 0.0
+    scale = annular(v, inner) / total if total > 0.0 else 0.0
     return complex(scale * real, scale * imaginary)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spot_otf(
-    landing: Array, weight: Array, along: Array, edges: Array, shear: Array, frequency: Array,
-    out: Array,
+    landing: Array, weight: Array, along: Array, edges: Array, inner: float, shear: Array,
+    frequency: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write D sum w m exp(-2 pi i f e) / sum w m over the rays of each spot.
 
     m is the share of the ray's part of the pupil that stays in the overlap with the pupil
-    sheared by f, and D the diffraction MTF.
+    sheared by f, and D the MTF of a perfect lens.
 
     Parameters
     ----------
@@ -65,6 +110,7 @@ def spot_otf(
     weight : [spot ray]
     along : [azimuth arm] |cosine| of the angle between arm and azimuth
     edges : [ring + 1] squared radii of the annuli that the rings stand for
+    inner : radius of the dark middle of the pupil, 0 .. 1
     shear : [spot azimuth] 1 / cutoff, in mm
     frequency : [frequency] f, in line pairs per mm
     out : [spot azimuth frequency], complex
@@ -75,7 +121,7 @@ def spot_otf(
                 turns = frequency[f]
                 v = min(shear[s, a] * abs(turns), 1.0)
                 out[s, a, f] = _sum_rays(
-                    landing[s, a], weight[s], along[a], edges, v, -2.0 * np.pi * turns
+                    landing[s, a], weight[s], along[a], edges, inner, v, -2.0 * np.pi * turns
                 )
 
 

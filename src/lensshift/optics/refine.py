@@ -359,5 +359,7 @@ def _room_mm(front: Surface, back: Surface, apart_mm: float, high_mm: Floats) ->
 
 
 def _edgeless(element: Element) -> Element:
+    if any(surface.inner_mm for surface in element.surfaces):
+        raise ValueError("expected a lens without obstructions (inner_mm): edges are not refined")
     surfaces = tuple(replace(one, semi_diameter_mm=math.inf) for one in element.surfaces)
     return replace(element, surfaces=surfaces)

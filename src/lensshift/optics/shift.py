@@ -93,8 +93,8 @@ def decenter_for_shift(lens: Lens, element: int, offset_px: ArrayLike, grid: Gri
     gain = decenter_gains(lens)[element]
     if abs(gain) < 1e-6:
         raise ValueError(
-            f"expected an element whose decentre moves the image, but element {element + 1} "
-            f"({lens.elements[element].name}) moves it by {gain:.2g} mm per mm"
+            f"expected an element whose decentre moves the image, but {lens.called(element)} "
+            f"moves it by {gain:.2g} mm per mm"
         )
     targets = wanted.reshape(-1, 2)
     centre = Grid((1, 1), grid.pitch_mm)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +13,13 @@ from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import matrices_around_stop
-from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.pupil import midpoints, pupil_quadrature
 from lensshift.optics.trace import Build, RayBundle, trace
 
 CENTROID_RINGS = 2  # of the pupil: the centroid is smooth
 _FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
 _TELLING = 0.01  # share of a step that must show in the image to learn from it
+_AXIAL_RAYS = 2000  # rings of the pupil, by which an obstruction is known
 _SETTLING_STEPS = 10  # after which the same rays count: one at an edge would come and go
 
 
@@ -63,9 +65,58 @@ def spots(
     ValueError
         If no ray of an object point arrives: with the surface where most of them are lost.
     """
-    points, weight = pupil_quadrature(rings)
+    points, weight = pupil_quadrature(rings, inner=obstruction(lens))
     rays = trace(lens, field_tan, points, build=build, wavelength_nm=wavelength_nm)
     return spots_of_rays(lens, rays, weight)
+
+
+def axial_light(lens: Lens) -> tuple[float, float]:
+    """Return the share of the light through the stop that arrives on the axis, and the obstruction.
+
+    The obstruction is the radius of what is stopped about the axis over that of the pupil.
+    """
+    radius = np.sqrt(midpoints(2 * _AXIAL_RAYS)[_AXIAL_RAYS:])
+    passed = trace(lens, np.zeros(2), radius[:, None] * np.array([0.0, 1.0])).passed
+    if not passed.any():
+        return 0.0, 0.0
+    stopped = int(passed.argmax())
+    return float(passed.mean()), float(np.sqrt(stopped / _AXIAL_RAYS))
+
+
+@lru_cache(maxsize=32)
+def obstruction(lens: Lens) -> float:
+    """Return the obstruction of `axial_light`, 0 without a trace where no surface has any."""
+    hidden = any(surface.inner_mm for element in lens.elements for surface in element.surfaces)
+    return axial_light(lens)[1] if hidden else 0.0
+
+
+def with_middle(
+    spot: Spots,
+    lens: Lens,
+    field_tan: ArrayLike,
+    build: Build | None,
+    wavelength_nm: float,
+    rings: int,
+) -> Spots:
+    """Return the spot with what would pass the dark middle: sheared pupils overlap there too."""
+    inner = obstruction(lens)
+    if not inner:
+        return spot
+    elements = [
+        replace(one, surfaces=tuple(replace(surface, inner_mm=0.0) for surface in one.surfaces))
+        for one in lens.elements
+    ]
+    clear = replace(lens, elements=tuple(elements))
+    points, weight = pupil_quadrature(rings, inner=inner)
+    rays = trace(clear, field_tan, points, build=build, wavelength_nm=wavelength_nm)
+    dark = (np.linalg.norm(points, axis=-1) < inner) & rays.passed
+    from_centre = rays.position_mm - spot.centroid_mm[..., None, :]
+    return replace(
+        spot,
+        ray_mm=np.where(dark[..., None], from_centre, spot.ray_mm),
+        direction=np.where(dark[..., None], rays.direction, spot.direction),
+        weight=np.where(dark, weight / spot.transmission[..., None], spot.weight),
+    )
 
 
 def spots_of_rays(lens: Lens, rays: RayBundle, weight: Floats) -> Spots:
@@ -127,7 +178,7 @@ def fields_for_image(
     wanted = np.asarray(image_mm, dtype=np.float64)
     inverse: Floats = np.eye(2) / image_per_field_mm(lens)
     field = wanted @ inverse
-    points, weight = pupil_quadrature(rings)
+    points, weight = pupil_quadrature(rings, inner=obstruction(lens))
     before = step = np.zeros(2)
     for number in range(_FIELD_STEPS):
         rays = trace(lens, field, points, build=build)
@@ -256,7 +307,11 @@ def _why_dark(lens: Lens, rays: RayBundle) -> str:
     surface = int(np.bincount(failed_at).argmax())
     kind = int(np.bincount(status[failed_at == surface]).argmax())
     how = ("", "miss it", "are totally reflected", "lie outside its semi-diameter")[kind]
-    named = [(n, one.name) for one in lens.elements for n, _ in enumerate(one.surfaces, start=1)]
+    named = [
+        (n, one.name or f"element {number}")
+        for number, one in enumerate(lens.elements, start=1)
+        for n, _ in enumerate(one.surfaces, start=1)
+    ]
     number, name = named[surface]
     return (
         f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "

@@ -39,7 +39,7 @@ class Limits:
         numbers = (*self.glass_mm, self.edge_mm, self.air_mm, self.back_focal_mm, self.track_mm)
         if not all(number >= 0 for number in (*numbers, self.distortion)):
             raise ValueError(f"expected limits of at least 0, got {numbers}, {self.distortion}")
-        if self.glass_mm[0] > self.glass_mm[1]:
+        if self.glass_mm[0] > self.glass_mm[1] or math.isinf(self.glass_mm[0]):
             raise ValueError(f"expected glass_mm (least, most), got {self.glass_mm}")
 
 
@@ -67,7 +67,8 @@ class Task:
     shares: tuple[float, ...] = (0.0, 0.35, 0.6, 0.8, 1.0)
 
     def __post_init__(self) -> None:
-        if not (self.focal_length_mm > 0 and self.f_number > 0 and self.shares):
+        kept = (self.focal_length_mm, self.f_number)
+        if not (all(0 < one < math.inf for one in kept) and self.shares):
             raise ValueError(
                 f"expected positive focal length and f-number, and fields, got "
                 f"{self.focal_length_mm} mm, {self.f_number} and {self.shares}"

@@ -16,6 +16,7 @@ from lensshift.optics.focus import scan_focus, spot_means
 from lensshift.optics.lens import Lens
 from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.shift import decenter_for_shift
+from lensshift.optics.spots import obstruction
 from lensshift.optics.trace import Build, RayBundle, trace
 from lensshift.optics.which import AZIMUTHS_RAD, POSITIONS, edge_fields, judged_lpmm
 
@@ -302,7 +303,8 @@ class _Bench:
         self.moves = np.zeros((len(POSITIONS), 1, len(lens.elements), 2))
         moves_mm = decenter_for_shift(lens, element, shift_px * POSITIONS[1:], grid)
         self.moves[1:, 0, element] = moves_mm
-        self.points, self.weight = pupil_quadrature(_RINGS)
+        self.inner = obstruction(lens)
+        self.points, self.weight = pupil_quadrature(_RINGS, inner=self.inner)
 
     def measure(self, build: Build) -> tuple[Floats, Floats, Floats]:
         """Return MTF [build position field azimuth], shifts [build move field 2], refocus."""
@@ -329,5 +331,5 @@ class _Bench:
     def _scan(self, rays: RayBundle, first_mm: Floats, step_mm: float, planes: int) -> Floats:
         return scan_focus(
             rays, self.weight, _RINGS, self.frequency_lpmm, AZIMUTHS_RAD, self.lens.wavelength_nm,
-            first_mm=first_mm, step_mm=step_mm, planes=planes,
+            first_mm=first_mm, step_mm=step_mm, planes=planes, inner=self.inner,
         )  # fmt: skip

@@ -284,7 +284,7 @@ def _tilts(lens: Lens, tilt_rad: ArrayLike) -> Floats:
     for number, element in enumerate(lens.elements):
         if element.folds and np.any(tilts[..., number, :]):
             raise ValueError(
-                f"expected no tilt of element {number + 1} ({element.name}), a mirror: all behind "
+                f"expected no tilt of {lens.called(number)}, a mirror: all behind "
                 "it is drawn unfolded in its plane, and would turn with it"
             )
     return tilts

@@ -10,6 +10,7 @@ import numpy as np
 from lensshift.core.arrays import Floats
 from lensshift.optics.lens import Element, Lens, Surface
 
+_MOST_TERMS = 20  # of an asphere: more are no numbers
 _LEAST_MM = 1e-3  # of a thickness, and of the room behind the stop
 
 
@@ -32,7 +33,7 @@ class Freedom:
     Raises
     ------
     ValueError
-        If the number of terms is negative, or elements are aspheric in nothing or not made.
+        If the number of terms is out of range, or elements are aspheric in nothing or not made.
     """
 
     elements: tuple[int, ...] | None = None
@@ -46,8 +47,8 @@ class Freedom:
     stop: bool = False
 
     def __post_init__(self) -> None:
-        if self.aspheres < 0:
-            raise ValueError(f"expected a number of terms of at least 0, got {self.aspheres}")
+        if not 0 <= self.aspheres <= _MOST_TERMS:
+            raise ValueError(f"expected 0 to {_MOST_TERMS} terms, got {self.aspheres}")
         if self.aspheric is not None:
             if not (self.aspheres or self.conics):
                 raise ValueError("expected aspheres or conics for the elements that are aspheric")
@@ -140,7 +141,7 @@ class Variables:
             kind, _, power = slot.kind.partition(" ")
             if kind in ("curvature", "conic", "asphere"):
                 surface = element.surfaces[slot.place]
-                terms = (*surface.asphere, *[0.0] * 20)
+                terms = (*surface.asphere, *[0.0] * _MOST_TERMS)
                 value = {"curvature": surface.curvature_per_mm, "conic": surface.conic}.get(
                     kind, terms[int(power or 0)]
                 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -126,8 +126,9 @@ def save_truth(truth: TofTruth, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    names = ("amplitude", "distance_m", "valid", "flying", "flying_in_frames", "offset_px")
-    arrays = {name: getattr(truth, name) for name in names}
+    arrays = {
+        one.name: getattr(truth, one.name) for one in fields(truth) if one.name != "offset_field"
+    }
     if truth.offset_field is not None:
         arrays["offset_field_px"] = truth.offset_field.offset_px
     with written_whole(path) as part:
