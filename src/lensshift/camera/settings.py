@@ -18,6 +18,7 @@ OutputStyle = Literal["float", "o3m"]
 OUTPUT_STYLES: tuple[OutputStyle, ...] = ("float", "o3m")
 _FASTEST = 0.5  # f-number in air: with less, an image were brighter than what it is of
 MOST_BITS = 16  # of a converter, whose numbers go into words
+MOST_KLX = 1000.0  # ten suns
 
 
 def _not_negative(name: str, value: object) -> None:
@@ -200,6 +201,11 @@ class Ambient:
 
     def __post_init__(self) -> None:
         _not_negative("illuminance_klx", self.illuminance_klx)
+        if self.illuminance_klx > MOST_KLX:
+            raise ValueError(
+                f"expected illuminance_klx of at most {MOST_KLX:g}, got {self.illuminance_klx:g}; "
+                "the sun makes 100, and it is in klx, not lx"
+            )
         positive("filter_width_nm", self.filter_width_nm)
 
 

@@ -30,11 +30,17 @@ class Fidelity:
 def fidelity(
     image: ArrayLike, truth: ArrayLike, *, peak: float = 1.0, border_px: int = 4
 ) -> Fidelity:
-    """Compare an image with the truth; see `psnr_db`, `ssim` and `rmse`."""
+    """Compare an image with the truth; see `psnr_db`, `ssim` and `rmse`.
+
+    Of images that are too small for a window of `ssim`, such as those of sensors of 8 x 8 pixels,
+    it is NaN.
+    """
+    error = rmse(image, truth, border_px=border_px)
+    small = min(np.shape(image)) - 2 * border_px < SSIM_WINDOW_PX
     return Fidelity(
         psnr_db=psnr_db(image, truth, peak=peak, border_px=border_px),
-        ssim=ssim(image, truth, peak=peak, border_px=border_px),
-        rmse=rmse(image, truth, border_px=border_px),
+        ssim=float("nan") if small else ssim(image, truth, peak=peak, border_px=border_px),
+        rmse=error,
     )
 
 

@@ -24,6 +24,7 @@ from lensshift.scene import Scene
 YARDSTICKS = ("nearest", "bicubic")
 Shifts = Literal["planned", "true", "traced"]
 SHIFTS: tuple[Shifts, ...] = ("planned", "true", "traced")
+MOST_SHIFT_ERROR_PX = 5.0  # beyond that a plan of shifts says nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +69,11 @@ class Experiment:
             raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
         if self.shifts == "traced":
             _moving_lens(self.camera)
+        if not 0.0 <= self.shift_error_px <= MOST_SHIFT_ERROR_PX:
+            raise ValueError(
+                f"expected shift_error_px from 0 to {MOST_SHIFT_ERROR_PX:g} LR pixels, "
+                f"got {self.shift_error_px!r}"
+            )
         width_px, scale = self.psf_sigma_px, self.scale
         known = isinstance(width_px, (int, float))
         if width_px is not None and not (known and 0.0 <= width_px < np.inf):
