@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
-from pixel_camera import SQUARE_PX, edge_scene, make_burst, photograph
+from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 
 from lensshift import QualityWarning, reconstruct
 from lensshift.forward.blur import GaussianBlur
@@ -117,3 +119,27 @@ def test_a_frame_without_valid_pixels_changes_nothing(A) -> None:
 def test_complex_frames_are_refused(A) -> None:
     with pytest.raises(ValueError, match="real frames"):
         estimate_photometry(A, np.ones((4, *SHAPE), complex), np.ones((4, *SHAPE)))
+
+
+def _boxes(row: Array, col: Array) -> Array:
+    """Two boxes of a few pixels in a dark field, as a wide lens sees them."""
+    one = (np.abs(row - 5.3) < 1.2) & (np.abs(col - 4.1) < 1.7)
+    other = (np.abs(row - 6.2) < 1.9) & (np.abs(col - 8.4) < 0.8)
+    return np.asarray(0.03 + 0.8 * one + 0.5 * other)
+
+
+@pytest.mark.parametrize(("gain", "least", "most"), [(1.0, 0, 0), (1.3, 4, 6)])
+def test_few_bright_pixels_that_do_not_fit_are_no_other_brightness(
+    gain: float, least: int, most: int
+) -> None:
+    told = 0
+    for seed in range(1, 7):
+        rng = np.random.default_rng(seed)
+        y = photograph(_boxes, (12, 13), np.array(SQUARE_PX) + rng.normal(0, 0.02, (4, 2)))
+        y += 0.003 * rng.standard_normal(y.shape) * np.sqrt(y / 0.8 + 0.02)
+        y[2] *= gain
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", QualityWarning)
+            reconstruct(make_burst(y), psf_sigma_px=0.289, std=False)
+        told += any("differ in brightness" in str(one.message) for one in caught)
+    assert least <= told <= most
