@@ -201,8 +201,7 @@ def test_fidelity_of_a_result(call: Call, result_file: Path, burst: Burst, tmp_p
     np.savez(tmp_path / "truth.npz", gt=truth, more=truth)
     arguments = (result_file, tmp_path / "truth.npz", "--truth-key", "gt", "--border-px", 0)
     done = call("evaluate", "fidelity", *arguments)
-    assert done.exit_code == 1
-    assert "expected at least 11 x 11 pixels" in done.stderr
+    assert "SSIM  nan\n" in done.stdout  # of less than 11 x 11 pixels there is none
     done = call("evaluate", "fidelity", *arguments[:2])
     assert "choose a key among gt, more" in done.stderr
     done = call("evaluate", "fidelity", *arguments, "--key", "distance")

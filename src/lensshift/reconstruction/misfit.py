@@ -317,11 +317,12 @@ def _brightness(
     found[enough] = own[:, 0]
     light = np.abs((own @ terms[:, :2])[:, 0]) ** 2 * on
     # A few bright pixels that do not fit have a gain of their own, whatever the dark ones say.
-    left = zip(np.abs(r - (fit @ terms)[:, 0]), variance, light, strict=True)
+    left = zip(np.abs(r - (fit @ terms)[:, 0]), variance, on, light, strict=True)
     rest = [
-        max(usual(size, there) / MEDIAN_SIZE, LEAST_REST * np.sqrt(usual(var, there)))
-        for size, var, there in left
-    ]
+        max(max(usual(size, w) for w in (seen, there)) / MEDIAN_SIZE,
+            LEAST_REST * np.sqrt(usual(var, there)))
+        for size, var, seen, there in left
+    ]  # fmt: skip
     return float(np.max(np.sqrt(np.sum(light, axis=-1) / on.sum(axis=-1)) / rest)), found
 
 
