@@ -244,6 +244,20 @@ def test_four_boxes_of_an_unknown_camera(seed: int) -> None:
         assert found_db >= known_db - 0.5
 
 
+@pytest.mark.parametrize("without", ["one frequency", "light of its own"])
+def test_a_told_width_is_believed_where_phasors_are_not_known(without: str) -> None:
+    """Distances of two frequencies are no phase, and light less than none is no amplitude."""
+    seen, hz = seen_by(12, 21).y, (100e6, 20e6) if without == "one frequency" else 20e6
+    light = np.array(seen)
+    light[:, 3, 4] *= -0.01 if without != "one frequency" else 1.0
+    burst = Burst.from_arrays(
+        light, np.full(light.shape, 1.2), offset_px=square(2), pitch_mm=0.1, modulation_hz=hz
+    )
+    found = reconstruct(burst, channel="amplitude", psf_sigma_px=0.29, method="tikhonov")
+    wide = reconstruct(replace(burst, distance_m=None), psf_sigma_px=0.29, method="tikhonov")
+    np.testing.assert_array_equal(found.amplitude.image, wide.amplitude.image)
+
+
 def test_a_stream_keeps_what_was_read() -> None:
     seen = seen_by(6, 530)
     stream = lensshift.stream(square(2), shape=(21, 30))
