@@ -193,6 +193,16 @@ def test_a_square_pixel_that_was_told_by_its_edge_is_believed() -> None:
         reconstruct(replace(burst, meta={"psf_sigma_px": 0.4}), method="tikhonov")
 
 
+def test_a_width_that_was_told_with_a_large_error_is_not_refuted() -> None:
+    burst = stack_of(seen_by(12, 20, snr=300))
+    with pytest.warns(lensshift.QualityWarning, match="sharper than psf_sigma_px"):
+        reconstruct(replace(burst, meta={"psf_sigma_px": 0.45}), method="tikhonov")
+    unsure = replace(burst, meta={"psf_sigma_px": 0.45, "psf_std_px": 0.1})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", lensshift.QualityWarning)
+        reconstruct(unsure, method="tikhonov")
+
+
 @pytest.mark.parametrize("method", ["auto", "tikhonov", "tv"])
 def test_a_fill_factor_and_every_method_are_held_against_the_frames(method: str) -> None:
     burst, whole = stack_of(seen_by(6, 21, snr=300)), stack_of(seen_by(12, 21, snr=300))
