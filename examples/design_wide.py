@@ -78,7 +78,7 @@ def main() -> None:
     task, free = Task(GRID, FOCAL_MM, 1.2, LIMITS), Freedom(thicknesses=True, stop=True)
     lens = starting_form()
     show("form", lens, task)
-    lens = refine(lens, task, free, grow=(0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0), steps=40)
+    lens = refine(lens, task, free, grow=(0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0), steps=80)
     show("spheres", lens, task)
     aspheric = replace(free, aspheres=3, aspheric=(0, 4, 5))
     lens = refine(lens, task, aspheric, steps=80)

@@ -9,7 +9,7 @@ import pytest
 from tof_worlds import EXACT, make_camera, quiet, still, wall, wave_of
 
 from lensshift.camera import LensOptics, camera_preset, simulate_tof
-from lensshift.camera.view import airy_points
+from lensshift.camera.view import View, airy_points
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
@@ -198,6 +198,23 @@ def test_a_traced_lens_darkens_by_its_stop_and_its_edge(
     expected = falloff * (1 + tangent**2) ** -1.5  # of a wall lit from the camera
     assert falloff.min() < (0.93 if edge_mm > 20.0 else 0.75)
     np.testing.assert_allclose(seen / seen[12], expected, atol=near_bend)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 1e-9])
+def test_the_light_of_a_traced_lens_is_even_about_its_axis_and_less_what_is_obstructed(
+    tilt_rad: float,
+) -> None:
+    """Of a ring 1 - e^2 of the light of its f-number, whatever way the angle lies."""
+    inner = 0.4
+    surface = Surface(-200.0, -1.0, semi_diameter_mm=12.5, inner_mm=10 * inner, mirror=True)
+    element = Element((surface,), (), (), tilt_rad=(0.0, tilt_rad))
+    lens = Lens((element,), (100.0,), Stop(20.0), wavelength_nm=550.0)
+    view = View(make_camera(Grid((9, 9), (2.0, 2.0)), optics=LensOptics(lens, None)), 0.0)
+    assert view.light(np.zeros(1), np.zeros(1)) == pytest.approx(1.0 - inner**2, abs=2e-3)
+    turn = np.linspace(0.0, 0.5 * np.pi, 7)
+    around = view.light(0.08 * np.sin(turn), 0.08 * np.cos(turn))
+    assert around.max() < 0.99 * (1.0 - inner**2)
+    np.testing.assert_allclose(around, around[0], atol=2e-3)
 
 
 def test_a_lens_that_cannot_move_the_image_is_refused() -> None:

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import zipfile
 from collections.abc import Callable
@@ -261,7 +262,9 @@ def test_what_takes_long_before_the_first_iteration_is_said(
     quick = Progress("reconstructing", preparing=True)
     quick(1, 0.5)
     slow = Progress("reconstructing", preparing=True)
-    slow._begun.join(10.0)
+    for one in threading.enumerate():
+        if isinstance(one, threading.Timer):
+            one.join(10.0)
     slow.close()
     said = capsys.readouterr().err
     assert said.count("preparing (compiles once, after an installation)") == 1

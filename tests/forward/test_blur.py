@@ -194,3 +194,30 @@ def test_bad_fill_factors_are_refused(fill_factor):
 def test_positions_must_be_finite():
     with pytest.raises(ValueError, match="finite"):
         GaussianBlur().taps([0.0, np.nan], 2, 10)
+
+
+def test_responses_between_nodes_keep_contrast_and_third_moment():
+    """Of third moments of which hardly any is at a node."""
+    scale, skews_px3 = 2, np.linspace(-0.11, 0.17, 64)
+    position = 200 + (np.arange(64) + 0.5) / 64
+    w, seen = 2 * np.pi * np.array([0.15, 0.3, 0.4]), []
+    for skew_px3 in (np.zeros(64), skews_px3):
+        start, weight = varying_taps(
+            GaussianBlur(0.3), position, np.full(64, 0.09), scale, 401, skew_px3
+        )
+        at = start[:, None] + np.arange(weight.shape[1]) - position[:, None]
+        seen.append(np.einsum("pt,ptf->pf", weight, np.exp(1j * at[..., None] * w / scale)))
+    even, skewed = seen
+    np.testing.assert_allclose(np.abs(skewed), np.abs(even), atol=5e-3)
+    turned = np.angle(skewed / even)[:, :2]
+    np.testing.assert_allclose(turned, skews_px3[:, None] * w[:2] ** 3 / 6, atol=8e-3)
+
+
+@pytest.mark.parametrize("skew_px3", [-0.3, 0.3])
+def test_skewed_responses_that_are_cut_off_stay_means(skew_px3):
+    position, count = np.linspace(-3.0, 12.0, 301), 301
+    _, weight = varying_taps(GaussianBlur(0.2), position, np.full(count, 0.05), 2, 10,
+                             np.full(count, skew_px3))  # fmt: skip
+    np.testing.assert_allclose(weight.sum(axis=1), 1.0, atol=1e-12)
+    beyond = (position < 0) | (position > 9)
+    assert weight[beyond].min() >= 0.0

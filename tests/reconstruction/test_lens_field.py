@@ -10,7 +10,10 @@ from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import LensField
 from lensshift.core.pattern import named_pattern_px
-from lensshift.core.types import Burst
+from lensshift.core.types import Burst, ShiftField
+from lensshift.forward.blur import GaussianBlur
+from lensshift.forward.model import forward_model
+from lensshift.reconstruction.problem import make_problem, predictor
 from lensshift.reconstruction.reconstruct import reconstruct
 
 SHAPE, SCALE, NOISE = (18, 41), 2, 0.003
@@ -229,3 +232,31 @@ def test_shifts_of_two_kinds_are_too_much() -> None:
     other = Burst.from_arrays(burst.amplitude[:, :-1], offset_px=SQUARE, pitch_mm=0.1)
     with pytest.raises(ValueError, match="make it with --sensor 41x17"):
         reconstruct(other, lens_field=field)
+
+
+@pytest.mark.parametrize("skew", [False, True])
+def test_a_frame_is_predicted_with_its_own_spot_and_an_offset_with_that_of_all(skew: bool) -> None:
+    rng, shape = np.random.default_rng(4), (6, 9)
+    burst = Burst.from_arrays(rng.random((3, *shape)), offset_px=SQUARE[:3], pitch_mm=0.1)
+    field_px = np.broadcast_to(SQUARE[:3, None, None], (3, *shape, 2))
+    spots = [rng.uniform(0.0, 0.1, field_px.shape), rng.uniform(-0.1, 0.1, field_px.shape)]
+    field = ShiftField(field_px, spot_px2=spots[0], skew_px3=spots[1] if skew else None)
+    image = rng.random((12, 18))
+
+    def seen(at_px: np.ndarray, *own: np.ndarray | None) -> np.ndarray:
+        model = forward_model(
+            shape, SCALE, shift_field_px=np.broadcast_to(at_px, (1, *shape, 2)),
+            spot_px2=own[0], skew_px3=own[1],
+        )  # fmt: skip
+        return np.asarray(model.predict(image)[0])
+
+    problem = make_problem(
+        burst, burst.amplitude, SCALE, blur=GaussianBlur(0.3), shift_field=field, noise_sigma=None
+    )
+    predict = predictor(burst, problem, (0, 1, 2), image, field)
+    known = spots if skew else [spots[0], None]
+    for k in range(3):
+        own = [None if of is None else of[k : k + 1] for of in known]
+        np.testing.assert_allclose(predict(k), seen(SQUARE[k], *own), atol=1e-12)
+    mean = [None if of is None else of.mean(axis=0)[None] for of in known]
+    np.testing.assert_allclose(predict((0.1, 0.2)), seen(np.array([0.1, 0.2]), *mean), atol=1e-12)

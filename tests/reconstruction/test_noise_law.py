@@ -14,6 +14,7 @@ from lensshift import Burst, QualityWarning, reconstruct
 from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import (
     REFILLED,
+    NoiseLaw,
     _blocks,
     _continued,
     _filters,
@@ -340,3 +341,9 @@ def test_frames_that_are_valid_in_a_part_only(shape, part, channel: str) -> None
         found = reconstruct(burst, channel=channel)
     for one in (found.amplitude, found.distance_m):
         assert one is None or np.all(np.isfinite(one.image))
+
+
+def test_so_many_times_the_noise_has_the_square_of_it_as_variance_at_any_light() -> None:
+    law, light = NoiseLaw(0.3, 0.04, 0.1, 0.1, 0.9), np.linspace(0.0, 1.0, 7)
+    np.testing.assert_allclose(law.times(0.6).variance(light), 0.36 * law.variance(light))
+    assert law.times(0.6).sigma == pytest.approx(0.18)

@@ -193,6 +193,16 @@ def test_a_square_pixel_that_was_told_by_its_edge_is_believed() -> None:
         reconstruct(replace(burst, meta={"psf_sigma_px": 0.4}), method="tikhonov")
 
 
+def test_a_width_that_was_told_with_a_large_error_is_not_refuted() -> None:
+    burst = stack_of(seen_by(12, 20, snr=300))
+    with pytest.warns(lensshift.QualityWarning, match="sharper than psf_sigma_px"):
+        reconstruct(replace(burst, meta={"psf_sigma_px": 0.45}), method="tikhonov")
+    unsure = replace(burst, meta={"psf_sigma_px": 0.45, "psf_std_px": 0.1})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", lensshift.QualityWarning)
+        reconstruct(unsure, method="tikhonov")
+
+
 @pytest.mark.parametrize("method", ["auto", "tikhonov", "tv"])
 def test_a_fill_factor_and_every_method_are_held_against_the_frames(method: str) -> None:
     burst, whole = stack_of(seen_by(6, 21, snr=300)), stack_of(seen_by(12, 21, snr=300))
@@ -242,6 +252,20 @@ def test_four_boxes_of_an_unknown_camera(seed: int) -> None:
             fidelity(one.amplitude.image, seen.truth.amplitude).psnr_db for one in (found, known)
         )
         assert found_db >= known_db - 0.5
+
+
+@pytest.mark.parametrize("without", ["one frequency", "light of its own"])
+def test_a_told_width_is_believed_where_phasors_are_not_known(without: str) -> None:
+    """Distances of two frequencies are no phase, and light less than none is no amplitude."""
+    seen, hz = seen_by(12, 21).y, (100e6, 20e6) if without == "one frequency" else 20e6
+    light = np.array(seen)
+    light[:, 3, 4] *= -0.01 if without != "one frequency" else 1.0
+    burst = Burst.from_arrays(
+        light, np.full(light.shape, 1.2), offset_px=square(2), pitch_mm=0.1, modulation_hz=hz
+    )
+    found = reconstruct(burst, channel="amplitude", psf_sigma_px=0.29, method="tikhonov")
+    wide = reconstruct(replace(burst, distance_m=None), psf_sigma_px=0.29, method="tikhonov")
+    np.testing.assert_array_equal(found.amplitude.image, wide.amplitude.image)
 
 
 def test_a_stream_keeps_what_was_read() -> None:

@@ -195,6 +195,17 @@ def test_of_each_mistake_there_is_a_reading_without_it(
     np.testing.assert_array_equal(still, np.zeros((1, 7, 2)))
 
 
+@pytest.mark.parametrize(
+    ("factor", "named"),
+    [(4.0, True), (0.2, True), (-4.0, False), (3.0, False), (1 / 3, False), (1.0, False)],
+)
+def test_another_unit_is_larger_than_none_and_none_that_has_a_name(
+    factor: float, named: bool
+) -> None:
+    names = [name for name, _ in _readings(SCATTERED_PX, factor * SCATTERED_PX, 3)]
+    assert ("their unit" in names) is named
+
+
 @pytest.mark.parametrize("scene", [_boxes, _weave])
 @pytest.mark.parametrize("times", [0.5, 2.0])
 def test_another_unit_is_named_even_if_the_frames_tell_no_shifts(

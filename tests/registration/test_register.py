@@ -19,6 +19,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.registration import likely_shifts, phase_correlation, phase_shifts, register
 from lensshift.registration.blocks import blocks_of, scatter_over_blocks
+from lensshift.registration.likelihood import ShiftFit, with_given
 from lensshift.scene import four_boxes, slanted_edge_card
 
 OFFSETS = np.array([[0.0, 0.0], [0.31, -0.42], [-1.27, 0.66], [2.4, 3.1], [-0.2, 0.9]])
@@ -384,3 +385,33 @@ def test_bursts_that_cannot_be_registered() -> None:
         )
     with pytest.raises(ValueError, match="4 x 4"):
         phase_correlation(np.zeros((3, 9)), np.zeros((3, 9)))
+
+
+def test_a_part_that_does_not_know_where_it_lies_says_nothing_of_the_others() -> None:
+    frames, known = np.zeros((2, 16, 64)), np.ones((2, 16, 64), np.bool_)
+    away = iter([[0.01, 0.01], [-0.01, -0.01], [0.01, -0.01], [0.01, -30.0]])
+    errors = iter([[0.01, 0.01]] * 3 + [[0.01, 0.3]])  # its edges run along the rows
+
+    def estimate(*_: object) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([[0.0, 0.0], next(away)]), np.array([[0.0, 0.0], next(errors)])
+
+    found = scatter_over_blocks(estimate, frames, known, np.zeros((2, 2)))
+    # Of n that each say 0.01 px: 4 / 3 times their sum of squares over n^2.
+    expected = 4 / 3 * 0.01**2 * np.array([1 / 4, 1 / 3])
+    assert np.diag(found.covariance_px2)[2:] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("said", [False, True])
+def test_what_is_known_beside_the_frames_counts_by_its_precision(said: bool) -> None:
+    """The product of two Gaussians, of errors that go together in the one and not in the other."""
+    rng = np.random.default_rng(9)
+    root = rng.standard_normal((6, 6))
+    own, sigma_px = root @ root.T, rng.uniform(0.3, 2.0, (3, 2))
+    found_px, given_px = rng.standard_normal((2, 3, 2))
+    fit = ShiftFit(found_px, own, np.ones(3), 0.1, converged=True)
+    both = with_given(fit, given_px, sigma_px, said=said)
+    precision = [np.linalg.inv(own), np.diag(sigma_px.ravel() ** -2)]
+    covariance = np.linalg.inv(sum(precision))
+    np.testing.assert_allclose(both.covariance_px2, covariance, atol=1e-10)
+    mean = covariance @ (precision[0] @ found_px.ravel() + precision[1] @ given_px.ravel())
+    np.testing.assert_allclose(both.offset_px, mean.reshape(3, 2) if said else found_px, atol=1e-9)

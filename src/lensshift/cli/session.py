@@ -8,9 +8,10 @@ import time
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from shutil import get_terminal_size
 from typing import Annotated, Any, TextIO, TypeVar
 
@@ -190,14 +191,19 @@ class Progress:
         self._label = label
         self._start_s = self._last_s = time.monotonic()
         self._line = StatusLine()
-        self._begun = threading.Timer(_QUIET_S, self.say, [_PREPARING])
-        if preparing:
-            self._begun.daemon = True
-            self._begun.start()
+        self._begun = False
+        if preparing:  # never cancelled: cut short by a signal, that would hold a lock for ever
+            timer = threading.Timer(_QUIET_S, self._prepare)
+            timer.daemon = True
+            timer.start()
+
+    def _prepare(self) -> None:
+        if not self._begun:
+            self.say(_PREPARING)
 
     def __call__(self, iteration: int, objective: float) -> None:
         """Take note of one iteration."""
-        self._begun.cancel()
+        self._begun = True
         self.say(f"iteration {iteration}, objective {objective:.4g}")
 
     def count(self, done: int, total: int) -> None:
@@ -222,7 +228,7 @@ class Progress:
 
     def close(self) -> None:
         """End the line on a terminal."""
-        self._begun.cancel()
+        self._begun = True
         self._line.close()
 
 
@@ -237,12 +243,15 @@ class Waiting:
     def __init__(self, label: str) -> None:
         self._progress = Progress(label)
         self._start_s = time.monotonic()
-        self._over = threading.Event()
+        self._over: SimpleQueue[None] = SimpleQueue()  # an Event may be cut short, see `Progress`
         self._thread = threading.Thread(target=self._tick, daemon=True)
         self._thread.start()
 
     def _tick(self) -> None:
-        while not self._over.wait(_QUIET_S if sys.stderr.isatty() else _FILE_EVERY_S):
+        while True:
+            with suppress(Empty):
+                self._over.get(timeout=_QUIET_S if sys.stderr.isatty() else _FILE_EVERY_S)
+                return
             self._progress.say(f"{time.monotonic() - self._start_s:.0f} s")
 
     def end_line(self) -> None:
@@ -251,7 +260,6 @@ class Waiting:
 
     def close(self) -> None:
         """Stop, and end the line on a terminal; again does nothing."""
-        if not self._over.is_set():
-            self._over.set()
-            self._thread.join()
-            self._progress.close()
+        self._over.put(None)
+        self._thread.join()
+        self._progress.close()

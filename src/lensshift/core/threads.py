@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from itertools import pairwise
+from queue import SimpleQueue
+
+Task = Callable[[], None]
 
 
 def core_count() -> int:
@@ -25,21 +29,63 @@ def bands(size: int, count: int) -> list[tuple[int, int]]:
     return list(pairwise(size * n // count for n in range(count + 1)))
 
 
-def on_threads(tasks: Sequence[Callable[[], None]]) -> None:
+def on_threads(tasks: Sequence[Task]) -> None:
     """Run tasks side by side and wait for all; the last one runs here."""
     if len(tasks) < 2:
         for task in tasks:
             task()
         return
-    waiting = [_pool(os.getpid()).submit(task) for task in tasks[:-1]]
+    told: SimpleQueue[BaseException | None] = SimpleQueue()
+    others, errors = tasks[:-1], list[BaseException | None]()
+    _workers(os.getpid()).take([(task, told) for task in others])
     try:
         tasks[-1]()
     finally:
-        for one in waiting:
-            one.result()
+        errors += [told.get() for _ in others]
+    for error in errors:
+        if error is not None:
+            raise error
+
+
+class _Workers:
+    """Threads that wait for tasks, as many as have been wanted at once and there are cores.
+
+    No `ThreadPoolExecutor`: a Ctrl-C in the midst of its own work leaves locks that nobody frees,
+    and whatever is reconstructed after it, as in a notebook, waits for ever. This queue has none.
+    """
+
+    def __init__(self) -> None:
+        self._tasks: SimpleQueue[tuple[Task, SimpleQueue[BaseException | None]]] = SimpleQueue()
+        self._count = 0
+
+    def take(self, tasks: Sequence[tuple[Task, SimpleQueue[BaseException | None]]]) -> None:
+        """Do tasks, and tell each of their queues what was raised, or None."""
+        while self._count < min(len(tasks), os.cpu_count() or 1):
+            threading.Thread(target=self._work, name="lensshift", daemon=True).start()
+            self._count += 1
+        for one in tasks:
+            self._tasks.put(one)
+
+    def _work(self) -> None:
+        while True:
+            task, told = self._tasks.get()
+            with _Telling(told):
+                task()
+            del task  # and what it holds, however long the next one is in coming
+
+
+class _Telling(AbstractContextManager["_Telling"]):
+    """Tells a queue what was raised."""
+
+    def __init__(self, told: SimpleQueue[BaseException | None]) -> None:
+        self._told = told
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        self._told.put(error)
+        return True
 
 
 @lru_cache(maxsize=1)
-def _pool(process: int) -> ThreadPoolExecutor:
+def _workers(process: int) -> _Workers:
     """Return the threads of a process; those of its parent did not come along."""
-    return ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="lensshift")
+    return _Workers()

@@ -84,7 +84,7 @@ class Live:
         self._recording: Recording | None = None
         self._recording_lock = threading.Lock()
         self._mailbox = Mailbox()
-        self._ending = threading.Event()
+        self._ending = False  # no Event: a signal that comes while it is set would hold its lock
         self._threads = [
             threading.Thread(target=self._guarded, args=(work,), name=name)
             for name, work in (("frames", self._receive), ("pictures", self._solve))
@@ -100,7 +100,7 @@ class Live:
 
     def stop(self) -> None:
         """End both threads; the lens is back at rest when this returns."""
-        self._ending.set()
+        self._ending = True
         for thread in self._threads:
             if thread.is_alive():
                 thread.join()
@@ -157,7 +157,7 @@ class Live:
         with closing(self.source.shots()) as shots:  # type: ignore[type-var]
             last: Shot | None = None
             for shot in shots:
-                if self._ending.is_set():
+                if self._ending:
                     return
                 if shot is None:
                     continue
@@ -180,7 +180,7 @@ class Live:
     def _solve(self) -> None:
         made: tuple[Burst, Settings] | None = None
         camera: Stream | None = None
-        while not self._ending.is_set():
+        while not self._ending:
             shots = self._mailbox.take(_LOOK_S)
             if not shots:
                 continue

@@ -127,7 +127,7 @@ def _questioned(
     """
     if part.distance_m is None or channel == "phasor":
         found, request = _found(part, channel, request, seen)
-    elif part.frequencies_hz:  # An amplitude of two distances is no mean of theirs.
+    elif _has_phasors(part):  # An amplitude of two distances is no mean of theirs.
         light = dict(seen) | {"noise_sigma": None, "pixel_variance": None}
         found, _ = _found(part, "phasor", request, light)
     else:
@@ -197,6 +197,14 @@ def _for_people(values: Array) -> bool:
     some = np.ravel(values)[:: max(1, values.size // MOST_PIXELS) | 1]
     different = np.unique(some).size
     return bool(different <= BYTES and different < ALL_DIFFER * some.size)
+
+
+def _has_phasors(part: Burst) -> bool:
+    """Tell whether the phasors of frames with distances are known, or follow from these."""
+    if part.phasors is not None:
+        return True
+    dark = np.any(part.amplitude[part.valid] < 0)  # less than none, as of background taken off
+    return len(part.frequencies_hz) == 1 and not dark
 
 
 def _averaged(part: Burst, channel: str) -> Array:

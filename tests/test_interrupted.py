@@ -1,10 +1,11 @@
-"""A signal in the midst of a driver's own work leaves no lock behind that its end needs."""
+"""A signal in the midst of our own work leaves no lock behind that its end, or the next, needs."""
 
 import random
 import signal
 import threading
 from collections.abc import Callable
 from types import FrameType
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,7 +15,11 @@ from lensshift.capture.drivers.apt_axis import AptAxis
 from lensshift.capture.drivers.receiver import Receiver
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.rig import CameraFrame
+from lensshift.cli.session import Progress, Waiting
+from lensshift.core.threads import on_threads
 from lensshift.core.types import Frame
+from lensshift.live.sources import Source
+from lensshift.live.worker import Live
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no such timers there")
 TIMES = 300
@@ -32,11 +37,11 @@ def cut_short(action: Callable[[], None], after_s: float) -> None:
 
     before = signal.signal(signal.SIGALRM, end)
     try:
-        signal.setitimer(signal.ITIMER_REAL, after_s)
+        signal.setitimer(signal.ITIMER_REAL, after_s, 1.0)  # again, if Python swallows the first
         while True:
             action()
     except _CutShort:
-        pass
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
     finally:
         signal.signal(signal.SIGALRM, before)
 
@@ -78,3 +83,51 @@ def test_frames_come_on_after_a_wait_that_was_cut_short() -> None:
         cut_short(take, rng.uniform(1e-4, 3e-4))
         assert ends(lambda: receiver.put(one))
     receiver.close()
+
+
+def test_tasks_are_done_after_others_were_cut_short() -> None:
+    rng = random.Random(3)
+    tasks = [lambda: None] * 2
+    for _ in range(3 * TIMES):
+        cut_short(lambda: on_threads(tasks), rng.uniform(1e-4, 3e-4))
+        assert ends(lambda: on_threads(tasks))
+
+
+def test_the_line_of_an_iteration_that_was_cut_short_ends() -> None:
+    rng = random.Random(4)
+    progress = Progress("working", preparing=True)
+    for _ in range(TIMES):
+        cut_short(lambda: progress(1, 0.5), rng.uniform(1e-4, 3e-4))
+        assert ends(progress.close)
+
+
+class _Idle:
+    """A thread that does nothing, and is soon started."""
+
+    def __init__(self, **_: object) -> None: ...
+    def start(self) -> None: ...
+    def join(self) -> None: ...
+
+
+def test_a_wait_whose_end_was_cut_short_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = random.Random(5)
+    waiting = [Waiting("working")]
+    waiting[0].close()
+
+    def wait() -> None:
+        waiting[0] = Waiting("working")
+        waiting[0].close()
+
+    for _ in range(TIMES):
+        with monkeypatch.context() as patch:
+            patch.setattr(threading, "Thread", _Idle)
+            cut_short(wait, rng.uniform(1e-4, 3e-4))
+        assert ends(waiting[0].close)
+
+
+def test_a_live_view_whose_end_was_cut_short_ends() -> None:
+    rng = random.Random(6)
+    for _ in range(TIMES):
+        live = Live(cast(Source, None))
+        cut_short(live.stop, rng.uniform(1e-4, 3e-4))
+        assert ends(live.stop)
