@@ -104,7 +104,7 @@ BAD: list[tuple[Any, str]] = [
     (lambda: PlainOptics(0.0, 2.0), "focal_length_mm"),
     (lambda: PlainOptics(10.0, 0.49), "f_number of at least 0.5"),
     (lambda: PlainOptics(10.0, 2.0, transmission=1.2), "transmission"),
-    (lambda: PlainOptics(10.0, 2.0, blur_sigma_px=-0.1), "blur_sigma_px of at least 0"),
+    (lambda: PlainOptics(10.0, 2.0, blur_sigma_px=-0.1), "blur_sigma_px from 0 to 10 LR pixels"),
     (lambda: Scatter(1.5), "scattered"),
     (lambda: Scatter(0.1, 0.0), "sigma_px"),
     (lambda: Pixels(fill_factor=0.0), "fill_factor above 0"),

@@ -92,7 +92,7 @@ def test_selection_keeps_frames_and_offsets_together() -> None:
         ({"valid": np.zeros((3, *SHAPE), bool)}, "valid: every pixel is marked invalid"),
         ({"valid": np.ones((3, 5, 6), bool)}, "valid: expected shape"),
         ({"distance_m": np.zeros((3, 5, 6))}, "distance_m: expected shape"),
-        ({"pitch_mm": 0.0}, "pitch_mm: expected two positive pitches"),
+        ({"pitch_mm": 0.0}, "pitch_mm: expected two positive pitch_mm"),
         ({"modulation_hz": -1.0}, "modulation_hz: expected a positive frequency"),
         ({"modulation_hz": []}, "modulation_hz: expected a positive frequency"),
         ({"modulation_hz": [[15e6, 20e6]]}, "modulation_hz: expected a positive frequency"),

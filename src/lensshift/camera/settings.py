@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 from lensshift.core.grid import Grid
-from lensshift.core.units import doubt_about_units
+from lensshift.core.units import doubt_about_pitch, doubt_about_units
 from lensshift.optics.lens import Lens
 from lensshift.scene.checks import number, positive, positives, share
 
@@ -18,6 +18,8 @@ OutputStyle = Literal["float", "o3m"]
 OUTPUT_STYLES: tuple[OutputStyle, ...] = ("float", "o3m")
 _FASTEST = 0.5  # f-number in air: with less, an image were brighter than what it is of
 MOST_BITS = 16  # of a converter, whose numbers go into words
+LIGHT_NM = (100.0, 20_000.0)  # that lenses let through and sensors see
+MOST_BLUR_PX = 10.0  # of a lens: beyond, the scene is not seen
 MOST_KLX = 1000.0  # ten suns
 
 
@@ -53,7 +55,12 @@ class Illumination:
             raise ValueError(f"expected whole Hz for several modulation_hz, got {frequencies}")
         object.__setattr__(self, "modulation_hz", frequencies)
         positive("intensity_w_per_sr", self.intensity_w_per_sr)
-        positive("wavelength_nm", self.wavelength_nm)
+        low_nm, high_nm = LIGHT_NM
+        if not low_nm <= number("wavelength_nm", self.wavelength_nm) <= high_nm:
+            raise ValueError(
+                f"expected wavelength_nm from {low_nm:g} to {high_nm:g}, got "
+                f"{self.wavelength_nm:g}; 0.85 um are 850"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +94,11 @@ class PlainOptics:
             raise ValueError(f"expected f_number of at least {_FASTEST}, got {self.f_number}")
         share("transmission", self.transmission)
         share("vignetting", self.vignetting)
-        _not_negative("blur_sigma_px", self.blur_sigma_px)
+        if not 0 <= number("blur_sigma_px", self.blur_sigma_px) <= MOST_BLUR_PX:
+            raise ValueError(
+                f"expected blur_sigma_px from 0 to {MOST_BLUR_PX:g} LR pixels, "
+                f"got {self.blur_sigma_px:g}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,8 +190,8 @@ class Pixels:
         harmonics += abs(number("harmonic_5", self.harmonic_5))
         if self.contrast * (1.0 + harmonics) > 1.0:
             raise ValueError(
-                f"expected contrast (1 + |h3| + |h5|) up to 1, so that no tap goes below 0, got "
-                f"{self.contrast * (1.0 + harmonics):.3g}"
+                f"expected contrast (1 + |harmonic_3| + |harmonic_5|) up to 1, so that no tap goes "
+                f"below 0, got {self.contrast * (1.0 + harmonics):.3g}"
             )
 
 
@@ -343,6 +354,8 @@ class TofCamera:
             raise TypeError(f"expected PlainOptics or LensOptics, got {kind}")
         if self.output not in OUTPUT_STYLES:
             raise ValueError(f"expected one of {', '.join(OUTPUT_STYLES)}, got {self.output!r}")
+        if doubt := doubt_about_pitch(max(self.grid.pitch_mm)):
+            raise ValueError(doubt)
         if self.output == "o3m" and (self.readout.bits is None or max(self._states) > 2):
             raise ValueError(
                 "expected a converter with bits, and up to 2 exposures and 2 gains for output "

@@ -208,7 +208,8 @@ def _why_nothing(frames: list[Seen], readings: list[Reading]) -> str:
     full = float(np.stack([one.saturated for one in readings])[seen].mean())
     return (
         f"expected pixels to use, but of those that see light {100 * full:.0f} % are full "
-        f"in the shortest exposure and {100 * (1 - full):.0f} % have too little light"
+        f"in the shortest exposure and {100 * (1 - full):.0f} % have too little light; change "
+        "exposure_s or intensity_w_per_sr"
     )
 
 

@@ -48,6 +48,17 @@ def naming(source: str | Path) -> Iterator[None]:
         raise error.in_file(source) from error
 
 
+@contextmanager
+def about(field: str) -> Iterator[None]:
+    """Make what a block refuses a `DataError` about a field, unless it names one."""
+    try:
+        yield
+    except DataError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), field=field) from error
+
+
 class QualityWarning(UserWarning):
     """The data are poor but usable; the message says by how much."""
 

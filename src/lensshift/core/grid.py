@@ -47,7 +47,7 @@ class Grid:
         if len(self.shape) != 2 or min(self.shape) < 1:
             raise ValueError(f"expected a grid of at least 1 x 1 pixels, got shape {self.shape}")
         if len(self.pitch_mm) != 2 or not all(np.isfinite(p) and p > 0 for p in self.pitch_mm):
-            raise ValueError(f"expected two positive pitches in mm, got {self.pitch_mm}")
+            raise ValueError(f"expected two positive pitch_mm, got {self.pitch_mm}")
 
     def tells_pitch(self, scale: int = 1) -> bool:
         """Tell whether somebody told the pitch: lengths in mm mean nothing where nobody did.

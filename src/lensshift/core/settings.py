@@ -19,9 +19,10 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 
 T = TypeVar("T")
+_MOST_INTEGER = 1 << 63
 _MAX_TEXT_BYTES = 1 << 26  # a table of a shift for every pixel has some 20 MB
 
 
@@ -52,11 +53,28 @@ def read_text(path: str | Path) -> str:
 def parse_toml(text: str, source: str | Path = "") -> dict[str, Any]:
     """Return the tables of a TOML text; what is wrong with it names line and column."""
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"is not TOML: {error}", source=source) from error
     except (ValueError, RecursionError) as error:  # integers and nesting beyond all bounds
         raise DataError(f"is not TOML: {error!s:.100}", source=source) from error
+    for where, number in _integers(tables):
+        if not -_MOST_INTEGER <= number < _MOST_INTEGER:  # as TOML demands
+            problem = f"expected an integer within 64 bits, got {number!r:.60}"
+            raise DataError(problem, field=where, source=source)
+    return tables
+
+
+def _integers(value: Any, where: str = "") -> Iterator[tuple[str, int]]:
+    """Yield each integer of nested tables with its name."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _integers(entry, _joined(where, key))
+    elif isinstance(value, list):
+        for number, entry in enumerate(value):
+            yield from _integers(entry, f"{where}[{number}]")
+    elif type(value) is int:
+        yield where, value
 
 
 def parse_json(text: str | bytes, source: str | Path = "", field: str = "") -> dict[str, Any]:
@@ -141,10 +159,8 @@ def built(
     for name, parameter in _parameters(make).items():
         if name not in entries and parameter.default is parameter.empty:
             raise DataError("expected this entry, which is missing", field=_joined(where, name))
-    try:
+    with about(where):
         return make(**entries)
-    except (TypeError, ValueError) as error:
-        raise DataError(str(error), field=where) from error
 
 
 def fitted(make: Callable[..., Any], table: Mapping[str, Any], where: str) -> dict[str, Any]:

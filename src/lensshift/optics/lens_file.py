@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 from lensshift.core.settings import fit, parse_toml, read_text, settings_of
 from lensshift.optics.glass import (
     NO_CHANGE,
@@ -21,7 +21,6 @@ from lensshift.optics.glass import (
     is_shipped,
 )
 from lensshift.optics.lens import WAVELENGTH_NM, Element, Lens, Stop, Surface
-from lensshift.optics.sequential import about
 from lensshift.optics.zmx import load_zmx
 
 # Lens files of other programs, which all of them can write as .zmx.
@@ -178,7 +177,7 @@ def _degrees(tilt_rad: tuple[float, float]) -> tuple[float, ...] | None:
 def _lens(content: dict[str, Any], text: str) -> Lens:
     found = _entries_of(content, _LENS, "lens")
     for number, table in enumerate(found["glass"], start=1):
-        where = f"glass {number}, line {_line(text, '[[glass]]', number)}"
+        where = f"glass {number}{_line(text, '[[glass]]', number)}"
         glass = _entries_of(table, _GLASS, where)
         name = glass.pop("name").upper()
         with about(where):
@@ -194,7 +193,7 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
     elements: list[Element] = []
     gaps_mm = []
     for number, table in enumerate(found["element"], start=1):
-        where = f"element {number}, line {_line(text, '[[element]]', number)}"
+        where = f"element {number}{_line(text, '[[element]]', number)}"
         entries = _entries_of(table, _ELEMENT, where)
         gaps_mm.append(entries.pop("gap_mm"))
         first = sum(len(element.surfaces) for element in elements)
@@ -214,7 +213,7 @@ def _element(entries: dict[str, Any], where: str, text: str, first_surface: int)
     surfaces = []
     for number, table in enumerate(entries.pop("surface"), start=1):
         line = _line(text, "[[element.surface]]", first_surface + number)
-        at = f"{where.split(',')[0]} surface {number}, line {line}"
+        at = f"{where.split(',')[0]} surface {number}{line}"
         surface = _entries_of(table, _SURFACE, at)
         with about(at):
             surfaces.append(Surface(**surface))
@@ -261,7 +260,7 @@ def _value(value: Any, key: str, kind: Any, where: str) -> Any:
     return value
 
 
-def _line(text: str, heading: str, number: int) -> int:
-    """Return the line of the n-th heading; 0 if the file writes its tables another way."""
+def _line(text: str, heading: str, number: int) -> str:
+    """Name the line of the n-th heading; nothing if the file writes its tables another way."""
     found = [i for i, line in enumerate(text.splitlines(), 1) if line.strip().startswith(heading)]
-    return found[number - 1] if number <= len(found) else 0
+    return f", line {found[number - 1]}" if number <= len(found) else ""

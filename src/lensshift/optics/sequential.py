@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.paraxial import entrance_pupil, paraxial
@@ -57,17 +56,6 @@ class Frame:
 
     origin: Floats
     axes: Floats
-
-
-@contextmanager
-def about(field: str) -> Iterator[None]:
-    """Make the ValueError of a block a DataError about a field."""
-    try:
-        yield
-    except DataError:
-        raise
-    except ValueError as error:
-        raise DataError(str(error), field=field) from error
 
 
 def lens_of_entries(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError, QualityWarning, naming
+from lensshift.core.errors import DataError, QualityWarning, about, naming
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
     AS_USUAL,
@@ -23,7 +23,7 @@ from lensshift.optics.glass import (
 )
 from lensshift.optics.glass_called import glass_called, glass_in_light, successor
 from lensshift.optics.lens import Lens
-from lensshift.optics.sequential import Entry, Frame, about, lens_of_entries
+from lensshift.optics.sequential import Entry, Frame, lens_of_entries
 from lensshift.optics.zmx_shapes import MOST_PARAMETERS, is_traced, shape
 
 _LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 from lensshift.optics.forbes import forbes_terms
-from lensshift.optics.sequential import Entry, about
+from lensshift.optics.sequential import Entry
 
 _KNOWN = ("STANDARD", "EVENASPH", "ODDASPHE", "XASPHERE", "XODDASPH", "QED_TYPE", "COORDBRK")
 _REASONS = {  # by what the names of types begin with or contain

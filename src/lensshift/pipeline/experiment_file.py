@@ -20,7 +20,7 @@ from lensshift.camera import (
     camera_preset,
     named_pattern_px,
 )
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 from lensshift.core.settings import (
     built,
     fit,
@@ -153,19 +153,23 @@ def _scene(table: _Table, folder: Path) -> Scene:
 
 def _camera(table: _Table, folder: Path) -> TofCamera:
     only(table, ("preset", "output", "lens", *_GROUPS, *_EFFECTS), "camera")
-    camera = camera_preset(fit(table.get("preset", "o3m151"), str, "camera.preset"))
+    preset = fit(table.get("preset", "o3m151"), str, "camera.preset")
+    with about("camera.preset"):
+        camera = camera_preset(preset)
     changes: dict[str, Any] = fitted(TofCamera, _some(table, ("output",)), "camera")
     for name in _GROUPS:
         if name in table:
-            group = getattr(camera, name)
-            entries = fitted(type(group), table_of(table, name, "camera"), f"camera.{name}")
-            changes[name] = replace(group, **entries)
+            group, where = getattr(camera, name), f"camera.{name}"
+            entries = fitted(type(group), table_of(table, name, "camera"), where)
+            with about(where):
+                changes[name] = replace(group, **entries)
     for name, kind in _EFFECTS.items():
         if name in table:
             changes[name] = built(kind, table_of(table, name, "camera"), f"camera.{name}")
     if "lens" in table:
         changes["optics"] = _lens(table_of(table, "lens", "camera"), folder)
-    return replace(camera, **changes)
+    with about("camera"):
+        return replace(camera, **changes)
 
 
 def _lens(table: _Table, folder: Path) -> LensOptics:

@@ -14,7 +14,7 @@ import numpy as np
 from lensshift.capture.acquire import Progress
 from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
-from lensshift.capture.opening import nominal_calibration, open_rig
+from lensshift.capture.opening import nominal_calibration, open_rig, read_rig
 from lensshift.capture.plan import named_plan
 from lensshift.capture.rig import OnHoming
 from lensshift.core.arrays import Array
@@ -167,6 +167,7 @@ def run_bench(
     from lensshift.report.preview import save_shots
 
     find_method(method)
+    read_rig(rig_file)  # before a folder is made for nothing
     folder = made_folder(writable_folder(out_dir))
     names = ("burst.nc", "result.nc", "preview.png")
     burst_file, result_file, preview = files = tuple(folder / name for name in names)
