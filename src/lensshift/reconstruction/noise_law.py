@@ -148,7 +148,10 @@ def noise_law(
         offset.tobytes(), len(some), used.shape[-2:], round(float(blur_px), 3), components
     )
     values, lit = (part.astype(np.float32) / np.float32(unit) for part in (values, lit))
-    energy, light = _blocks(values, used, filters, lit, components, cut)
+    judged = used & ~_outliers(values, used & ~cut, filters)
+    if not judged.all():
+        values = _refilled(values, ~judged, filters)
+    energy, light = _blocks(values, judged, filters, lit, components, cut)
     return _fitted(energy, light, filters.energy).scaled(unit, level) if light.size else None
 
 
@@ -177,17 +180,18 @@ def _filters(
 ) -> _Filters:
     offset_px = np.frombuffer(offset_bytes).reshape(count, 2)
     padded = _padded_shape(shape)
-    row = np.fft.fftfreq(padded[0])[:, None, None, None]
-    col = np.fft.rfftfreq(padded[1])[:, None, None]
+    row, col = np.fft.fftfreq(padded[0]), np.fft.rfftfreq(padded[1])
     alias = np.arange(-ALIASES, ALIASES + 1)
-    covariance: Array = np.zeros((padded[0], padded[1] // 2 + 1, count, count), np.complex128)
-    apart = offset_px[:, None] - offset_px[None]
-    for m in alias:
-        for n in alias:
-            v, w = row + m, col + n
-            square = np.maximum(v * v + w * w, 1e-4)
-            power = np.exp(-4 * np.pi**2 * blur_px**2 * square) / square**2
-            covariance += power * np.exp(-2j * np.pi * (v * apart[..., 0] + w * apart[..., 1]))
+    v, w = (at[:, None] + alias for at in (row, col))
+    square = np.maximum((v * v)[:, None, None, :, None] + (w * w)[:, None, None, :], 1e-4)
+    size = np.exp(-2 * np.pi**2 * blur_px**2 * square) / square
+    along_row, along_col = (
+        np.exp(-2j * np.pi * at[:, None] * offset_px[:, axis, None])
+        for axis, at in enumerate((v, w))
+    )
+    seen = size * along_row[:, None, ..., None] * along_col[:, :, None]
+    seen = seen.reshape(*size.shape[:2], count, -1)  # of each alias by each frame
+    covariance = seen @ np.conj(np.swapaxes(seen, -1, -2))
     eye = np.eye(count)
     response = np.stack([s * np.linalg.inv(s * eye + covariance) for s in STIFFNESS])
     twice = np.full(padded[1] // 2 + 1, 2.0)
@@ -238,7 +242,7 @@ def _continued(values: Array, pad: int, axis: int) -> Array:
 
 def _blocks(
     values: Array,
-    used: Mask,
+    judged: Mask,
     filters: _Filters,
     lit: Array,
     components: int,
@@ -246,19 +250,17 @@ def _blocks(
 ) -> tuple[Array, Array]:
     """Return mean squares [fit block] of the residuals and the light [block].
 
-    Pixels that are not used or stand out are replaced by what the others tell of them. A block is
-    one of all components: that of a phasor across the light may be quantised until it is still.
+    A block is one of all components: that of a phasor across the light may be quantised until it
+    is still.
 
     Parameters
     ----------
     values : [component window, frame row col]
+    judged : [component window, frame row col] pixels that count
     lit : [component window, frame row col] light
     silent : [component window, frame row col] pixels that tell nothing, nor do blocks with one,
         while there are others
     """
-    judged = used & ~_outliers(values, used & ~silent, filters)
-    if not judged.all():
-        values = _refilled(values, ~judged, filters)
     rest = _residuals(values, filters, slice(None))
     inner = np.zeros(values.shape, np.float32)
     cut = tuple(slice(min(BORDER_PX, (n - 1) // 2), n - min(BORDER_PX, (n - 1) // 2))
