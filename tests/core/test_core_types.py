@@ -90,6 +90,8 @@ def test_selection_keeps_frames_and_offsets_together() -> None:
         ({"offset_px": [[0, 0], [0, 1], [0, np.inf]]}, "offset_px: expected finite"),
         ({"offset_sigma_px": np.full((3, 2), -0.1)}, "offset_sigma_px: expected no negative"),
         ({"valid": np.zeros((3, *SHAPE), bool)}, "valid: every pixel is marked invalid"),
+        ({"amplitude": np.full((3, *SHAPE), 1e160)}, "amplitude: expected values of 1e-100 to 1e"),
+        ({"amplitude": np.full((3, *SHAPE), -1e-160)}, "got 1e-160; give them in another unit"),
         ({"valid": np.ones((3, 5, 6), bool)}, "valid: expected shape"),
         ({"distance_m": np.zeros((3, 5, 6))}, "distance_m: expected shape"),
         ({"pitch_mm": 0.0}, "pitch_mm: expected two positive pitch_mm"),

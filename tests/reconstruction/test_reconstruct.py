@@ -176,6 +176,34 @@ def test_auto_answers_a_hundredth_of_the_frames_with_a_hundredth_of_the_image() 
     np.testing.assert_allclose(_image(make_burst(0.01 * frames)), 0.01 * image, atol=1e-8)
 
 
+@pytest.mark.parametrize("method", [one for one in method_names() if one != "irwsr-toolbox"])
+@pytest.mark.parametrize("unit", [1e-60, 1e-9, 0.03, 1e7])
+def test_frames_in_another_unit_are_the_same_picture(method: str, unit: float) -> None:
+    """Watts or counts: the robust methods saw nothing in frames far below 1."""
+    frames = _noisy(edge_scene, (16, 24))
+    one = reconstruct(make_burst(frames), method=method).amplitude
+    other = reconstruct(make_burst(unit * frames), method=method).amplitude
+    np.testing.assert_allclose(other.image / unit, one.image, atol=1e-5)
+    if method != "deconvolution":  # which has none
+        np.testing.assert_allclose(other.std / unit, one.std, rtol=1e-3)
+
+
+def test_the_toolbox_takes_frames_in_watts() -> None:
+    frames = _noisy(edge_scene, (16, 24))
+    reference = truth(edge_scene, (16, 24), 2)
+    one = _error(_image(make_burst(frames), "irwsr-toolbox"), reference)
+    other = _error(_image(make_burst(1e-9 * frames), "irwsr-toolbox") / 1e-9, reference)
+    assert other == pytest.approx(one, rel=0.1)
+
+
+def test_a_frame_of_which_every_pixel_is_at_an_end_of_its_range_is_reconstructed() -> None:
+    """None of them tells of the noise, and nothing was left to read it from."""
+    frames = (np.random.default_rng(0).random((1, 9, 12)) > 0.5).astype(np.uint8) * 255
+    burst = make_burst(frames, offset_px=np.zeros((1, 2)))
+    for method in ("auto", "tv", "nearest"):
+        assert np.all(np.isfinite(_image(burst, method)))
+
+
 def test_std_and_noise_come_in_the_units_of_the_frames() -> None:
     frames = _noisy(sigma=0.02)
     for method in ("auto", "bicubic"):

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.errors import DataError
 from lensshift.core.units import doubt_about_distance, doubt_about_units
 
+LEAST_SIZE = 1e-100  # of frames: squares of smaller values, and of its inverse, are no doubles
 # What SciPy filters in place of half and extended precision, which are formats of files.
 _COMMON: dict[np.dtype[Any], type[np.generic]] = {
     np.dtype(np.float16): np.float32,
@@ -58,7 +59,7 @@ def as_valid(valid: NDArray[Any] | None, frames: NDArray[Any]) -> NDArray[np.boo
 
 
 def check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], name: str) -> None:
-    """Refuse NaN and infinity in pixels that are to be used."""
+    """Refuse NaN and infinity in pixels that are to be used, and sizes that have no square."""
     if values.dtype.kind in "ui":
         return
     bad = int(np.count_nonzero(~np.isfinite(values) & valid))
@@ -67,6 +68,11 @@ def check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], nam
     if bad:
         problem = f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`"
         raise DataError(problem, field=name)
+    with np.errstate(over="ignore"):
+        largest = float(np.max(np.abs(values), where=valid, initial=0.0))
+    if largest and not LEAST_SIZE <= largest <= 1 / LEAST_SIZE:
+        problem = f"expected values of {LEAST_SIZE:g} to {1 / LEAST_SIZE:g}, got {largest:g}"
+        raise DataError(f"{problem}; give them in another unit", field=name)
 
 
 def doubts_about_distances(

@@ -175,9 +175,7 @@ class Tv(_Sparse):
 
 @dataclass(frozen=True, slots=True)
 class _Robust(_Penalised):
-    """Losses that outliers do not carry away, and priors of degree 1; real frames in 0 .. 1."""
-
-    intensity: ClassVar[Any] = staticmethod(peak_of)
+    """Losses that outliers do not carry away, and priors of degree 1; real frames."""
 
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return the estimate; see `_Penalised`."""

@@ -194,10 +194,7 @@ def _filters(
     covariance = seen @ np.conj(np.swapaxes(seen, -1, -2))
     eye = np.eye(count)
     response = np.stack([s * np.linalg.inv(s * eye + covariance) for s in STIFFNESS])
-    twice = np.full(padded[1] // 2 + 1, 2.0)
-    twice[0] = 1.0
-    if padded[1] % 2 == 0:
-        twice[-1] = 1.0
+    twice = np.where((col == 0) | (col == 0.5), 1.0, 2.0)  # for the half that is left out
     power = np.einsum("srckj,c->sk", np.abs(response) ** 2, twice) / (padded[0] * padded[1])
     gain = np.sqrt(power).astype(np.float32)
     own = np.einsum("rckk,c->k", response[1].real, twice) / (padded[0] * padded[1])

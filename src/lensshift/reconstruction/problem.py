@@ -22,8 +22,8 @@ Array = NDArray[Any]
 
 # So many pixels tell the percentiles of frames to a thousandth of the contrast.
 MOST_PIXELS = 2**15
-# Float frames with nearly all pixels below this count as normalised already.
-NORMALISED_LIMIT = 1.5
+# Float frames whose brightest pixel lies between these count as normalised to 0 .. 1 already.
+NORMALISED = (0.05, 1.5)
 # A Gaussian of 1 px lets 0.7 % of the contrast at the Nyquist frequency of a frame through: beyond
 # it there is nothing left to resolve. Ten times that is no pixel response but another unit.
 QUESTIONED_BLUR_PX, MOST_BLUR_PX = 1.0, 10.0
@@ -99,8 +99,12 @@ class Problem:
 
     @property
     def telling_weight(self) -> NDArray[np.float64]:
-        """The weight [frame row col] of pixels that tell noise, gain and bias; 0 of the others."""
-        return np.where(np.isfinite(self.judging(self.weight)), self.weight, 0.0)
+        """The weight [frame row col] of pixels that tell noise, gain and bias; 0 of the others.
+
+        Where none tells, all count.
+        """
+        telling = np.where(np.isfinite(self.judging(self.weight)), self.weight, 0.0)
+        return telling if telling.any() else self.weight
 
     def with_photometry(self, gain: ArrayLike, bias: ArrayLike) -> Problem:
         """Return the problem with another gain and bias [frame], bias in units of `intensity`.
@@ -128,16 +132,17 @@ class Problem:
 
 
 def peak_of(values: Array, used: NDArray[np.bool_]) -> float:
-    """Return what to divide frames by for methods whose thresholds expect the range 0 .. 1.
+    """Return what to divide frames by for the toolbox, which expects the range 0 .. 1 as published.
 
     Integers: the largest number of their type. Floats: 1, unless they are not normalised; then
     their 99.5th percentile.
     """
     if values.dtype.kind in "ui":
         return float(np.iinfo(values.dtype).max)
-    if np.max(np.abs(values), where=used, initial=0.0) <= NORMALISED_LIMIT:
+    low, high = NORMALISED
+    if low < np.max(np.abs(values), where=used, initial=0.0) <= high:
         return 1.0
-    return max(brightness_of(values, used), 1.0)
+    return brightness_of(values, used)
 
 
 def brightness_of(values: Array, used: NDArray[np.bool_]) -> float:

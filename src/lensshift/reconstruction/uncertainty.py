@@ -62,7 +62,7 @@ def propagated_std(
         variance /= 2.0
     if smooth_hr_px > 0:
         variance = gaussian_filter(variance, smooth_hr_px, mode="nearest")
-    return np.asarray(np.sqrt(variance))
+    return np.asarray(np.sqrt(variance), np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
