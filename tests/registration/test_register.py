@@ -62,6 +62,16 @@ def test_aliased_noisy_frames_to_a_fiftieth_of_a_pixel(name: str) -> None:
     assert np.sqrt(np.mean(np.square(error))) < 0.02
 
 
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
+@pytest.mark.parametrize("method", ["auto", "gradient", "phase"])
+@pytest.mark.parametrize("unit", [1e-24, 1e-9, 1e24])
+def test_the_unit_of_the_frames_means_nothing(method: str, unit: float) -> None:
+    frames = taken(scene("demo"), seed=4)[0].amplitude
+    one, other = (register(burst_of(size * frames), method=method) for size in (1.0, unit))
+    np.testing.assert_allclose(other.offset_px, one.offset_px, atol=1e-6)
+    np.testing.assert_allclose(other.offset_sigma_px, one.offset_sigma_px, rtol=1e-4, atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_two_frames_know_that_something_moved(seed: int) -> None:
     burst, true_px = taken(scene("random"), seed=seed)

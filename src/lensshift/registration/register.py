@@ -114,9 +114,10 @@ def register(
     if channel == "amplitude":
         for said in doubts_about_frames(frames, valid, photometric=photometric):
             warnings.warn(said, QualityWarning, stacklevel=2)
+    frames /= np.max(np.abs(frames), where=valid, initial=0.0) or 1.0  # their squares exist
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
-    known, affine, apart = bool(np.any(given_px)), None, None
+    known, affine, factor = bool(np.any(given_px)), None, 1.0
     phase_px = phase_shifts(whole, reference)
     if method == "phase":
         fit = phase_fit(whole, valid, phase_px, reference)
@@ -134,8 +135,8 @@ def register(
             told_px = _against_reference(measured_px, reference)
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
-            apart = _scatter_of_parts(frames, valid, fit, reference, photometric)
-            if apart is not None:
+            if apart := _scatter_of_parts(frames, valid, fit, reference, photometric):
+                factor = apart.factor
                 fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=known)
             fit, affine = _turned(fit, alike, valid, motion, reference)
@@ -143,7 +144,6 @@ def register(
     if method == "phase" or not known:
         rivals_px = rival_shifts(whole, fit.offset_px, reference)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
-    factor = 1.0 if apart is None else apart.factor
     _warn_if_poor(sigma_px, rivals_px, kept, converged=fit.converged, apart=factor)
     offset_px = fit.offset_px + burst.offset_px[reference]
     if burst.offset_source == "unknown":
