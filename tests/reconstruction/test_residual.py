@@ -62,6 +62,14 @@ def test_no_noise_is_added_and_none_is_read_where_the_fit_follows_everything() -
     assert less_noise(asked, lambda one: _Picture(0.99 * one.y[0])) == 1.0
 
 
+def test_frames_that_a_picture_explains_to_the_last_digit_have_no_noise() -> None:
+    """The next reading, in units of none, ended in a division by 0."""
+    model = forward_model(SHAPE, 1, np.zeros((1, 2)), blur=GaussianBlur(0.0))
+    asked = Asked(model, np.zeros((1, *SHAPE)), np.full((1, *SHAPE), 0.1), 0.3)
+    found = less_noise(asked, lambda one: _Picture(0.0 / one.sigma[0]))
+    assert found == 0.0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_picture_reads_closer_the_noise_of_two_textured_frames(seed: int) -> None:
     sigma, rng = 0.004, np.random.default_rng(70 + seed)

@@ -329,6 +329,38 @@ def test_frames_of_other_brightness(method: str, within_px: float) -> None:
     assert np.sqrt(np.mean((found.offset_px - true_px) ** 2)) < within_px
 
 
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
+def test_frames_with_hardly_any_contrast_have_no_gain() -> None:
+    """It grew until it was no number, and the search ended in an error of NumPy."""
+    frames = np.full((3, 23, 11), 300.0)
+    frames[0] = -900.0
+    frames[:, 4, 5] += 1e-9
+    assert np.all(np.isfinite(register(burst_of(frames), photometric=True).offset_sigma_px))
+
+
+@pytest.mark.parametrize("photometric", [False, True])
+def test_a_blank_frame_is_named_and_left_out(photometric: bool) -> None:
+    """A shutter that stayed closed: it was said that the scene repeats."""
+    burst, _ = taken(scene("demo"), seed=5)
+    frames = np.array(burst.amplitude)
+    frames[2] = 0.25
+    with pytest.warns(QualityWarning, match="frame 2: all valid pixels are alike, .* left out"):
+        found = register(
+            Burst.from_arrays(frames, pitch_mm=PITCH_MM, offset_px=None), photometric=photometric
+        )
+    others = [k for k in range(len(frames)) if k != 2]
+    alone = register(
+        Burst.from_arrays(frames[others], pitch_mm=PITCH_MM, offset_px=None),
+        photometric=photometric,
+    )
+    apart = found.offset_px[others] - alone.offset_px
+    np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=1e-9)
+    assert not found.valid[2].any()
+    assert found.valid[others].all()
+    with pytest.raises(ValueError, match="expected valid pixels that differ in at least 2 frames"):
+        register(burst_of(np.full((3, 9, 12), 7.0)))
+
+
 def test_phasors_and_distances() -> None:
     frames = waves(OFFSETS[:3])
     found = register(burst_of(frames * np.exp(1j * (1.0 + frames))))
@@ -387,7 +419,7 @@ def test_bursts_that_cannot_be_registered() -> None:
         register(burst_of(waves(OFFSETS[:1])))
     dead = waves(OFFSETS[:2])
     dead[1] = np.nan
-    with pytest.raises(ValueError, match="valid pixels in at least 2 frames"):
+    with pytest.raises(ValueError, match="valid pixels that differ in at least 2 frames"):
         register(burst_of(dead, valid=np.isfinite(dead)))
     with pytest.raises(ValueError, match="share at least 4 px"):
         likely_shifts(

@@ -16,6 +16,7 @@ from lensshift.registration.taper import Tapered, quiet_flank_px, taper_frames
 
 Shifts = NDArray[np.float64]
 
+_LARGEST_LOG = 7.0  # of a gain, a thousand times: frames without contrast have any
 MAX_STEP_PX = 0.2  # the likelihood is a parabola nearby only
 CONVERGED_PX, CONVERGED_SIGMAS = 1e-3, 0.03
 _SPECTRUM_PASSES = 6  # for the first spectrum; later ones begin at the last
@@ -162,7 +163,7 @@ def _search(
         step *= min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))
         state.offset_px = state.offset_px + step[:, :2]
         if photometric:
-            state.log_gain = state.log_gain + step[:, 2]
+            state.log_gain = np.clip(state.log_gain + step[:, 2], -_LARGEST_LOG, _LARGEST_LOG)
         if freed < _FREE_ROUNDS and (largest_px < _FREE_BELOW_PX or told < _FREE_BELOW_SIGMAS):
             state.spectrum = state.spectrum.freed(
                 tapered.spectra, state.offset_px, np.exp(state.log_gain)

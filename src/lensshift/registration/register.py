@@ -103,7 +103,7 @@ def register(
     """
     expect_burst(burst)
     _check(burst, method, motion, reference, use_given)
-    everything, kept = burst, _seen(burst)
+    everything, kept = burst, _seen(burst, frames_of(burst, channel))
     if len(kept) < burst.frame_count:
         burst = burst.select(kept.tolist())
         reference = int(np.searchsorted(kept, reference)) % len(kept)
@@ -152,23 +152,26 @@ def register(
     return replace(everything, **_of_all(everything, kept, found), offset_source="registered")
 
 
-def _seen(burst: Burst) -> NDArray[np.intp]:
+def _seen(burst: Burst, frames: Array) -> NDArray[np.intp]:
     """Return the numbers of the frames whose valid pixels tell a shift; warn of others."""
-    if burst.valid is None:
-        return np.arange(burst.frame_count)
-    count = burst.valid.sum(axis=(1, 2))
-    seen = count >= max(1.0, LEAST_VALID * count.max())
-    kept, lost = np.flatnonzero(seen), np.flatnonzero(~seen)
+    valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
+    count = valid.sum(axis=(1, 2))
+    few = count < max(1.0, LEAST_VALID * count.max())
+    blank = np.array([np.ptp(f.real[v]) == np.ptp(f.imag[v]) == 0 if v.any() else False
+                      for f, v in zip(frames, valid, strict=True)])  # fmt: skip
+    kept = np.flatnonzero(~few & ~blank)
     if len(kept) < 2:
-        raise ValueError(f"expected valid pixels in at least 2 frames, got {len(kept)}")
-    if len(lost):
-        done = "left out" if burst.offset_source == "unknown" else "taken as given"
-        warnings.warn(
-            f"frame {', '.join(map(str, lost[:9]))}: less than half as many pixels as in others "
-            f"are valid, which does not tell its shift; {done}",
-            QualityWarning,
-            stacklevel=3,
-        )
+        raise ValueError(f"expected valid pixels that differ in at least 2 frames, got {len(kept)}")
+    done = "left out" if burst.offset_source == "unknown" else "taken as given"
+    for lost, why in (
+        (few, "less than half as many pixels as in others are valid"),
+        (blank & ~few, "all valid pixels are alike"),
+    ):
+        if lost.any():
+            said = f"frame {', '.join(map(str, np.flatnonzero(lost)[:9]))}: {why}"
+            warnings.warn(
+                f"{said}, which does not tell its shift; {done}", QualityWarning, stacklevel=3
+            )
     return kept
 
 
@@ -178,7 +181,7 @@ def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict
     The others keep their shift, which is as good as unknown; where none was given they are not
     valid.
     """
-    if len(kept) == burst.frame_count or burst.valid is None:
+    if len(kept) == burst.frame_count:
         return found
     shown = np.isin(np.arange(burst.frame_count), kept)
     whole: dict[str, Any] = {
@@ -190,7 +193,8 @@ def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict
         if values is not None:
             whole[name][shown] = values
     if burst.offset_source == "unknown":
-        whole["valid"] = burst.valid & shown[:, None, None]
+        valid = np.ones(burst.amplitude.shape, np.bool_) if burst.valid is None else burst.valid
+        whole["valid"] = valid & shown[:, None, None]
     return whole
 
 

@@ -51,6 +51,6 @@ def less_noise(asked: Asked, solve: Callable[[Asked], Solution]) -> float:
         size = np.median(np.abs(asked.y - seen)[used] / believed.sigma[used]) / MEDIAN_SIZE
         change = float(size) / np.sqrt(left)
         factor *= min(change, 1.0)
-        if change > SAME:
+        if change > SAME or factor == 0.0:  # or nothing is left
             break
     return factor
