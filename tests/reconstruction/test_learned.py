@@ -416,6 +416,14 @@ def test_a_convolution_is_that_of_its_definition(shape, last):
     np.testing.assert_allclose(found, direct, atol=2e-5)
 
 
+def test_channels_that_are_not_those_of_the_weights_are_refused():
+    """What is compiled wrote beyond the ends of its arrays."""
+    weight = convolution.transformed(np.zeros((9 * 5, 7), np.float32))
+    x = convolution.with_margin([np.zeros((7, 13, 6), np.float32)])
+    with pytest.raises(ValueError, match="expected 5 channels, got 6"):
+        convolution.convolved(x, weight, (7, 13), last=True)
+
+
 def test_the_picture_does_not_depend_on_the_cores(monkeypatch):
     rng = np.random.default_rng(3)
     weight = convolution.transformed(rng.standard_normal((9 * 5, 7)).astype(np.float32))

@@ -104,6 +104,26 @@ def test_phasors_stream_as_well():
     assert errors["live"] < 1.1 * errors["refined"]
 
 
+def test_phasors_of_which_smaller_pixels_are_asked_stream_as_well():
+    """The second look at their light began with the channels of phasors, beyond its arrays."""
+    steps = (-1 / 3, 0.0, 1 / 3)
+    plan_px = np.array([(row, col) for row in steps for col in steps])
+    mosaic, rng = phasor_mosaic(3, SHAPE), np.random.default_rng(0)
+    clean, errors = clean_frames(mosaic.truth, plan_px), {}
+    for pace in ("live", "refined"):
+        one = lensshift.stream(
+            plan_px, SCALE, shape=SHAPE, pace=pace, modulation_hz=15e6, channel="phasor",
+            psf_sigma_px=SQUARE_PIXEL_PX,
+        )  # fmt: skip
+        found = []
+        for y in [*clean, *clean, *clean[:4]]:  # the misfit is good for a round
+            noise = rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape)
+            found.append(one.step(y + mosaic.sigma * noise))
+        errors[pace] = np.mean([error(r, mosaic.truth) for r in found[9:]])
+        assert found[-1].settings["pace"] == pace
+    assert errors["live"] < 1.1 * errors["refined"]
+
+
 def test_the_refined_pace_is_reconstruct():
     truth = scene(21).truth
     y = clean_frames(truth) + 0.01 * np.random.default_rng(1).standard_normal((4, *SHAPE))

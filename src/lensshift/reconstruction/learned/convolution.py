@@ -82,6 +82,8 @@ def convolved(x: Single, weight: Single, shape: tuple[int, int], *, last: bool) 
     as x, but [row col channel] without margin if it is the last layer
     """
     channels, outputs = weight.shape[1:]
+    if x.shape[3] != channels:  # what is compiled would write beyond the ends of arrays
+        raise ValueError(f"expected {channels} channels, got {x.shape[3]}")
     rows, tiles = (len(x) - 2) // TILE, x.shape[2] - 1
     step = min(rows, max(1, STRIP // tiles))
     margin = 0 if last else 1

@@ -124,7 +124,7 @@ def solved(
         weighed = _weighed(noise, misfit.weight(of_phasors=asked.of_phasors))
         found, left = run(replace(asked, sigma=weighed))
     if asked.of_phasors and not (kept and kept.misfit and kept.opinion):
-        believed = replace(asked, sigma=weighed, on_stage=None)
+        believed = replace(asked, sigma=weighed, on_stage=None, held=None)  # of phasors
         solve = partial(_picture, request=request)
         found = with_finer_amplitude(believed, found, problem.scale, solve)
     if memory is not None:
