@@ -14,7 +14,7 @@ from lensshift.core.types import Burst
 from lensshift.registration import likely_shifts, phase_correlation, register
 from lensshift.registration.blocks import blocks_of, scatter_over_blocks
 from lensshift.registration.likelihood import ShiftFit, with_given
-from lensshift.scene import four_boxes
+from lensshift.scene import four_boxes, siemens_star_card
 
 OFFSETS = np.array([[0.0, 0.0], [0.31, -0.42], [-1.27, 0.66], [2.4, 3.1], [-0.2, 0.9]])
 
@@ -185,6 +185,17 @@ def test_a_star_has_nothing_at_low_frequencies_and_is_found(
         found = register(Burst.from_arrays(burst.amplitude, pitch_mm=PITCH_MM))
         wrong = (found.offset_px - burst.offset_px) - (found.offset_px - burst.offset_px)[0]
         assert np.abs(wrong).max() < 0.05
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_spokes_are_not_taken_for_shifts_by_many(seed: int) -> None:
+    """Sixteen rows of a star: low frequencies said 3.3 px, where the frames are less alike."""
+    rng = np.random.default_rng(seed)
+    running = RunningCamera(siemens_star_card(), camera_preset("o3m151"))
+    true_px = np.array(QUARTER_SQUARE_PX) + rng.normal(0.0, 0.02, (4, 2))
+    frames = np.array([running.frame(one[None], rng).amplitude for one in true_px])
+    found_px = np.array([phase_correlation(frames[0], one) for one in frames])
+    assert np.abs(found_px - (true_px - true_px[0])).max() < 0.5
 
 
 def test_texture_is_not_taken_for_a_pattern_that_repeats() -> None:
