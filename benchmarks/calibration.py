@@ -121,7 +121,7 @@ def main() -> None:
         cover = 100 * np.mean(np.abs(error) < 1.96 * sigma)
         rms = np.sqrt(np.mean(error**2))
         print(
-            f"{name:18} {rms:.4f} rms, told {np.sqrt(np.mean(sigma**2)):.4f}, covers {cover:.0f} %"
+            f"{name:18} {rms:.4f} rms, told {np.median(sigma):.4f} (median), covers {cover:.0f} %"
         )
     quarter = np.concatenate(quarters_px)
     print(f"a quarter pixel    {np.sqrt(np.mean(quarter**2)):.4f} px rms anywhere on the sensor")

@@ -187,7 +187,7 @@ def random_print(rng, shape, cell):
 @pytest.mark.parametrize("cell_hr_px", [0.5, 1.0, 1.5, 2.0])
 def test_print_is_not_turned_into_other_letters(cell_hr_px, snr):
     """The truth lies in the error bars; cells of half a pixel, which nothing can show, get no more
-    contrast than there is, but their bars hold 70 % only."""
+    contrast than there is, but their bars hold 81 to 86 % only."""
     inside, contrast, odd = [], [], []
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -198,7 +198,7 @@ def test_print_is_not_turned_into_other_letters(cell_hr_px, snr):
         inside.append(np.mean(np.abs(image - burst.truth[INNER]) < 2 * std))
         contrast.append(image.std() / burst.truth[INNER].std())
         odd.append(np.mean((image > 1 + 3 * std) | (image < 0.2 - 3 * std)))
-    assert np.mean(inside) > (0.6 if cell_hr_px < 1 else 0.88)
+    assert np.mean(inside) > (0.78 if cell_hr_px < 1 else 0.88)
     assert np.mean(odd) < 0.02
     if cell_hr_px < 1:
         assert np.mean(contrast) < 1.0

@@ -42,7 +42,8 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
     The peak of the whitened cross power spectrum gives whole pixels and, on a padded transform,
     about a tenth of one; a weighted plane through the phases of the low frequencies, with the
     frames cut to what both see, gives the rest. Both steps use only frequencies that the pixels
-    do not alias much, or all of them where the frames are unlike at the shift that these tell.
+    do not alias much, or all of them where the frames are unlike at the shift that these tell. No
+    shift beyond a pixel is taken where frames that hardly moved are clearly more alike.
 
     Parameters
     ----------
@@ -63,6 +64,11 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
     low, whole = BANDS_CYCLES_PER_PX
     found_px = _refined(reference, frame, _peak(_score(reference, frame, low)), low)
     left = _misfit(reference, frame, found_px)
+    # Spokes of a star pass for shifts by many; most bursts move by less than a pixel.
+    rest_px = _refined(reference, frame, np.zeros(2), low)
+    at_rest = _misfit(reference, frame, rest_px)
+    if at_rest < _CLEARLY_BETTER * left:
+        found_px, left = rest_px, at_rest
     if left < _UNLIKE:
         return found_px
     other_px = _refined(reference, frame, _peak(_score(reference, frame, whole)), whole)
