@@ -69,14 +69,10 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
     from lensshift.pipeline.run import save_truth
 
     settings = _camera(asked)
-    lens, light_nm = getattr(settings.optics, "lens", None), settings.illumination.wavelength_nm
-    if lens is not None and round(lens.wavelength_nm) != round(light_nm):
-        current.say(
-            f"the lens is traced at its {lens.wavelength_nm:g} nm, in focus; the camera lights at "
-            f"{light_nm:g} nm"
-        )
     pattern_px, told = named_pattern_px(asked.pattern), picked(asked, "scale shift_error_px seed")
-    capture = simulate_tof(named_scene(asked.scene), settings, pattern_px, **told)
+    capture = simulate_tof(
+        named_scene(asked.scene), settings, pattern_px, on_progress=current.count, **told
+    )
     save_burst(capture.burst, out)
     save_truth(capture.truth, truth_file)
     if phases is not None:
@@ -84,6 +80,12 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
 
         raw = picked(capture.raw, _PHASES)
         write_npz(phases, raw | {"offset_px": capture.burst.offset_px})
+    lens, light_nm = getattr(settings.optics, "lens", None), settings.illumination.wavelength_nm
+    if lens is not None and round(lens.wavelength_nm) != round(light_nm):
+        current.say(
+            f"the lens is traced at its {lens.wavelength_nm:g} nm, in focus; the camera lights at "
+            f"{light_nm:g} nm"
+        )
     burst = capture.burst
     rows, cols = burst.grid.shape
     valid = float(burst.valid.mean()) if burst.valid is not None else 1.0
