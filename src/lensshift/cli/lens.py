@@ -137,7 +137,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     """
     import numpy as np
 
-    from lensshift.optics.mtf import diffraction_limit
+    from lensshift.optics.otf import diffraction_limit
 
     outputs.check([Path(asked.of.lens)], asked.csv, asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
@@ -149,7 +149,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
     frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
     curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, asked.fast)
-    limit = diffraction_limit(model, frequency).modulation
+    limit = diffraction_limit(model, frequency, band=band).modulation
     current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
     for label, values in (curves | {"diffraction limit": limit}).items():
         low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)
