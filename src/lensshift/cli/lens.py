@@ -67,7 +67,7 @@ def show(current: Session, asked: ShowOptions) -> None:
 
     outputs.check([Path(asked.of.lens)], plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
-    element, shift_px = asked.of.element, asked.of.shift_px
+    element, shift_px = moved + 1, asked.of.shift_px
     data = paraxial(model)
     gains = decenter_gains(model)
     current.say(
@@ -90,6 +90,8 @@ def show(current: Session, asked: ShowOptions) -> None:
         unit = " mm" if name.endswith("_mm") else ""
         label = name.removesuffix("_mm").replace("_", " ")
         current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
+    away_mm = model.gaps_mm[-1] - data.image_mm
+    current.say(f"{'sensor':<28}{model.gaps_mm[-1]:.6g} mm, {away_mm:+.4g} mm from the image")
     travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
     current.say(
         f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
+from lensshift.cli.optics import ELEMENT_HELP, element_of
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
@@ -31,9 +32,7 @@ class SimulateOptions:
     )
     camera: str = option("o3m151", "o3m151, pmd_176x132, vga, or an experiment file (TOML).")
     lens: str | None = option(None, "Trace this lens (a name or a file) for the image.")
-    element: int | None = option(
-        None, "Element of the lens that moves, from 1; 0: the sensor moves. 1 if not given.", min=0
-    )
+    element: int | None = option(None, f"{ELEMENT_HELP} 0: the sensor moves.", min=0)
     pattern: PatternOption = "square"
     scale: int = option(2, "Truth pixels per pixel.", min=1, max=8)
     shift_error_px: float = option(0.02, "Rms error of each shift, unknown.", min=0.0, max=5.0)
@@ -128,7 +127,7 @@ def _camera(asked: SimulateOptions) -> TofCamera:
 def _optics(asked: SimulateOptions, of_camera: PlainOptics | LensOptics) -> LensOptics:
     """Return the traced lens, asked for or of the camera, with the element that is to move."""
     from lensshift.camera import LensOptics
-    from lensshift.cli.optics import element_of, read_lens
+    from lensshift.cli.optics import read_lens
 
     if asked.lens is not None:
         traced = LensOptics(read_lens(asked.lens))
@@ -136,5 +135,5 @@ def _optics(asked: SimulateOptions, of_camera: PlainOptics | LensOptics) -> Lens
         traced = of_camera
     else:
         raise typer.BadParameter("--element is of a traced lens: expected --lens with it")
-    number = 1 if asked.element is None else asked.element
-    return replace(traced, element=element_of(traced.lens, number) if number else None)
+    moved = None if asked.element == 0 else element_of(traced.lens, asked.element)
+    return replace(traced, element=moved)
