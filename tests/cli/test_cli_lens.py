@@ -38,6 +38,45 @@ def test_wavelength_and_temperature_change_the_lens(call: Call) -> None:
     assert cold != warm
 
 
+WINDOW_FIRST = """
+name = "window first"
+[stop]
+diameter_mm = 5.0
+position_mm = -10.0
+[[element]]
+name = "window"
+glass = ["N-BK7"]
+thickness_mm = [1.0]
+gap_mm = 5.0
+surface = [{radius_mm = inf}, {radius_mm = inf}]
+[[element]]
+glass = ["N-SF11"]
+thickness_mm = [2.0]
+gap_mm = 15.55
+surface = [{radius_mm = 25.0}, {radius_mm = -25.0}]
+"""
+
+
+def test_what_moves_is_the_first_element_that_can(call: Call, tmp_path: Path) -> None:
+    """A window in front moves no image; behind it a thin lens moves it nearly by its own travel."""
+    lens = tmp_path / "window.toml"
+    lens.write_text(WINDOW_FIRST)
+    odd = ("--sensor", "53x37", "--pitch-mm", "0.017,0.011")
+    found = numbers(call, "show", lens, *odd)
+    assert found["element"] == 2
+    told = call("lens", "show", lens, *odd).stdout
+    away_mm = 15.55 - float(str(found["image_mm"]))
+    assert f"sensor                      15.55 mm, {away_mm:+.4g} mm from the image" in told
+    assert "um of element 2 along columns" in told
+    assert numbers(call, "budget", lens, *odd)["element"] == 2
+    field = numbers(call, "field", lens, *odd)
+    assert field["element"] == 2
+    travel_mm = np.array(field["travel"])
+    assert np.abs(travel_mm[0] / (0.25 * np.array([0.017, 0.011]))) == pytest.approx(1.0, abs=0.05)
+    told = call("lens", "field", lens, *odd, "--element", "0").stdout
+    assert told.startswith("window first, shift of the sensor, 53 x 37 pixels of 0.017 x 0.011 mm")
+
+
 def test_mtf_is_below_the_diffraction_limit(call: Call, tmp_path: Path) -> None:
     found = numbers(call, "mtf", "petzval_a", "--csv", tmp_path / "mtf.csv", "--fast")
     limit = np.array(found["diffraction_limit"])

@@ -181,6 +181,16 @@ def test_a_burst_of_something_else_is_refused_with_the_cure() -> None:
             "make it with --wavelength-nm 940",
         ),
         (
+            burst_of(field, meta={"optics": field.optics | {"from_focus_mm": 0.2}}),
+            "meta.optics.from_focus_mm",
+            r"one with a sensor \+0.2 mm from its image; make it from the lens file",
+        ),
+        (
+            burst_of(field, meta={"optics": field.optics | {"image_per_field_mm": 42.0}}),
+            "meta.optics.image_per_field_mm",
+            "one with 42 mm of image per tangent",
+        ),
+        (
             burst_of(field, stage_mm=stage_mm[[0, 1, 2, 4, 3]]),
             "offset_px",
             "do not follow the stage positions",

@@ -1,11 +1,13 @@
 """MTF, wavefront and spots against diffraction theory and the studied lenses."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from lenses import WAVELENGTH_NM, perfect_lens
+from scipy.optimize import brentq
 
 from lensshift.camera.view import airy_points
 from lensshift.core.errors import QualityWarning
@@ -14,7 +16,6 @@ from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import (
     Band,
-    diffraction_limit,
     diffraction_mtf,
     fast_mtf,
     led_band,
@@ -22,7 +23,7 @@ from lensshift.optics.mtf import (
     sensor_mtf,
     through_focus,
 )
-from lensshift.optics.otf import exact_mtf, exact_otf, pupils
+from lensshift.optics.otf import diffraction_limit, exact_mtf, exact_otf, pupils
 from lensshift.optics.otf_kernel import overlap_sum
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_grid
@@ -64,6 +65,58 @@ def test_diffraction_mtf_is_the_overlap_of_two_discs() -> None:
     assert diffraction_mtf([0.0, 1.0, 2.0], 1.0) == pytest.approx([1.0, 0.0, 0.0])
     limit = diffraction_limit(load_lens("petzval_a"), STUDIED_LPMM)
     assert limit.modulation == pytest.approx([0.992, 0.985, 0.970], abs=1e-3)
+
+
+def overlap_of(height_mm: Callable[[np.ndarray], np.ndarray], sine: float, shares: list[float],
+               inner: float = 0.0) -> list[float]:  # fmt: skip
+    """Return the MTF of a pupil with light h dh / (u du) up to a sine of u = 1, at shares of it."""
+    along = (np.arange(-1.0, 1.0, 1e-3) + 5e-4) * sine
+    square = along[:, None] ** 2 + along**2
+    fine = np.linspace(0.0, sine**2, 20_001)
+    light = np.interp(square, fine, np.gradient(height_mm(np.sqrt(fine)) ** 2, fine))
+    pupil = np.sqrt(light) * (square <= sine**2) * (square >= (inner * sine) ** 2)
+    both = [
+        (pupil[k:] * pupil[: len(pupil) - k]).sum()
+        for k in np.rint(2000 * np.array(shares)).astype(int)
+    ]
+    return [float(one) / (pupil**2).sum() for one in both]
+
+
+@pytest.mark.parametrize(("stop_mm", "uneven"), [(2.0, 3e-4), (20.0, 0.0327)])
+def test_a_lens_without_aberrations_reaches_the_diffraction_limit(
+    stop_mm: float, uneven: float
+) -> None:
+    """Behind a hyperbolic surface h = f (n - 1) u / (n cos - 1): more light at the edge."""
+    lens = perfect_lens(stop_mm)
+    index = lens.indices()[0][0]
+
+    def height_mm(sine: np.ndarray) -> np.ndarray:
+        return 50.0 * (index - 1.0) * sine / (index * np.sqrt(1.0 - sine**2) - 1.0)
+
+    sine = brentq(lambda u: height_mm(np.array(u)) - 0.5 * stop_mm, 0.0, 0.5)
+    shares = [0.0, 0.1, 0.3, 0.5, 0.7, 0.9]
+    lpmm = np.array(shares) * 2.0 * sine / (WAVELENGTH_NM * 1e-6)
+    expected = overlap_of(height_mm, sine, shares)
+    limit = diffraction_limit(lens, lpmm).modulation
+    assert limit == pytest.approx(expected, abs=3e-4)
+    assert exact_mtf(lens, [0.0, 0.0], lpmm).modulation == pytest.approx(limit, abs=1e-6)
+    # An even pupil that ends where the paraxial f-number says has another.
+    even = diffraction_mtf(lpmm, 1e6 / (WAVELENGTH_NM * paraxial(lens).working_f_number))
+    assert np.abs(limit - even).max() == pytest.approx(uneven, abs=3e-4)
+
+
+@pytest.mark.parametrize("name", ["al2550", "petzval_b", "wide_940"])
+def test_no_lens_exceeds_its_diffraction_limit(name: str) -> None:
+    lens = load_lens(name)
+    lpmm = np.linspace(0.0, 2e6 / lens.wavelength_nm / paraxial(lens).working_f_number, 23)
+    band = led_band(lens.wavelength_nm, 40.0, 3)
+    for field in ((0.0, 0.0), (0.02, 0.1)):
+        for azimuth_rad in (0.0, 0.7, 0.5 * math.pi):
+            exact = exact_mtf(lens, field, lpmm, azimuth_rad, band=band).modulation
+            limit = diffraction_limit(lens, lpmm, field, azimuth_rad, band=band).modulation
+            assert (exact <= limit + 1e-12).all()
+            assert limit[0] == exact[0] == pytest.approx(1.0, abs=1e-12)
+            assert limit[-1] == 0.0
 
 
 @pytest.mark.slow
@@ -369,15 +422,12 @@ def test_an_obstructed_mirror_has_the_contrast_of_a_ring(inner: float) -> None:
     """A paraboloid, against the autocorrelation of its pupil and the light that is left."""
     surface = Surface(-200.0, -1.0, semi_diameter_mm=12.5, inner_mm=10 * inner, mirror=True)
     lens = Lens((Element((surface,), (), ()),), (100.0,), Stop(20.0), wavelength_nm=550.0)
-    along = np.arange(-1.0, 1.0, 1e-3) + 5e-4
-    radius = np.hypot(along[:, None], along)
-    pupil = ((radius <= 1.0) & (radius >= inner)).astype(float)
-    shares = np.array([0.05, 0.1, 0.3, 0.5, 0.7, 0.9])
-    both = [(pupil[k:] * pupil[: len(pupil) - k]).sum() for k in np.rint(2000 * shares).astype(int)]
-    ring = np.array(both) / pupil.sum()
-    lpmm = shares * 1e6 / (550.0 * 5.0)
-    assert exact_mtf(lens, [0.0, 0.0], lpmm).modulation == pytest.approx(ring, abs=3e-3)
-    assert diffraction_limit(lens, lpmm).modulation == pytest.approx(ring, abs=5e-4)
+    shares = [0.05, 0.1, 0.3, 0.5, 0.7, 0.9]
+    sine = math.sin(2.0 * math.atan(10.0 / 200.0))  # behind a paraboloid h = 2 f tan(angle / 2)
+    ring = overlap_of(lambda u: 200.0 * np.tan(0.5 * np.arcsin(u)), sine, shares, inner)
+    lpmm = np.array(shares) * 2.0 * sine / (550.0 * 1e-6)
+    assert exact_mtf(lens, [0.0, 0.0], lpmm).modulation == pytest.approx(ring, abs=1e-3)
+    assert diffraction_limit(lens, lpmm).modulation == pytest.approx(ring, abs=1e-3)
     light, seen = axial_light(lens)
     assert (light, seen) == pytest.approx((1.0 - inner**2, inner), abs=2e-3)
     points = airy_points(4096, inner)

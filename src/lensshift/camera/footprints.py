@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,8 +19,12 @@ from lensshift.camera.view import SpotBlur, View
 from lensshift.core.arrays import Array
 from lensshift.scene import Scene
 
-_CELLS_AT_ONCE = 1_000_000  # some 100 MB
-_REACH_SIGMAS = 5.0  # of a Gaussian
+_CELLS_AT_ONCE = 250_000  # some 100 MB with what is made of them, on each core
+_MOST_CORES = 4  # for the memory
+_REACH_SIGMAS = 6.0  # of a Gaussian, which has 2e-9 beyond
+_LEAST_WEIGHT = 1e-9  # of a cell in a pixel
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,93 +53,133 @@ class Footprints:
             blurred_px = _REACH_SIGMAS * self.blur
         return float(np.abs(self.offset_px).max()) + blurred_px
 
-    def centres(self, first_px: int, last_px: int) -> Array:
-        """Return the middles of the pixels between two borders of LR pixels."""
-        index = np.arange(first_px * self.per_px, last_px * self.per_px)
-        return np.asarray((index + 0.5) / self.per_px - 0.5)
+    def centres_px(self, some: slice) -> Array:
+        """Return the middles of some pixels."""
+        return np.asarray((np.arange(some.start, some.stop) + 0.5) / self.per_px - 0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class _Tile:
-    """LR pixels from `first` to before `last`, (row, col), and cells with a margin around them."""
-
-    first: tuple[int, int]
-    last: tuple[int, int]
-    samples: int
-    margin: int
-
-    @property
-    def cells(self) -> tuple[int, int]:
-        rows, cols = (
-            (last - first) * self.samples + 2 * self.margin
-            for first, last in zip(self.first, self.last, strict=True)
-        )
-        return rows, cols
-
-    def corners_px(self, axis: int) -> Array:
-        """Return where cells begin, on the sensor."""
-        index = self.first[axis] * self.samples - self.margin + np.arange(self.cells[axis])
-        return np.asarray(index / self.samples - 0.5)
-
-
-def see(
-    scene: Scene, camera: TofCamera, tones: Tones, footprints: Sequence[Footprints], samples: int
-) -> list[Seen]:
-    """Return what the pixels of each image see.
+    """Cells from `first` to before `last`, (row, col), counted from the corner of the sensor.
 
     Parameters
     ----------
     samples : cells across an LR pixel
     """
+
+    first: tuple[int, int]
+    last: tuple[int, int]
+    samples: int
+
+    def borders_px(self, axis: int) -> Array:
+        """Return the places on the sensor where cells begin, and where the last one ends."""
+        return np.asarray(np.arange(self.first[axis], self.last[axis] + 1) / self.samples - 0.5)
+
+    def pixels(self, one: Footprints, axis: int, count: int) -> slice:
+        """Return the pixels, of `count` LR pixels along an axis, that may see one of the cells."""
+        first, *_, last = self.borders_px(axis)
+        begin = int(np.floor((first - one.reach_px) * one.per_px)) - 1
+        end = int(np.ceil((last + one.reach_px + 1.0) * one.per_px)) + 1
+        return slice(max(begin, 0), max(min(end, count * one.per_px), 0))
+
+
+def see(
+    scene: Scene,
+    camera: TofCamera,
+    tones: Tones,
+    footprints: Sequence[Footprints],
+    samples: int,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> list[Seen]:
+    """Return what the pixels of each image see: each cell is cast once, and adds to many pixels.
+
+    Parameters
+    ----------
+    samples : cells across an LR pixel
+    on_progress : is told how many tiles of how many are done
+    """
     shape = camera.grid.shape
     margin = int(np.ceil(samples * max(one.reach_px for one in footprints))) + 1
-    view = View(camera, margin / samples + 0.5)
+    view = View(camera, (margin + 1) / samples + 0.5)
     indirect = None
     if camera.multipath is not None:
         indirect = IndirectLight(scene, camera.multipath, camera.grid, view, tones)
     world = World(scene, view, tones, indirect, samples)
     images = [
-        np.empty((shape[0] * one.per_px, shape[1] * one.per_px, tones.channels))
+        np.zeros((shape[0] * one.per_px, shape[1] * one.per_px, tones.channels))
         for one in footprints
     ]
-    buffer = np.empty(0)  # kept: fresh memory costs as much as the work in it
-    for tile in _tiles(shape, samples, margin):
-        size = tile.cells[0] * tile.cells[1] * tones.channels
-        buffer = buffer if buffer.size >= size else np.empty(size)
-        cells = buffer[:size].reshape(*tile.cells, tones.channels)
-        world.fill(cells, tile.corners_px(0), tile.corners_px(1))
+    sides = {one.side_px * samples for one in footprints if isinstance(one.blur, SpotBlur)}
+    tiles = list(_tiles(shape, samples, margin))
+    cast = _ahead(partial(_cast, world, tones.channels, sides), tiles)
+    for number, (tile, (cells, sums)) in enumerate(zip(tiles, cast, strict=True), start=1):
         for one, image in zip(footprints, images, strict=True):
-            rows, cols = (
-                slice(first * one.per_px, last * one.per_px)
-                for first, last in zip(tile.first, tile.last, strict=True)
-            )
-            image[rows, cols] = _means(cells, one, tile)
+            where = (tile.pixels(one, 0, shape[0]), tile.pixels(one, 1, shape[1]))
+            if isinstance(one.blur, SpotBlur):
+                squares = sums[one.side_px * samples]
+                _add_through_spots(squares, one, one.blur, tile, where, image[where])
+            else:
+                image[where] += _means(cells, one, one.blur, tile, where)
+        if on_progress is not None:
+            on_progress(number, len(tiles))
     return [Seen(image, tones) for image in images]
 
 
 def _tiles(shape: tuple[int, int], samples: int, margin: int) -> Iterator[_Tile]:
-    """Cut the sensor into tiles of about equal size that fit into memory."""
-    side = int(_CELLS_AT_ONCE**0.5)
-    rows = _share(shape[0], (side - 2 * margin) // samples)
-    wide = _CELLS_AT_ONCE // (rows * samples + 2 * margin)
-    cols = _share(shape[1], (wide - 2 * margin) // samples)
-    for row in range(0, shape[0], rows):
-        for col in range(0, shape[1], cols):
-            last = (min(row + rows, shape[0]), min(col + cols, shape[1]))
-            yield _Tile((row, col), last, samples, margin)
+    """Cut the sensor and a margin of cells into tiles of about equal size, with a cell around."""
+    count = [size * samples + 2 * margin for size in shape]
+    rows = _share(count[0], int(_CELLS_AT_ONCE**0.5))
+    cols = _share(count[1], max(1, _CELLS_AT_ONCE // rows))
+    for row in range(0, count[0], rows):
+        for col in range(0, count[1], cols):
+            last = (min(row + rows, count[0]), min(col + cols, count[1]))
+            first = (row - margin - 1, col - margin - 1)
+            yield _Tile(first, (last[0] - margin + 1, last[1] - margin + 1), samples)
 
 
 def _share(count: int, most: int) -> int:
     """Return the size of equal parts of at most `most`, at least 1."""
-    parts = -(-count // max(1, most))
+    parts = -(-count // most)
     return -(-count // parts)
 
 
-def _means(cells: Array, one: Footprints, tile: _Tile) -> Array:
-    """Return the means [row col channel] over the footprints of the pixels in a tile."""
-    if isinstance(one.blur, SpotBlur):
-        return _means_through_spots(cells, one, one.blur, tile)
-    rows, cols = (_weights(one, one.blur, tile, axis) for axis in (0, 1))
+def _ahead(work: Callable[[_Tile], T], tiles: Sequence[_Tile]) -> Iterator[T]:
+    """Work on tiles on all cores, and yield what comes of each in their order.
+
+    In another order sums would round differently, and with them what a seed leads to.
+    """
+    from numba import get_num_threads
+
+    cores = min(get_num_threads(), _MOST_CORES)
+    coming: deque[Future[T]] = deque()
+    with ThreadPoolExecutor(cores) as threads:
+        try:
+            for tile in tiles:
+                coming.append(threads.submit(work, tile))
+                if len(coming) > cores:
+                    yield coming.popleft().result()
+            while coming:
+                yield coming.popleft().result()
+        finally:
+            threads.shutdown(cancel_futures=True)
+
+
+def _cast(
+    world: World, channels: int, sides: set[float], tile: _Tile
+) -> tuple[Array, dict[float, Array]]:
+    """Return the cells [row col channel] of a tile, and their sums over squares of each side."""
+    borders_px = [tile.borders_px(axis) for axis in (0, 1)]
+    cells = np.empty((len(borders_px[0]) - 1, len(borders_px[1]) - 1, channels))
+    world.fill(cells, borders_px[0][:-1], borders_px[1][:-1])
+    cells[[0, -1]] = cells[:, [0, -1]] = 0.0  # of the neighbours, to find edges between tiles
+    return cells, {side: _sums_over_squares(cells, side) for side in sides}
+
+
+def _means(
+    cells: Array, one: Footprints, sigma_px: float, tile: _Tile, where: tuple[slice, slice]
+) -> Array:
+    """Return what cells give to the means [row col channel] over some blurred pixels."""
+    rows, cols = (_weights(one, sigma_px, tile, axis, where[axis]) for axis in (0, 1))
     channels = cells.shape[2]
     down = (rows @ cells.reshape(len(cells), -1)).reshape(-1, cells.shape[1], channels)
     across = np.ascontiguousarray(np.moveaxis(down, 1, 0))
@@ -140,7 +187,7 @@ def _means(cells: Array, one: Footprints, tile: _Tile) -> Array:
     return np.asarray(np.moveaxis(both, 0, 1))
 
 
-def _weights(one: Footprints, sigma_px: float, tile: _Tile, axis: int) -> Any:
+def _weights(one: Footprints, sigma_px: float, tile: _Tile, axis: int, where: slice) -> Any:
     """Return the sparse weights [pixel cell] of a blurred aperture along one axis.
 
         weight = integral over the cell of (box of the pixel * Gaussian) / side
@@ -156,32 +203,54 @@ def _weights(one: Footprints, sigma_px: float, tile: _Tile, axis: int) -> Any:
         z = place_px / sigma_px
         return np.asarray(sigma_px * (z * ndtr(z) + np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)))
 
-    centre_px = one.centres(tile.first[axis], tile.last[axis]) - one.offset_px[0, 0, axis]
-    corner_px = tile.corners_px(axis)
-    border_px = np.append(corner_px, corner_px[-1] + 1.0 / tile.samples)
-    away_px = border_px - centre_px[:, None]
+    centre_px = one.centres_px(where) - one.offset_px[0, 0, axis]
+    away_px = tile.borders_px(axis) - centre_px[:, None]
     inside = ramp(away_px + 0.5 * one.side_px) - ramp(away_px - 0.5 * one.side_px)
     weights = np.diff(inside, axis=1) / one.side_px
-    weights[weights < 1e-9] = 0.0
-    return csr_array(weights / weights.sum(axis=1, keepdims=True))
+    weights[weights < _LEAST_WEIGHT] = 0.0
+    return csr_array(weights)
 
 
-def _means_through_spots(cells: Array, one: Footprints, blur: SpotBlur, tile: _Tile) -> Array:
-    """Return the means over footprints that each ray of the spots moves elsewhere."""
-    from lensshift.camera.footprint_kernel import footprint_means
+def _sums_over_squares(cells: Array, side: float) -> Array:
+    """Return the sums of `squares`, in single precision: they are read at every ray."""
+    from lensshift.camera.footprint_kernel import squares
 
-    row_px, col_px = (one.centres(tile.first[axis], tile.last[axis]) for axis in (0, 1))
-    landing_px, weight = blur.at(row_px, col_px)
+    step = _nodes_to_a_cell(side)
+    nodes = [step * (count + int(side) + 2) for count in cells.shape[:2]]
+    sums = np.empty((*nodes, cells.shape[2]), dtype=np.float32)
+    squares(cells, side, step, sums)
+    return sums
+
+
+def _nodes_to_a_cell(side: float) -> int:
+    return 1 if side == int(side) else 2
+
+
+def _add_through_spots(
+    sums: Array,
+    one: Footprints,
+    blur: SpotBlur,
+    tile: _Tile,
+    where: tuple[slice, slice],
+    image: Array,
+) -> None:
+    """Add means over footprints that each ray of the spots moves elsewhere."""
+    from lensshift.camera.footprint_kernel import add_spots
+
+    side = one.side_px * tile.samples
+    centre_px = [one.centres_px(part) for part in where]
+    begin = [  # in cells from the first node
+        (centre_px[axis] - 0.5 * one.side_px + 0.5) * tile.samples
+        - tile.first[axis]
+        + int(side)
+        + 1
+        for axis in (0, 1)
+    ]
     offset_px = one.offset_px
     if offset_px.shape[:2] != (1, 1):
-        offset_px = offset_px[tile.first[0] : tile.last[0], tile.first[1] : tile.last[1]]
-    centre_px = np.stack(np.meshgrid(row_px, col_px, indexing="ij"), axis=-1) - offset_px
-    # In cells from the first corner.
-    centre = (centre_px + 0.5) * tile.samples - (np.array(tile.first) * tile.samples - tile.margin)
-    sums = np.zeros((cells.shape[0] + 1, cells.shape[1] + 1, cells.shape[2]))
-    np.cumsum(cells, axis=0, out=sums[1:, 1:])
-    np.cumsum(sums, axis=1, out=sums)
-    means = np.empty((len(row_px), len(col_px), cells.shape[2]))
-    half = 0.5 * one.side_px * tile.samples
-    footprint_means(sums, centre, half, landing_px * tile.samples, weight, means)
-    return means
+        offset_px = offset_px[where]
+    add_spots(
+        sums, side, _nodes_to_a_cell(side), np.concatenate(begin),
+        np.ascontiguousarray(offset_px * tile.samples), *blur.nodes_at(*centre_px),
+        blur.landing_px * tile.samples, blur.weight, image,
+    )  # fmt: skip

@@ -83,7 +83,7 @@ class RunningCamera:
         return true_images(self._means(scale, offset_px, 1.0 / scale), self.camera)
 
     def _means(self, scale: int, offset_px: ArrayLike, side_px: float) -> Seen:
-        from lensshift.camera.footprint_kernel import footprint_means
+        from lensshift.camera.footprint_kernel import square_means
 
         offset = np.asarray(offset_px, dtype=np.float64)
         if not np.all(np.abs(offset) <= self.reach_px):
@@ -93,8 +93,7 @@ class RunningCamera:
         corner_px = (np.moveaxis(np.indices(shape), 0, -1) + 0.5) / scale - offset
         centre = corner_px * self._samples + self._margin
         means = np.empty((*shape, self._tones.channels))
-        still, whole = np.zeros((*shape, 1, 2)), np.ones((*shape, 1))
-        footprint_means(self._sums, centre, 0.5 * side_px * self._samples, still, whole, means)
+        square_means(self._sums, centre, 0.5 * side_px * self._samples, means)
         return Seen(means, self._tones)
 
     def frame(self, offset_px: ArrayLike, rng: np.random.Generator) -> Image:

@@ -391,8 +391,9 @@ def _plain(group: Any) -> Any:
     if group is None:
         return None
     if isinstance(group, LensOptics):
+        from lensshift.optics.spots import marks_of
+
         told = {one.name: getattr(group, one.name) for one in fields(group)}
         motion = "sensor" if group.element is None else "decentre"
-        light = {"wavelength_nm": group.lens.wavelength_nm}
-        return told | light | {"lens": group.lens.name, "motion": motion}
+        return told | marks_of(group.lens) | {"lens": group.lens.name, "motion": motion}
     return asdict(group)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -127,6 +127,7 @@ def simulate_tof(
     shift_error_px: float = 0.02,
     samples_per_px: int | None = None,
     seed: int = 0,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> TofCapture:
     """Take a burst with a time-of-flight camera whose lens does not go exactly where it was sent.
 
@@ -146,6 +147,7 @@ def simulate_tof(
     scale : the truth has pixels of 1/scale of the pitch
     shift_error_px : rms error of the shift along each axis
     samples_per_px : rays across an LR pixel; by default 8 across an HR pixel, at least 16
+    on_progress : is told how many parts of the image of how many are seen
 
     Raises
     ------
@@ -168,7 +170,7 @@ def simulate_tof(
         Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, blur) for blur in (rest_blur, 0.0)
     ]
     tones = Tones(camera.illumination.modulation_hz, tuple(harmonic_shares(camera.pixels)))
-    *frames, ideal, sharp = see(scene, camera, tones, looks, samples)
+    *frames, ideal, sharp = see(scene, camera, tones, looks, samples, on_progress)
     if camera.multipath is not None:
         ideal, sharp = see(scene, replace(camera, multipath=None), tones, looks[-2:], samples)
     readings = [

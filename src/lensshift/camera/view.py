@@ -12,7 +12,7 @@ import numpy as np
 from lensshift.camera.flat import GOLDEN
 from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
-from lensshift.core.arrays import Array, Floats
+from lensshift.core.arrays import Array
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
@@ -43,10 +43,20 @@ class SpotBlur:
 
     def at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
         """Return landing points [row col ray 2] and weights [row col ray] at [row], [col]."""
-        rows = _between(self.row_px, row_px)
-        cols = _between(self.col_px, col_px)
+        rows, cols = (
+            np.maximum(1.0 - np.abs(at[:, None] - np.arange(count)), 0.0)
+            for at, count in zip(self.nodes_at(row_px, col_px), self.weight.shape, strict=False)
+        )
         landing = np.einsum("rn,cm,nmki->rcki", rows, cols, self.landing_px, optimize=True)
         return landing, np.einsum("rn,cm,nmk->rck", rows, cols, self.weight, optimize=True)
+
+    def nodes_at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
+        """Return where places [row], [col] lie between the nodes, which are evenly apart."""
+        rows, cols = (
+            np.clip((places - nodes[0]) / (nodes[1] - nodes[0]), 0.0, len(nodes) - 1.0)
+            for nodes, places in ((self.row_px, row_px), (self.col_px, col_px))
+        )
+        return rows, cols
 
 
 Motion = tuple[Array, float | SpotBlur]
@@ -253,10 +263,3 @@ def airy_points(count: int, inner: float = 0.0) -> Array:
     radius = np.interp(share, light, _DENSE) / np.pi
     angle = 2.0 * np.pi * np.mod(number * 2.0**0.5, 1.0)
     return np.asarray(radius[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1))
-
-
-def _between(nodes: Array, places: Array) -> Floats:
-    """Return weights [place node] that interpolate linearly between evenly spaced nodes."""
-    step = nodes[1] - nodes[0]
-    at = np.clip((places - nodes[0]) / step, 0.0, len(nodes) - 1.0)
-    return np.asarray(np.maximum(1.0 - np.abs(at[:, None] - np.arange(len(nodes))), 0.0))

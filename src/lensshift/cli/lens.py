@@ -67,7 +67,7 @@ def show(current: Session, asked: ShowOptions) -> None:
 
     outputs.check([Path(asked.of.lens)], plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
-    element, shift_px = asked.of.element, asked.of.shift_px
+    element, shift_px = moved + 1, asked.of.shift_px
     data = paraxial(model)
     gains = decenter_gains(model)
     current.say(
@@ -90,6 +90,8 @@ def show(current: Session, asked: ShowOptions) -> None:
         unit = " mm" if name.endswith("_mm") else ""
         label = name.removesuffix("_mm").replace("_", " ")
         current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
+    away_mm = model.gaps_mm[-1] - data.image_mm
+    current.say(f"{'sensor':<28}{model.gaps_mm[-1]:.6g} mm, {away_mm:+.4g} mm from the image")
     travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
     current.say(
         f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
@@ -137,7 +139,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     """
     import numpy as np
 
-    from lensshift.optics.mtf import diffraction_limit
+    from lensshift.optics.otf import diffraction_limit
 
     outputs.check([Path(asked.of.lens)], asked.csv, asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
@@ -149,7 +151,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
     frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
     frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
     curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, asked.fast)
-    limit = diffraction_limit(model, frequency).modulation
+    limit = diffraction_limit(model, frequency, band=band).modulation
     current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
     for label, values in (curves | {"diffraction limit": limit}).items():
         low, high = np.interp([nyquist_lpmm, 2 * nyquist_lpmm], frequency, values)

@@ -227,7 +227,7 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         )  # fmt: skip
     current.say(format_sensitivity(table))
     _say_builds(current, found, builds, asked.limit)
-    current.result |= {"lens": model.name or asked.of.lens, "element": asked.of.element}
+    current.result |= {"lens": model.name or asked.of.lens, "element": moved + 1}
     current.result["sensitivity"] = [asdict(row) | {"element": row.element + 1} for row in table]
     columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
     columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
@@ -296,5 +296,5 @@ def budget(current: Session, asked: BudgetOptions) -> None:
     )
     current.say(format_budget(found))
     current.result |= {"lens": model.name or asked.of.lens, "noise": asked.noise}
-    current.result |= asdict(found) | {"element": asked.of.element}
+    current.result |= asdict(found) | {"element": moved + 1}
     outputs.write_plot(current, asked.plot, "lens_build.budget_figure", found)

@@ -25,7 +25,7 @@ class FieldOptions:
     """Options of `lensshift lens field`."""
 
     lens: optics.LensArgument
-    element: int = option(1, "Element that moves, from 1; 0: the sensor moves.", min=0)
+    element: int | None = option(None, f"{optics.ELEMENT_HELP} 0: the sensor moves.", min=0)
     tilt: bool = option(False, "The element tilts, as a plate does.", "--tilt")
     sensor: str | None = option(None, f"Pixels as columns x rows; default: {optics.SENSOR}.")
     pitch_mm: str | None = option(
@@ -74,9 +74,9 @@ def field(current: Session, asked: FieldOptions) -> None:
             f"pattern {asked.pattern}"
         )
     model = optics.read_lens(asked.lens, asked.light)
-    if asked.tilt and not asked.element:
+    if asked.tilt and asked.element == 0:
         raise typer.BadParameter("--tilt is of an element, counted from 1, not of the sensor")
-    moved = optics.element_of(model, asked.element) if asked.element else None
+    moved = None if asked.element == 0 else optics.element_of(model, asked.element)
     motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
     with closing(Progress("tracing")) as progress:
@@ -108,10 +108,11 @@ def say_field(current: Session, found: LensField) -> None:
     rows, cols = found.grid.shape
     pitch_mm, scale = found.grid.pitch_mm, (1e3 if found.unit == "mm" else 1.0)
     unit = "um" if found.unit == "mm" else found.unit
-    what = "the sensor" if found.element is None else f"element {found.element + 1}"
+    what = "shift of the sensor"
+    if found.element is not None:
+        what = f"{found.motion} of element {found.element + 1}"
     current.say(
-        f"{found.lens}, {found.motion} of {what}, {cols} x {rows} pixels of "
-        f"{pitch_mm[0]:g} x {pitch_mm[1]:g} mm"
+        f"{found.lens}, {what}, {cols} x {rows} pixels of {pitch_mm[0]:g} x {pitch_mm[1]:g} mm"
     )
     current.say(
         f"holds to {scale * found.reach[0]:.4g} {unit} along rows, "

@@ -28,6 +28,7 @@ BandOption = Annotated[
 
 SENSOR, PITCH_MM = "64x16", "0.155"  # of the camera of the paper
 SHIFT_PX = 0.25  # of the square of four frames
+ELEMENT_HELP = "Element that moves, from 1; if not given the first that moves the image."
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ def read_lens(name: str, light: LightOptions | None = None) -> Lens:
 class MovedLensOptions(LensOptions):
     """A lens of which an element moves."""
 
-    element: int = option(1, "The element that moves, counted from 1.", min=1)
+    element: int | None = option(None, ELEMENT_HELP, min=1)
     shift_px: float = option(SHIFT_PX, "Shift of the image along both axes, in pixels.")
 
 
@@ -102,8 +103,12 @@ def sensor_grid(asked: SensorOptions) -> Grid:
     return Grid((int(rows), int(cols)), parse_pitch_mm(asked.pitch_mm))
 
 
-def element_of(lens: Lens, number: int) -> int:
-    """Return the index of an element that is counted from 1."""
+def element_of(lens: Lens, number: int | None) -> int:
+    """Return the index of an element that is counted from 1; of the first that moves the image."""
+    if number is None:
+        from lensshift.optics.shift import first_moving
+
+        return first_moving(lens)
     if number > len(lens.elements):
         raise typer.BadParameter(
             f"expected an element from 1 to {len(lens.elements)}, got {number}"

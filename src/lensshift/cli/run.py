@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,10 +85,12 @@ def _say(current: Session, summary: RunSummary) -> None:
             f"SSIM {numbers['ssim']:.4f}, RMSE {numbers['rmse']:.4g}"
         )
     for name, numbers in summary.depth.items():
-        current.say(
-            f"{name:<14} distance RMSE {1e3 * numbers['edge_rmse_m']:.1f} mm at edges, "
-            f"{1e3 * numbers['flat_rmse_m']:.1f} mm elsewhere"
-        )
+        told = [
+            f"{1e3 * numbers[key]:.1f} mm {where}"
+            for key, where in (("edge_rmse_m", "at edges"), ("flat_rmse_m", "elsewhere"))
+            if math.isfinite(numbers[key])  # a scene may have no edges
+        ]
+        current.say(f"{name:<14} distance RMSE {', '.join(told)}")
     current.wrote(*summary.files)
     current.tell(result, "method scale")
     current.tell(summary, "seconds fidelity depth")

@@ -69,6 +69,11 @@ class Session:
         if not self.as_json:
             typer.echo(printable(text))
 
+    def count(self, done: int, total: int) -> None:
+        """Take note of one step of a known number."""
+        if self.waiting is not None:
+            self.waiting.so_far = f", {done} of {total}"
+
     def wrote(self, *files: Path) -> None:
         """Say which files were written, and hand back their names."""
         self.say("wrote " + ", ".join(map(str, files)))
@@ -242,6 +247,7 @@ class Waiting:
 
     def __init__(self, label: str) -> None:
         self._progress = Progress(label)
+        self.so_far = ""  # what is said beside the seconds
         self._start_s = time.monotonic()
         self._over: SimpleQueue[None] = SimpleQueue()  # an Event may be cut short, see `Progress`
         self._thread = threading.Thread(target=self._tick, daemon=True)
@@ -252,7 +258,7 @@ class Waiting:
             with suppress(Empty):
                 self._over.get(timeout=_QUIET_S if sys.stderr.isatty() else _FILE_EVERY_S)
                 return
-            self._progress.say(f"{time.monotonic() - self._start_s:.0f} s")
+            self._progress.say(f"{time.monotonic() - self._start_s:.0f} s{self.so_far}")
 
     def end_line(self) -> None:
         """End the line on a terminal, before something else is printed."""

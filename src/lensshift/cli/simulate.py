@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
+from lensshift.cli.optics import ELEMENT_HELP, element_of
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
@@ -31,9 +32,7 @@ class SimulateOptions:
     )
     camera: str = option("o3m151", "o3m151, pmd_176x132, vga, or an experiment file (TOML).")
     lens: str | None = option(None, "Trace this lens (a name or a file) for the image.")
-    element: int | None = option(
-        None, "Element of the lens that moves, from 1; 0: the sensor moves. 1 if not given.", min=0
-    )
+    element: int | None = option(None, f"{ELEMENT_HELP} 0: the sensor moves.", min=0)
     pattern: PatternOption = "square"
     scale: int = option(2, "Truth pixels per pixel.", min=1, max=8)
     shift_error_px: float = option(0.02, "Rms error of each shift, unknown.", min=0.0, max=5.0)
@@ -69,14 +68,10 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
     from lensshift.pipeline.run import save_truth
 
     settings = _camera(asked)
-    lens, light_nm = getattr(settings.optics, "lens", None), settings.illumination.wavelength_nm
-    if lens is not None and round(lens.wavelength_nm) != round(light_nm):
-        current.say(
-            f"the lens is traced at its {lens.wavelength_nm:g} nm, in focus; the camera lights at "
-            f"{light_nm:g} nm"
-        )
     pattern_px, told = named_pattern_px(asked.pattern), picked(asked, "scale shift_error_px seed")
-    capture = simulate_tof(named_scene(asked.scene), settings, pattern_px, **told)
+    capture = simulate_tof(
+        named_scene(asked.scene), settings, pattern_px, on_progress=current.count, **told
+    )
     save_burst(capture.burst, out)
     save_truth(capture.truth, truth_file)
     if phases is not None:
@@ -84,6 +79,12 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
 
         raw = picked(capture.raw, _PHASES)
         write_npz(phases, raw | {"offset_px": capture.burst.offset_px})
+    lens, light_nm = getattr(settings.optics, "lens", None), settings.illumination.wavelength_nm
+    if lens is not None and round(lens.wavelength_nm) != round(light_nm):
+        current.say(
+            f"the lens is traced at its {lens.wavelength_nm:g} nm, in focus; the camera lights at "
+            f"{light_nm:g} nm"
+        )
     burst = capture.burst
     rows, cols = burst.grid.shape
     valid = float(burst.valid.mean()) if burst.valid is not None else 1.0
@@ -126,7 +127,7 @@ def _camera(asked: SimulateOptions) -> TofCamera:
 def _optics(asked: SimulateOptions, of_camera: PlainOptics | LensOptics) -> LensOptics:
     """Return the traced lens, asked for or of the camera, with the element that is to move."""
     from lensshift.camera import LensOptics
-    from lensshift.cli.optics import element_of, read_lens
+    from lensshift.cli.optics import read_lens
 
     if asked.lens is not None:
         traced = LensOptics(read_lens(asked.lens))
@@ -134,5 +135,5 @@ def _optics(asked: SimulateOptions, of_camera: PlainOptics | LensOptics) -> Lens
         traced = of_camera
     else:
         raise typer.BadParameter("--element is of a traced lens: expected --lens with it")
-    number = 1 if asked.element is None else asked.element
-    return replace(traced, element=element_of(traced.lens, number) if number else None)
+    moved = None if asked.element == 0 else element_of(traced.lens, asked.element)
+    return replace(traced, element=moved)

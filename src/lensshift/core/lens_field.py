@@ -25,6 +25,9 @@ _INVERSE_PX = 1e-9  # rounding
 # Beyond the fitted range by rounding, and by the error of a shift that was planned at its end.
 _BEYOND = 1.02
 _SAME_LIGHT_NM = 1.0  # as makers round it
+# What tells lenses of one name apart, and by how much it may differ: as warmth changes it.
+_MARKS = ("wavelength_nm", "working_f_number", "image_per_field_mm", "from_focus_mm")
+_SAME_SCALE, _SAME_BLUR_PX = 1e-3, 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,8 +96,7 @@ class LensField:
     def optics(self) -> dict[str, Any]:
         """What a burst says of the lens that took it, in `Burst.meta`."""
         told = {"lens": self.lens, "element": self.element, "motion": self.motion}
-        light_nm = (self.notes or {}).get("wavelength_nm")
-        return told if light_nm is None else told | {"wavelength_nm": light_nm}
+        return told | {key: (self.notes or {})[key] for key in _MARKS if key in (self.notes or {})}
 
     @property
     def middle_px2(self) -> float:
@@ -303,6 +305,27 @@ class LensField:
                 f"make it with --wavelength-nm {theirs_nm:g}",
                 field="meta.optics.wavelength_nm",
             )
+        self._check_form(told)
+
+    def _check_form(self, told: Mapping[str, Any]) -> None:
+        """Refuse a lens of the same name whose image is larger, or as sharp elsewhere."""
+        if not all(
+            isinstance(one.get(key), float) for one in (self.optics, told) for key in _MARKS
+        ):
+            return
+        scale, focus = ("image_per_field_mm", "from_focus_mm")
+        most_mm = _SAME_BLUR_PX * min(self.grid.pitch_mm) * abs(self.optics["working_f_number"])
+        for key, most, what in (
+            (scale, _SAME_SCALE * abs(self.optics[scale]), "{:.5g} mm of image per tangent"),
+            (focus, most_mm, "a sensor {:+.4g} mm from its image"),
+        ):
+            mine, theirs = (what.format(one[key]) for one in (self.optics, told))
+            if abs(self.optics[key] - told[key]) > most:
+                raise DataError(
+                    f"the lens field is of a lens with {mine}, the burst of one with {theirs}; "
+                    "make it from the lens file that took the burst",
+                    field=f"meta.optics.{key}",
+                )
 
 
 def _evaluated(coefficients: Floats, u: Sequence[NDArray[Any]], s: Floats) -> Floats:

@@ -19,7 +19,7 @@ from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import fast_otf
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import NEAR, PROBE_MM, central_slope, moving
-from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
+from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, marks_of, spots
 from lensshift.optics.trace import Build
 
 Waves = NDArray[np.complex128]
@@ -118,7 +118,7 @@ def lens_field(
         shift_error_px=found.shift_error_px,
         spot_error_px=found.spot_error_px,
         contrast_error=found.contrast_error,
-        notes={"wavelength_nm": lens.wavelength_nm, "temperature_c": lens.temperature_c},
+        notes=marks_of(lens) | {"temperature_c": lens.temperature_c},
     )
 
 

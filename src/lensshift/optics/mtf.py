@@ -14,10 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.grid import Grid
-from lensshift.core.optical import MtfCurve
 from lensshift.optics.directions import places_mm
 from lensshift.optics.lens import Lens
-from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_arms, ring_edges
 from lensshift.optics.spots import Spots, fields_for_image, obstruction, spots, with_middle
 from lensshift.optics.trace import Build
@@ -97,39 +95,12 @@ def diffraction_mtf(frequency_lpmm: ArrayLike, cutoff_lpmm: ArrayLike) -> Floats
 
         MTF = 2/pi (arccos v - v sqrt(1 - v^2)),    v = frequency / cutoff, 0 for v > 1
 
-    The cutoff of a lens is 1 / (wavelength x working f-number).
+    The cutoff of a lens that obeys the sine condition is 1 / (wavelength x working f-number); see
+    `diffraction_limit` for others.
     """
     v = np.abs(np.asarray(frequency_lpmm, dtype=np.float64)) / np.asarray(cutoff_lpmm)
     v = np.minimum(v, 1.0)
     return np.asarray(2.0 / np.pi * (np.arccos(v) - v * np.sqrt(1.0 - v * v)))
-
-
-def diffraction_limit(lens: Lens, frequency_lpmm: ArrayLike) -> MtfCurve:
-    """Return the MTF on the axis that the lens would have without aberrations."""
-    cutoff_lpmm = 1e6 / (lens.wavelength_nm * paraxial(lens).working_f_number)
-    frequency = np.asarray(frequency_lpmm, dtype=np.float64)
-    modulation = annular_mtf(frequency / cutoff_lpmm, obstruction(lens))
-    return MtfCurve(frequency, modulation, label="diffraction limit")
-
-
-def annular_mtf(share: ArrayLike, inner: float) -> Floats:
-    """Return the MTF of a perfect lens whose pupil is a ring, at shares of its cutoff.
-
-        MTF = [A(1, 1) - 2 A(1, inner) + A(inner, inner)] / (pi (1 - inner^2))
-
-    with A the common area of two circles, 2 share apart.
-
-    Parameters
-    ----------
-    share : of the cutoff
-    inner : radius of what is stopped in the middle, over that of the pupil
-
-    Source: O'Neill, J. Opt. Soc. Am. 46 (1956) 285.
-    """
-    from lensshift.optics.otf_kernel import annular
-
-    v = np.minimum(np.abs(np.asarray(share, dtype=np.float64)), 1.0)
-    return np.reshape([annular(one, inner) for one in v.ravel()], v.shape)
 
 
 def fast_mtf(
@@ -170,12 +141,13 @@ def fast_otf(
 
     with o the obstruction on the axis, e the landing point and the cosine of the ray along the
     azimuth: four standard deviations are the width of a round pupil, also seen obliquely or
-    vignetted. D is the `annular_mtf` and m the share of the ray's part of the pupil that lies in
-    both of two pupils f / cutoff of their width apart: the rays at the edge, mostly the worst, drop
-    out first, and those that an obstruction stops come in. This is the exact OTF with the path
-    differences taken to first order in f, and obstructions about the middle of the pupil. For the
-    Petzval lenses that come with the package it is within 0.0015 of it up to 13 line pairs per mm,
-    and with 12 rings within 0.02 up to 50; weights without m would be 0.025 off at 13.
+    vignetted. D is the MTF of a perfect lens with this obstruction and m the share of the ray's
+    part of the pupil that lies in both of two pupils f / cutoff of their width apart: the rays at
+    the edge, mostly the worst, drop out first, and those that an obstruction stops come in. This is
+    the exact OTF with the path differences taken to first order in f, and obstructions about the
+    middle of the pupil. For the Petzval lenses that come with the package it is within 0.0015 of it
+    up to 13 line pairs per mm, and with 12 rings within 0.02 up to 50; weights without m would be
+    0.025 off at 13.
 
     Parameters
     ----------

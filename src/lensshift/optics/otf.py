@@ -44,6 +44,35 @@ def exact_mtf(
     return MtfCurve(frequency, np.abs(otf[0]), label=label)
 
 
+def diffraction_limit(
+    lens: Lens,
+    frequency_lpmm: ArrayLike,
+    field_tan: ArrayLike = (0.0, 0.0),
+    azimuth_rad: float = 0.0,
+    *,
+    band: Band | None = None,
+) -> MtfCurve:
+    """Return the MTF that a field, or the axis, would have if all paths were equal.
+
+        limit(f) = integral A(u + s/2) A(u - s/2) du / integral A(u)^2 du >= |OTF(f)|
+
+    with the pupil A of `exact_otf`: its edge is where rays end, not where the paraxial f-number
+    says, and a lens that does not obey the sine condition has more light at the edge, or less.
+    Where it does, a round pupil has `diffraction_mtf`.
+
+    Parameters
+    ----------
+    field_tan, frequency_lpmm, azimuth_rad, band : as for `exact_mtf`
+    """
+    frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
+    light, axes = pupils(lens, field_tan, band=band), azimuth_axes(azimuth_rad)
+    limit = sum(
+        share * _autocorrelate(pupil, frequency, axes, wave_mm, equal_paths=True)[0].real
+        for share, wave_mm, pupil in light
+    )
+    return MtfCurve(frequency, np.asarray(limit), label="diffraction limit")
+
+
 @one_thread()
 def exact_otf(
     lens: Lens,
@@ -241,10 +270,16 @@ def _nearness(cosine: Floats) -> Floats:
 
 
 def _autocorrelate(
-    pupil: PupilFit, frequency_lpmm: Floats, axes: Floats, wavelength_mm: float, samples: int
+    pupil: PupilFit,
+    frequency_lpmm: Floats,
+    axes: Floats,
+    wavelength_mm: float,
+    samples: int = _SAMPLES,
+    *,
+    equal_paths: bool = False,
 ) -> NDArray[np.complex128]:
     """Return the OTF [azimuth frequency] along axes [azimuth 2] (row, col)."""
-    wave = 2.0 * np.pi / wavelength_mm
+    wave = 0.0 if equal_paths else 2.0 * np.pi / wavelength_mm
     total = pupil.overlap(np.zeros(2), samples, wave).real
     light = total * (2.0 / samples) ** 2 / np.pi
     if abs(light - pupil.light) > _LOST + pupil.unsure:

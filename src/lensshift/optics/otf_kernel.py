@@ -35,7 +35,18 @@ def _angle(cosine: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def annular(v: float, inner: float) -> float:
-    """Return `annular_mtf` at `v` times the cutoff, 0 <= v <= 1."""
+    """Return the MTF of a perfect lens whose pupil is a ring at `v` times its cutoff, 0 <= v <= 1.
+
+        MTF = [A(1, 1) - 2 A(1, inner) + A(inner, inner)] / (pi (1 - inner^2))
+
+    with A the common area of two circles, 2 v apart.
+
+    Parameters
+    ----------
+    inner : radius of what is stopped in the middle, over that of the pupil
+
+    Source: O'Neill, J. Opt. Soc. Am. 46 (1956) 285.
+    """
     if inner == 0.0:
         return diffraction(v)
     apart = min(max(2.0 * v, 1.0 - inner), 1.0 + inner)  # nearer, one circle lies in the other

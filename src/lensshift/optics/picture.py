@@ -15,7 +15,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.pattern import named_pattern_px
 from lensshift.optics.actuator import PIXEL_NOISE
 from lensshift.optics.lens import Lens
-from lensshift.optics.mtf import diffraction_limit
+from lensshift.optics.otf import diffraction_limit
 from lensshift.optics.shift import decenter_for_shift, moving, px_per_um
 from lensshift.optics.spots import spots
 from lensshift.optics.which import edge_fields
@@ -27,6 +27,7 @@ _SCENE = 0.2  # standard deviation of a scene as a share of full scale
 PLACE_PX = 0.25  # of the pixels of a picture of twice as many, from the middle of a pixel
 # What a search tries: patterns, and where the picture has its pixels.
 PICTURES = (("square", PLACE_PX), ("square", 0.0), ("3x3", PLACE_PX))
+_LIMIT_STEPS = 33  # of the diffraction limit, which hardly bends
 _LARGEST_PX = 64.0  # structures larger than this add no more
 
 
@@ -171,8 +172,8 @@ class _SpotOtf:
                 for ray_px, weight in zip(self.ray_px, self.weight, strict=True)
             ]
             lpmm = np.linalg.norm(frequency / self.pitch_mm, axis=-1)
-            rising, places = np.unique(lpmm, return_inverse=True)
-            limit = diffraction_limit(self.lens, rising).modulation[places].reshape(lpmm.shape)
+            rising = np.linspace(0.0, max(lpmm.max(), 1.0), _LIMIT_STEPS)
+            limit = np.interp(lpmm, rising, diffraction_limit(self.lens, rising).modulation)
             self.at, self.found = frequency, np.asarray(spot) * limit
         return self.found
 

@@ -22,6 +22,7 @@ ENOUGH_PIXELS = 17  # rows and columns that tell how even a shift is
 NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
 _INVERSE_STEPS = 12  # each divides the error by what is not linear in a shift, 100 and more
 _INVERSE_PX = 1e-9  # far below any error of a shift
+_LEAST_GAIN = 1e-6  # mm per mm: a window has none but rounding
 PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
 
 
@@ -91,7 +92,7 @@ def decenter_for_shift(lens: Lens, element: int, offset_px: ArrayLike, grid: Gri
         raise ValueError(f"expected finite offset_px [... 2], got shape {wanted.shape}")
     lens.check_element(element)
     gain = decenter_gains(lens)[element]
-    if abs(gain) < 1e-6:
+    if abs(gain) < _LEAST_GAIN:
         raise ValueError(
             f"expected an element whose decentre moves the image, but {lens.called(element)} "
             f"moves it by {gain:.2g} mm per mm"
@@ -109,6 +110,11 @@ def decenter_for_shift(lens: Lens, element: int, offset_px: ArrayLike, grid: Gri
         f"expected a shift that element {element + 1} can make, but after {_INVERSE_STEPS} steps "
         f"{np.abs(error_px).max():.2g} px are missing"
     )
+
+
+def first_moving(lens: Lens) -> int:
+    """Return the number of the first element whose decentre moves the image, 0 if none does."""
+    return int(np.argmax(np.abs(decenter_gains(lens)) >= _LEAST_GAIN))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.optics.lens import Lens
-from lensshift.optics.paraxial import matrices_around_stop
+from lensshift.optics.paraxial import matrices_around_stop, paraxial
 from lensshift.optics.pupil import midpoints, pupil_quadrature
 from lensshift.optics.trace import Build, RayBundle, trace
 
@@ -217,6 +217,17 @@ def image_per_field_mm(lens: Lens) -> float:
     """
     front, behind = matrices_around_stop(lens)
     return float((behind[0, 1] + lens.gaps_mm[-1] * behind[1, 1]) / front[0, 0])
+
+
+def marks_of(lens: Lens) -> dict[str, float]:
+    """Return what bursts and lens fields hold of a lens, to tell it from others of its name."""
+    data = paraxial(lens)
+    return {
+        "wavelength_nm": lens.wavelength_nm,
+        "working_f_number": data.working_f_number,
+        "image_per_field_mm": image_per_field_mm(lens),
+        "from_focus_mm": lens.gaps_mm[-1] - data.image_mm,
+    }
 
 
 def distortion(lens: Lens, field_tan: ArrayLike, *, rings: int = 4) -> Floats:

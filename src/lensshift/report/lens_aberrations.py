@@ -13,7 +13,8 @@ from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.optics import aberrations
 from lensshift.optics.lens import Lens
-from lensshift.optics.mtf import Band, diffraction_limit
+from lensshift.optics.mtf import Band
+from lensshift.optics.otf import diffraction_limit
 from lensshift.optics.psf import point_spread
 from lensshift.optics.spots import distortion, spots
 from lensshift.report import curves, style
@@ -152,7 +153,7 @@ def sections_figure(
         for values, dashes, name in zip(found, ("-", "--"), ("T", "S"), strict=True):
             label = f"{_degrees(field)} {name}"
             left.plot(frequency_lpmm, values, dashes, color=style.colour_of(number), label=label)
-    curves.draw_limits(left, [diffraction_limit(lens, frequency_lpmm)], end_lpmm)
+    curves.draw_limits(left, [diffraction_limit(lens, frequency_lpmm, band=band)], end_lpmm)
     curves.mark_frequency(left, 0.5 * double_lpmm, "LR Nyquist")
     curves.mark_frequency(left, double_lpmm, "twice that")
     curves.finish_mtf_axes(left, end_lpmm, "LP/mm", "", columns=2)

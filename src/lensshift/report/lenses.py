@@ -10,8 +10,7 @@ import numpy as np
 from lensshift.core.arrays import Floats
 from lensshift.evaluation.limits import paper_sensor_limit, pixel_aperture_mtf
 from lensshift.optics.layout import layout
-from lensshift.optics.mtf import diffraction_limit
-from lensshift.optics.otf import exact_otf
+from lensshift.optics.otf import diffraction_limit, exact_otf
 from lensshift.optics.shift import moving
 from lensshift.optics.which import label_of
 from lensshift.report import curves, style

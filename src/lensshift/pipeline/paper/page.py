@@ -12,7 +12,7 @@ import lensshift
 from lensshift.camera import named_pattern_px
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.optics.lens_file import load_lens
-from lensshift.optics.mtf import diffraction_limit
+from lensshift.optics.otf import diffraction_limit
 from lensshift.pipeline.paper.bench import PITCH_MM
 from lensshift.pipeline.paper.beyond import remark
 from lensshift.pipeline.paper.box_claims import BRANCHES
