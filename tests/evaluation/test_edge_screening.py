@@ -86,6 +86,17 @@ def test_grey_levels_are_not_taken_for_clipping() -> None:
         assert not measure_edge(np.clip(bright, 0.0, 255.0)).usable
 
 
+@pytest.mark.parametrize("top", [255, 511, 4095, 65535])
+def test_the_end_of_any_range_of_numbers_is_known(top: int) -> None:
+    """Of numbers, and of shares of the largest: noise below a step leaves other levels frequent."""
+    image = np.rint(np.minimum((0.2 + 0.9 * noisy(step(0.3), 0.3 / top)) * top, top))
+    for values in (image, image / top):
+        with pytest.warns(QualityWarning, match="bright pixels are clipped at"):
+            assert not measure_edge(values).usable
+    below = np.rint(np.minimum((0.2 + 0.9 * noisy(step(0.3), 0.3 / top)) * top, 0.9 * top))
+    assert not any("clipped" in note for note in measure_edge(below).notes)
+
+
 @pytest.mark.parametrize(("seed", "whole"), [(1, False), (2, True)])
 def test_few_pixels_of_an_overshoot_that_is_cut_off_are_told(seed: int, whole: bool) -> None:
     """Sharpened by a mask of 1.2 px: what lies beyond the bright level is lost, 3 % of its side."""
