@@ -1,5 +1,7 @@
 """What does not belong to an edge: hot pixels, second edges, mere noise, grey levels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,6 +9,7 @@ from scipy.special import ndtr
 
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.slanted_edge import measure_edge
+from lensshift.evaluation.slanted_edge.checks import doubted
 from lensshift.evaluation.slanted_edge.noise_model import noise_of_covariance
 
 Image = NDArray[np.float64]
@@ -107,6 +110,18 @@ def test_few_pixels_of_an_overshoot_that_is_cut_off_are_told(seed: int, whole: b
     assert not cut.usable
     assert any("clipped at 255" in note for note in cut.notes)
     assert not any("clipped" in note for note in measure_edge(values).notes)
+
+
+def test_levels_that_no_pixel_shows_are_doubted() -> None:
+    """Of a halo over half of the region they lie a little beyond; uneven light can fake more."""
+    wide = noisy(0.9 * step(0.3) + 0.1 * step(0.3, 12.0), 0.002)
+    found = measure_edge(wide)
+    assert found.usable
+    for dark, bright in ((found.dark - 0.3, found.bright), (found.dark, found.bright + 0.3)):
+        moved = replace(found, dark=dark, bright=bright)
+        told = doubted(moved, lines=47, gap_px=0.0, values=wide.ravel())
+        assert not told.usable
+        assert any("beyond all pixels" in note for note in told.notes)
 
 
 def test_a_prediction_leaves_the_plateaus_their_level() -> None:

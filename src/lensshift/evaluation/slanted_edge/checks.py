@@ -26,6 +26,7 @@ _LARGEST_TURN_DEG = 15.0  # from the middle of an edge to its ends; distortion t
 _LEAST_LINES = 8
 _LARGEST_RISE = 0.5  # of the extent of the region across the edge
 _FEWEST_LEVELS = 4
+_MOST_UNSEEN = 0.1  # of the contrast: by how much a level may lie beyond all pixels
 _FEWEST_BITS = 8
 _NO_NOISE = 1e-9  # of the contrast
 
@@ -111,6 +112,13 @@ def _shape(values: Vector, result: EdgeResult) -> list[str]:
         found.append(
             f"the edge is {rise_px:.0f} px wide (10 to 90 %) in a region of {wide}: no plateau is "
             "seen; choose a wider region"
+        )
+    low, high = float(np.min(values)), float(np.max(values))
+    unseen = max(low - result.dark, result.bright - high)
+    if unseen > _MOST_UNSEEN * (result.bright - result.dark):
+        found.append(
+            f"the levels of the edge, {result.dark:.3g} and {result.bright:.3g}, lie beyond all "
+            f"pixels ({low:.3g} to {high:.3g}): no plateau is seen; choose a wider region"
         )
     return found
 

@@ -21,7 +21,7 @@ from lensshift.evaluation.slanted_edge.result import EdgeResult, Region, average
 Method = Literal["ml", "sfrmat3", "sfrmat5"]
 METHODS: tuple[Method, ...] = ("ml", "sfrmat3", "sfrmat5")
 _OPTIONS: dict[Method, tuple[str, ...]] = {
-    "ml": tuple(field.name for field in fields(LikelySettings)),
+    "ml": tuple(one.name for one in fields(LikelySettings) if one.name != "jpeg_steps"),
     "sfrmat3": (),
     "sfrmat5": ("order", "window"),
 }
