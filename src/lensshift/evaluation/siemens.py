@@ -114,22 +114,10 @@ def siemens_star_mtf(
     _check_star(cycles, profile, sectors, radius_range_mm)
     star = _Star(cycles, profile)
     pixels = known_phase.list_pixels(image, pitch_mm, valid)
-    if np.ptp(pixels.values) == 0.0:  # it has no centre either
-        raise ValueError(f"expected contrast, got {pixels.values[0]:.6g} in all pixels")
     center, radii_mm = _place(star, pixels, center_px, radius_range_mm)
-    if radii_mm[0] >= radii_mm[1]:
-        raise ValueError(
-            f"expected an image that reaches {radii_mm[0] / max(pixels.pitch_mm):.4g} px from the "
-            f"centre of the star, where {cycles} cycles have 2 pixels each, got "
-            f"{radii_mm[1] / max(pixels.pitch_mm):.4g} px"
-        )
     row_mm, col_mm = pixels.place_mm(center)
     radius_mm, angle_rad = np.hypot(row_mm, col_mm), np.arctan2(row_mm, col_mm)
-    if radii_mm[1] > radius_mm.max() + max(pixels.pitch_mm):
-        raise ValueError(
-            f"expected radii within the image, which ends {radius_mm.max():.4g} mm from the centre "
-            f"of the star, got {radii_mm[1]:.4g} mm"
-        )
+    _check_reach(pixels, cycles, radii_mm, float(radius_mm.max()))
     waves, rings_mm, fits = _printed(
         star, pixels, star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm), radius_mm, radii_mm,
         cut=radius_range_mm is None,
@@ -228,6 +216,8 @@ def _place(
     radius_range_mm: tuple[float, float] | None,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the centre and the range of radii, found where they are not given."""
+    if np.ptp(pixels.values) == 0.0:  # it has no centre either
+        raise ValueError(f"expected contrast, got {pixels.values[0]:.6g} in all pixels")
     center = center_px or _find_center_px(star, pixels, radius_range_mm)
     radii_mm = radius_range_mm or _default_range_mm(pixels, center, star.cycles)
     if radius_range_mm is None and radii_mm[0] < radii_mm[1]:
@@ -237,6 +227,22 @@ def _place(
             # What surrounds the star has told of its place as well.
             center = center_px or _find_center_px(star, pixels, radii_mm)
     return center, radii_mm
+
+
+def _check_reach(
+    pixels: Pixels, cycles: int, radii_mm: tuple[float, float], farthest_mm: float
+) -> None:
+    if radii_mm[0] >= radii_mm[1]:
+        raise ValueError(
+            f"expected an image that reaches {radii_mm[0] / max(pixels.pitch_mm):.4g} px from the "
+            f"centre of the star, where {cycles} cycles have 2 pixels each, got "
+            f"{radii_mm[1] / max(pixels.pitch_mm):.4g} px"
+        )
+    if radii_mm[1] > farthest_mm + max(pixels.pitch_mm):
+        raise ValueError(
+            f"expected radii within the image, which ends {farthest_mm:.4g} mm from the centre "
+            f"of the star, got {radii_mm[1]:.4g} mm"
+        )
 
 
 def _find_center_px(
