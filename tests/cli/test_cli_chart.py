@@ -95,6 +95,28 @@ def test_a_jpeg_of_unknown_curve_is_questioned(call: Call, tmp_path: Path) -> No
     assert "--gamma 2.2" in " ".join(done.stderr.split())
 
 
+def test_what_a_jpeg_cut_off_counts_in_its_intervals(call: Call, tmp_path: Path) -> None:
+    """The same pixels as PNG have the same MTF50, known too well."""
+    jpeg, png = tmp_path / "coded.jpg", tmp_path / "photo.png"
+    save_square(png)
+    with Image.open(png) as photo:
+        photo.save(jpeg, quality=60)
+    with Image.open(jpeg) as coded:
+        coded.save(png)
+    values, widths = [], []
+    for path in (jpeg, png):
+        region = ("--region", "40,80,5,45")
+        done = call("evaluate", "mtf", path, *region, "--gamma", "2.2", "--json")
+        half = json.loads(done.stdout)["edges"][0]["mtf50"]
+        done = call("evaluate", "chart", path, "--workers", "1", "--gamma", "2.2", "--json")
+        row = json.loads(done.stdout)["edges"][0]
+        values.append((half["value"], row["mtf50"]))
+        widths.append((half["high"] - half["low"], row["mtf50_high"] - row["mtf50_low"]))
+    assert values[0] == values[1]
+    assert np.all(np.array(widths[0]) > 1.1 * np.array(widths[1]))
+    call("evaluate", "mtf", jpeg, "--method", "sfrmat3")  # has no intervals
+
+
 @pytest.mark.parametrize(
     ("options", "code", "message"),
     [

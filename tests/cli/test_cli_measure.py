@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL.Image import fromarray
+from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 from stand_in import Call, Refused, answer
 
@@ -108,6 +109,21 @@ def test_star_without_blur_has_contrast_one(call: Call, tmp_path: Path) -> None:
     assert np.array(curve["modulation"]) == pytest.approx(1.0, abs=0.02)
     assert len(found["curves"]) == 5  # type: ignore[arg-type]
     assert table(tmp_path / "star.csv")["frequency"].max() <= 0.5
+
+
+def test_a_star_is_measured_in_one_channel_of_linear_light(call: Call, tmp_path: Path) -> None:
+    """Red is sharp, green blurred, blue curved by a gamma of 2.2."""
+    sharp = star(20)
+    light = np.stack([sharp, gaussian_filter(sharp, 1.0), sharp ** (1 / 2.2)], axis=-1)
+    fromarray(np.rint(255 * light).astype(np.uint8)).save(tmp_path / "star.png")
+    wanted = "star", tmp_path / "star.png", "--cycles", "20", "--center-px", "30.2,34.6"
+    contrast = {}
+    for name, more in (("red", ()), ("green", ()), ("blue", ("--gamma", "2.2"))):
+        found = numbers(call, *wanted, "--levels", "25.5,229.5", "--channel", name, *more)
+        contrast[name] = np.median(found["curves"][0]["modulation"])  # type: ignore[index]
+    assert contrast["red"] == pytest.approx(1.0, abs=0.02)
+    assert contrast["blue"] == pytest.approx(1.0, abs=0.02)
+    assert contrast["green"] < 0.7
 
 
 def test_zone_plate_without_blur_has_contrast_one(call: Call, tmp_path: Path) -> None:
@@ -218,6 +234,8 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["gradient", "edge.npy", "--line", "16"], 1, "a line from 0 to 15"),
         (["star", "edge.npy"], 2, "--cycles"),
         (["star", "edge.npy", "--cycles", "9", "--center-px", "1"], 2, "a centre like"),
+        (["star", "edge.png", "--cycles", "9", "--bayer", "RGGB"], 2, "--channel red or blue"),
+        (["zone", "edge.png", "--chirp", "0.01", "--channel", "red"], 1, "this one is grey"),
         (["zone", "edge.npy", "--chirp", "-1"], 1, "positive chirp"),
         (["frc", "edge.npy", "odd.npy"], 1, "shape"),
         (["frc", "edge.npy", "edge.npy"], 1, "one image twice"),

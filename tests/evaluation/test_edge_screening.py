@@ -1,5 +1,7 @@
 """What does not belong to an edge: hot pixels, second edges, mere noise, grey levels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,6 +9,7 @@ from scipy.special import ndtr
 
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.slanted_edge import measure_edge
+from lensshift.evaluation.slanted_edge.checks import doubted
 from lensshift.evaluation.slanted_edge.noise_model import noise_of_covariance
 
 Image = NDArray[np.float64]
@@ -86,6 +89,17 @@ def test_grey_levels_are_not_taken_for_clipping() -> None:
         assert not measure_edge(np.clip(bright, 0.0, 255.0)).usable
 
 
+@pytest.mark.parametrize("top", [255, 511, 4095, 65535])
+def test_the_end_of_any_range_of_numbers_is_known(top: int) -> None:
+    """Of numbers, and of shares of the largest: noise below a step leaves other levels frequent."""
+    image = np.rint(np.minimum((0.2 + 0.9 * noisy(step(0.3), 0.3 / top)) * top, top))
+    for values in (image, image / top):
+        with pytest.warns(QualityWarning, match="bright pixels are clipped at"):
+            assert not measure_edge(values).usable
+    below = np.rint(np.minimum((0.2 + 0.9 * noisy(step(0.3), 0.3 / top)) * top, 0.9 * top))
+    assert not any("clipped" in note for note in measure_edge(below).notes)
+
+
 @pytest.mark.parametrize(("seed", "whole"), [(1, False), (2, True)])
 def test_few_pixels_of_an_overshoot_that_is_cut_off_are_told(seed: int, whole: bool) -> None:
     """Sharpened by a mask of 1.2 px: what lies beyond the bright level is lost, 3 % of its side."""
@@ -96,6 +110,18 @@ def test_few_pixels_of_an_overshoot_that_is_cut_off_are_told(seed: int, whole: b
     assert not cut.usable
     assert any("clipped at 255" in note for note in cut.notes)
     assert not any("clipped" in note for note in measure_edge(values).notes)
+
+
+def test_levels_that_no_pixel_shows_are_doubted() -> None:
+    """Of a halo over half of the region they lie a little beyond; uneven light can fake more."""
+    wide = noisy(0.9 * step(0.3) + 0.1 * step(0.3, 12.0), 0.002)
+    found = measure_edge(wide)
+    assert found.usable
+    for dark, bright in ((found.dark - 0.3, found.bright), (found.dark, found.bright + 0.3)):
+        moved = replace(found, dark=dark, bright=bright)
+        told = doubted(moved, lines=47, gap_px=0.0, values=wide.ravel())
+        assert not told.usable
+        assert any("beyond all pixels" in note for note in told.notes)
 
 
 def test_a_prediction_leaves_the_plateaus_their_level() -> None:

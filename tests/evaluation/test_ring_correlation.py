@@ -40,6 +40,22 @@ def test_images_of_little_noise_agree_everywhere() -> None:
     assert opposite.resolution_mm == np.inf
 
 
+@pytest.mark.parametrize("moved", [(3, 5), (-1, 0), (0, -7)])
+def test_images_that_lie_apart_are_told(moved: tuple[int, int]) -> None:
+    scene = signal((96, 110), (0.1, 0.1), 3)
+    first, second = (scene + 0.5 * white(scene.shape, seed) for seed in (1, 2))
+    apart = np.roll(second, moved, (0, 1))
+    told = f"{moved[0]} rows and {moved[1]} columns apart"
+    with pytest.warns(QualityWarning, match=told):
+        fourier_ring_correlation(first, apart, pitch_mm=0.1)
+    noise = [white(scene.shape, seed) for seed in (8, 9)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fourier_ring_correlation(first, second, pitch_mm=0.1)
+        fourier_ring_correlation(first, -second, pitch_mm=0.1)
+        fourier_ring_correlation(*noise, pitch_mm=0.1)
+
+
 @pytest.mark.parametrize("window", [False, True])
 def test_an_image_with_itself_is_refused(window: bool) -> None:
     image = white(SHAPE, 0)

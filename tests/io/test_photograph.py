@@ -9,7 +9,7 @@ import tifffile
 from PIL import Image
 
 from lensshift.core.errors import DataError
-from lensshift.io.photograph import load_oecf, load_photograph
+from lensshift.io.photograph import load_jpeg_steps, load_oecf, load_photograph
 
 SHAPE = (13, 21)
 
@@ -110,3 +110,18 @@ def test_a_measured_curve(tmp_path: Path) -> None:
         file.write_text(text)
         with pytest.raises(DataError, match=message):
             load_oecf(file)
+
+
+def test_the_steps_of_a_jpeg_count_frequencies_by_rows_and_columns(tmp_path: Path) -> None:
+    """Steps that only stripes along the rows feel: these vanish, those along the columns stay."""
+    steps = np.ones((8, 8), dtype=int)
+    steps[0, 1:] = 250
+    row, col = np.indices((64, 64))
+    for name, place in (("kept", row), ("lost", col)):
+        stripes = np.rint(128 + 20 * np.cos(2 * np.pi * 3 * place / 16)).astype(np.uint8)
+        path = tmp_path / f"{name}.jpg"
+        Image.fromarray(stripes).save(path, qtables=[steps.ravel().tolist()])
+        np.testing.assert_array_equal(load_jpeg_steps(path), steps)
+        assert (np.ptp(load_photograph(path)) > 30) == (name == "kept")
+    Image.fromarray(stripes).save(tmp_path / "none.png")
+    assert load_jpeg_steps(tmp_path / "none.png") is None

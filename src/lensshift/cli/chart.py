@@ -132,7 +132,7 @@ def _pictures(asked: ChartOptions) -> tuple[list[Photograph], Measured]:
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]
     pictures = [
-        Photograph(name, one.values, float(place), one.offset_px)
+        Photograph(name, one.values, float(place), one.offset_px, one.jpeg_steps)
         for name, one, place in zip(names, read, places, strict=True)
     ]
     return pictures, read[0]

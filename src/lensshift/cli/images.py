@@ -80,6 +80,7 @@ class Measured:
     valid : mask like `values`, or None
     scale : LR pixels are that many pixels wide
     offset_px : [frame 2] or None
+    jpeg_steps : [8 8] of a JPEG, as of `measure_edges`, or None
     """
 
     values: NDArray[Any]
@@ -88,6 +89,7 @@ class Measured:
     valid: NDArray[Any] | None = None
     scale: int = 1
     offset_px: NDArray[Any] | None = None
+    jpeg_steps: NDArray[Any] | None = None
 
     @property
     def length(self) -> str:
@@ -163,7 +165,12 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     """Read one image; of a photograph one channel, as linear light."""
     from lensshift.evaluation.levels import bayer_frames, linear_light, one_channel
     from lensshift.io.image_file import JPEG_SUFFIXES
-    from lensshift.io.photograph import PHOTOGRAPH_SUFFIXES, load_oecf, load_photograph
+    from lensshift.io.photograph import (
+        PHOTOGRAPH_SUFFIXES,
+        load_jpeg_steps,
+        load_oecf,
+        load_photograph,
+    )
 
     path, pitch_mm, suffix = asked.image, asked.pitch_mm, asked.image.suffix.lower()
     if suffix not in PHOTOGRAPH_SUFFIXES and options == PhotoOptions():
@@ -186,7 +193,11 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
         )
     light, channel = linear_light(read.values, curve), options.channel
     if options.bayer is None:
-        return replace(read, values=one_channel(light, channel))
+        steps = load_jpeg_steps(path)
+        if steps is not None:  # in levels of the light
+            levels = read.values
+            steps *= (light.max() - light.min()) / max(int(levels.max()) - int(levels.min()), 1)
+        return replace(read, values=one_channel(light, channel), jpeg_steps=steps)
     values, offset_px = bayer_frames(one_channel(light), options.bayer, channel or "green")
     pitch = (2.0 * read.pitch_mm[0], 2.0 * read.pitch_mm[1])
     if len(values) == 1:

@@ -104,7 +104,7 @@ def edges_of(
     """Measure the edges of an image, or of a region of it."""
     from lensshift.evaluation.slanted_edge import measure_edges
 
-    options |= picked(measured, "offset_px valid scale")
+    options |= picked(measured, "offset_px valid scale jpeg_steps")
     return measure_edges(measured.values, measured.pitch_mm, region=region, **options)
 
 

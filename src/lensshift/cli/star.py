@@ -36,6 +36,7 @@ class StarOptions:
     profile: Profile = option("sine", "How the star was printed.")
     levels: LevelsOption = None
     sectors: int = option(0, "Directions measured apart.", min=0)
+    photo: images.PhotoOptions = field(default_factory=images.PhotoOptions)
     focal_length_mm: images.FocalOption = None
     to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
@@ -82,6 +83,7 @@ class ZoneOptions:
     chirp: float = option(MISSING, "Growth of the frequency with the radius, in LP/mm per mm.")
     center_px: CenterOption = None
     levels: LevelsOption = None
+    photo: images.PhotoOptions = field(default_factory=images.PhotoOptions)
     focal_length_mm: images.FocalOption = None
     to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
@@ -171,6 +173,7 @@ class ResolutionOptions:
     )
     profile: Profile | None = option(None, "How it was printed: stars as sine, bars as square.")
     levels: LevelsOption = None
+    photo: images.PhotoOptions = field(default_factory=images.PhotoOptions)
     region: str | None = option(None, "Of the edge, in pixels: row start,stop,col start,stop.")
     csv: outputs.CsvOption = None
 
@@ -200,12 +203,12 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
     outputs.check([asked.of.image, asked.edge], asked.csv)
     shown = asked.edge or asked.of.image
     of_image, of_edge = images.keys_of(asked.of.key, asked.of.image, shown)
-    seen = images.measured_of(replace(asked.of, key=of_image))
+    seen = _one_image(replace(asked.of, key=of_image), asked.photo)
     unit = images.frequency_unit(seen, None)
     # The pattern first: what does not fit of it is told before edges take their time.
     pattern = _pattern(current, asked, seen)
     edge = replace(asked.of, image=shown, key=of_edge)
-    beside = seen if asked.edge is None else images.measured_of(edge)
+    beside = seen if asked.edge is None else images.measured_photograph(edge, asked.photo)
     edges = edges_of(beside, place)
     average = average_curves(edges)
     found = edge_and_pattern(average, pattern)
@@ -292,8 +295,18 @@ def _say_contrast(current: Session, found: Any) -> None:
 
 def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[images.Measured, images.Unit]:
     outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
-    measured = images.measured_of(asked.of)
+    measured = _one_image(asked.of, asked.photo)
     return measured, images.frequency_unit(measured, asked.focal_length_mm)
+
+
+def _one_image(asked: images.ImageOptions, photo: images.PhotoOptions) -> images.Measured:
+    """Read an image with a pattern; of a photograph one channel."""
+    measured = images.measured_photograph(asked, photo)
+    if measured.values.ndim > 2:
+        raise typer.BadParameter(
+            "the green pixels of a mosaic are two images of a pattern; take --channel red or blue"
+        )
+    return measured
 
 
 def _pair(text: str | None, expected: str) -> tuple[float, float] | None:

@@ -34,12 +34,14 @@ class Photograph:
     image : [row col], or [frame row col] with `offset_px`, of linear light
     focus : position of the focus, in any unit
     offset_px : [frame 2] of frames, as of the green pixels of a mosaic
+    jpeg_steps : [8 8] of a JPEG, as of `measure_edges`
     """
 
     name: str
     image: NDArray[Any]
     focus: float = 0.0
     offset_px: ArrayLike | None = None
+    jpeg_steps: ArrayLike | None = None
 
     @property
     def first(self) -> NDArray[Any]:
@@ -169,7 +171,9 @@ def _measured(
     context: BaseContext,
 ) -> Iterator[Iterator[tuple[int, EdgeResult | str]]]:
     """Yield the results in the order of the tasks."""
-    given = [(one.image, one.offset_px) for one in pictures]
+    given = [
+        (one.image, {"offset_px": one.offset_px, "jpeg_steps": one.jpeg_steps}) for one in pictures
+    ]
     if workers <= 1:
         yield (_one(given, pitch_mm, options, task) for task in tasks)
         return
@@ -197,18 +201,16 @@ def _task(task: tuple[int, Region]) -> tuple[int, EdgeResult | str]:
 
 
 def _one(
-    given: Sequence[tuple[NDArray[Any], ArrayLike | None]],
+    given: Sequence[tuple[NDArray[Any], dict[str, Any]]],
     pitch_mm: Pitch,
     options: dict[str, Any],
     task: tuple[int, Region],
 ) -> tuple[int, EdgeResult | str]:
     number, place = task
-    image, offset_px = given[number]
+    image, own = given[number]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)  # the notes say it
         try:
-            return number, measure_edge(
-                image, pitch_mm, region=place, offset_px=offset_px, **options
-            )
+            return number, measure_edge(image, pitch_mm, region=place, **own, **options)
         except ValueError as error:
             return number, str(error)

@@ -17,6 +17,8 @@ _MIN_SIDE_PX = 8
 # With fewer samples the correlation of pure noise scatters by more than the fixed threshold.
 _MIN_SAMPLES = 1 / FIXED_THRESHOLD**2
 _SURE = 3.0  # deviations of the correlation of noise
+_MATCH = 6.0  # deviations of the correlation at all places; of noise, none of 1e6 exceeds 5.2
+_BETTER = 0.05  # of it: where a broad match lies is not told to a pixel
 _SAME = 1.0 - 1e-9  # rounding alone
 
 
@@ -87,8 +89,8 @@ def fourier_ring_correlation(
     Warns
     -----
     QualityWarning
-        If the median ring has too few samples to tell 1/7 from noise, or the first ring does not
-        agree although finer ones do.
+        If the median ring has too few samples to tell 1/7 from noise, the first ring does not agree
+        although finer ones do, or the images lie a pixel or more apart.
 
     Source: van Heel and Schatz, J. Struct. Biol. 151 (2005) 250; Banterle et al., J. Struct. Biol.
     183 (2013) 363.
@@ -118,6 +120,7 @@ def fourier_ring_correlation(
             "expected two images with noise of their own, got one image twice (or its multiple), "
             "which correlates with its own noise; take two captures, or frames apart"
         )
+    _warn_if_apart(spectra[0] * np.conj(spectra[1]), weight)
     samples = count**2 / ring_sums(_neighbours(ring, weight))
     _warn_if_few(samples)
     root = np.sqrt(samples)
@@ -132,6 +135,24 @@ def fourier_ring_correlation(
         cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - half_bit),
         fixed_cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - FIXED_THRESHOLD),
     )
+
+
+def _warn_if_apart(cross: NDArray[np.complex128], weight: Floats) -> None:
+    """Warn if the images match better elsewhere, and match at all."""
+    match = np.fft.ifft2(cross).real
+    # Windowed noise matches by chance where the windows lie on one another.
+    chance = np.fft.ifft2(np.abs(np.fft.fft2(weight**2)) ** 2).real
+    match /= np.sqrt(np.maximum(chance, 0.05 * chance[0, 0]))
+    place = np.unravel_index(int(np.argmax(match)), match.shape)
+    best = float(match[place])
+    if best > _MATCH * float(np.std(match)) and best - match[0, 0] > _BETTER * best:
+        row, col = (int((k + n // 2) % n - n // 2) for k, n in zip(place, match.shape, strict=True))
+        warnings.warn(
+            f"the images lie {-row} rows and {-col} columns apart, which counts as disagreement: "
+            "shift one of them back",
+            QualityWarning,
+            stacklevel=3,
+        )
 
 
 def _hann(count: int) -> Floats:

@@ -18,6 +18,9 @@ from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
 
 _FEWEST_CYCLES = 5  # below, the wave is one of the terms of uneven light or next to it
+# Harmonics beyond the Nyquist frequency alias, in each direction elsewhere: they are told apart as
+# far as the sampling frequency, but for short arcs.
+_BEYOND_NYQUIST = (2.0, 1.0)
 _MIN_RINGS = 3
 _RIM_PX = 2.0
 _SURE = 3.0  # deviations
@@ -74,10 +77,11 @@ def siemens_star_mtf(
         f(r) = n / (2 pi r),   MTF = sqrt(a^2 + b^2) / c0 / contrast
 
     in rings one pixel wide; c1 .. c4 take up uneven light. The odd harmonics of a square star are
-    fitted too, up to the Nyquist frequency. `contrast` is the modulation at frequency 0: from
-    `levels` (high - low) / (high + low), times 4 / pi for a square star; else extrapolated from
-    the outer half of the radii by log m = log contrast - q f^2, exact for a Gaussian blur. Its
-    error says how far another fall, as by diffraction, that fits as well would be off.
+    fitted too, up to the sampling frequency if they are told apart. `contrast` is the modulation
+    at frequency 0: from `levels` (high - low) / (high + low), times 4 / pi for a square star; else
+    extrapolated from the outer half of the radii by log m = log contrast - q f^2, exact for a
+    Gaussian blur. Its error says how far another fall, as by diffraction, that fits as well would
+    be off.
 
     Parameters
     ----------
@@ -111,13 +115,9 @@ def siemens_star_mtf(
     star = _Star(cycles, profile)
     pixels = known_phase.list_pixels(image, pitch_mm, valid)
     center, radii_mm = _place(star, pixels, center_px, radius_range_mm)
-    if radii_mm[0] >= radii_mm[1]:
-        raise ValueError(
-            f"expected an image that reaches {radii_mm[0]:.4g} mm from the centre, where {cycles} "
-            f"cycles have 2 pixels each, got {radii_mm[1]:.4g} mm"
-        )
     row_mm, col_mm = pixels.place_mm(center)
     radius_mm, angle_rad = np.hypot(row_mm, col_mm), np.arctan2(row_mm, col_mm)
+    _check_reach(pixels, cycles, radii_mm, float(radius_mm.max()))
     waves, rings_mm, fits = _printed(
         star, pixels, star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm), radius_mm, radii_mm,
         cut=radius_range_mm is None,
@@ -194,11 +194,15 @@ class _Star:
         radii_mm, fits = [], []
         for index in known_phase.ring_indices(waves.ring):
             mean_mm = radius_mm[index].mean()
-            orders = known_phase.printed_orders(
-                self.profile, float(self.pixels_per_cycle(mean_mm, pixels.pitch_mm))
-            )
-            phases = [k * waves.phase_rad[index] for k in orders]
-            fit = known_phase.fit_harmonic(pixels.values[index], waves.background[index], phases)
+            per_cycle = float(self.pixels_per_cycle(mean_mm, pixels.pitch_mm))
+            for beyond in _BEYOND_NYQUIST:
+                orders = known_phase.printed_orders(self.profile, beyond * per_cycle)
+                phases = [k * waves.phase_rad[index] for k in orders]
+                fit = known_phase.fit_harmonic(
+                    pixels.values[index], waves.background[index], phases
+                )
+                if fit is not None:
+                    break
             if fit is not None:
                 radii_mm.append(mean_mm)
                 fits.append(fit)
@@ -212,6 +216,8 @@ def _place(
     radius_range_mm: tuple[float, float] | None,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the centre and the range of radii, found where they are not given."""
+    if np.ptp(pixels.values) == 0.0:  # it has no centre either
+        raise ValueError(f"expected contrast, got {pixels.values[0]:.6g} in all pixels")
     center = center_px or _find_center_px(star, pixels, radius_range_mm)
     radii_mm = radius_range_mm or _default_range_mm(pixels, center, star.cycles)
     if radius_range_mm is None and radii_mm[0] < radii_mm[1]:
@@ -221,6 +227,22 @@ def _place(
             # What surrounds the star has told of its place as well.
             center = center_px or _find_center_px(star, pixels, radii_mm)
     return center, radii_mm
+
+
+def _check_reach(
+    pixels: Pixels, cycles: int, radii_mm: tuple[float, float], farthest_mm: float
+) -> None:
+    if radii_mm[0] >= radii_mm[1]:
+        raise ValueError(
+            f"expected an image that reaches {radii_mm[0] / max(pixels.pitch_mm):.4g} px from the "
+            f"centre of the star, where {cycles} cycles have 2 pixels each, got "
+            f"{radii_mm[1] / max(pixels.pitch_mm):.4g} px"
+        )
+    if radii_mm[1] > farthest_mm + max(pixels.pitch_mm):
+        raise ValueError(
+            f"expected radii within the image, which ends {farthest_mm:.4g} mm from the centre "
+            f"of the star, got {radii_mm[1]:.4g} mm"
+        )
 
 
 def _find_center_px(

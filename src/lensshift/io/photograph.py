@@ -52,6 +52,22 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
         return np.asarray(frames[frame])
 
 
+def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
+    """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or damaged.
+    """
+    require_file(path)
+    if Path(path).suffix.lower() not in JPEG_SUFFIXES:
+        return None
+    with reading(path), opened_by_pillow(path, "JPEG") as image:
+        table = image.quantization.get(0)
+        return None if table is None else np.array(table, dtype=np.float64).reshape(8, 8)
+
+
 def load_oecf(path: str | Path) -> NDArray[np.float64]:
     """Read an opto-electronic conversion function [n 2] from a CSV file: level, light.
 

@@ -26,7 +26,8 @@ _LARGEST_TURN_DEG = 15.0  # from the middle of an edge to its ends; distortion t
 _LEAST_LINES = 8
 _LARGEST_RISE = 0.5  # of the extent of the region across the edge
 _FEWEST_LEVELS = 4
-_ENDS_OF_RANGE = (0.0, 255.0, 1023.0, 4095.0, 16383.0, 65535.0)  # of 8 to 16 bits
+_MOST_UNSEEN = 0.1  # of the contrast: by how much a level may lie beyond all pixels
+_FEWEST_BITS = 8
 _NO_NOISE = 1e-9  # of the contrast
 
 
@@ -112,6 +113,13 @@ def _shape(values: Vector, result: EdgeResult) -> list[str]:
             f"the edge is {rise_px:.0f} px wide (10 to 90 %) in a region of {wide}: no plateau is "
             "seen; choose a wider region"
         )
+    low, high = float(np.min(values)), float(np.max(values))
+    unseen = max(low - result.dark, result.bright - high)
+    if unseen > _MOST_UNSEEN * (result.bright - result.dark):
+        found.append(
+            f"the levels of the edge, {result.dark:.3g} and {result.bright:.3g}, lie beyond all "
+            f"pixels ({low:.3g} to {high:.3g}): no plateau is seen; choose a wider region"
+        )
     return found
 
 
@@ -146,13 +154,19 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
             continue
         outer, step = levels[end], abs(levels[end + inwards] - levels[end])
         coarse = result.noise * (result.bright - result.dark) < step
-        if coarse and outer not in _ENDS_OF_RANGE:
+        if coarse and not _ends_a_range(float(outer)):
             continue
         share, more = counts[end] / side.size, int(counts[end]) - int(counts[end + inwards])
         surely = more > _SURELY * np.sqrt(counts[end] + counts[end + inwards])
         if surely or (share > _CLIPPED_SHARE and more > 0):
             found.append(f"{100 * share:.0f} % of the {name} pixels are clipped at {outer:g}")
     return found
+
+
+def _ends_a_range(level: float) -> bool:
+    """Tell whether a level is 0, 1 or the largest number of 8 bits or more."""
+    share, bits = math.frexp(level + 1.0)
+    return level in (0.0, 1.0) or (share == 0.5 and bits > _FEWEST_BITS)
 
 
 def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,12 +89,13 @@ def fit_edge(
     # The optimum follows the tail's law beyond the region, half of the draws only in part.
     drawn = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
     missing = np.append(0.0, np.maximum(drawn, 0.0))
-    transform, esf, lsf = curves.of(parameters, levels[gathered.response], coefficients, missing)
+    told = curves.of(parameters, levels[gathered.response], coefficients, missing)
+    transform, esf, lsf = (_widened(one, posterior.widening) for one in told)
     factors = levels[:, 0], coefficients[:, 0]
     return EdgeFit(
         edge=edge,
         noise=noise,
-        geometry=_moved(likelihood, parameters, levels),
+        geometry=_widened(_moved(likelihood, parameters, levels), posterior.widening),
         dark=float(levels[0, 0]),
         contrast=float(
             levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
@@ -207,6 +209,13 @@ def _whole_draws(
     optimum = posterior.best, best.levels, best.coefficients
     whole = [np.column_stack(both) for both in zip(optimum, draws, strict=True)]
     return whole[0], whole[1], whole[2]
+
+
+def _widened(table: NDArray[Any], factor: float) -> NDArray[Any]:
+    """Return a table [n k] whose draws, all columns but the first, lie farther from their mean."""
+    draws = table[:, 1:]
+    middle = draws.mean(axis=1, keepdims=True)
+    return np.column_stack([table[:, 0], middle + factor * (draws - middle)])
 
 
 def _beyond(frequency_cpp: Vector, end_px: float) -> Vector:

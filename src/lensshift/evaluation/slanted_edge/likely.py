@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.bending import rms_bend_px
 from lensshift.evaluation.slanted_edge.checks import displacement_px, doubted, largest_phase_gap_px
+from lensshift.evaluation.slanted_edge.compression import lost_std, with_losses
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
 from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, UprightEdge
@@ -36,6 +37,7 @@ class LikelySettings:
     most_bends: int = 4
     tilt: bool | None = None
     noise_covariance: Matrix | None = None
+    jpeg_steps: Matrix | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -73,12 +75,28 @@ def measure_likely(
         seed=settings.seed,
         noise_covariance=settings.noise_covariance,
     )
+    if settings.jpeg_steps is not None:
+        fit = _with_losses(fit, np.concatenate(blocks), settings)
     result = _result(fit, region, frames, blocks, frequency_lpmm, pitch_mm)
     lines = _lines(edge)
     gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
     count = np.unique(np.round(lines, 6)).size
     apart_px = _moves_px(fit, fit.edge.pixels.places[:, 0])
     return doubted(result, count, gap_px, fit.edge.pixels.values, out, apart_px)
+
+
+def _with_losses(fit: EdgeFit, frequency_cpp: Vector, settings: LikelySettings) -> EdgeFit:
+    """Return the fit with what a JPEG may have cut off among its draws."""
+    line, contrast = fit.edge.line, fit.contrast
+    across, along = np.cos(fit.geometry[0, 0]), np.sin(fit.geometry[0, 0])
+    std = lost_std(
+        frequency_cpp,
+        np.abs(fit.transform[:, 0]),
+        np.asarray(settings.jpeg_steps) / ((line.high - line.low) * contrast),
+        np.array([along, across] if fit.edge.vertical else [across, along]),
+        fit.noise.dark_sigma / contrast,
+    )
+    return replace(fit, transform=with_losses(fit.transform, frequency_cpp, std, settings.seed))
 
 
 def _result(

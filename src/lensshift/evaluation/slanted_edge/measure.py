@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.checks import warn_of
+from lensshift.evaluation.slanted_edge.compression import steps_of
 from lensshift.evaluation.slanted_edge.likely import LikelySettings, measure_likely
 from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, take_frames
 from lensshift.evaluation.slanted_edge.regions import find_regions
@@ -20,7 +21,7 @@ from lensshift.evaluation.slanted_edge.result import EdgeResult, Region, average
 Method = Literal["ml", "sfrmat3", "sfrmat5"]
 METHODS: tuple[Method, ...] = ("ml", "sfrmat3", "sfrmat5")
 _OPTIONS: dict[Method, tuple[str, ...]] = {
-    "ml": tuple(field.name for field in fields(LikelySettings)),
+    "ml": tuple(one.name for one in fields(LikelySettings) if one.name != "jpeg_steps"),
     "sfrmat3": (),
     "sfrmat5": ("order", "window"),
 }
@@ -47,6 +48,7 @@ class EdgeOptions(MethodOptions, total=False):
     valid: ArrayLike | None
     scale: int
     frequency_lpmm: ArrayLike | None
+    jpeg_steps: ArrayLike | None
 
 
 def slanted_edge_mtf(
@@ -95,6 +97,7 @@ def measure_edges(
     valid: ArrayLike | None = None,
     scale: int = 1,
     frequency_lpmm: ArrayLike | None = None,
+    jpeg_steps: ArrayLike | None = None,
     **options: Unpack[MethodOptions],
 ) -> list[EdgeResult]:
     """Measure every slanted edge of an image, usable ones first, of these the longest.
@@ -116,6 +119,8 @@ def measure_edges(
     scale : of a super-resolved image: its LR pixels are that many pixels wide
     frequency_lpmm : [f] where the curve is wanted; 0 to 1 cycles per pixel in steps of 0.01
         if None
+    jpeg_steps : [8 8] quantisation table (row, col) of the JPEG that the image comes from, in
+        levels of the image: what it cut off counts in the intervals, of which ml alone has some
     aperture_px : of ml: side of the largest pixel that the base of the LSF allows, in pixels of
         the image; `scale` by default. A smaller one is found if the image says so.
     most_bends : of ml: most bending terms of the edge, 4 by default; 0 keeps it straight
@@ -139,7 +144,8 @@ def measure_edges(
         known = ", ".join(_OPTIONS[method]) or "none"
         raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
     given: dict[str, Any] = dict(options)
-    likely = _likely(given, scale) if method == "ml" else None
+    steps = None if jpeg_steps is None else steps_of(jpeg_steps)
+    likely = _likely(given | {"jpeg_steps": steps}, scale) if method == "ml" else None
     frames = take_frames(image, pitch_mm, offset_px=offset_px, valid=valid, scale=scale)
     places = [_given(region, frames)] if region is not None else find_regions(frames.first)
     wanted = None if frequency_lpmm is None else np.asarray(frequency_lpmm, dtype=np.float64)

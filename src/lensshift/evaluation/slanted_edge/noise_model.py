@@ -339,7 +339,9 @@ def with_edge(
     if fdtrc(near, far, most / level) > _SIGNIFICANT:
         return noise
     sums, counts = _by_distance(residual / relative, normal_px)
-    level = float(sums[_NEAR_STEPS]) / counts[_NEAR_STEPS]
+    far_level = float(sums[_NEAR_STEPS]) / counts[_NEAR_STEPS]
+    # Where compression left nothing at all far out, the plateaus' own level counts.
+    level = max(far_level, noise.dark_sigma**2)
     each = (sums / np.maximum(counts, 1) - _FREE_ERROR**2)[:_NEAR_STEPS] / level
     if np.max(each) <= 1.0:  # the pixels scatter less there: neighbours merely foretell less
         return noise
@@ -349,5 +351,5 @@ def with_edge(
     close = np.abs(normal_px) < _NEAR_PX
     order, prediction, left = _best_prediction(scaled, places, np.flatnonzero(close))
     beyond = _best_prediction(scaled, places, np.flatnonzero(~close))[2]
-    innovation = left / max(beyond, np.finfo(float).tiny)
+    innovation = left / max(beyond * level / far_level, np.finfo(float).tiny)
     return replace(noise, near=NearNoise(louder.variance, order, prediction, innovation))

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import gammaincinv, ndtri
+from scipy.special import gammaincinv, ndtri, stdtrit
 from scipy.stats import qmc
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
@@ -31,6 +31,7 @@ _ENOUGH = 20.0  # effective draws, where more generations end
 _DRAWS_EACH = 32  # a power of two
 _MOST_STEPS = 80
 _SETTLED = 0.05  # of the log posterior
+_UPPER = 0.975  # end of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,16 @@ class Posterior:
     def effective_size(self) -> float:
         """Number of equally weighted draws that are worth as much."""
         return float(1.0 / np.sum(self.weights**2))
+
+    @property
+    def widening(self) -> float:
+        """What few draws ask of an interval: Student's factor over that of a normal distribution.
+
+        t(0.975, n - 1) sqrt(1 + 1 / n) / 1.96,   n the effective size
+        """
+        count = max(self.effective_size, 3.0)
+        told = float(stdtrit(count - 1.0, _UPPER) / ndtri(_UPPER))
+        return told * float(np.sqrt(1.0 + 1.0 / count))
 
 
 def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Posterior:

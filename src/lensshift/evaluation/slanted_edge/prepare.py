@@ -181,15 +181,15 @@ def learn_noise(
         order = int(noise_model.plateau_tilt_matters(rest, places, sides, along[:, :1], step_sigma))
     if covariance is not None:
         return noise_model.noise_of_covariance(covariance, edge.line.high - edge.line.low), order
-    left = (even if order else rest) / np.sqrt(1.0 - _share_taken(response, sides))
+    scatter = np.sqrt(1.0 - _share_taken(response, sides))
+    left = (even if order else rest) / scatter
     noise = noise_model.estimate_noise(left, places, sides)
     terms = both if order else moves
     taken = terms @ noise_model.few_factors(terms, rest)
     if order:  # the free ESF took some of the light, which shows where it is steep
         free = response.of(edge.scaled - taken)[0]
-    return noise_model.with_edge(
-        noise, edge.scaled - taken - free, free, edge.normal_px, places
-    ), order
+    near = (edge.scaled - taken - free) / scatter
+    return noise_model.with_edge(noise, near, free, edge.normal_px, places), order
 
 
 def slopes_across(edge: UprightEdge) -> bool:

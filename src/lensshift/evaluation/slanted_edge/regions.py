@@ -50,6 +50,7 @@ def find_regions(image: Image) -> list[Region]:
     ValueError
         If no edge is found.
     """
+    image = np.asarray(image, np.float64)  # integers have no differences below 0
     rows, cols = image.shape
     whole = Region(0, rows, 0, cols)
     valid = np.isfinite(image)
