@@ -56,6 +56,12 @@ def test_a_faint_edge_is_found_beside_a_strong_frame() -> None:
     assert region.col_stop > 100
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_integers_are_numbers(kind: type) -> None:
+    image = np.round(seen(np.where(slanted((140, 200), 0.1, 90.0) > 0, 120.0, 80.0)))
+    assert find_regions(image.astype(kind)) == find_regions(image)
+
+
 @pytest.mark.parametrize("value", [-40.0, 2000.0])
 def test_hot_and_dead_pixels_do_not_hide_an_edge(value: float) -> None:
     image = np.where(slanted((140, 200), 0.1, 90.0) > 0, 120.0, 80.0)
