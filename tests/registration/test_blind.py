@@ -58,7 +58,7 @@ def test_a_scene_of_cards_is_known(seed: int) -> None:
     ("plan_px", "seed"),
     [
         (named_pattern_px("3x3"), 7),
-        (SIXTHS_PX, 7),
+        pytest.param(SIXTHS_PX, 7, marks=pytest.mark.slow),
         pytest.param(SIXTHS_PX, 21, marks=pytest.mark.slow),
     ],
 )
