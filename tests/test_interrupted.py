@@ -16,7 +16,7 @@ from lensshift.capture.drivers.receiver import Receiver
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.rig import CameraFrame
 from lensshift.cli.session import Progress, Waiting
-from lensshift.core.threads import on_threads
+from lensshift.core.threads import in_order, on_threads
 from lensshift.core.types import Frame
 from lensshift.live.sources import Source
 from lensshift.live.worker import Live
@@ -91,6 +91,8 @@ def test_tasks_are_done_after_others_were_cut_short() -> None:
     for _ in range(3 * TIMES):
         cut_short(lambda: on_threads(tasks), rng.uniform(1e-4, 3e-4))
         assert ends(lambda: on_threads(tasks))
+        cut_short(lambda: list(in_order(str, range(9), 2)), rng.uniform(1e-4, 3e-4))
+        assert ends(lambda: list(in_order(str, range(9), 2)))
 
 
 def test_the_line_of_an_iteration_that_was_cut_short_ends() -> None:

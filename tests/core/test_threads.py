@@ -2,12 +2,13 @@
 
 import os
 import threading
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensshift.core.threads import bands, core_count, on_threads
+from lensshift.core.threads import bands, core_count, in_order, on_threads
 
 
 @given(st.integers(1, 50), st.integers(1, 9))
@@ -33,6 +34,29 @@ def test_tasks_run_at_the_same_time_and_errors_come_back() -> None:
     with pytest.raises(ZeroDivisionError, match="one task"):
         on_threads([fail, lambda: done.append(1)])
     assert done == [1]
+
+
+def test_what_is_made_comes_in_order_and_no_more_is_made_than_asked() -> None:
+    begun: list[int] = []
+
+    def square(number: int) -> int:
+        begun.append(number)
+        time.sleep(0.002 * (number % 3))  # later ones are done earlier
+        if number == 7:
+            raise ZeroDivisionError("the seventh")
+        return number**2
+
+    found = in_order(square, range(100), 2)
+    assert [next(found) for _ in range(7)] == [n**2 for n in range(7)]
+    with pytest.raises(ZeroDivisionError, match="the seventh"):
+        next(found)
+    assert max(begun) <= 10
+    count = len(begun)
+    ahead = in_order(square, iter([1, 2, 3, 4, 5, 6]), 2)
+    assert next(ahead) == 1
+    ahead.close()  # what was begun is done: nothing goes on behind
+    assert len(begun) <= count + 4
+    assert list(in_order(square, [], 3)) == []
 
 
 def test_as_many_cores_as_there_are_or_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +15,13 @@ from lensshift.camera.multipath import IndirectLight
 from lensshift.camera.settings import TofCamera
 from lensshift.camera.view import SpotBlur, View
 from lensshift.core.arrays import Array
+from lensshift.core.threads import core_count, in_order
 from lensshift.scene import Scene
 
 _CELLS_AT_ONCE = 250_000  # some 100 MB with what is made of them, on each core
 _MOST_CORES = 4  # for the memory
 _REACH_SIGMAS = 6.0  # of a Gaussian, which has 2e-9 beyond
 _LEAST_WEIGHT = 1e-9  # of a cell in a pixel
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +108,9 @@ def see(
     ]
     sides = {one.side_px * samples for one in footprints if isinstance(one.blur, SpotBlur)}
     tiles = list(_tiles(shape, samples, margin))
-    cast = _ahead(partial(_cast, world, tones.channels, sides), tiles)
+    # In order: in another sums would round differently, and with them what a seed leads to.
+    cores = min(core_count(), _MOST_CORES)
+    cast = in_order(partial(_cast, world, tones.channels, sides), tiles, cores)
     for number, (tile, (cells, sums)) in enumerate(zip(tiles, cast, strict=True), start=1):
         for one, image in zip(footprints, images, strict=True):
             where = (tile.pixels(one, 0, shape[0]), tile.pixels(one, 1, shape[1]))
@@ -141,27 +140,6 @@ def _share(count: int, most: int) -> int:
     """Return the size of equal parts of at most `most`, at least 1."""
     parts = -(-count // most)
     return -(-count // parts)
-
-
-def _ahead(work: Callable[[_Tile], T], tiles: Sequence[_Tile]) -> Iterator[T]:
-    """Work on tiles on all cores, and yield what comes of each in their order.
-
-    In another order sums would round differently, and with them what a seed leads to.
-    """
-    from numba import get_num_threads
-
-    cores = min(get_num_threads(), _MOST_CORES)
-    coming: deque[Future[T]] = deque()
-    with ThreadPoolExecutor(cores) as threads:
-        try:
-            for tile in tiles:
-                coming.append(threads.submit(work, tile))
-                if len(coming) > cores:
-                    yield coming.popleft().result()
-            while coming:
-                yield coming.popleft().result()
-        finally:
-            threads.shutdown(cancel_futures=True)
 
 
 def _cast(

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from queue import SimpleQueue
+from typing import TypeVar
 
 Task = Callable[[], None]
+Item = TypeVar("Item")
+Made = TypeVar("Made")
 
 
 def core_count() -> int:
@@ -47,6 +51,38 @@ def on_threads(tasks: Sequence[Task]) -> None:
             raise error
 
 
+def in_order(work: Callable[[Item], Made], items: Iterable[Item], count: int) -> Iterator[Made]:
+    """Yield what work makes of each item, in their order, `count` of which are in work at once.
+
+    None of them may wait for `on_threads`, which has the same threads.
+    """
+    coming: deque[tuple[list[Made], SimpleQueue[BaseException | None]]] = deque()
+    try:
+        for item in items:
+            made, told = list[Made](), SimpleQueue[BaseException | None]()
+            task = partial(_put, made, work, item)
+            _workers(os.getpid()).take([(task, told)], at_once=count)
+            coming.append((made, told))  # after a Ctrl-C before, nobody waits for it
+            if len(coming) > count:
+                yield _made(*coming.popleft())
+        while coming:
+            yield _made(*coming.popleft())
+    finally:  # nothing goes on behind an error, or a consumer that had enough
+        for _, told in coming:
+            told.get()
+
+
+def _put(made: list[Made], work: Callable[[Item], Made], item: Item) -> None:
+    made.append(work(item))
+
+
+def _made(made: list[Made], told: SimpleQueue[BaseException | None]) -> Made:
+    error = told.get()
+    if error is not None:
+        raise error
+    return made[0]
+
+
 class _Workers:
     """Threads that wait for tasks, as many as have been wanted at once and there are cores.
 
@@ -58,9 +94,11 @@ class _Workers:
         self._tasks: SimpleQueue[tuple[Task, SimpleQueue[BaseException | None]]] = SimpleQueue()
         self._count = 0
 
-    def take(self, tasks: Sequence[tuple[Task, SimpleQueue[BaseException | None]]]) -> None:
+    def take(
+        self, tasks: Sequence[tuple[Task, SimpleQueue[BaseException | None]]], at_once: int = 0
+    ) -> None:
         """Do tasks, and tell each of their queues what was raised, or None."""
-        while self._count < min(len(tasks), os.cpu_count() or 1):
+        while self._count < min(max(len(tasks), at_once), os.cpu_count() or 1):
             threading.Thread(target=self._work, name="lensshift", daemon=True).start()
             self._count += 1
         for one in tasks:

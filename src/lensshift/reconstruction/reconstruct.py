@@ -85,8 +85,8 @@ def reconstruct(
         1/scale of the pitch see behind the same lens, and takes the square pixel for all that is
         wider; other methods undo the lens as well. With `fill_factor`: width of the optical spot
         alone, 0 if not given
-    prior_weight : a number (for frames in 0 .. 1), None to choose it from the noise, or
-        "cross-validation"
+    prior_weight : a number (for frames of brightness 1, of the toolbox in 0 .. 1), None to choose
+        it from the noise, or "cross-validation"
     frames : numbers of the frames to use, by default all; the others can be predicted
     fill_factor : light-sensitive share of the pixel width in (0, 1]: exact square aperture
     noise_sigma : noise of one LR pixel in units of the channel (phasor: of the amplitude, for

@@ -103,11 +103,11 @@ def register(
     """
     expect_burst(burst)
     _check(burst, method, motion, reference, use_given)
-    everything, kept = burst, _seen(burst, frames_of(burst, channel))
-    if len(kept) < burst.frame_count:
-        burst = burst.select(kept.tolist())
-        reference = int(np.searchsorted(kept, reference)) % len(kept)
     frames = frames_of(burst, channel)
+    everything, kept = burst, _seen(burst, frames)
+    if len(kept) < burst.frame_count:
+        burst, frames = burst.select(kept.tolist()), frames[kept]
+        reference = int(np.searchsorted(kept, reference)) % len(kept)
     valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
     stuck = None if np.iscomplexobj(frames) else stuck_pixels(frames, valid)
     valid = valid if stuck is None else valid & ~stuck
