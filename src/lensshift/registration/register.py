@@ -161,7 +161,8 @@ def _seen(burst: Burst, frames: Array) -> NDArray[np.intp]:
                       for f, v in zip(frames, valid, strict=True)])  # fmt: skip
     kept = np.flatnonzero(~few & ~blank)
     if len(kept) < 2:
-        raise ValueError(f"expected valid pixels that differ in at least 2 frames, got {len(kept)}")
+        said = f"expected valid pixels that differ in at least 2 frames, got {len(kept)}"
+        raise ValueError(f"{said}; give the shifts")
     done = "left out" if burst.offset_source == "unknown" else "taken as given"
     for lost, why in (
         (few, "less than half as many pixels as in others are valid"),
