@@ -13,7 +13,7 @@ from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField
-from lensshift.reconstruction import shift_check
+from lensshift.reconstruction import glance, shift_check
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.shift_check import CURES, _readings, _Trial, doubtful_shifts
 from lensshift.scene import slanted_edge_card
@@ -212,9 +212,10 @@ def test_another_unit_is_named_even_if_the_frames_tell_no_shifts(
     monkeypatch: pytest.MonkeyPatch, scene: Callable[..., Array], times: float
 ) -> None:
     rng = np.random.default_rng(1)
-    monkeypatch.setattr(
-        shift_check, "found_shifts", lambda _, given: given + rng.uniform(-1.5, 1.5, given.shape)
-    )
+    for place in (glance, shift_check):
+        monkeypatch.setattr(
+            place, "found_shifts", lambda _, given: given + rng.uniform(-1.5, 1.5, given.shape)
+        )
     doubt = doubtful_shifts(_frames(scene, SQUARE_PX, SIGMA), times * SQUARE_PX)
     assert doubt is not None
     assert doubt.mistake.startswith("their unit")

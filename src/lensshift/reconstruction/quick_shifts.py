@@ -58,6 +58,20 @@ def found_shifts(smooth: Array, given_px: Shifts) -> Shifts:
     return np.asarray(given_px + (offset_px - given_px) @ told)
 
 
+def found_variance_px2(smooth: Array, offset_px: Shifts) -> float:
+    """Return the variance of `found_shifts` (both axes) by which the frames leave each other.
+
+    Noise, and aliases, which are as good as noise to what takes them for the scene.
+    """
+    moved = _moved(smooth, offset_px)
+    common = moved.mean(axis=0)
+    slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
+    size = np.linalg.eigvalsh(slope.T @ slope)
+    left = np.sum((common - moved)[INNER] ** 2) / (len(smooth) - 1)
+    alike_px = 4 * np.pi * LOW_PASS_PX**2  # pixels that go together behind the low pass
+    return float(left / len(slope) * alike_px * np.sum(1 / size[size > LEAST_TOLD * size[1]]))
+
+
 def found_turns(smooth: Array, given_px: Shifts) -> Array | None:
     """Return the shift [frame row col 2] of every pixel, of frames that turn, grow or shear.
 

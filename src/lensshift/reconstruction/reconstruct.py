@@ -36,7 +36,8 @@ from lensshift.reconstruction.problem import (
     make_problem,
     predictor,
 )
-from lensshift.reconstruction.shift_check import Doubt, doubtful_shifts, warn_of_doubt
+from lensshift.reconstruction.shift_check import Doubt, warn_of_doubt
+from lensshift.reconstruction.told_shifts import held_against_frames
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
 Array = NDArray[Any]
@@ -71,7 +72,9 @@ def reconstruct(
 
     Parameters
     ----------
-    burst : the frames with their sub-pixel offsets
+    burst : the frames with their sub-pixel offsets. With "auto" and phasors, planned ones that the
+        frames surely contradict are corrected (`settings["corrected_offset_px"]`), unless
+        `offset_sigma_px` is 0: exact
     scale : HR pixels per LR pixel, 1 to 8
     method : one of `lensshift.method_names()`, or made with its options as in `Tv(iterations=30)`
         (see `lensshift.reconstruction.methods`); "auto" needs no tuning
@@ -124,15 +127,16 @@ def reconstruct(
     Warns
     -----
     QualityWarning
-        If the frames fit another sign, order of axes, unit or order of frames better, or contradict
-        the picture ("auto" and phasors): a frame lies elsewhere, something moved, the brightness
-        changes. Or if they show another pixel response than was told, or are overexposed.
+        If the frames fit another sign, order of axes, unit or order of frames better, lie more than
+        0.05 px (rms) from where they were told, or contradict the picture ("auto" and phasors): a
+        frame lies elsewhere, something moved, the brightness changes. Or if they show another pixel
+        response than was told, or are overexposed.
     """
     burst = _checked(burst, scale, noise_sigma, photometric, memory)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
-    name, told = chosen.name, chosen.settings
-    request = Request(told.pop("prior_weight", None), seed, non_negative, std, on_iteration, told)
+    name, own = chosen.name, chosen.settings
+    request = Request(own.pop("prior_weight", None), seed, non_negative, std, on_iteration, own)
     field = _field_of(burst, shift_field, lens_field)
     response = told_response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
@@ -145,9 +149,10 @@ def reconstruct(
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
     too_wide = response["psf_sigma_px"] > QUESTIONED_BLUR_PX  # of which the user was told
-    doubt, request = None, replace(request, shifts_doubted=too_wide)
-    if (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick):
-        doubt, request = _doubted(part, field, scale, request)
+    request = replace(request, shifts_doubted=too_wide)
+    asked = (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick)
+    told, request = held_against_frames(burst, part, field, scale, request, asked=asked)
+    burst, part = told.burst, told.part
     seen: dict[str, Any] = {"blur": undone(blur, response, chosen, lens_field),
                             "shift_field": field, "noise_sigma": noise_sigma,
                             "pixel_variance": variance}  # fmt: skip
@@ -155,11 +160,11 @@ def reconstruct(
     if chosen.reads_response and not photometric and lens_field is None:
         response, request = as_seen(part, choice.channel, request, response, blur, scale, seen)
         seen["blur"] = undone(blur, response, chosen, lens_field)
-    settings = _settings(burst, seen, used, request, photometric, choice) | response
+    settings = _settings(burst, seen, used, request, photometric, choice) | response | told.settings
     found, flying = _estimates(
         burst, part, choice.channel, scale, used, chosen, request, photometric, seen
     )
-    found = _objected(found, doubt, request.refuted, _like_movement(part, choice.channel, scale))
+    found = _objected(found, told.doubt, request.refuted, _what_else(part, choice.channel, scale))
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -213,19 +218,7 @@ def _warn_of_blind_frames(burst: Burst, used: tuple[int, ...]) -> None:
         )
 
 
-def _doubted(
-    part: Burst, field: ShiftField | None, scale: int, request: Request
-) -> tuple[Doubt | None, Request]:
-    """Return what is doubtful of the shifts; if it has a name, the user is told at once."""
-    shifts = part.offset_px if field is None else field.offset_px
-    doubt = doubtful_shifts(part.amplitude, shifts, scale=scale, valid=part.valid)
-    if doubt is None or not doubt.named:
-        return doubt, request
-    warn_of_doubt(doubt, stacklevel=3)
-    return doubt, replace(request, shifts_doubted=True)
-
-
-def _like_movement(part: Burst, channel: str, scale: int) -> str:
+def _what_else(part: Burst, channel: str, scale: int) -> str:
     """Say what else lets frames contradict a picture in places; nothing if nothing does."""
     causes = []
     if channel != "phasor" and part.distance_m is not None:

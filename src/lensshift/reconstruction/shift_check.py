@@ -21,17 +21,15 @@ from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.noise import usual_size
+from lensshift.reconstruction.glance import FAR_PX, Glance, glance
 from lensshift.reconstruction.quick_shifts import found_shifts, found_turns, low_passed
 
 Array = NDArray[Any]
 Shifts = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A part of the sensor and some of the frames tell enough, at a bounded price. Shifts in a unit that
-# is too small go far: frames that they move by more than FAR_PX are asked from where they lie, too.
-MOST_PX, MOST_FRAMES, FAR_PX = 48, 9, 3.0
-LEAST_PX, LEAST_HELD_OUT = 8, 50
+# Of fewer held-out pixels nothing follows.
+LEAST_HELD_OUT = 50
 # Of each trial the pixels of one fold, drawn at random, are held out.
 FOLDS, CONFIRMING_FOLDS = 4, 2
 # A smooth fit of little stiffness follows the scene; what it assumes of the blur hardly matters.
@@ -140,29 +138,39 @@ def doubtful_shifts(
     scale : HR pixels per LR pixel, by which a wrong unit would be off
     valid : [frame row col], None: all pixels are
     """
-    values = np.abs(np.asarray(frames))
-    seen = np.ones(values.shape, np.bool_) if valid is None else np.asarray(valid, np.bool_)
-    values, seen, given, about = _part(values, seen, np.asarray(offset_px, np.float64))
-    if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
+    look = glance(frames, offset_px, valid)
+    return None if look is None else doubt_of(look, scale, seed)
+
+
+def doubt_of(look: Glance, scale: int, seed: int = 0) -> Doubt | None:
+    """Return what seems to be wrong with the shifts, see `doubtful_shifts`."""
+    given, seen = look.given_px, look.seen
+    upright = len(given) < LEAST_TURNING or look.about_px is not None
+    trial = _Trial(look.values, seen, given, look.about_px, seed)
+    smooth, found = look.smooth, look.found_px
+    first = _doubt(trial, smooth, found, scale) or (None if upright else _turn(trial, smooth))
+    if first is None:
         return None
-    values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)
-    seen = seen & ~_lone(np.where(seen, values, 0.0))
-    upright = len(values) < LEAST_TURNING or about is not None
-    objection: Doubt | None = None
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
-    for one in (np.where(seen, values, 0.0), _alike(values, seen)):
-        trial, smooth = _Trial(one, seen, given, about, seed), low_passed(one, seen)
-        if smooth is None:
-            return None
-        objection = _doubt(trial, smooth, scale) or (None if upright else _turn(trial, smooth))
-        if objection is None:
-            return None
-    return objection
+    alike = _alike(look.values, seen)
+    again = low_passed(alike, seen)
+    if again is None:
+        return None
+    trial = _Trial(alike, seen, given, look.about_px, seed)
+    found = found_shifts(again, given)
+    return _doubt(trial, again, found, scale) or (None if upright else _turn(trial, again))
 
 
-def _doubt(trial: _Trial, smooth: Array, scale: int) -> Doubt | None:
+def surely_better(look: Glance, offset_px: Shifts, seed: int = 0) -> bool:
+    """Return whether other shifts of all frames predict pixels better, beyond chance."""
+    other_px = offset_px[look.numbers]
+    trial = _Trial(look.values, look.seen, look.given_px, look.about_px, seed)
+    sure = trial.compare(other_px - other_px.mean(axis=0), CONFIRMING_FOLDS)[1]
+    return sure >= LEAST_T
+
+
+def _doubt(trial: _Trial, smooth: Array, found: Shifts, scale: int) -> Doubt | None:
     given = trial.given_px
-    found = found_shifts(smooth, given)
     span_px = float(np.ptp(given, axis=0).max())
     if span_px > FAR_PX:  # beyond the reach of the search
         near = found_shifts(smooth, np.zeros_like(given))
@@ -333,46 +341,3 @@ def _alike(values: Array, seen: Mask) -> Array:
     )
     spread = np.sqrt((about**2).mean(axis=(1, 2), keepdims=True) / share)
     return np.asarray(about / np.maximum(spread, 1e-300))
-
-
-def _lone(values: Array) -> Mask:
-    """Return the pixels [frame row col] that stand out among their neighbours in all frames.
-
-    Salt and pepper draws a fit to itself, and least where all frames lie at one place.
-    """
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
-    )
-    apart = values - np.median(windows, axis=(0, 3, 4))
-    usual = np.maximum(usual_size(apart), MAD_TO_SIGMA * np.median(np.abs(apart)))
-    return np.asarray(np.abs(apart) > CLIP_SIGMAS * usual)
-
-
-def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Shifts, Array | None]:
-    """Return the busiest part of some frames that overlap in it, and their shifts about the mean.
-
-    And by how much [frame row col 2] the pixels' own shifts differ from those, if any do.
-    """
-    from scipy.ndimage import uniform_filter
-
-    count = len(values)
-    some = np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int))
-    first = np.where(seen[0], values[0], 0.0)
-    down, right = np.gradient(first) if min(first.shape) > 1 else (first, first)
-    edge = seen[0] & np.roll(seen[0], 1, 0) & np.roll(seen[0], 1, 1)
-    span_px = float(np.ptp(offset_px[some], axis=tuple(range(offset_px.ndim - 1))).max())
-    side = MOST_PX + (min(math.ceil(span_px), MOST_PX) if span_px > FAR_PX else 0)
-    busy = [uniform_filter(np.where(edge, g, 0.0) ** 2, side) for g in (down, right)]
-    middle = np.unravel_index(int(np.argmax(np.minimum(*busy))), first.shape)
-    starts = (
-        max(0, min(int(at) - side // 2, size - side))
-        for at, size in zip(middle, first.shape, strict=True)
-    )
-    window = tuple(slice(start, start + side) for start in starts)
-    about_px, offset_px = None, offset_px[some]
-    if offset_px.ndim == 4:
-        field_px = offset_px[:, *window]
-        offset_px = field_px.mean(axis=(1, 2))
-        about_px = field_px - offset_px[:, None, None]
-    offset_px = offset_px - offset_px.mean(axis=0)
-    return values[some][:, *window].astype(np.float64), seen[some][:, *window], offset_px, about_px

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
+from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, likely_shifts
 
 Shifts = NDArray[np.float64]
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
 Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]
 
+# Of larger frames the likelihood is asked of a part: its time goes with their pixels.
+MOST_PX = 96
 LEAST_BLOCK_PX = 12  # along an axis, for a shift of its own
 LEAST_VALID = 0.5  # of the pixels of a block or frame
 
@@ -106,3 +110,46 @@ def telling_part(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
     detail = inside.min(axis=0)
     top, left = np.unravel_index(int(np.argmax(detail)), detail.shape)
     return np.s_[:], slice(int(top), int(top) + rows), slice(int(left), int(left) + cols)
+
+
+def filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
+    """Return the frames with invalid pixels taken from the mean of the others, or their mean."""
+    good = np.where(valid, frames, 0)
+    number = valid.sum(axis=0)
+    overall = good.sum() / max(int(number.sum()), 1)
+    mean = np.where(number > 0, good.sum(axis=0) / np.maximum(number, 1), overall)
+    return np.where(valid, frames, mean)
+
+
+def likely_where_telling(
+    frames: Array, valid: NDArray[np.bool_], start_px: Shifts, *, reference: int, photometric: bool
+) -> ShiftFit:
+    """Return the likeliest shifts; of large frames those of the part that shows most of them."""
+    span = np.ceil(np.ptp(start_px, axis=0)).astype(int)
+    part = telling_part(filled(frames, valid), *(MOST_PX + span))
+    return likely_shifts(
+        frames[part], valid[part], start_px, reference=reference, photometric=photometric
+    )
+
+
+def scatter_of_parts(
+    frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, *, photometric: bool
+) -> Scatter | None:
+    """Return how the parts of the sensor scatter, None where that says nothing.
+
+    What moves in the scene says where it was as surely as what rests. Along a single edge parts
+    may lie anywhere.
+    """
+    if np.any(fit.sigma_px > UNKNOWN_PX):
+        return None
+    span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
+    part = telling_part(filled(frames, valid), *(MOST_PX + span_px))
+    run = partial(likely_shifts, reference=reference, photometric=photometric)
+
+    def estimate(block: Array, block_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+        if np.any(np.array(block.shape[1:]) - span_px < LEAST_BLOCK_PX // 2):
+            return fit.offset_px, np.zeros_like(fit.offset_px)  # which is left out
+        found = run(block, block_valid, fit.offset_px)
+        return found.offset_px, found.sigma_px
+
+    return scatter_over_blocks(estimate, frames[part], valid[part], fit.offset_px)

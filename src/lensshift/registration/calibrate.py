@@ -15,11 +15,12 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
+from lensshift.registration.blocks import filled
 from lensshift.registration.field import fit_field
 from lensshift.registration.likelihood import likely_shifts, with_given
 from lensshift.registration.phase import phase_shifts
 from lensshift.registration.picture import alternate, prediction_error
-from lensshift.registration.register import filled, frames_of
+from lensshift.registration.register import frames_of
 
 HUBER_SIGMAS = 1.345  # keeps 95 % of the efficiency where errors are normal
 _PASSES = 20  # of reweighting, at most

@@ -25,6 +25,8 @@ _FREE_ROUNDS = 6
 _FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0
 # A burst moves by some pixels; where the frames tell nothing, this is what is known of a shift.
 USUAL_SHIFT_PX = 2.0
+# A shift that is known to a pixel is not known.
+UNKNOWN_PX = 1.0
 # For differences of the score.
 _STEP_PX = 0.02
 # A search that starts off by a quarter of the finest period in the model returns to within 3 % of

@@ -16,7 +16,7 @@ from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.forward.operator import LinearOperator
 from lensshift.registration.blocks import scatter_over_blocks
-from lensshift.registration.likelihood import ShiftFit
+from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit
 from lensshift.registration.spectrum import PIXEL_SIGMA_PX
 
 Shifts = NDArray[np.float64]
@@ -31,8 +31,6 @@ FIRST_ITERATIONS, ITERATIONS = 60, 15
 MAX_ROUNDS, CONVERGED_PX, MAX_STEP_PX = 12, 2e-3, 0.2
 # Residuals beyond so many standard deviations count by their size, not its square.
 HUBER_SIGMAS = 2.0
-# A shift that is known to a pixel is not known.
-UNKNOWN_PX = 1.0
 # Fewer frames fit a picture wherever they lie; and fewer than three in each half predict others by
 # what smoothness adds.
 LEAST_FRAMES, LEAST_PREDICTING = 4, 6

@@ -17,24 +17,24 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
 from lensshift.registration.blocks import (
-    LEAST_BLOCK_PX,
     LEAST_VALID,
     Scatter,
+    filled,
+    likely_where_telling,
+    scatter_of_parts,
     scatter_over_blocks,
-    telling_part,
 )
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import (
+    UNKNOWN_PX,
     USUAL_SHIFT_PX,
     ShiftFit,
-    likely_shifts,
     with_given,
 )
 from lensshift.registration.phase import phase_fit, phase_shifts, rival_shifts
 from lensshift.registration.picture import (
     LEAST_FRAMES,
     LEAST_PREDICTING,
-    UNKNOWN_PX,
     better_shifts,
 )
 
@@ -48,8 +48,6 @@ Run = Callable[..., ShiftFit]
 POOR_SIGMA_PX = 0.05  # more than twice the budget of a calibration
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 AGREES_PX = 0.5
-# Of larger frames the likelihood is asked of a part: its time goes with their pixels.
-MOST_PX = 96
 _CLEARLY_BETTER = 0.7  # noise that one fit leaves over that of the other
 
 
@@ -124,7 +122,7 @@ def register(
     else:
         run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
         if method == "auto":
-            run = partial(_likely_where_telling, reference=reference, photometric=photometric)
+            run = partial(likely_where_telling, reference=reference, photometric=photometric)
         elif np.iscomplexobj(frames):
             frames = np.abs(frames)
         fit = _from_best_start(run, frames, valid, given_px, phase_px, keep_given=use_given)
@@ -135,7 +133,7 @@ def register(
             told_px = _against_reference(measured_px, reference)
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
-            if apart := _scatter_of_parts(frames, valid, fit, reference, photometric):
+            if apart := _scatter_of_few(frames, valid, fit, reference, photometric):
                 factor = apart.factor
                 fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=known)
@@ -213,6 +211,15 @@ def frames_of(burst: Burst, channel: str) -> Array:
     return frames.astype(kind)
 
 
+def _scatter_of_few(
+    frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, photometric: bool
+) -> Scatter | None:
+    """Return how parts scatter; more frames show what moves themselves (`better_shifts`)."""
+    if len(frames) >= LEAST_PREDICTING:
+        return None
+    return scatter_of_parts(frames, valid, fit, reference, photometric=photometric)
+
+
 def _turned(
     fit: ShiftFit, frames: Array, valid: NDArray[np.bool_], motion: Motion, reference: int
 ) -> tuple[ShiftFit, NDArray[np.float64] | None]:
@@ -262,15 +269,6 @@ def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bo
         raise ValueError(f'expected method "auto" with use_given, got {method!r}')
 
 
-def filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
-    """Return the frames with invalid pixels taken from the mean of the others, or their mean."""
-    good = np.where(valid, frames, 0)
-    number = valid.sum(axis=0)
-    overall = good.sum() / max(int(number.sum()), 1)
-    mean = np.where(number > 0, good.sum(axis=0) / np.maximum(number, 1), overall)
-    return np.where(valid, frames, mean)
-
-
 def _against_reference(sigma_px: Shifts | None, reference: int) -> Shifts | None:
     """Return standard deviations of differences from the reference, None if not known."""
     if sigma_px is None:
@@ -299,40 +297,6 @@ def _from_best_start(
         return run(frames, valid, phase_px)
     first, second = run(frames, valid, given_px), run(frames, valid, phase_px)
     return second if second.noise_sigma < _CLEARLY_BETTER * first.noise_sigma else first
-
-
-def _likely_where_telling(
-    frames: Array, valid: NDArray[np.bool_], start_px: Shifts, *, reference: int, photometric: bool
-) -> ShiftFit:
-    """Return the likeliest shifts; of large frames those of the part that shows most of them."""
-    span = np.ceil(np.ptp(start_px, axis=0)).astype(int)
-    part = telling_part(filled(frames, valid), *(MOST_PX + span))
-    return likely_shifts(
-        frames[part], valid[part], start_px, reference=reference, photometric=photometric
-    )
-
-
-def _scatter_of_parts(
-    frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, photometric: bool
-) -> Scatter | None:
-    """Return how the parts of the sensor scatter, None where that says nothing.
-
-    What moves in the scene says where it was as surely as what rests. Frames that predict each
-    other (`better_shifts`) show it themselves; along a single edge parts may lie anywhere.
-    """
-    if len(frames) >= LEAST_PREDICTING or np.any(fit.sigma_px > UNKNOWN_PX):
-        return None
-    span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
-    part = telling_part(filled(frames, valid), *(MOST_PX + span_px))
-    run = partial(likely_shifts, reference=reference, photometric=photometric)
-
-    def estimate(block: Array, block_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
-        if np.any(np.array(block.shape[1:]) - span_px < LEAST_BLOCK_PX // 2):
-            return fit.offset_px, np.zeros_like(fit.offset_px)  # which is left out
-        found = run(block, block_valid, fit.offset_px)
-        return found.offset_px, found.sigma_px
-
-    return scatter_over_blocks(estimate, frames[part], valid[part], fit.offset_px)
 
 
 def _alike(frames: Array, fit: ShiftFit, photometric: bool) -> Array:

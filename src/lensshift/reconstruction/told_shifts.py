@@ -1,0 +1,117 @@
+"""Told shifts held against the frames: a mistake is named, errors are mended."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Burst, ShiftField
+from lensshift.reconstruction.glance import Glance, glance
+from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
+from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.quick_shifts import found_variance_px2
+from lensshift.reconstruction.shift_check import Doubt, doubt_of, surely_better, warn_of_doubt
+
+# Farther apart are frames that lie elsewhere, or something that moved (`registration.told`).
+LARGEST_PX = 0.3
+# Errors that more than doubled the loss of resolution which is expected of a calibrated rig, see
+# `lens budget`; smaller ones are mended without a word.
+TOLD_PX = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What came of the shifts that were told.
+
+    Parameters
+    ----------
+    burst, part : with shifts that frames and user agree on; the second has the used frames alone
+    doubt : what is wrong with the shifts as told, and not mended
+    settings : what a result should say of it
+    """
+
+    burst: Burst
+    part: Burst
+    doubt: Doubt | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+def held_against_frames(
+    burst: Burst,
+    part: Burst,
+    shift_field: ShiftField | None,
+    scale: int,
+    request: Request,
+    *,
+    asked: bool,
+) -> tuple[Told, Request]:
+    """Return shifts that the frames do not contradict, or what they doubt, if they are asked.
+
+    Warns
+    -----
+    QualityWarning
+        If there is a doubt that has a name, or shifts were mended by more than 0.05 px (rms).
+    """
+    told = Told(burst, part)
+    if not asked:
+        return told, request
+    shifts = part.offset_px if shift_field is None else shift_field.offset_px
+    look = glance(part.amplitude, shifts, part.valid)
+    doubt = None if look is None else doubt_of(look, scale)
+    if doubt is not None and doubt.named:
+        warn_of_doubt(doubt, stacklevel=3)
+        return replace(told, doubt=doubt), replace(request, shifts_doubted=True)
+    live = request.memory is not None  # the lens comes back to places that were found long ago
+    if look is None or shift_field is not None or live or not _in_question(part, look):
+        return replace(told, doubt=doubt), request
+    return _mended(replace(told, doubt=doubt), look, request), request
+
+
+def _mended(told: Told, look: Glance, request: Request) -> Told:
+    """Return the burst with the shifts that the frames show, if they surely show other ones."""
+    # Few bursts come here; the others need not wait until it is imported.
+    from lensshift.registration.told import corrected_shifts
+
+    burst, part = told.burst, told.part
+    valid = np.ones(part.amplitude.shape, np.bool_) if part.valid is None else part.valid
+    found = corrected_shifts(part.amplitude, valid, part.offset_px)
+    if found is None or not surely_better(look, found.offset_px):
+        return told
+    used = list(request.frames or range(burst.frame_count))
+    if found.error_px > TOLD_PX:
+        away_px = found.offset_px - part.offset_px
+        most = int(np.argmax(np.hypot(*away_px.T)))
+        down, right = away_px[most]
+        warnings.warn(
+            f"offset_px is off by {found.error_px:.2f} px (rms; frame {used[most]} by {down:+.2f}, "
+            f"{right:+.2f}): the picture takes the shifts that the frames show; calibrate the rig, "
+            "or let `lensshift.register` find offset_px",
+            QualityWarning,
+            stacklevel=4,
+        )
+    moved = np.array(burst.offset_px)
+    known = burst.offset_sigma_px
+    sigma_px = np.zeros_like(moved) if known is None else np.array(known)
+    moved[used], sigma_px[used] = found.offset_px, found.sigma_px
+    burst = replace(burst, offset_px=moved, offset_sigma_px=sigma_px)
+    said = {"corrected_offset_px": found.offset_px.tolist(), "offset_error_px": found.error_px}
+    return Told(burst, burst.select(used), None, said)
+
+
+def _in_question(part: Burst, look: Glance) -> bool:
+    """Return whether frames seem to lie elsewhere than they usually do beside where they were told.
+
+    Shifts that were found from the frames, or told to be exact, are not asked.
+    """
+    exact = part.offset_sigma_px is not None and not part.offset_sigma_px.any()
+    if exact or part.affine is not None or part.offset_source == "registered":
+        return False
+    away_px2 = float(np.sum(look.apart_px**2)) / (len(look.apart_px) - 1)
+    usual_px2 = 2 * USUAL_SHIFT_ERROR_PX**2
+    if away_px2 <= usual_px2 or np.abs(look.apart_px).max() > LARGEST_PX:
+        return False
+    return away_px2 > usual_px2 + found_variance_px2(look.smooth, look.found_px)
