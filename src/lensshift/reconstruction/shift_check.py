@@ -47,6 +47,8 @@ AGREED_PX, AGREED_SHARE = 0.1, 0.25
 # none explains it; and by how many standard errors. Of 1266 right bursts only lone gratings beyond
 # the Nyquist frequency were doubted; of 96 wrong ones 3 were not (two that cannot be told apart).
 SUSPICIOUS, NAMED, UNNAMED, LEAST_T = 1.03, 1.05, 1.2, 5.0
+# Of shifts that the frames tell by other means as well, the usual 3 sigma are enough.
+SURE = 3.0
 # Where no mistake explains it so many frames have to be off; fewer are left out by the solvers.
 LEAST_OFF_PX, LEAST_OFF_SHARE = 0.2, 0.25
 # A mistake explains what the frames tell if it leaves a tenth of the squares: errors of the shifts.
@@ -166,7 +168,7 @@ def surely_better(look: Glance, offset_px: Shifts, seed: int = 0) -> bool:
     other_px = offset_px[look.numbers]
     trial = _Trial(look.values, look.seen, look.given_px, look.about_px, seed)
     sure = trial.compare(other_px - other_px.mean(axis=0), CONFIRMING_FOLDS)[1]
-    return sure >= LEAST_T
+    return sure >= SURE
 
 
 def _doubt(trial: _Trial, smooth: Array, found: Shifts, scale: int) -> Doubt | None:
