@@ -70,26 +70,15 @@ class PhotoOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """An image to be measured.
+    """An image to be measured."""
 
-    Parameters
-    ----------
-    values : [row col], or [frame row col] with `offset_px`
-    pitch_mm : (row, col); 1 where the pitch is not known
-    has_pitch : whether it is
-    valid : mask like `values`, or None
-    scale : LR pixels are that many pixels wide
-    offset_px : [frame 2] or None
-    jpeg_steps : [8 8] of a JPEG, as of `measure_edges`, or None
-    """
-
-    values: NDArray[Any]
-    pitch_mm: tuple[float, float]
-    has_pitch: bool
-    valid: NDArray[Any] | None = None
-    scale: int = 1
-    offset_px: NDArray[Any] | None = None
-    jpeg_steps: NDArray[Any] | None = None
+    values: NDArray[Any]  # [row col], or [frame row col] with `offset_px`
+    pitch_mm: tuple[float, float]  # (row, col); 1 where the pitch is not known
+    has_pitch: bool  # whether it is
+    valid: NDArray[Any] | None = None  # mask like `values`, or None
+    scale: int = 1  # LR pixels are that many pixels wide
+    offset_px: NDArray[Any] | None = None  # [frame 2] or None
+    jpeg_steps: NDArray[Any] | None = None  # [8 8] of a JPEG, as of `measure_edges`, or None
 
     @property
     def length(self) -> str:

@@ -45,21 +45,13 @@ _FILE_EVERY_S = 5.0  # a line of a log
 
 @dataclass
 class Session:
-    """One run of a verb: what it says and what it hands back.
+    """One run of a verb: what it says and what it hands back."""
 
-    Parameters
-    ----------
-    as_json : print only the result, as JSON
-    debug : show where an error comes from
-    result : what JSON output holds beside "warnings"
-    failed : whether the verb ends with 1 although it could be carried out
-    """
-
-    as_json: bool = False
-    debug: bool = False
-    result: dict[str, Any] = field(default_factory=dict)
+    as_json: bool = False  # print only the result, as JSON
+    debug: bool = False  # show where an error comes from
+    result: dict[str, Any] = field(default_factory=dict)  # what JSON output holds beside "warnings"
     warnings: list[str] = field(default_factory=list)
-    failed: bool = False
+    failed: bool = False  # whether the verb ends with 1 although it could be carried out
     waiting: Waiting | None = None
 
     def say(self, text: str) -> None:
@@ -110,8 +102,6 @@ class Session:
 def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]:
     """Run the body of a verb; print its result, or its error on one line and exit with 1.
 
-    Parameters
-    ----------
     as_json, debug : the options of every verb
     doing : what is said, with the seconds so far, while it lasts and nothing else was printed
     """
@@ -186,8 +176,6 @@ class StatusLine:
 class Progress:
     """Say how far an iteration is, on stderr, once it takes more than a second.
 
-    Parameters
-    ----------
     label : what is done
     preparing : whether it may take long before the first iteration, which is said then
     """
@@ -240,8 +228,6 @@ class Progress:
 class Waiting:
     """Say every second on a terminal, else every five, that something still goes on.
 
-    Parameters
-    ----------
     label : what is done
     """
 

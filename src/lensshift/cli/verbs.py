@@ -30,8 +30,6 @@ _MOST_CHARACTERS = 1000  # none of ours is cut; the formatter breaks lines
 def option(default: Any, help: str, *names: str, **rules: Any) -> Any:
     """Return a field that the command line sets by `--its-name`.
 
-    Parameters
-    ----------
     default : of the field; that of a list is None, and MISSING for an option that must be given
     help : what `--help` says
     names : further names, as "-o", or one with two dashes instead of its own
@@ -43,8 +41,6 @@ def option(default: Any, help: str, *names: str, **rules: Any) -> Any:
 def argument(help: str, **rules: Any) -> Any:
     """Return a field that the command line sets by its place; required unless it has a default.
 
-    Parameters
-    ----------
     help : what `--help` says
     rules : `default`, and what `typer.Argument` takes
     """
@@ -57,8 +53,6 @@ def verb(
 ) -> Callable[[Callable[[Session, Any], None]], Callable[..., None]]:
     """Make a verb of a function of a session and its options, the dataclass `asked`.
 
-    Parameters
-    ----------
     doing : what is said while it lasts, see `session`
     json : the option --json
     """

@@ -54,8 +54,6 @@ def chart_edges(
     Lines that point to the middle (sagittal) are blurred across the radius: edges along the radius
     measure them, edges across it the tangential ones.
 
-    Parameters
-    ----------
     results : of `measure_edges`
     shape : (rows, cols) of the image; its middle is that of the field
     image, focus : of the photograph
@@ -99,17 +97,11 @@ def acutance(curve: MtfCurve, height_mm: float, eye_heights: float) -> float:
 
     with f in cycles per degree at the eye: a picture of height H, seen from n H, has
     f = frequency H n pi / 180. Without the frame and the print: those of the display are 1.
+    ValueError if a length is not positive.
 
-    Parameters
-    ----------
     curve : of the picture, 0 beyond its last frequency
     height_mm : height H of the picture in the unit of the curve: on the sensor, for LP/mm
     eye_heights : n, the distance of the eye over the height of the picture that it looks at
-
-    Raises
-    ------
-    ValueError
-        If a length is not positive.
 
     Source: IEEE 1858 (CPIQ), contrast sensitivity and acutance.
     """
@@ -160,8 +152,6 @@ def _mean_of_places(numbers: Sequence[Interval]) -> Interval:
 class FocusFit:
     """Where the MTF50 of a series of photographs is largest.
 
-    Parameters
-    ----------
     focus, sigma : where it is largest, and the standard error of that, from the scatter about the
         curve; with three points, which it always meets, from their own errors
     mtf50_lpmm : there
@@ -184,17 +174,11 @@ def best_focus(
     Blur grows with the distance z from the best focus as s^2 = s_0^2 + (k (z - z_0))^2, and MTF50
     is inversely proportional to s: 1 / MTF50^2 is a parabola. It is fitted to the largest MTF50 and
     up to two neighbours on each side; a parabola through MTF50 itself, which wave optics may be
-    nearer to, is taken where it leaves less.
+    nearer to, is taken where it leaves less. ValueError if there are fewer than three positions, or
+    the largest value is the first or last one.
 
-    Parameters
-    ----------
     focus, mtf50_lpmm : of the photographs
     std_lpmm : standard errors of MTF50, which tell `sigma` of three photographs; NaN without
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three positions, or the largest value is the first or last one.
     """
     x, y = np.asarray(focus, dtype=np.float64), np.asarray(mtf50_lpmm, dtype=np.float64)
     std = np.full(len(y), np.nan) if std_lpmm is None else np.asarray(std_lpmm, dtype=np.float64)
@@ -243,8 +227,6 @@ def edge_rows(
 ) -> Iterator[dict[str, Any]]:
     """Yield a flat row for each edge: place, frequencies with intervals, MTF at frequencies.
 
-    Parameters
-    ----------
     at_lpmm : frequencies at which the modulation is wanted
     factor : what frequencies are multiplied by for the unit that is wanted; the names of the
         columns say nothing of it

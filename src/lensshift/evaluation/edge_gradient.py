@@ -26,8 +26,6 @@ _MAX_PHASE_GAP_PX = 0.5  # a wider gap leaves whole samples of the averaged prof
 class ProfileEdge:
     """The edge of one profile; slopes are positive, `falling` tells the direction.
 
-    Parameters
-    ----------
     low, high : values of the plateaus
     low_limit, high_limit : values between which the slope is taken
     low_position_mm, high_position_mm : where the profile crosses the limits, from its first sample
@@ -100,8 +98,6 @@ class EdgeGradient:
 class GradientRatio:
     """How much steeper one edge is than another; about the gain in resolution.
 
-    Parameters
-    ----------
     ratio : of the means of the normalised slopes
     interval : 95 % of `ratio`, both sets of lines drawn independently; None for a single line
     averaged : of the normalised slopes of the averaged profiles; None where one is missing
@@ -210,16 +206,11 @@ def profile_edge(
 ) -> ProfileEdge:
     """Measure the edge of one profile.
 
-    Parameters
-    ----------
+    ValueError if there is no edge, or it does not reach a limit.
+
     place_mm : [n] increasing
     values : [n] finite
     limits, share, plateaus : as in `edge_gradient`
-
-    Raises
-    ------
-    ValueError
-        If there is no edge, or it does not reach a limit.
     """
     split = split_index(values)
     falling = bool(values[:split].mean() > values[split:].mean())

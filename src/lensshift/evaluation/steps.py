@@ -31,10 +31,7 @@ def steps_of(line: Floats) -> list[int]:
 def refuse_two_edges(lines: Floats) -> None:
     """Refuse lines [line n] most of which cross more than one edge.
 
-    Raises
-    ------
-    ValueError
-        With the places of the edges in one of the lines.
+    ValueError with the places of the edges in one of the lines.
     """
     found = [steps_of(line) for line in lines]
     several = [steps for steps in found if len(steps) > 1]

@@ -21,8 +21,6 @@ _LOCAL_PX = 5  # side of the window whose mean tells low-frequency bias from noi
 class PlaneFit:
     """The plane that fits a distance image best, and what is left.
 
-    Parameters
-    ----------
     normal : [3] of unit length, towards the camera
     offset_m : points p of the plane have normal . p = offset
     residual_m : [row col] distance of each pixel from the plane, positive towards the camera; NaN
@@ -44,18 +42,11 @@ class PlaneFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlyingPixels:
-    """Pixels between the surfaces of an edge, or beyond both.
+    """Pixels between the surfaces of an edge, or beyond both."""
 
-    Parameters
-    ----------
-    fraction : flying share of the checked pixels, NaN if none was checked
-    flying : [row col]
-    checked : [row col] valid pixels near an edge
-    """
-
-    fraction: float
-    flying: Mask
-    checked: Mask
+    fraction: float  # flying share of the checked pixels, NaN if none was checked
+    flying: Mask  # [row col]
+    checked: Mask  # [row col] valid pixels near an edge
 
 
 def fit_plane(

@@ -95,8 +95,6 @@ def load_burst(path: str | Path) -> Burst:
 class Recording:
     """An open burst file of any length, of which parts are read; see `open_recording`.
 
-    Parameters
-    ----------
     frame_count : number of frames
     offset_px : [frame 2]
     """
@@ -109,10 +107,7 @@ class Recording:
     def burst(self, first: int, count: int) -> Burst:
         """Return some frames as a burst, without what the camera sent raw.
 
-        Raises
-        ------
-        DataError
-            If there are no such frames, or they are damaged.
+        DataError if there are no such frames, or they are damaged.
         """
         if not 0 <= first < first + count <= self.frame_count:
             problem = f"expected frames from 0 to {self.frame_count - 1}"

@@ -42,8 +42,6 @@ _RAW = "raw_"
 class FrameRecord:
     """One frame of a journal.
 
-    Parameters
-    ----------
     step : place on the plan
     amplitude, valid, distance_m : [row col], distance or None
     time_s : by the clock of the camera, or the host's
@@ -75,10 +73,7 @@ class FrameRecord:
     def of_arrays(cls, arrays: Mapping[str, Array]) -> Self:
         """Return the record in arrays that `arrays` made; names that are not known are left out.
 
-        Raises
-        ------
-        DataError
-            If a field is missing or no number.
+        DataError if a field is missing or no number.
         """
         values: dict[str, Any] = {}
         for one in fields(cls):
@@ -102,8 +97,6 @@ class CaptureWriter(GrowingFile):
 
     Use `create` or `resume`, in a `with` block.
 
-    Parameters
-    ----------
     header : text and numbers about the whole capture
     frames : records that are already there
     """
@@ -118,10 +111,7 @@ class CaptureWriter(GrowingFile):
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> Self:
         """Begin a new journal.
 
-        Raises
-        ------
-        DataError
-            If there is a file of that name already, or it cannot be written.
+        DataError if there is a file of that name already, or it cannot be written.
         """
         payload = to_json({**header, "schema": _SCHEMA}, "header").encode()
         target, file = _new_file(path)
@@ -138,10 +128,7 @@ class CaptureWriter(GrowingFile):
     def resume(cls, path: str | Path) -> Self:
         """Go on with a journal; half a record at its end is cut off.
 
-        Raises
-        ------
-        DataError
-            If it is no journal, or another process writes it.
+        DataError if it is no journal, or another process writes it.
         """
         target = writable_target(path)
         if not is_capture(target):
@@ -162,10 +149,7 @@ class CaptureWriter(GrowingFile):
     def append(self, record: FrameRecord) -> None:
         """Add a frame; it is with the operating system when this returns.
 
-        Raises
-        ------
-        DataError
-            If the disk is full or gone; the frames before are kept.
+        DataError if the disk is full or gone; the frames before are kept.
         """
         packed = BytesIO()
         np.savez(packed, **record.arrays())  # type: ignore[arg-type]  # names are ours
@@ -194,10 +178,7 @@ class CaptureWriter(GrowingFile):
 def refuse_taken(path: str | Path) -> None:
     """Refuse a name at which no journal can begin, before any device is opened for it.
 
-    Raises
-    ------
-    DataError
-        If there is a file of that name already, or it cannot be written.
+    DataError if there is a file of that name already, or it cannot be written.
     """
     target, file = _new_file(path)
     file.close()
@@ -229,10 +210,7 @@ def is_capture(path: str | Path) -> bool:
 def read_capture(path: str | Path) -> tuple[dict[str, Any], list[FrameRecord]]:
     """Return header and frames of a journal, also while it is being written.
 
-    Raises
-    ------
-    DataError
-        If the file is missing or no journal.
+    DataError if the file is missing or no journal.
     """
     header, frames, _ = _records(Path(path))
     return header, frames
@@ -243,10 +221,7 @@ def burst_of_capture(
 ) -> Burst:
     """Return the frames of a journal as a burst.
 
-    Raises
-    ------
-    DataError
-        If there is no frame yet, or frames do not fit together.
+    DataError if there is no frame yet, or frames do not fit together.
     """
     if not frames:
         raise DataError("the capture holds no whole frame", source=source)

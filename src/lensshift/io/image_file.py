@@ -52,16 +52,10 @@ def image_suffix(path: str | Path) -> str:
 def load_frames(path: str | Path) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
-    Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS
-    file (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else all images, if they have
-    one size.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged, of another kind or not greyscale.
-    ImportError
-        If a FITS file is asked for and astropy is not installed.
+    Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS file
+    (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else all images, if they have one
+    size. DataError if the file is missing, damaged, of another kind or not greyscale. ImportError
+    if a FITS file is asked for and astropy is not installed.
     """
     require_file(path)
     suffix = image_suffix(path)
@@ -92,10 +86,7 @@ def load_frames(path: str | Path) -> NDArray[Any]:
 def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
     """Read all arrays of an NPZ file; pickled objects are refused.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged or holds Python objects.
+    DataError if the file is missing, damaged or holds Python objects.
     """
     require_file(path)
     with reading(path):

@@ -29,15 +29,10 @@ _COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     """Read one picture [row col], or [row col 3] if its colours differ; levels stay as they are.
 
-    Parameters
-    ----------
+    DataError if the file is missing, damaged or of another kind.
+
     path : .jpg, .png, or .tif (also of 16 bits a colour)
     frame : of a TIFF with several pages
-
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged or of another kind.
     """
     require_file(path)
     suffix = Path(path).suffix.lower()
@@ -71,10 +66,8 @@ def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
 def load_oecf(path: str | Path) -> NDArray[np.float64]:
     """Read an opto-electronic conversion function [n 2] from a CSV file: level, light.
 
-    Raises
-    ------
-    DataError
-        If the file is missing or a line is not two numbers; a first line of words is a header.
+    DataError if the file is missing or a line is not two numbers; a first line of words is a
+    header.
     """
     rows = []
     for number, row in enumerate(csv.reader(read_text(path).splitlines()), start=1):

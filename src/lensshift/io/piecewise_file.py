@@ -36,8 +36,6 @@ WRITTEN = "written"
 class PiecewiseFile(GrowingFile):
     """A container whose first dimension is filled in pieces; use `begin`, in a `with` block.
 
-    Parameters
-    ----------
     written : [piece] which pieces are there
     """
 
@@ -58,17 +56,12 @@ class PiecewiseFile(GrowingFile):
     def begin(cls, path: str | Path, content: Content, begun: str) -> Self:
         """Allocate a file, or go on with what was begun.
 
-        Parameters
-        ----------
+        DataError if there is too little room, the file cannot be written, another process writes
+        it, or it was begun otherwise.
+
         content : variables with `Allocated` values are filled later; their first dimension is that
             of the first variable
         begun : what must be the same to go on, as text
-
-        Raises
-        ------
-        DataError
-            If there is too little room, the file cannot be written, another process writes it, or
-            it was begun otherwise.
         """
         refuse_other_ending(path)
         target = writable_target(path)
@@ -104,15 +97,10 @@ class PiecewiseFile(GrowingFile):
     def write(self, first: int, pieces: Mapping[str, NDArray[Any]]) -> None:
         """Write consecutive pieces of all arrays; they count once all of them are there.
 
-        Parameters
-        ----------
+        DataError if a name is missing or strange, a shape is wrong, or the disk is full.
+
         first : number of the first piece
         pieces : by name, [piece ...]
-
-        Raises
-        ------
-        DataError
-            If a name is missing or strange, a shape is wrong, or the disk is full.
         """
         count = len(next(iter(pieces.values())))
         if set(pieces) != set(self._spaces) - {WRITTEN}:
@@ -134,13 +122,7 @@ class PiecewiseFile(GrowingFile):
         self.written[first : first + count] = True
 
     def finish(self) -> Path:
-        """Give the file its name.
-
-        Raises
-        ------
-        DataError
-            If pieces are missing.
-        """
+        """Give the file its name. DataError if pieces are missing."""
         missing = int(np.sum(~self.written))
         if missing:
             raise DataError(f"{missing} pieces are missing", source=self._part)

@@ -18,20 +18,12 @@ _MAX_BYTES = 65535  # of an IPv4 packet
 
 
 class Datagram(NamedTuple):
-    """One UDP datagram.
+    """One UDP datagram."""
 
-    Parameters
-    ----------
-    time_s : when it was recorded, since 1970
-    source : (address, port) that it came from
-    destination_port : port that it went to
-    payload : what was in it
-    """
-
-    time_s: float
-    source: tuple[str, int]
-    destination_port: int
-    payload: bytes
+    time_s: float  # when it was recorded, since 1970
+    source: tuple[str, int]  # (address, port) that it came from
+    destination_port: int  # port that it went to
+    payload: bytes  # what was in it
 
 
 class _Fragments:

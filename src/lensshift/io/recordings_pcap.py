@@ -24,18 +24,11 @@ _MAX_INTERFACES = 1024  # more is damage
 
 
 class Packet(NamedTuple):
-    """A packet as it was on the wire.
+    """A packet as it was on the wire."""
 
-    Parameters
-    ----------
-    time_s : since 1970
-    link : kind of its outermost header, a LINKTYPE
-    data : as far as it was recorded
-    """
-
-    time_s: float
-    link: int
-    data: bytes
+    time_s: float  # since 1970
+    link: int  # kind of its outermost header, a LINKTYPE
+    data: bytes  # as far as it was recorded
 
 
 class _CutOffError(Exception):
@@ -50,10 +43,7 @@ def is_capture(first: bytes) -> bool:
 def read_packets(file: BinaryIO, name: str) -> Iterator[Packet]:
     """Yield the packets of an open pcap or pcapng file.
 
-    Raises
-    ------
-    DataError
-        If it is neither, or damaged. If it is only cut off, a `QualityWarning`.
+    DataError if it is neither, or damaged. If it is only cut off, a `QualityWarning`.
     """
     magic = file.read(4)
     if not is_capture(magic):

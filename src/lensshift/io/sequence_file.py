@@ -56,16 +56,11 @@ def begin_sequence(
 ) -> PiecewiseFile:
     """Begin the file of a sequence, or go on with one that was begun with the same settings.
 
-    Parameters
-    ----------
+    DataError as `PiecewiseFile.begin`.
+
     grid, intrinsics : of the HR pictures
     channels : among "amplitude" and "distance"
     flying : whether there are flags
-
-    Raises
-    ------
-    DataError
-        As `PiecewiseFile.begin`.
     """
     variables: dict[str, writer.Variable] = {}
     for channel in channels:
@@ -102,10 +97,7 @@ def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
 def sequence_numbers(path: str | Path) -> dict[str, NDArray[Any]]:
     """Read what a sequence says of each window: first_frame, time, misfit and so on, [window].
 
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged or no sequence.
+    DataError if the file is missing, damaged or no sequence.
     """
     with open_container(path, SCHEMA) as container:
         return {name: container.array(name) for name in _NUMBERS}

@@ -19,12 +19,8 @@ _MM = {
 def pixel_size_mm(path: str | Path) -> tuple[float, float] | None:
     """Return the pixel size (row, col) in mm, or None where no file of a known origin tells it.
 
-    The resolution of other files is that of a printer or a screen, 72 or 96 to the inch.
-
-    Raises
-    ------
-    DataError
-        If what tells it is damaged.
+    The resolution of other files is that of a printer or a screen, 72 or 96 to the inch. DataError
+    if what tells it is damaged.
     """
     import tifffile
 

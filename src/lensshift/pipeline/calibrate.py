@@ -31,8 +31,6 @@ _MOST_ASYMMETRY = 0.05  # over the contrast; what stands beside an edge makes it
 class RigCalibration:
     """What a scan says of a rig, and what its rest costs.
 
-    Parameters
-    ----------
     fit : of shifts, with the calibration
     psnr_loss_db, mtf50_loss : of reconstructions whose shifts are wrong by the rest
     """

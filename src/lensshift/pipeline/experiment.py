@@ -191,10 +191,7 @@ def told(experiment: Experiment, capture: TofCapture) -> tuple[Burst, ShiftField
 def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
     """Return the offset of every pixel when the lens makes the offsets of the burst in the middle.
 
-    Raises
-    ------
-    ValueError
-        If the camera has no traced lens that moves.
+    ValueError if the camera has no traced lens that moves.
     """
     from lensshift.optics.shift import decenter_for_shift, shift_map
 

@@ -87,15 +87,10 @@ def load_experiment(path: str | Path) -> Experiment:
 def parse_experiment(text: str, *, source: str, folder: Path) -> Experiment:
     """Return the experiment that a TOML text describes.
 
-    Parameters
-    ----------
+    DataError as in `load_experiment`.
+
     source : name of the file, for messages
     folder : that file names in it are relative to
-
-    Raises
-    ------
-    DataError
-        As in `load_experiment`.
     """
     table = parse_toml(text, source)
     with settings_of(source):

@@ -37,8 +37,6 @@ SAID = 3  # contradictions of a task that are told in words
 class Windows:
     """What is done with a recording; a worker needs no more.
 
-    Parameters
-    ----------
     recording : burst file, at a path that all workers know
     window, every : frames of a picture, and from the first one of a picture to that of the next
     count : pictures
@@ -79,8 +77,6 @@ class Solved:
 class SequenceSummary:
     """What became of a recording.
 
-    Parameters
-    ----------
     windows, resumed : pictures in the file, and how many of them were there before
     contradicted : pictures that their frames contradict, of those made now
     said : what was wrong, the first few

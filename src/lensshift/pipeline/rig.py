@@ -47,8 +47,6 @@ EMULATED_SPEED = 10.0  # of the emulated stages: only waiting gets shorter
 class RigSummary:
     """What a run with an emulated rig gave.
 
-    Parameters
-    ----------
     files : what was written
     calibration : measured by the scan
     shift_rms_px : rms error of the shifts of the burst, common offset left out, by what the
@@ -91,23 +89,13 @@ def run_emulated(
 ) -> RigSummary:
     """Start an emulated rig, calibrate it, capture over the real protocols, reconstruct, compare.
 
-    Drivers, protocols, acquisition and calibration are those of a real rig; only the emulator
-    knows where the image really was.
+    Drivers, protocols, acquisition and calibration are those of a real rig; only the emulator knows
+    where the image really was. DataError if the folder or a file cannot be written. DeviceError if
+    an emulated device fails. ValueError if there is no such method or plan.
 
-    Parameters
-    ----------
     out_dir : folder for scan.nc, calibration.json and .html, burst.nc, result.nc and preview.png
     settings : of the emulated rig
     on_step : called with what is being done ("scan", "burst") and how far it is
-
-    Raises
-    ------
-    DataError
-        If the folder or a file cannot be written.
-    DeviceError
-        If an emulated device fails.
-    ValueError
-        If there is no such method or plan.
     """
     start_s = time.perf_counter()
     find_method(method)
@@ -152,17 +140,12 @@ def run_bench(
 ) -> tuple[Reconstruction, tuple[Path, ...]]:
     """Capture a burst with a rig and reconstruct it; return the result and the files written.
 
-    Parameters
-    ----------
+    DataError, DeviceError, ValueError as `open_rig`, `acquire` and `reconstruct`.
+
     rig_file : TOML, see `lensshift.capture.opening.open_rig`
     out_dir : folder for burst.nc, result.nc and preview.png
     on_step : called with "burst" and how far it is
     on_homing : see `open_rig`
-
-    Raises
-    ------
-    DataError, DeviceError, ValueError
-        As `open_rig`, `acquire` and `reconstruct`.
     """
     from lensshift.report.preview import save_shots
 

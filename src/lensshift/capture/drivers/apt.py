@@ -33,20 +33,13 @@ def open_apt_stage(
 ) -> AptStage:
     """Connect both controllers, write their parameters, enable them, and home them if allowed.
 
-    Parameters
-    ----------
+    ValueError if both axes are one device. DeviceError if a device cannot be found, opened, set up
+    or homed, or must not be homed; nothing stays open.
+
     row, col : port of the axis: a USB serial number ("83000001"), a device path, or any URL of
         pyserial ("socket://host:port")
     settings : see `AptSettings`; the default ones if None
     on_homing : hears how far each axis will go before it is homed, and gives leave
-
-    Raises
-    ------
-    ValueError
-        If both axes are one device.
-    DeviceError
-        If a device cannot be found, opened, set up or homed, or must not be homed; nothing stays
-        open.
     """
     settings = settings or AptSettings()
     ports = find_port(row), find_port(col)
@@ -108,10 +101,7 @@ class AptStage:
     def home(self) -> Floats:
         """Let both axes look for their zero at once, return the position [2].
 
-        Raises
-        ------
-        DeviceError
-            If an axis fails; both have been stopped. `DeviceTimeout` if it takes too long.
+        DeviceError if an axis fails; both have been stopped. `DeviceTimeout` if it takes too long.
         """
         return self._together([axis.homing() for axis in self.axes])
 

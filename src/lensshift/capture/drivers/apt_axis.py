@@ -56,19 +56,13 @@ class _Leg:
 class AptAxis:
     """One controller with its actuator; `prepare` it before the first move.
 
-    `homing` and `moves` are generators, so that one thread can move several axes at once: each
-    step looks once, yields how long (s) to wait before the next, and returns the result at last.
+    `homing` and `moves` are generators, so that one thread can move several axes at once: each step
+    looks once, yields how long (s) to wait before the next, and returns the result at last.
+    DeviceError if the port cannot be had, or nothing at it speaks APT.
 
-    Parameters
-    ----------
     port : any URL of pyserial, or a device path
     settings : see `AptSettings`
     axis : 0 (row) or 1 (col)
-
-    Raises
-    ------
-    DeviceError
-        If the port cannot be had, or nothing at it speaks APT.
     """
 
     def __init__(self, port: str, settings: AptSettings, axis: int = 0) -> None:
@@ -121,10 +115,7 @@ class AptAxis:
     def prepare(self) -> None:
         """Write all parameters of motion and read them back, then enable the motor.
 
-        Raises
-        ------
-        DeviceError
-            If the controller keeps another value; the message names it.
+        DeviceError if the controller keeps another value; the message names it.
         """
         wanted, scale = self.settings, self._counts_per_mm
         acceleration = apt.servo_acceleration(wanted.acceleration_mmps2 * scale)

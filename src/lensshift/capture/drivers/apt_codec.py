@@ -165,13 +165,7 @@ class Record:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Return the record in the data.
-
-        Raises
-        ------
-        DamagedMessage
-            If the length or the channel is wrong.
-        """
+        """Return the record in the data. DamagedMessage if the length or the channel is wrong."""
         channel, *fields = _unpacked(cls.FORMAT, data)
         if channel != CHANNEL:
             raise DamagedMessage(f"expected channel {CHANNEL}, got {channel}")
@@ -283,10 +277,7 @@ class Info:
     def unpack(cls, data: bytes) -> Self:
         """Return what is in the data.
 
-        Raises
-        ------
-        DamagedMessage
-            If the length is wrong or the model is no text.
+        DamagedMessage if the length is wrong or the model is no text.
         """
         fields = _unpacked(cls.FORMAT, data)
         serial_number, model, _, minor, interim, major, _, notes = fields[:8]

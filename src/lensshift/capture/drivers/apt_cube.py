@@ -27,17 +27,12 @@ R = TypeVar("R", apt.Info, apt.Limits)
 class AptCube:
     """A TDC001 or KDC101 at a port.
 
-    Parameters
-    ----------
+    DeviceError if the port cannot be had, or nothing at it speaks APT.
+
     port : any URL of pyserial, or a device path
     tolerance : counts by which two replies of a motor at rest may differ
     reply_timeout_s : how long a reply may take
     attempts : how often a request is sent; replies may disagree four times as often
-
-    Raises
-    ------
-    DeviceError
-        If the port cannot be had, or nothing at it speaks APT.
     """
 
     def __init__(self, port: str, *, tolerance: int, reply_timeout_s: float, attempts: int) -> None:
@@ -107,10 +102,7 @@ class AptCube:
     def write(self, name: str, setter: Id, wanted: apt.Record) -> None:
         """Set a record until it reads back; request and answer have the ids after the setter's.
 
-        Raises
-        ------
-        DeviceError
-            If the controller keeps another value; the message names it.
+        DeviceError if the controller keeps another value; the message names it.
         """
         for _ in range(self._attempts):
             kept = self.link.ask(

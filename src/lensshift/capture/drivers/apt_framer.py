@@ -14,8 +14,6 @@ class Framer:
     What is no message, or of a length that its id does not have, is skipped byte by byte; half a
     message is dropped when nothing follows it in time. It holds less than one message.
 
-    Parameters
-    ----------
     sizes : bytes of data by message id; 0 is the short form
     destination, source : the only addresses that are accepted; several destinations, of a device
         that is called by more than one

@@ -27,10 +27,7 @@ T = TypeVar("T")
 def find_port(name: str) -> str:
     """Return the port of the USB serial number `name`; anything else is a port already.
 
-    Raises
-    ------
-    DeviceError
-        If no such device is plugged in; it says which are.
+    DeviceError if no such device is plugged in; it says which are.
     """
     if not name.isdigit():
         return name
@@ -49,18 +46,12 @@ def find_port(name: str) -> str:
 class AptLink:
     """Requests and replies over one port.
 
-    Several threads may use it: a request and its reply are never torn apart.
+    Several threads may use it: a request and its reply are never torn apart. DeviceError if the
+    port cannot be had.
 
-    Parameters
-    ----------
     port : any URL of pyserial, or a device path
     reply_timeout_s : how long a reply may take
     attempts : how often a request is sent before the controller counts as silent
-
-    Raises
-    ------
-    DeviceError
-        If the port cannot be had.
     """
 
     def __init__(self, port: str, *, reply_timeout_s: float, attempts: int) -> None:
@@ -96,13 +87,7 @@ class AptLink:
         return self._framer.resyncs
 
     def send(self, *messages: Message) -> None:
-        """Send messages that are not answered.
-
-        Raises
-        ------
-        DeviceError
-            If the connection is lost.
-        """
+        """Send messages that are not answered. DeviceError if the connection is lost."""
         with self._lock:
             self._write(messages)
 
@@ -111,19 +96,12 @@ class AptLink:
     ) -> T:
         """Send messages, the last of them a request, until a whole answer comes.
 
-        Parameters
-        ----------
+        DeviceTimeout if none comes. DeviceError if the connection is lost.
+
         messages : sent together, and again if no answer comes
         answer : id of the message that answers
         read : turns it into the result; raises DamagedMessage to ask again
         attempts : how often to send, if not as often as usual
-
-        Raises
-        ------
-        DeviceTimeout
-            If none comes.
-        DeviceError
-            If the connection is lost.
         """
         with self._lock:
             before = self._bytes, self.heard.total()

@@ -17,8 +17,6 @@ Z8_COUNTS_PER_MM = 34554.96
 class AptSettings:
     """What is written to both controllers, and when a position counts as reached.
 
-    Parameters
-    ----------
     counts_per_mm : encoder counts, for both axes or (row, col)
     velocity_mmps, acceleration_mmps2 : speed and acceleration of every move (mm/s, mm/s^2)
     home_velocity_mmps : speed while looking for the zero

@@ -35,18 +35,12 @@ def python_stage(
 ) -> Stage:
     """Make the stage that the entry `use` names, with the other entries as arguments.
 
-    Parameters
-    ----------
+    DataError if there is no such attribute, it does not take the entries, or makes no stage.
+    DeviceError if it fails.
+
     table : `use = "module:attribute"`, and what the attribute is called with
     folder : where modules are looked for first
     home, on_homing : handed on if the attribute takes them, see `open_rig`
-
-    Raises
-    ------
-    DataError
-        If there is no such attribute, it does not take the entries, or makes no stage.
-    DeviceError
-        If it fails.
     """
     make = _attribute(table, folder, "stage")
     offered = {"home": home, "on_homing": on_homing}

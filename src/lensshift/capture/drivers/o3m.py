@@ -25,8 +25,6 @@ _SOCKET_BYTES = 4 << 20  # about four seconds at 50 Hz, if the system grants it
 class O3MCamera(ReceivingCamera):
     """Receives what an O3M sends; nothing is ever sent to the camera.
 
-    Parameters
-    ----------
     port : UDP port that the camera is set to, 42000 as delivered; 0 takes a free one
     host : own address to listen at. The default is all of them, because the camera may send to
         the broadcast address, which arrives at no single one.
@@ -62,13 +60,7 @@ class O3MCamera(ReceivingCamera):
         return None if direction is None else PixelDirections(direction)
 
     def open(self) -> None:
-        """Begin to receive.
-
-        Raises
-        ------
-        DeviceError
-            If it is open already, or another program has the port.
-        """
+        """Begin to receive. DeviceError if it is open already, or another program has the port."""
         self._refuse_open()
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:

@@ -61,8 +61,6 @@ _DIAGNOSIS = struct.Struct(">12x f 132x f B")  # temperatures of board and light
 class O3MImage:
     """One cycle of the camera.
 
-    Parameters
-    ----------
     layout : "DIA1 1.4" and so on
     amplitude : [16 64] what a pixel would have read without its choice of exposure and gain
     distance_m : [16 64] radial, from the optical centre
@@ -103,8 +101,6 @@ class O3MImage:
 class O3MDiagnosis:
     """How the camera is.
 
-    Parameters
-    ----------
     main_celsius, light_celsius : temperatures of the camera and of its illumination
     mode : key of `MODES` if it is known
     """
@@ -122,10 +118,7 @@ class O3MDiagnosis:
 def layout_of(message: bytes) -> tuple[str, int]:
     """Return the layout of a message of channel 8 in words, and where its pixels begin.
 
-    Raises
-    ------
-    DataError
-        If magic, version and size are not those of a known layout.
+    DataError if magic, version and size are not those of a known layout.
     """
     if not message.startswith(_MAGIC):
         if len(message) == _SIZES[1, 0]:
@@ -152,14 +145,10 @@ def read_image(message: bytes) -> O3MImage:
         amplitude = raw amplitude * normalization[(confidence >> 1) & 3]
         distance_m = |(x, y, z) - (x, y, z) of the camera|
 
-    Exposure and gain are chosen per pixel, so raw amplitudes of neighbours cannot be compared.
-    The coordinates are finer than the distance in whole centimetres; where the two differ by more
-    than 1 cm, or a coordinate is not finite, the centimetres count.
-
-    Raises
-    ------
-    DataError
-        If this is no known layout or not of 64 x 16 pixels.
+    Exposure and gain are chosen per pixel, so raw amplitudes of neighbours cannot be compared. The
+    coordinates are finer than the distance in whole centimetres; where the two differ by more than
+    1 cm, or a coordinate is not finite, the centimetres count. DataError if this is no known layout
+    or not of 64 x 16 pixels.
     """
     layout, start = layout_of(message)
     pixels = np.frombuffer(message, _PIXELS, count=1, offset=start)[0]
@@ -199,10 +188,7 @@ def _distance_m(pixels: np.void) -> tuple[Floats, int]:
 def read_diagnosis(message: bytes) -> O3MDiagnosis:
     """Read a message of channel 256; unlike all others it is big-endian.
 
-    Raises
-    ------
-    DataError
-        If it is too short.
+    DataError if it is too short.
     """
     if len(message) < _DIAGNOSIS.size:
         raise DataError(

@@ -57,26 +57,17 @@ def read_header(datagram: bytes | bytearray | memoryview) -> PacketHeader | None
 
 
 class ChannelMessage(NamedTuple):
-    """Everything a camera sent on one channel in one cycle.
+    """Everything a camera sent on one channel in one cycle."""
 
-    Parameters
-    ----------
-    channel : 8 pixels, 14 parameters, 256 diagnosis
-    cycle : the cycle counter, unwrapped: it only grows, also when the camera starts anew
-    content : the bytes between the channel header and the end delimiter
-    """
-
-    channel: int
-    cycle: int
-    content: bytes
+    channel: int  # 8 pixels, 14 parameters, 256 diagnosis
+    cycle: int  # the cycle counter, unwrapped: it only grows, also when the camera starts anew
+    content: bytes  # the bytes between the channel header and the end delimiter
 
 
 @dataclass(slots=True)
 class PacketCounts:
     """What came from one sender.
 
-    Parameters
-    ----------
     packets : with an O3M header
     lost : missing by the packet counter
     duplicate : came twice, or after their message was whole or given up
@@ -108,8 +99,6 @@ class Reassembler:
     yielded at most once, and never after a later one of its channel. Memory is bounded whatever
     arrives.
 
-    Parameters
-    ----------
     channels : those to put together; packets of others are only counted
     """
 
@@ -134,8 +123,6 @@ class Reassembler:
     ) -> ChannelMessage | None:
         """Take a packet in; return the message that it completes, if it does.
 
-        Parameters
-        ----------
         header : of this packet, as `read_header` returned it
         datagram : the whole packet; it is copied
         arrived_s : any clock that only grows

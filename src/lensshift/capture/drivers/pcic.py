@@ -33,8 +33,6 @@ _FRAME_COUNT_AT = 4 + 32  # in a result: after `star`, in the first chunk
 class PcicCamera(ReceivingCamera):
     """A client of a camera's process interface. A lost connection is not made again.
 
-    Parameters
-    ----------
     host : address of the camera
     port : 50010; of an O3R 50010 + number of the camera's port
     pitch_mm : pixel pitch, one number or (row, col)
@@ -85,11 +83,8 @@ class PcicCamera(ReceivingCamera):
     def open(self) -> None:
         """Connect, set the schema, ask for results and wait for the first one.
 
-        Raises
-        ------
-        DeviceError
-            If it is open already, there is no connection, or the camera refuses.
-            `DeviceTimeout` if no answer or no result comes.
+        DeviceError if it is open already, there is no connection, or the camera refuses.
+        `DeviceTimeout` if no answer or no result comes.
         """
         self._refuse_open()
         try:

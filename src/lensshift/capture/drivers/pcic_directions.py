@@ -29,8 +29,6 @@ def bouguet_directions(numbers: Sequence[float], shape: tuple[int, ...]) -> Floa
 
     None where they are not numbers of a lens, as those of a camera without a calibration.
 
-    Parameters
-    ----------
     numbers : fx, fy, mx, my, alpha, k1, k2, k3, k4, k5, and others that do not matter
 
     Source: ifm's public examples for the O3R, function `intrinsic_projection`.

@@ -82,8 +82,6 @@ class PcicParser:
 
     What is no message is skipped up to the next that may be one, and counted.
 
-    Parameters
-    ----------
     max_bytes : a message that claims to be longer is none, so memory is bounded
     """
 
@@ -149,36 +147,21 @@ class PcicParser:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunk:
-    """One part of a result.
+    """One part of a result."""
 
-    Parameters
-    ----------
-    kind : a `ChunkKind`, or a number that is not listed there
-    shape : (rows, cols) as the header says; chunks without pixels say it too
-    pixel_format : number of the type of a pixel
-    time_us : time stamp, wraps at 2^32
-    frame_count : counter of the frames, wraps at 2^32
-    time_s : time of the camera's clock, None before header version 2
-    metadata : from header version 3 on
-    data : everything after the header
-    """
-
-    kind: int
-    shape: tuple[int, int]
-    pixel_format: int
-    time_us: int
-    frame_count: int
-    time_s: float | None
-    metadata: Mapping[str, Any]
-    data: bytes
+    kind: int  # a `ChunkKind`, or a number that is not listed there
+    shape: tuple[int, int]  # (rows, cols) as the header says; chunks without pixels say it too
+    pixel_format: int  # number of the type of a pixel
+    time_us: int  # time stamp, wraps at 2^32
+    frame_count: int  # counter of the frames, wraps at 2^32
+    time_s: float | None  # time of the camera's clock, None before header version 2
+    metadata: Mapping[str, Any]  # from header version 3 on
+    data: bytes  # everything after the header
 
     def image(self) -> Array:
         """Return the pixels [row col] or [row col 3].
 
-        Raises
-        ------
-        DataError
-            If the type is not known or the data are too short.
+        DataError if the type is not known or the data are too short.
         """
         if self.pixel_format not in _FORMATS:
             raise DataError(
@@ -198,10 +181,7 @@ class Chunk:
 def read_chunks(content: bytes) -> list[Chunk]:
     """Cut the content of a result, `star` to `stop`, into its chunks.
 
-    Raises
-    ------
-    DataError
-        If the frame is missing or a size leads out of it.
+    DataError if the frame is missing or a size leads out of it.
     """
     if len(content) < 8 or not (content.startswith(b"star") and content.endswith(b"stop")):
         raise DataError(f"expected 'star' ... 'stop', got {content[:8]!r}", field="result")
@@ -245,8 +225,6 @@ def _metadata(text: bytes) -> Mapping[str, Any]:
 class TofInfo:
     """What an O3R tells of itself with each frame.
 
-    Parameters
-    ----------
     version : of this information
     distance_resolution_m, amplitude_resolution : value of one count
     amplitude_factors : of the three exposures
@@ -269,10 +247,7 @@ class TofInfo:
 def read_tof_info(chunk: Chunk) -> TofInfo:
     """Read the chunk TOF_INFO; what versions above 1 add is left out.
 
-    Raises
-    ------
-    DataError
-        If it is too short.
+    DataError if it is too short.
     """
     if len(chunk.data) < _INFO.size:
         raise DataError(
@@ -286,8 +261,6 @@ def read_tof_info(chunk: Chunk) -> TofInfo:
 class PcicImage:
     """One result as arrays.
 
-    Parameters
-    ----------
     amplitude : [row col] normalised where the camera offers it
     distance_m : [row col] radial, or None
     valid : [row col] False where the confidence or a distance of zero says so
@@ -312,10 +285,7 @@ class PcicImage:
 def read_result(content: bytes) -> PcicImage:
     """Read a result of an O3D (counts of 1 mm) or O3R (counts times the resolution it tells).
 
-    Raises
-    ------
-    DataError
-        If it is damaged, holds no amplitude, or its images differ in size.
+    DataError if it is damaged, holds no amplitude, or its images differ in size.
     """
     chunks = read_chunks(content)
     images = {one.kind: one for one in chunks if one.kind in _IMAGES}

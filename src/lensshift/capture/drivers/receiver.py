@@ -31,8 +31,6 @@ def counter_steps(newer: int, older: int) -> int:
 class Receiver:
     """Runs a camera's receiving loop in a thread and holds the frames nobody has fetched yet.
 
-    Parameters
-    ----------
     device : name of the camera, for the messages
     depth : frames held; beyond that the oldest is dropped and counted
     """
@@ -96,17 +94,11 @@ class Receiver:
     def take(self, timeout_s: float, explain: Callable[[], str]) -> CameraFrame:
         """Return the oldest frame held; wait for one if there is none.
 
-        Parameters
-        ----------
+        DeviceTimeout if none came in time. DeviceError if the camera was interrupted or has ended,
+        or nobody opened it.
+
         timeout_s : how long to wait
         explain : tells why none came
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time.
-        DeviceError
-            If the camera was interrupted or has ended, or nobody opened it.
         """
         if not (math.isfinite(timeout_s) and timeout_s >= 0):
             raise ValueError(f"expected a time to wait of at least 0 s, got {timeout_s}")
@@ -153,8 +145,6 @@ class _Relay(AbstractContextManager["_Relay"]):
 class ReceivingCamera(ABC):
     """What cameras have in common that receive in a thread; the rest of `Camera` is the driver's.
 
-    Parameters
-    ----------
     name : what it is called in messages
     pitch_mm : pixel pitch, one number or (row, col)
     modulation_hz : modulation frequency, if known

@@ -31,8 +31,6 @@ class ReplayCamera(ReceivingCamera):
 
     A pcap or pcapng file holds packets of an O3M; anything else is read as a ROS bag.
 
-    Parameters
-    ----------
     path : file, or folder of a ROS 2 bag
     speed : 1: as fast as recorded; infinity: as fast as frames are fetched, and none is dropped
     pitch_mm : pixel pitch, one number or (row, col)
@@ -93,13 +91,7 @@ class ReplayCamera(ReceivingCamera):
         return [self._amplitude_topic, *distance]
 
     def open(self) -> None:
-        """Begin to play.
-
-        Raises
-        ------
-        DeviceError
-            If it is open already, or the recording cannot be read.
-        """
+        """Begin to play. DeviceError if it is open already, or the recording cannot be read."""
         self._refuse_open()
         try:
             self.grid  # noqa: B018 - reads the shape out of the recording

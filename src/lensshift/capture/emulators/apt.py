@@ -129,8 +129,6 @@ def serve_pty(controller: AptController) -> Served:
 class EmulatedStagePair:
     """Two controllers, row and col, each with an actuator, to be used in a `with` statement.
 
-    Parameters
-    ----------
     seed : of noise and losses
     link : "tcp" or "pty"
     settings : play_mm, encoder_noise_mm, loss, loss_in, speed; see `AptController`

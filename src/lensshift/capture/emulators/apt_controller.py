@@ -36,8 +36,6 @@ class AptController:
     home right after enable hangs, backward moves overrun by the firmware's backlash until that is
     set to 0. Times of the caller are those of `time.monotonic()`.
 
-    Parameters
-    ----------
     model : "TDC001" or "KDC101"
     serial_number, stage_id : as reported; stage 11 is the Z806
     play_mm : how far the lens lags behind the encoder after going backward
@@ -110,8 +108,6 @@ class AptController:
     def lens_mm(self, now_s: float | None = None) -> float:
         """Return the true position of the lens, from the zero of an offset of 0.3 mm.
 
-        Parameters
-        ----------
         now_s : `time.monotonic()`, also some seconds ago; now if None
         """
         with self._lock:

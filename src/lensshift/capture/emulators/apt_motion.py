@@ -38,8 +38,6 @@ class _Piece:
 class Motion:
     """Where motor and lens are at any time, also some time ago.
 
-    Parameters
-    ----------
     counts : where the motor begins, at rest
     play : how far the lens lags behind the motor that goes backward, in counts
     """

@@ -9,10 +9,7 @@ import socket
 def check_own(host: str) -> None:
     """Refuse an address beyond this computer: an emulator has no business there.
 
-    Raises
-    ------
-    ValueError
-        If it is none of this computer's.
+    ValueError if it is none of this computer's.
     """
     if host != "localhost" and not ipaddress.ip_address(host).is_loopback:
         raise ValueError(f"expected an address of this computer, got {host}")
@@ -21,10 +18,7 @@ def check_own(host: str) -> None:
 def listen(host: str, port: int) -> socket.socket:
     """Return a socket that listens at a TCP port; 0 takes any that is free.
 
-    Raises
-    ------
-    OSError
-        That names the port, if it cannot be had.
+    OSError that names the port, if it cannot be had.
     """
     try:
         return socket.create_server((host, port))

@@ -44,8 +44,6 @@ def packetise(
 ) -> list[bytes]:
     """Cut the messages of one cycle into packets as the camera does.
 
-    Parameters
-    ----------
     channels : channel -> message, in the order of sending
     cycle, first_packet : counters; both wrap at 2^32
     packet_bytes : longest packet, header and all
@@ -78,8 +76,6 @@ def pixel_message(
     Each pixel takes the most sensitive of four settings (exposure 1 or 10, gain 1 or 4) that does
     not saturate it, and says so in its confidence; the factors that undo it stand beside.
 
-    Parameters
-    ----------
     frame : what the camera sees
     layout : a key of `LAYOUTS`
     full_scale : amplitude that the weakest setting can just read
@@ -148,8 +144,6 @@ def parameter_message() -> bytes:
 class O3MSender:
     """Sends what `look` sees, cycle by cycle; a context manager with a thread.
 
-    Parameters
-    ----------
     look : called with begin and end of an exposure (`time.monotonic`), after its end; returns a
         frame of 64 x 16 pixels
     port : UDP port of the receiver

@@ -26,8 +26,6 @@ class PcicServer:
     One client at a time. Commands: `p0`, `p1` output off and on, `V?`, `G?`, `C?`, `c` with a
     schema, which says what the results hold from then on.
 
-    Parameters
-    ----------
     look : called with begin and end of an exposure (`time.monotonic`), after its end
     rate_hz : results a second
     host : own address; other computers can connect only with `allow_remote`

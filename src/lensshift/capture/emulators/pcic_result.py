@@ -129,10 +129,7 @@ def schema_text(model: str) -> bytes:
 def wanted_by(schema: bytes, model: str) -> tuple[str | bytes, ...]:
     """Return the parts that a schema asks for: names of blobs, and bytes to send as they are.
 
-    Raises
-    ------
-    ValueError
-        If it is no schema, or asks for what this camera does not have.
+    ValueError if it is no schema, or asks for what this camera does not have.
     """
     try:
         content = json.loads(schema)
@@ -170,8 +167,6 @@ def result_content(
 ) -> bytes:
     """Write a frame as a result, `star` to `stop` unless the schema has it otherwise.
 
-    Parameters
-    ----------
     frame : what the camera sees
     model : "O3D" (header version 1, distance in mm) or "O3R" (version 2, with TOF_INFO)
     count : frame count

@@ -39,8 +39,6 @@ def _turned() -> Array:
 class RigSettings:
     """What an emulated rig is like.
 
-    Parameters
-    ----------
     scene, camera : the world
     px_per_mm : [2 2] image shift over lens travel in the middle of the sensor
     field_share : how much more the image shifts at the ends of the sensor than in the middle
@@ -75,8 +73,6 @@ class RigSettings:
 class EmulatedWorld:
     """The scene as the emulated camera sees it through the emulated lens.
 
-    Parameters
-    ----------
     settings : of the rig
     lens_mm : instant (`time.monotonic()`) -> true position [2] of the lens
     """
@@ -114,8 +110,6 @@ class EmulatedWorld:
 class EmulatedRig:
     """Two APT controllers on loopback TCP and an O3M on UDP; use it in a `with` block.
 
-    Parameters
-    ----------
     settings : what it is like
     camera_port : UDP port that the camera sends to
     """

@@ -289,8 +289,6 @@ class EdgeFrames:
     def normal_pitch_mm(self, slope_rad: float, vertical: bool) -> float:
         """Return the length of one pixel along the normal of an edge.
 
-        Parameters
-        ----------
         slope_rad : angle of the edge against the columns (vertical) or the rows
         vertical : which of the two
         """
@@ -318,10 +316,7 @@ def take_frames(
 ) -> EdgeFrames:
     """Check the input of a measurement.
 
-    Raises
-    ------
-    ValueError
-        If a shape does not fit, or the pixels are complex, or the pitch is not positive.
+    ValueError if a shape does not fit, or the pixels are complex, or the pitch is not positive.
     """
     given = np.asarray(image)
     if given.dtype.kind not in "buif" or given.ndim not in (2, 3) or given.size == 0:

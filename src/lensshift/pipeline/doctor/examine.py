@@ -60,8 +60,6 @@ OnStep = Callable[[str, Progress | None], None]
 class Diagnosis:
     """What the doctor found.
 
-    Parameters
-    ----------
     source : the rig file
     began : date and time (UTC)
     findings : in the order in which they came

@@ -28,8 +28,6 @@ def camera_fault(
 ) -> Finding:
     """Return the finding behind an error of the camera.
 
-    Parameters
-    ----------
     camera : open, if it could be opened
     port : UDP port that it should send to, None if it is no such camera
     say : told before something that takes a while

@@ -29,8 +29,6 @@ def cubes() -> list[str]:
 def rig_text(row: str, col: str, port: int) -> str:
     """Return a rig file: the example with these devices.
 
-    Parameters
-    ----------
     row, col : serial number, device or URL of the stage
     port : UDP port of an O3M
     """
@@ -46,16 +44,11 @@ def rig_text(row: str, col: str, port: int) -> str:
 def begin(path: Path, row: str | None, col: str | None, port: int, ask: Ask | None) -> None:
     """Write a rig file from what is given, plugged in and answered.
 
-    Parameters
-    ----------
+    DataError if the file exists or cannot be written, or an axis is not known.
+
     path : that must not exist
     row, col : where the axes are, None: look for them
     ask : called with a question and what is likely, returns the answer; None: nobody to ask
-
-    Raises
-    ------
-    DataError
-        If the file exists or cannot be written, or an axis is not known.
     """
     if path.exists():
         raise DataError("there is a rig file already: give it as argument", source=path)

@@ -32,8 +32,6 @@ _MOST_INVALID = 0.5  # half of the pixels see nothing
 class View:
     """Frames of a camera behind a lens that stands still.
 
-    Parameters
-    ----------
     amplitude, valid : [frame row col]
     rate_hz : by the camera's own counter
     lost_share : of the frames that the camera counted
@@ -163,8 +161,6 @@ def view_findings(
 ) -> Iterator[Finding]:
     """Yield what is wrong with the light, the scene and the network.
 
-    Parameters
-    ----------
     counts, known : what the camera counted, and what it says of itself
     """
     invalid = 1.0 - float(view.valid.mean())

@@ -43,8 +43,6 @@ def paper_camera(
     of the amplitude of one pixel: the exposure is what gives it. Whole centimetres and twelve
     bits, no sunlight, no scattered light: the paper's booth is dark.
 
-    Parameters
-    ----------
     snr : amplitude over its standard deviation
     light : reflectance x cos / distance^2 of the surface that has it
     brightest : the same of the brightest surface, which stays below a full tap

@@ -36,8 +36,6 @@ RESPONSES: tuple[Response, ...] = ((1.0, 0.05), *((None, width) for width in _WI
 class BoxRun:
     """One draw of noise, shift errors and the place of the scene on the pixels.
 
-    Parameters
-    ----------
     gains : what -> steepness of the super-resolved edge over that of one frame [line];
         "amplitude", "distance", "phasor", and "distance, traced" with the shift map of the lens
     depth : "distance" and "phasor" -> errors of the distance image, see `depth_error`

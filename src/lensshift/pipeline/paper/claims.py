@@ -22,8 +22,6 @@ _ANY = float("inf")
 class Criterion:
     """What one number says of a claim.
 
-    Parameters
-    ----------
     meaning : of the number
     claimed : range that the whole interval must lie in for "confirmed"
     tolerated : range that the number itself must lie in for "qualified"; beyond: "refuted". The
@@ -128,8 +126,6 @@ CRITERIA: Mapping[str, Mapping[str, Criterion]] = {
 class Claim:
     """One statement of the paper, measured.
 
-    Parameters
-    ----------
     id : short name, under which `CRITERIA` says what decides
     statement : the paper's, in our words
     paper : its number, or in words what it shows
@@ -164,10 +160,7 @@ class Claim:
 def verdict(claim: str, numbers: Mapping[str, Number]) -> Verdict:
     """Return the worst of what the numbers say of a claim, those of yardsticks left out.
 
-    Raises
-    ------
-    ValueError
-        If a number that decides it is missing.
+    ValueError if a number that decides it is missing.
     """
     criteria = CRITERIA[claim]
     missing = set(criteria) - set(numbers)

@@ -40,8 +40,6 @@ _BOTH = (("", "lens shift"), (", tikhonov", "lens shift, tikhonov"))
 class EdgeRun:
     """One draw of noise and shift errors.
 
-    Parameters
-    ----------
     edges : kind -> measurement
     images : kind -> [row col]
     departures : bits of the converter, 0 for no rounding -> rms of the frame from its limit

@@ -30,18 +30,11 @@ _BRIGHT = 0.8  # reflectance of the brighter of the two
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """What is in front of the camera.
+    """What is in front of the camera."""
 
-    Parameters
-    ----------
-    contrast : amplitude of the strip over that of the wall
-    width_px : of the strip
-    snr : of the brighter of the two
-    """
-
-    contrast: float
-    width_px: float
-    snr: float = 50.0
+    contrast: float  # amplitude of the strip over that of the wall
+    width_px: float  # of the strip
+    snr: float = 50.0  # of the brighter of the two
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,8 +79,6 @@ def read_grating(
 
         I = c (1 + C (a cos phi - b sin phi)),   modulation = a
 
-    Parameters
-    ----------
     image : [row col], over the whole sensor; its rim and far columns are left out
     frequency_lpmm : of the wave on the sensor
     phase_rad : of the wave in the middle of the sensor

@@ -16,15 +16,10 @@ def carry_out_jobs(
 ) -> list[tuple[str, Any]]:
     """Return kind and result of each job, in their order.
 
-    Parameters
-    ----------
+    ValueError if there is not at least one process; whatever a job raises.
+
     processes : that work side by side; 1 stays in this one
     on_step : called with the number of finished jobs and of all
-
-    Raises
-    ------
-    ValueError
-        If there is not at least one process; whatever a job raises.
     """
     if processes < 1:
         raise ValueError(f"expected at least one process, got {processes}")

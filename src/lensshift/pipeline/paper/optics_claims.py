@@ -24,8 +24,6 @@ _SHIFT_PX = 0.25  # of the square pattern
 class LensResult:
     """MTF of one lens, and what moving each element costs.
 
-    Parameters
-    ----------
     name : of the lens
     frequency_lpmm : [f]
     rest, moved : [field f] along columns; first element at rest, and a quarter pixel away

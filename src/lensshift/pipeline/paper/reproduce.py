@@ -64,8 +64,6 @@ _NOT_DONE = (
 class Reproduction:
     """What came out.
 
-    Parameters
-    ----------
     claims : the paper's, with our numbers and verdicts
     response_px, response_error_px : assumed width of a pixel, as `calibrate` finds it here
     gradients : one row per strip, see `study_strip`
