@@ -34,10 +34,7 @@ WRITTEN = "written"
 
 
 class PiecewiseFile(GrowingFile):
-    """A container whose first dimension is filled in pieces; use `begin`, in a `with` block.
-
-    written : [piece] which pieces are there
-    """
+    """A container whose first dimension is filled in pieces; use `begin`, in a `with` block."""
 
     def __init__(
         self,
@@ -46,7 +43,7 @@ class PiecewiseFile(GrowingFile):
         file: BinaryIO,
         starts: Mapping[str, int],
         spaces: Mapping[str, Allocated],
-        written: NDArray[np.bool_],
+        written: NDArray[np.bool_],  # [piece] which pieces are there
     ) -> None:
         super().__init__(file)
         self.written, self._target, self._part = written, target, part

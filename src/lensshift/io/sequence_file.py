@@ -46,12 +46,12 @@ def begin_sequence(
     path: str | Path,
     windows: int,
     grid: Grid,
-    channels: tuple[str, ...],
+    channels: tuple[str, ...],  # among "amplitude" and "distance"
     *,
     scale: int,
     method: str,
     settings: Mapping[str, Any],
-    flying: bool,
+    flying: bool,  # whether there are flags
     intrinsics: Intrinsics | None,
 ) -> PiecewiseFile:
     """Begin the file of a sequence, or go on with one that was begun with the same settings.
@@ -59,8 +59,6 @@ def begin_sequence(
     DataError as `PiecewiseFile.begin`.
 
     grid, intrinsics : of the HR pictures
-    channels : among "amplitude" and "distance"
-    flying : whether there are flags
     """
     variables: dict[str, writer.Variable] = {}
     for channel in channels:

@@ -78,15 +78,13 @@ class SequenceSummary:
     """What became of a recording.
 
     windows, resumed : pictures in the file, and how many of them were there before
-    contradicted : pictures that their frames contradict, of those made now
-    said : what was wrong, the first few
     """
 
     path: Path
     windows: int
     resumed: int
-    contradicted: int
-    said: tuple[str, ...]
+    contradicted: int  # pictures that their frames contradict, of those made now
+    said: tuple[str, ...]  # what was wrong, the first few
     seconds: float
 
 

@@ -47,25 +47,20 @@ EMULATED_SPEED = 10.0  # of the emulated stages: only waiting gets shorter
 class RigSummary:
     """What a run with an emulated rig gave.
 
-    files : what was written
-    calibration : measured by the scan
     shift_rms_px : rms error of the shifts of the burst, common offset left out, by what the
         emulator knows: with the nominal map, with the calibration in the middle of the sensor,
         and with the calibration over the sensor
     fidelity : name -> psnr_db, ssim, rmse of the amplitude against the truth
-    loss_db : PSNR with perfect shifts minus PSNR with calibrated ones
-    counts : what the camera got and lost
-    seconds : for everything
     """
 
-    files: tuple[Path, ...]
-    calibration: Calibration
+    files: tuple[Path, ...]  # what was written
+    calibration: Calibration  # measured by the scan
     reconstruction: Reconstruction
     shift_rms_px: dict[str, float]
     fidelity: dict[str, dict[str, float]]
-    loss_db: float
-    counts: dict[str, int]
-    seconds: float
+    loss_db: float  # PSNR with perfect shifts minus PSNR with calibrated ones
+    counts: dict[str, int]  # what the camera got and lost
+    seconds: float  # for everything
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,23 +124,18 @@ def run_emulated(
 
 
 def run_bench(
-    rig_file: str | Path,
-    out_dir: str | Path,
+    rig_file: str | Path,  # TOML, see `lensshift.capture.opening.open_rig`
+    out_dir: str | Path,  # folder for burst.nc, result.nc and preview.png
     *,
     scale: int = 2,
     method: str = "auto",
     plan: str = "square",
-    on_step: Callable[[str, Progress], None] | None = None,
-    on_homing: OnHoming | None = None,
+    on_step: Callable[[str, Progress], None] | None = None,  # called with "burst" and how far it is
+    on_homing: OnHoming | None = None,  # see `open_rig`
 ) -> tuple[Reconstruction, tuple[Path, ...]]:
     """Capture a burst with a rig and reconstruct it; return the result and the files written.
 
     DataError, DeviceError, ValueError as `open_rig`, `acquire` and `reconstruct`.
-
-    rig_file : TOML, see `lensshift.capture.opening.open_rig`
-    out_dir : folder for burst.nc, result.nc and preview.png
-    on_step : called with "burst" and how far it is
-    on_homing : see `open_rig`
     """
     from lensshift.report.preview import save_shots
 

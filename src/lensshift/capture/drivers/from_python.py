@@ -27,8 +27,8 @@ T = TypeVar("T")
 
 
 def python_stage(
-    table: Mapping[str, Any],
-    folder: Path,
+    table: Mapping[str, Any],  # `use = "module:attribute"`, and what the attribute is called with
+    folder: Path,  # where modules are looked for first
     *,
     home: str | None = None,
     on_homing: OnHoming | None = None,
@@ -38,8 +38,6 @@ def python_stage(
     DataError if there is no such attribute, it does not take the entries, or makes no stage.
     DeviceError if it fails.
 
-    table : `use = "module:attribute"`, and what the attribute is called with
-    folder : where modules are looked for first
     home, on_homing : handed on if the attribute takes them, see `open_rig`
     """
     make = _attribute(table, folder, "stage")

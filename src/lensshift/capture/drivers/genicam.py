@@ -24,24 +24,17 @@ class GenicamCamera(CallableCamera):
     """One GenICam camera; range as Coord3D_C16 or Coord3D_ABC32f, intensity as Mono16 or Mono8.
 
     ImportError if the extra `genicam` is not installed.
-
-    producer : path of the vendor's GenTL producer, a .cti file
-    pitch_mm : pixel pitch, one number or (row, col)
-    index : which of the cameras that the producer finds
-    modulation_hz : modulation frequency, if known
-    timeout_s : for one buffer
-    harvester : a `Harvester` that is set up already, instead of `producer`
     """
 
     def __init__(
         self,
-        producer: str = "",
+        producer: str = "",  # path of the vendor's GenTL producer, a .cti file
         *,
-        pitch_mm: float | tuple[float, float],
-        index: int = 0,
-        modulation_hz: float | None = None,
-        timeout_s: float = 5.0,
-        harvester: Any = None,
+        pitch_mm: float | tuple[float, float],  # pixel pitch, one number or (row, col)
+        index: int = 0,  # which of the cameras that the producer finds
+        modulation_hz: float | None = None,  # modulation frequency, if known
+        timeout_s: float = 5.0,  # for one buffer
+        harvester: Any = None,  # a `Harvester` that is set up already, instead of `producer`
     ) -> None:
         self._harvester = _harvester(producer) if harvester is None else harvester
         self._own = harvester is None

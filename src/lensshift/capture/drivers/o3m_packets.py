@@ -68,21 +68,15 @@ class ChannelMessage(NamedTuple):
 class PacketCounts:
     """What came from one sender.
 
-    packets : with an O3M header
-    lost : missing by the packet counter
-    duplicate : came twice, or after their message was whole or given up
-    reordered : came after a later one
-    partial : messages given up because a packet was missing
-    oversize : messages longer than any known
     restarts : times the camera started anew: most jumps back of the cycle counter of a channel
     """
 
-    packets: int = 0
-    lost: int = 0
-    duplicate: int = 0
-    reordered: int = 0
-    partial: int = 0
-    oversize: int = 0
+    packets: int = 0  # with an O3M header
+    lost: int = 0  # missing by the packet counter
+    duplicate: int = 0  # came twice, or after their message was whole or given up
+    reordered: int = 0  # came after a later one
+    partial: int = 0  # messages given up because a packet was missing
+    oversize: int = 0  # messages longer than any known
     restarts: int = 0
 
     @property

@@ -33,23 +33,19 @@ _FRAME_COUNT_AT = 4 + 32  # in a result: after `star`, in the first chunk
 class PcicCamera(ReceivingCamera):
     """A client of a camera's process interface. A lost connection is not made again.
 
-    host : address of the camera
-    port : 50010; of an O3R 50010 + number of the camera's port
-    pitch_mm : pixel pitch, one number or (row, col)
     schema : JSON that says what a result shall hold, or None to leave the camera as it is; it
         must ask for an amplitude
-    modulation_hz : modulation frequency, if known
     timeout_s : for the connection, each answer, and the first frame, which tells the shape
     """
 
     def __init__(
         self,
-        host: str,
-        port: int = RESULT_PORT,
+        host: str,  # address of the camera
+        port: int = RESULT_PORT,  # 50010; of an O3R 50010 + number of the camera's port
         *,
-        pitch_mm: float | tuple[float, float],
+        pitch_mm: float | tuple[float, float],  # pixel pitch, one number or (row, col)
         schema: str | None = None,
-        modulation_hz: float | None = None,
+        modulation_hz: float | None = None,  # modulation frequency, if known
         timeout_s: float = 5.0,
     ) -> None:
         super().__init__(f"PCIC camera {host}:{port}", pitch_mm, modulation_hz)

@@ -36,31 +36,24 @@ class AptController:
     home right after enable hangs, backward moves overrun by the firmware's backlash until that is
     set to 0. Times of the caller are those of `time.monotonic()`.
 
-    model : "TDC001" or "KDC101"
     serial_number, stage_id : as reported; stage 11 is the Z806
-    play_mm : how far the lens lags behind the encoder after going backward
-    encoder_noise_mm : standard deviation of the reported position
     loss, loss_in : probability that a message out, or a block of bytes in, loses one byte
-    speed : how much faster than real time it runs
-    seed : of noise and losses
-    start_mm : where the lens is at power on
-    counts_per_mm : true scale of the actuator
     """
 
     def __init__(
         self,
         *,
-        model: str = "KDC101",
+        model: str = "KDC101",  # "TDC001" or "KDC101"
         serial_number: int = 27000001,
         stage_id: int = 11,
-        play_mm: float = 0.0,
-        encoder_noise_mm: float = 0.0,
+        play_mm: float = 0.0,  # how far the lens lags behind the encoder after going backward
+        encoder_noise_mm: float = 0.0,  # standard deviation of the reported position
         loss: float = 0.0,
         loss_in: float = 0.0,
-        speed: float = 1.0,
-        seed: int = 0,
-        start_mm: float = 2.0,
-        counts_per_mm: float = Z8_COUNTS_PER_MM,
+        speed: float = 1.0,  # how much faster than real time it runs
+        seed: int = 0,  # of noise and losses
+        start_mm: float = 2.0,  # where the lens is at power on
+        counts_per_mm: float = Z8_COUNTS_PER_MM,  # true scale of the actuator
     ) -> None:
         if model not in ("TDC001", "KDC101"):
             raise ValueError(f"expected model 'TDC001' or 'KDC101', got {model!r}")

@@ -36,17 +36,15 @@ _FIRST_CYCLE = 1000  # it has been running for a while
 
 
 def packetise(
-    channels: Mapping[int, bytes],
+    channels: Mapping[int, bytes],  # channel -> message, in the order of sending
     cycle: int,
     first_packet: int,
     *,
-    packet_bytes: int = PACKET_BYTES,
+    packet_bytes: int = PACKET_BYTES,  # longest packet, header and all
 ) -> list[bytes]:
     """Cut the messages of one cycle into packets as the camera does.
 
-    channels : channel -> message, in the order of sending
     cycle, first_packet : counters; both wrap at 2^32
-    packet_bytes : longest packet, header and all
     """
     room = packet_bytes - 32
     cut: list[tuple[int, int, list[bytes]]] = []

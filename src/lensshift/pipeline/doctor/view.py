@@ -33,22 +33,17 @@ class View:
     """Frames of a camera behind a lens that stands still.
 
     amplitude, valid : [frame row col]
-    rate_hz : by the camera's own counter
-    lost_share : of the frames that the camera counted
-    snr : median over the pixels of mean over noise in time
-    sigma_px : [2] how well one frame tells a shift along (row, col)
     brightness_jump : rms change of brightness from frame to frame that noise does not explain
-    settings_share : of the pixels whose amplitude depends on the exposure that they chose
     """
 
     amplitude: Floats
     valid: Mask
-    rate_hz: float
-    lost_share: float
-    snr: float
-    sigma_px: Floats
+    rate_hz: float  # by the camera's own counter
+    lost_share: float  # of the frames that the camera counted
+    snr: float  # median over the pixels of mean over noise in time
+    sigma_px: Floats  # [2] how well one frame tells a shift along (row, col)
     brightness_jump: float
-    settings_share: float
+    settings_share: float  # of the pixels whose amplitude depends on the exposure that they chose
 
     @property
     def averages_needed(self) -> float:

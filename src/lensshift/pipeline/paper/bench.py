@@ -27,14 +27,14 @@ Optics = Literal["plain", "petzval_a", "petzval_b"]
 
 
 def paper_camera(
-    snr: float,
-    light: float,
-    brightest: float,
+    snr: float,  # amplitude over its standard deviation
+    light: float,  # reflectance x cos / distance^2 of the surface that has it
+    brightest: float,  # the same of the brightest surface, which stays below a full tap
     *,
     optics: Optics = "plain",
     element: int | None = 0,
-    grid: Grid = GRID,
-    output: Literal["o3m", "float"] = "o3m",
+    grid: Grid = GRID,  # of the sensor
+    output: Literal["o3m", "float"] = "o3m",  # "float" leaves the rounding out
 ) -> TofCamera:
     """Return the camera of the paper at a given signal to noise ratio.
 
@@ -43,13 +43,8 @@ def paper_camera(
     of the amplitude of one pixel: the exposure is what gives it. Whole centimetres and twelve
     bits, no sunlight, no scattered light: the paper's booth is dark.
 
-    snr : amplitude over its standard deviation
-    light : reflectance x cos / distance^2 of the surface that has it
-    brightest : the same of the brightest surface, which stays below a full tap
     optics, element : a lens without aberrations, or the traced one, and what of it moves: an
         element from 0, or None for the sensor
-    grid : of the sensor
-    output : "float" leaves the rounding out
     """
     lens = _PRESET.optics  # whose spot is about that of the traced one
     if optics != "plain":

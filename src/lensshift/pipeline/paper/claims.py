@@ -22,14 +22,12 @@ _ANY = float("inf")
 class Criterion:
     """What one number says of a claim.
 
-    meaning : of the number
-    claimed : range that the whole interval must lie in for "confirmed"
     tolerated : range that the number itself must lie in for "qualified"; beyond: "refuted". The
         interval plays no part, so that fewer draws save no claim.
     """
 
-    meaning: str
-    claimed: Pair
+    meaning: str  # of the number
+    claimed: Pair  # range that the whole interval must lie in for "confirmed"
     tolerated: Pair
 
     def judge(self, number: Number) -> Verdict:
@@ -126,20 +124,16 @@ CRITERIA: Mapping[str, Mapping[str, Criterion]] = {
 class Claim:
     """One statement of the paper, measured.
 
-    id : short name, under which `CRITERIA` says what decides
-    statement : the paper's, in our words
-    paper : its number, or in words what it shows
     numbers : what decides it, with 95 % over noise, shift errors and edge phases (for numbers
         without chance the range over what was tried), the most telling first; named as in
         `CRITERIA`; after a comma whose: shown beside it, and decides nothing
-    why : one sentence
     """
 
-    id: str
-    statement: str
-    paper: str
+    id: str  # short name, under which `CRITERIA` says what decides
+    statement: str  # the paper's, in our words
+    paper: str  # its number, or in words what it shows
     numbers: Mapping[str, Number]
-    why: str
+    why: str  # one sentence
 
     @property
     def ours(self) -> float:

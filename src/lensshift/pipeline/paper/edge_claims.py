@@ -40,14 +40,12 @@ _BOTH = (("", "lens shift"), (", tikhonov", "lens shift, tikhonov"))
 class EdgeRun:
     """One draw of noise and shift errors.
 
-    edges : kind -> measurement
-    images : kind -> [row col]
     departures : bits of the converter, 0 for no rounding -> rms of the frame from its limit
         beyond 4 LP/mm
     """
 
-    edges: dict[str, EdgeResult]
-    images: dict[str, Floats]
+    edges: dict[str, EdgeResult]  # kind -> measurement
+    images: dict[str, Floats]  # kind -> [row col]
     departures: dict[int, float]
 
 

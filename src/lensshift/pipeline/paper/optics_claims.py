@@ -24,19 +24,15 @@ _SHIFT_PX = 0.25  # of the square pattern
 class LensResult:
     """MTF of one lens, and what moving each element costs.
 
-    name : of the lens
-    frequency_lpmm : [f]
     rest, moved : [field f] along columns; first element at rest, and a quarter pixel away
-    travel_mm : (row, col) of the first element
-    movers : all elements
     """
 
-    name: str
-    frequency_lpmm: Floats
+    name: str  # of the lens
+    frequency_lpmm: Floats  # [f]
     rest: Floats
     moved: Floats
-    travel_mm: tuple[float, float]
-    movers: tuple[Mover, ...]
+    travel_mm: tuple[float, float]  # (row, col) of the first element
+    movers: tuple[Mover, ...]  # all elements
 
 
 def study_lens(name: str, frequencies: int = 27) -> LensResult:
