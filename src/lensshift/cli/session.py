@@ -102,8 +102,7 @@ class Session:
 def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]:
     """Run the body of a verb; print its result, or its error on one line and exit with 1.
 
-    as_json, debug : the options of every verb
-    doing : what is said, with the seconds so far, while it lasts and nothing else was printed
+    `doing` is said, with the seconds so far, while it lasts and nothing else was printed.
     """
     current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
@@ -176,7 +175,6 @@ class StatusLine:
 class Progress:
     """Say how far an iteration is, on stderr, once it takes more than a second.
 
-    label : what is done
     preparing : whether it may take long before the first iteration, which is said then
     """
 
@@ -226,10 +224,7 @@ class Progress:
 
 
 class Waiting:
-    """Say every second on a terminal, else every five, that something still goes on.
-
-    label : what is done
-    """
+    """Say every second on a terminal, else every five, that something still goes on."""
 
     def __init__(self, label: str) -> None:
         self._progress = Progress(label)

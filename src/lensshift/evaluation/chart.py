@@ -49,14 +49,10 @@ class ChartEdge:
 def chart_edges(
     results: Sequence[EdgeResult], shape: tuple[int, int], *, image: str = "", focus: float = 0.0
 ) -> list[ChartEdge]:
-    """Return edges with their places in the field of an image.
+    """Return the edges of an image of a shape (rows, cols) with their places in the field.
 
     Lines that point to the middle (sagittal) are blurred across the radius: edges along the radius
     measure them, edges across it the tangential ones.
-
-    results : of `measure_edges`
-    shape : (rows, cols) of the image; its middle is that of the field
-    image, focus : of the photograph
     """
     rows, cols = shape
     half = 0.5 * np.hypot(rows, cols)
@@ -115,10 +111,9 @@ def acutance(curve: MtfCurve, height_mm: float, eye_heights: float) -> float:
 
 
 def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
-    """Return the summary over the field: of each zone and direction the edges, mean and spread.
+    """Return the summary over the field: usable edges, mean, spread of each zone and direction.
 
-    Only usable edges count. `mtf50_lpmm` is the mean of different places, so its interval is that
-    of the places' scatter; a single edge keeps its own.
+    The interval of `mtf50_lpmm` is that of the places' scatter; a single edge keeps its own.
     """
     rows = []
     for zone, low, high in ZONES:
@@ -227,9 +222,7 @@ def edge_rows(
 ) -> Iterator[dict[str, Any]]:
     """Yield a flat row for each edge: place, frequencies with intervals, MTF at frequencies.
 
-    at_lpmm : frequencies at which the modulation is wanted
-    factor : what frequencies are multiplied by for the unit that is wanted; the names of the
-        columns say nothing of it
+    Frequencies are multiplied by `factor` for the unit that is wanted; no name of a column says it.
     """
     for one in edges:
         found = one.result

@@ -276,10 +276,7 @@ def rms(values: Floats) -> float:
 
 
 def distance_image(distance_m: ArrayLike, valid: ArrayLike | None) -> Floats:
-    """Return a distance image [row col] with NaN where it is not valid.
-
-    ValueError if it is not real or not [row col], or `valid` has another shape or is not boolean.
-    """
+    """Return a distance image [row col] with NaN where it is not valid, or a ValueError."""
     values = real_array(distance_m, "distance image", 2)
     return np.where(mask_array(valid, values.shape) & np.isfinite(values), values, np.nan)
 

@@ -208,10 +208,7 @@ def _off_truth_m(measured_m: Floats, truth_m: Floats, reach: int) -> tuple[Float
 def _off_fitted_m(
     measured_m: Floats, reach: int, noise_m: float, min_step_m: float | None
 ) -> tuple[Floats, Floats]:
-    """Return how far each pixel is off the nearer of two planes fitted around it, and the step.
-
-    NaN where no two surfaces are found.
-    """
+    """Return how far pixels are off the nearer of two planes around them, and the step; or NaN."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     off_m = np.full(measured_m.shape, np.nan)
@@ -238,10 +235,7 @@ def _off_fitted_m(
 
 
 def _two_planes_m(place_px: NDArray[np.int64], values_m: Floats) -> Floats | None:
-    """Return the near and the far surface at place 0, None if a side has too few pixels.
-
-    From distances [n] at places [n 2] against the middle.
-    """
+    """Return the near and far surface at place 0 of [n 2]; None if a side has too few pixels."""
     ordered_m = np.sort(values_m)
     split = split_index(ordered_m)
     near_m, far_m = np.median(ordered_m[:split]), np.median(ordered_m[split:])

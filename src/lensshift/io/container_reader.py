@@ -183,10 +183,9 @@ def _member(group: Any, name: str) -> Any:
 
 @contextmanager
 def open_container(path: str | Path, schema: str) -> Iterator[Container]:
-    """Open a file and check that it follows the schema, in this version or an older one.
+    """Open a file that follows the schema, in this version or an older one; else a DataError.
 
-    DataError if the file is missing, damaged, of another kind, or newer than this program. A
-    `DataError` of the block gets the name of the file.
+    A `DataError` of the block gets the name of the file.
     """
     name, _, newest = schema.rpartition("/")
     with _opened(Path(path)) as container:

@@ -84,10 +84,7 @@ def refuse_other_ending(path: str | Path) -> None:
 
 
 def write_container(content: Content, path: str | Path) -> None:
-    """Write variables and attributes to a new file; an old one is replaced in one step.
-
-    DataError if a variable does not fit or the file cannot be written.
-    """
+    """Write variables and attributes to a new file in one step; DataError if one does not fit."""
     refuse_other_ending(path)
     # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
     image = BytesIO()
@@ -97,10 +94,7 @@ def write_container(content: Content, path: str | Path) -> None:
 
 
 def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> None:
-    """Write what `write_container` writes to memory or a new file; `path` is for messages.
-
-    DataError if a variable does not fit.
-    """
+    """Write a container to memory or a new file; `path` is for messages, such as a DataError."""
     import h5netcdf
     import h5py
 

@@ -84,10 +84,7 @@ def load_frames(path: str | Path) -> NDArray[Any]:
 
 
 def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an NPZ file; pickled objects are refused.
-
-    DataError if the file is missing, damaged or holds Python objects.
-    """
+    """Read all arrays of an NPZ file; DataError if it is damaged or holds Python objects."""
     require_file(path)
     with reading(path):
         _check_signature(path, b"PK", "an NPZ file")

@@ -35,10 +35,7 @@ def _tells_pitch(value: Burst | Reconstruction) -> bool:
 
 
 def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
-    """Write all images as float32 channels of an OME-TIFF, with names and pixel size if told.
-
-    DataError if the file cannot be written.
-    """
+    """Write all images as float32 channels of an OME-TIFF, with names, and pixel size if told."""
     import tifffile
 
     layers = picture_layers(value)

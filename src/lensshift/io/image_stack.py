@@ -99,10 +99,7 @@ def load_stack_fields(
     key: str | None = None,
     frame_axis: int | None = None,
 ) -> dict[str, Any]:
-    """Read the fields of `Burst` that image files hold, at least `amplitude` [frame row col].
-
-    Takes the arguments of `load_image_stack` and raises what it raises.
-    """
+    """Read the fields of `Burst` in image files, at least `amplitude`; see `load_image_stack`."""
     if isinstance(source, str | Path):
         path = Path(source)
         if path.suffix.lower() == ".npz":

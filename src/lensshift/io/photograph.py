@@ -29,10 +29,7 @@ _COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     """Read one picture [row col], or [row col 3] if its colours differ; levels stay as they are.
 
-    DataError if the file is missing, damaged or of another kind.
-
-    path : .jpg, .png, or .tif (also of 16 bits a colour)
-    frame : of a TIFF with several pages
+    Of .jpg, .png or .tif (its `frame`, also of 16 bits a colour); DataError for any other.
     """
     require_file(path)
     suffix = Path(path).suffix.lower()
@@ -64,11 +61,7 @@ def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
 
 
 def load_oecf(path: str | Path) -> NDArray[np.float64]:
-    """Read an opto-electronic conversion function [n 2] from a CSV file: level, light.
-
-    DataError if the file is missing or a line is not two numbers; a first line of words is a
-    header.
-    """
+    """Read level and light [n 2] from a CSV file, with a header or not; or a DataError."""
     rows = []
     for number, row in enumerate(csv.reader(read_text(path).splitlines()), start=1):
         if not row:
@@ -125,10 +118,7 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
 
 
 def _colour_pillow(path: str | Path, frame: int = 0) -> NDArray[Any] | None:
-    """Return [row col 3] of a JPEG, or of colours of 8 bits; None if it is grey.
-
-    How opaque it is says nothing of its light.
-    """
+    """Return [row col 3] of a JPEG, or of colours of 8 bits, however opaque; None if it is grey."""
     with opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
         image.seek(frame)
         size = Path(path).stat().st_size

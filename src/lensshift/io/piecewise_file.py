@@ -51,14 +51,10 @@ class PiecewiseFile(GrowingFile):
 
     @classmethod
     def begin(cls, path: str | Path, content: Content, begun: str) -> Self:
-        """Allocate a file, or go on with what was begun.
+        """Allocate a file, or go on with what was `begun` with the same text.
 
-        DataError if there is too little room, the file cannot be written, another process writes
-        it, or it was begun otherwise.
-
-        content : variables with `Allocated` values are filled later; their first dimension is that
-            of the first variable
-        begun : what must be the same to go on, as text
+        Variables with `Allocated` values are filled later; their first dimension is that of the
+        first variable. DataError if there is no room, or the file is another's.
         """
         refuse_other_ending(path)
         target = writable_target(path)
@@ -92,12 +88,9 @@ class PiecewiseFile(GrowingFile):
         return cls(target, part, file, starts, spaces, there)
 
     def write(self, first: int, pieces: Mapping[str, NDArray[Any]]) -> None:
-        """Write consecutive pieces of all arrays; they count once all of them are there.
+        """Write consecutive pieces [piece ...] of all arrays; they count once all are there.
 
         DataError if a name is missing or strange, a shape is wrong, or the disk is full.
-
-        first : number of the first piece
-        pieces : by name, [piece ...]
         """
         count = len(next(iter(pieces.values())))
         if set(pieces) != set(self._spaces) - {WRITTEN}:

@@ -44,10 +44,7 @@ class _Fragments:
 
 
 class UdpReader:
-    """Takes recorded packets, returns UDP datagrams, and counts what it could not.
-
-    `cut`: recorded in part; `incomplete`: given up because a fragment was missing.
-    """
+    """Takes recorded packets, returns UDP datagrams; counts the `cut` and the `incomplete` ones."""
 
     def __init__(self) -> None:
         self.cut = 0

@@ -41,10 +41,7 @@ def is_capture(first: bytes) -> bool:
 
 
 def read_packets(file: BinaryIO, name: str) -> Iterator[Packet]:
-    """Yield the packets of an open pcap or pcapng file.
-
-    DataError if it is neither, or damaged. If it is only cut off, a `QualityWarning`.
-    """
+    """Yield the packets of an open pcap or pcapng file (or a DataError); warn if it is cut off."""
     magic = file.read(4)
     if not is_capture(magic):
         raise DataError(f"expected a pcap or pcapng file, got one that begins with {magic!r}")

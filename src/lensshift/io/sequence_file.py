@@ -54,12 +54,7 @@ def begin_sequence(
     flying: bool,  # whether there are flags
     intrinsics: Intrinsics | None,
 ) -> PiecewiseFile:
-    """Begin the file of a sequence, or go on with one that was begun with the same settings.
-
-    DataError as `PiecewiseFile.begin`.
-
-    grid, intrinsics : of the HR pictures
-    """
+    """Begin the file of a sequence of HR pictures, or go on with it, see `PiecewiseFile.begin`."""
     variables: dict[str, writer.Variable] = {}
     for channel in channels:
         units, label = CHANNELS[channel]
@@ -93,10 +88,7 @@ def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
 
 
 def sequence_numbers(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read what a sequence says of each window: first_frame, time, misfit and so on, [window].
-
-    DataError if the file is missing, damaged or no sequence.
-    """
+    """Read what a sequence says of each window [window]: first_frame, time, misfit and so on."""
     with open_container(path, SCHEMA) as container:
         return {name: container.array(name) for name in _NUMBERS}
 

@@ -85,13 +85,7 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def parse_experiment(text: str, *, source: str, folder: Path) -> Experiment:
-    """Return the experiment that a TOML text describes.
-
-    DataError as in `load_experiment`.
-
-    source : name of the file, for messages
-    folder : that file names in it are relative to
-    """
+    """Return the experiment of a TOML text, or a DataError; its paths are relative to `folder`."""
     table = parse_toml(text, source)
     with settings_of(source):
         only(table, _TABLES)

@@ -45,19 +45,13 @@ EMULATED_SPEED = 10.0  # of the emulated stages: only waiting gets shorter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigSummary:
-    """What a run with an emulated rig gave.
-
-    shift_rms_px : rms error of the shifts of the burst, common offset left out, by what the
-        emulator knows: with the nominal map, with the calibration in the middle of the sensor,
-        and with the calibration over the sensor
-    fidelity : name -> psnr_db, ssim, rmse of the amplitude against the truth
-    """
+    """What a run with an emulated rig gave."""
 
     files: tuple[Path, ...]  # what was written
     calibration: Calibration  # measured by the scan
     reconstruction: Reconstruction
-    shift_rms_px: dict[str, float]
-    fidelity: dict[str, dict[str, float]]
+    shift_rms_px: dict[str, float]  # by the map used, common offset left out
+    fidelity: dict[str, dict[str, float]]  # name -> psnr_db, ssim, rmse of the amplitude
     loss_db: float  # PSNR with perfect shifts minus PSNR with calibrated ones
     counts: dict[str, int]  # what the camera got and lost
     seconds: float  # for everything
@@ -133,10 +127,7 @@ def run_bench(
     on_step: Callable[[str, Progress], None] | None = None,  # called with "burst" and how far it is
     on_homing: OnHoming | None = None,  # see `open_rig`
 ) -> tuple[Reconstruction, tuple[Path, ...]]:
-    """Capture a burst with a rig and reconstruct it; return the result and the files written.
-
-    DataError, DeviceError, ValueError as `open_rig`, `acquire` and `reconstruct`.
-    """
+    """Capture a burst with a rig and reconstruct it; return the result and the files written."""
     from lensshift.report.preview import save_shots
 
     find_method(method)

@@ -59,10 +59,9 @@ def open_apt_stage(
 
 
 class AptStage:
-    """Two axes that move at once; see `open_apt_stage` and the protocol `Stage`.
+    """Two axes that move at once, each in its one direction at last; see the protocol `Stage`.
 
-    Every position is reached by a move of each axis in its one direction. Whatever ends a move
-    before it is done, an error or Ctrl-C, stops both.
+    Whatever ends a move before it is done, an error or Ctrl-C, stops both.
     """
 
     def __init__(self, row: AptAxis, col: AptAxis, settings: AptSettings) -> None:
@@ -99,10 +98,7 @@ class AptStage:
         self.home()
 
     def home(self) -> Floats:
-        """Let both axes look for their zero at once, return the position [2].
-
-        DeviceError if an axis fails; both have been stopped. `DeviceTimeout` if it takes too long.
-        """
+        """Let both axes look for their zero at once, return the position [2]; or stop both."""
         return self._together([axis.homing() for axis in self.axes])
 
     def position_mm(self) -> Floats:

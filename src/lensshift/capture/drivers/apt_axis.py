@@ -113,10 +113,7 @@ class AptAxis:
         }
 
     def prepare(self) -> None:
-        """Write all parameters of motion and read them back, then enable the motor.
-
-        DeviceError if the controller keeps another value; the message names it.
-        """
+        """Write all parameters and read them back (DeviceError names a wrong one); then enable."""
         wanted, scale = self.settings, self._counts_per_mm
         acceleration = apt.servo_acceleration(wanted.acceleration_mmps2 * scale)
         velocity = apt.Velocity(0, acceleration, apt.servo_velocity(wanted.velocity_mmps * scale))
@@ -194,10 +191,7 @@ class AptAxis:
         return self.homed and (came or went >= 2)
 
     def moves(self, goal_mm: float, *, direct: bool = False) -> Generator[float, None, float]:
-        """Go to a position step by step, at last in the one direction; return the position (mm).
-
-        With `direct` straight there: for a calibration that measures the play.
-        """
+        """Go to a position (mm) step by step, ending in the one direction unless `direct`."""
         with self._doing(f"move to {goal_mm:.4f} mm"):
             for _ in range(self.settings.max_retries):
                 arrived = yield from self._approach(self._counts(goal_mm), direct=direct)

@@ -109,10 +109,7 @@ class Message:
 
 
 class Bits(IntFlag):
-    """Status of the motor.
-
-    Forward and backward are as the protocol has them; other programs turn them round.
-    """
+    """Status of the motor; directions as in the protocol, which other programs turn round."""
 
     FORWARD_LIMIT = 0x1
     BACKWARD_LIMIT = 0x2
@@ -275,10 +272,7 @@ class Info:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Return what is in the data.
-
-        DamagedMessage if the length is wrong or the model is no text.
-        """
+        """Return what is in the data; DamagedMessage if its length or its model is wrong."""
         fields = _unpacked(cls.FORMAT, data)
         serial_number, model, _, minor, interim, major, _, notes = fields[:8]
         text = model.split(b"\0")[0].decode("ascii", "replace").strip()

@@ -25,13 +25,9 @@ R = TypeVar("R", apt.Info, apt.Limits)
 
 
 class AptCube:
-    """A TDC001 or KDC101 at a port.
+    """A TDC001 or KDC101 at a port; DeviceError if it cannot be had, or does not speak APT.
 
-    DeviceError if the port cannot be had, or nothing at it speaks APT.
-
-    port : any URL of pyserial, or a device path
     tolerance : counts by which two replies of a motor at rest may differ
-    reply_timeout_s : how long a reply may take
     attempts : how often a request is sent; replies may disagree four times as often
     """
 
@@ -100,10 +96,7 @@ class AptCube:
         raise self._contradiction()
 
     def write(self, name: str, setter: Id, wanted: apt.Record) -> None:
-        """Set a record until it reads back; request and answer have the ids after the setter's.
-
-        DeviceError if the controller keeps another value; the message names it.
-        """
+        """Set a record until it reads back, else raise; request and answer have the next ids."""
         for _ in range(self._attempts):
             kept = self.link.ask(
                 Message(setter, data=wanted.pack()),

@@ -9,20 +9,17 @@ from lensshift.capture.drivers.apt_codec import CONTROLLER, HEADER_BYTES, HOST, 
 
 
 class Framer:
-    """Finds messages in any stream of bytes.
+    """Finds messages in any stream of bytes; it holds less than one.
 
     What is no message, or of a length that its id does not have, is skipped byte by byte; half a
-    message is dropped when nothing follows it in time. It holds less than one message.
-
-    destination, source : the only addresses that are accepted; several destinations, of a device
-        that is called by more than one
+    message is dropped when nothing follows it in time.
     """
 
     def __init__(
         self,
         sizes: Mapping[int, tuple[int, ...]],  # bytes of data by message id; 0 is the short form
         *,
-        destination: int | tuple[int, ...] = HOST,
+        destination: int | tuple[int, ...] = HOST,  # accepted, one or several
         source: int = CONTROLLER,
         patience_s: float = 0.03,  # how long half a message waits for its next byte
     ) -> None:

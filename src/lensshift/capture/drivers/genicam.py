@@ -21,10 +21,7 @@ _CONFIDENCES = ("Confidence16", "Confidence8")
 
 
 class GenicamCamera(CallableCamera):
-    """One GenICam camera; range as Coord3D_C16 or Coord3D_ABC32f, intensity as Mono16 or Mono8.
-
-    ImportError if the extra `genicam` is not installed.
-    """
+    """One GenICam camera: range as Coord3D_C16 or Coord3D_ABC32f, light as Mono16 or Mono8."""
 
     def __init__(
         self,

@@ -24,11 +24,7 @@ _LATE_PACKETS = 64  # further back in the packet counter it says nothing about r
 
 
 class PacketHeader(NamedTuple):
-    """The 32 bytes at the start of every packet, little-endian.
-
-    `total_length` and `payload_length` are kept, but nothing relies on them: what exactly they
-    count is not known.
-    """
+    """The 32 bytes at the start of every packet; what the two lengths count is not known."""
 
     version: int
     device: int
@@ -66,10 +62,7 @@ class ChannelMessage(NamedTuple):
 
 @dataclass(slots=True)
 class PacketCounts:
-    """What came from one sender.
-
-    restarts : times the camera started anew: most jumps back of the cycle counter of a channel
-    """
+    """What came from one sender."""
 
     packets: int = 0  # with an O3M header
     lost: int = 0  # missing by the packet counter
@@ -77,7 +70,7 @@ class PacketCounts:
     reordered: int = 0  # came after a later one
     partial: int = 0  # messages given up because a packet was missing
     oversize: int = 0  # messages longer than any known
-    restarts: int = 0
+    restarts: int = 0  # most jumps back of the cycle counter of a channel
 
     @property
     def loss(self) -> float:
@@ -86,14 +79,12 @@ class PacketCounts:
 
 
 class Reassembler:
-    """Puts the packets of one sender together to whole messages.
+    """Puts the packets of one sender together to whole messages of some channels; counts them all.
 
     Bytes are joined only if they come from packets with the same cycle counter, channel and
     number of packets, with no gap and no more than 2 s between first and last. A message is
     yielded at most once, and never after a later one of its channel. Memory is bounded whatever
     arrives.
-
-    channels : those to put together; packets of others are only counted
     """
 
     def __init__(self, channels: Container[int]) -> None:
@@ -115,12 +106,7 @@ class Reassembler:
     def push(
         self, header: PacketHeader, datagram: bytes | bytearray | memoryview, arrived_s: float
     ) -> ChannelMessage | None:
-        """Take a packet in; return the message that it completes, if it does.
-
-        header : of this packet, as `read_header` returned it
-        datagram : the whole packet; it is copied
-        arrived_s : any clock that only grows
-        """
+        """Copy a packet; return the message that it completes, if any. Time is any rising clock."""
         self.counts.packets += 1
         message = None
         fresh = True

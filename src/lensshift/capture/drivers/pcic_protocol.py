@@ -78,12 +78,7 @@ def write_message(ticket: bytes, content: bytes) -> bytes:
 
 
 class PcicParser:
-    """Cuts the stream of bytes into messages.
-
-    What is no message is skipped up to the next that may be one, and counted.
-
-    max_bytes : a message that claims to be longer is none, so memory is bounded
-    """
+    """Cuts the stream of bytes into messages; what is none, or too long, is skipped and counted."""
 
     def __init__(self, max_bytes: int = MAX_MESSAGE_BYTES) -> None:
         self.skipped_bytes = 0
@@ -159,10 +154,7 @@ class Chunk:
     data: bytes  # everything after the header
 
     def image(self) -> Array:
-        """Return the pixels [row col] or [row col 3].
-
-        DataError if the type is not known or the data are too short.
-        """
+        """Return the pixels [row col] or [row col 3]; DataError if there are none such."""
         if self.pixel_format not in _FORMATS:
             raise DataError(
                 f"expected a known pixel format, got {self.pixel_format}",
@@ -179,10 +171,7 @@ class Chunk:
 
 
 def read_chunks(content: bytes) -> list[Chunk]:
-    """Cut the content of a result, `star` to `stop`, into its chunks.
-
-    DataError if the frame is missing or a size leads out of it.
-    """
+    """Cut the content of a result, `star` to `stop`, into chunks, or raise a DataError."""
     if len(content) < 8 or not (content.startswith(b"star") and content.endswith(b"stop")):
         raise DataError(f"expected 'star' ... 'stop', got {content[:8]!r}", field="result")
     chunks = []
@@ -223,32 +212,21 @@ def _metadata(text: bytes) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class TofInfo:
-    """What an O3R tells of itself with each frame.
+    """What an O3R tells of itself with each frame."""
 
-    version : of this information
-    distance_resolution_m, amplitude_resolution : value of one count
-    amplitude_factors : of the three exposures
-    extrinsic : place (x, y, z) in m and three angles in rad
-    intrinsic_model, intrinsic : pixel to ray
-    inverse_model, inverse : ray to pixel
-    """
-
-    version: int
-    distance_resolution_m: float
+    version: int  # of this information
+    distance_resolution_m: float  # value of one count
     amplitude_resolution: float
-    amplitude_factors: tuple[float, ...]
-    extrinsic: tuple[float, ...]
+    amplitude_factors: tuple[float, ...]  # of the three exposures
+    extrinsic: tuple[float, ...]  # place (x, y, z) in m and three angles in rad
     intrinsic_model: int
-    intrinsic: tuple[float, ...]
+    intrinsic: tuple[float, ...]  # pixel to ray, by the model
     inverse_model: int
-    inverse: tuple[float, ...]
+    inverse: tuple[float, ...]  # ray to pixel, by the model
 
 
 def read_tof_info(chunk: Chunk) -> TofInfo:
-    """Read the chunk TOF_INFO; what versions above 1 add is left out.
-
-    DataError if it is too short.
-    """
+    """Read the chunk TOF_INFO, without what versions above 1 add; DataError if it is too short."""
     if len(chunk.data) < _INFO.size:
         raise DataError(
             f"expected at least {_INFO.size} bytes, got {len(chunk.data)}", field="TOF_INFO"
@@ -259,34 +237,21 @@ def read_tof_info(chunk: Chunk) -> TofInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PcicImage:
-    """One result as arrays.
+    """One result as arrays; `raw`: as they came, by the name of their chunk."""
 
-    amplitude : [row col] normalised where the camera offers it
-    distance_m : [row col] radial, or None
-    valid : [row col] False where the confidence or a distance of zero says so
-    frame_count, time_us : as the camera counts, both wrap at 2^32
-    time_s : the camera's clock, or None
-    info : of an O3R, or None
-    direction : [row col 3] unit vectors of the pixels (x right, y down, z forward), or None
-    raw : the pixels as they came, by the name of their chunk
-    """
-
-    amplitude: Floats
-    distance_m: Floats | None
-    valid: Mask
-    frame_count: int
+    amplitude: Floats  # [row col] normalised where the camera offers it
+    distance_m: Floats | None  # [row col] radial, or None
+    valid: Mask  # [row col] False where the confidence or a distance of zero says so
+    frame_count: int  # as the camera counts, wraps at 2^32, as does `time_us`
     time_us: int
-    time_s: float | None
-    info: TofInfo | None
-    direction: Floats | None = None
+    time_s: float | None  # the camera's clock, or None
+    info: TofInfo | None  # of an O3R, or None
+    direction: Floats | None = None  # [row col 3] unit vectors (right, down, forward), or None
     raw: Mapping[str, Array] = field(default_factory=dict)
 
 
 def read_result(content: bytes) -> PcicImage:
-    """Read a result of an O3D (counts of 1 mm) or O3R (counts times the resolution it tells).
-
-    DataError if it is damaged, holds no amplitude, or its images differ in size.
-    """
+    """Read a result of an O3D (counts of mm) or O3R (of what it tells), or raise a DataError."""
     chunks = read_chunks(content)
     images = {one.kind: one for one in chunks if one.kind in _IMAGES}
     info = next((read_tof_info(one) for one in chunks if one.kind == ChunkKind.TOF_INFO), None)

@@ -29,11 +29,7 @@ def counter_steps(newer: int, older: int) -> int:
 
 
 class Receiver:
-    """Runs a camera's receiving loop in a thread and holds the frames nobody has fetched yet.
-
-    device : name of the camera, for the messages
-    depth : frames held; beyond that the oldest is dropped and counted
-    """
+    """Runs a camera's receiving loop in a thread; holds `depth` frames, then drops the oldest."""
 
     def __init__(self, device: str, *, depth: int = QUEUE_FRAMES) -> None:
         self.device = device
@@ -92,13 +88,9 @@ class Receiver:
             self._changed.notify_all()
 
     def take(self, timeout_s: float, explain: Callable[[], str]) -> CameraFrame:
-        """Return the oldest frame held; wait for one if there is none.
+        """Return the oldest frame held, or wait; a DeviceTimeout explains why none came in time.
 
-        DeviceTimeout if none came in time. DeviceError if the camera was interrupted or has ended,
-        or nobody opened it.
-
-        timeout_s : how long to wait
-        explain : tells why none came
+        DeviceError if the camera was interrupted or has ended, or nobody opened it.
         """
         if not (math.isfinite(timeout_s) and timeout_s >= 0):
             raise ValueError(f"expected a time to wait of at least 0 s, got {timeout_s}")
@@ -143,12 +135,7 @@ class _Relay(AbstractContextManager["_Relay"]):
 
 
 class ReceivingCamera(ABC):
-    """What cameras have in common that receive in a thread; the rest of `Camera` is the driver's.
-
-    name : what it is called in messages
-    pitch_mm : pixel pitch, one number or (row, col)
-    modulation_hz : modulation frequency, if known
-    """
+    """What cameras have in common that receive in a thread; drivers do the rest of `Camera`."""
 
     def __init__(
         self, name: str, pitch_mm: float | tuple[float, float], modulation_hz: float | None

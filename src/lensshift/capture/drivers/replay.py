@@ -158,11 +158,7 @@ class ReplayCamera(ReceivingCamera):
             cycle += 1
 
     def newest_cycle(self) -> int:
-        """Return the counter of the newest frame that has begun to arrive, -1 before the first.
-
-        At infinite speed the recording waits for the one that fetches, so the newest frame is the
-        last one fetched.
-        """
+        """Return the counter of the newest frame begun; at infinite speed, of the last fetched."""
         if math.isinf(self._speed):
             return self._fetched
         return self._stream.newest_cycle() if self._is_o3m else self._cycle

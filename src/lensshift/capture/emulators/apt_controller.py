@@ -35,9 +35,6 @@ class AptController:
     It keeps the rules of the devices: parameters are lost at power off, the zero is found anew,
     home right after enable hangs, backward moves overrun by the firmware's backlash until that is
     set to 0. Times of the caller are those of `time.monotonic()`.
-
-    serial_number, stage_id : as reported; stage 11 is the Z806
-    loss, loss_in : probability that a message out, or a block of bytes in, loses one byte
     """
 
     def __init__(
@@ -45,11 +42,11 @@ class AptController:
         *,
         model: str = "KDC101",  # "TDC001" or "KDC101"
         serial_number: int = 27000001,
-        stage_id: int = 11,
+        stage_id: int = 11,  # 11 is the Z806
         play_mm: float = 0.0,  # how far the lens lags behind the encoder after going backward
         encoder_noise_mm: float = 0.0,  # standard deviation of the reported position
-        loss: float = 0.0,
-        loss_in: float = 0.0,
+        loss: float = 0.0,  # probability that a message out loses a byte
+        loss_in: float = 0.0,  # that a block of bytes in loses one
         speed: float = 1.0,  # how much faster than real time it runs
         seed: int = 0,  # of noise and losses
         start_mm: float = 2.0,  # where the lens is at power on
@@ -99,10 +96,7 @@ class AptController:
     # ---- for the bench ------------------------------------------------------------------------
 
     def lens_mm(self, now_s: float | None = None) -> float:
-        """Return the true position of the lens, from the zero of an offset of 0.3 mm.
-
-        now_s : `time.monotonic()`, also some seconds ago; now if None
-        """
+        """Return the true position of the lens, now or at `now_s`, from a zero of 0.3 mm offset."""
         with self._lock:
             return self._motion.lens(self._time(now_s)) / self._counts_per_mm
 

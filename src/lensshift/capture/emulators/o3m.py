@@ -42,10 +42,7 @@ def packetise(
     *,
     packet_bytes: int = PACKET_BYTES,  # longest packet, header and all
 ) -> list[bytes]:
-    """Cut the messages of one cycle into packets as the camera does.
-
-    cycle, first_packet : counters; both wrap at 2^32
-    """
+    """Cut the messages of one cycle into packets as the camera does; its counters wrap at 2^32."""
     room = packet_bytes - 32
     cut: list[tuple[int, int, list[bytes]]] = []
     for channel, message in channels.items():
@@ -69,15 +66,11 @@ def packetise(
 def pixel_message(
     frame: Frame, *, layout: str = "1.4", full_scale: float = 4.0, timestamp_us: int = 0
 ) -> bytes:
-    """Write a frame of 64 x 16 pixels as the camera's pixel data.
+    """Write a frame of 64 x 16 pixels as the camera's pixel data, in one of `LAYOUTS`.
 
     Each pixel takes the most sensitive of four settings (exposure 1 or 10, gain 1 or 4) that does
-    not saturate it, and says so in its confidence; the factors that undo it stand beside.
-
-    frame : what the camera sees
-    layout : a key of `LAYOUTS`
-    full_scale : amplitude that the weakest setting can just read
-    timestamp_us : master clock
+    not saturate it, and says so in its confidence; the factors that undo it stand beside. The
+    weakest can just read an amplitude of `full_scale`.
     """
     if frame.amplitude.shape != (ROWS, COLS):
         raise ValueError(f"expected a frame of shape ({ROWS}, {COLS}), got {frame.amplitude.shape}")
@@ -144,34 +137,26 @@ class O3MSender:
 
     look : called with begin and end of an exposure (`time.monotonic`), after its end; returns a
         frame of 64 x 16 pixels
-    port : UDP port of the receiver
-    rate_hz : cycles a second
-    host : address of the receiver; other computers only with `allow_remote`
-    layout : of the pixel data, "1.0" to "1.4"
     loss, reorder, duplicate : probability that a packet gets lost, changes places with the next,
         comes twice
-    exposure_s, delay_s : length of an exposure; from its end to the first packet
-    full_scale : amplitude that saturates the weakest setting
-    first_cycle : cycle counter at the beginning
-    seed : of the faults
     """
 
     def __init__(
         self,
         look: Look,
         *,
-        port: int,
-        rate_hz: float = 25.0,
-        host: str = "127.0.0.1",
-        layout: str = "1.4",
+        port: int,  # UDP port of the receiver
+        rate_hz: float = 25.0,  # cycles a second
+        host: str = "127.0.0.1",  # of the receiver; others only with `allow_remote`
+        layout: str = "1.4",  # of the pixel data, "1.0" to "1.4"
         loss: float = 0.0,
         reorder: float = 0.0,
         duplicate: float = 0.0,
-        exposure_s: float = 0.005,
-        delay_s: float = 0.002,
-        full_scale: float = 4.0,
-        first_cycle: int = _FIRST_CYCLE,
-        seed: int = 0,
+        exposure_s: float = 0.005,  # length of an exposure
+        delay_s: float = 0.002,  # from its end to the first packet
+        full_scale: float = 4.0,  # amplitude that saturates the weakest setting
+        first_cycle: int = _FIRST_CYCLE,  # cycle counter at the beginning
+        seed: int = 0,  # of the faults
         allow_remote: bool = False,
     ) -> None:
         if not allow_remote:

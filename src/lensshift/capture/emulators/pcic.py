@@ -25,8 +25,6 @@ class PcicServer:
 
     One client at a time. Commands: `p0`, `p1` output off and on, `V?`, `G?`, `C?`, `c` with a
     schema, which says what the results hold from then on.
-
-    host : own address; other computers can connect only with `allow_remote`
     """
 
     def __init__(
@@ -34,7 +32,7 @@ class PcicServer:
         look: Look,  # called with begin and end of an exposure (`time.monotonic`), after its end
         *,
         rate_hz: float = 10.0,  # results a second
-        host: str = "127.0.0.1",
+        host: str = "127.0.0.1",  # own address
         port: int = 0,  # 0 takes a free one
         model: str = "O3D",  # "O3D" or "O3R"
         exposure_s: float = 0.005,  # length of an exposure

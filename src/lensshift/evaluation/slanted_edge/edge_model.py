@@ -135,10 +135,7 @@ class SplineBasis:
 
     @classmethod
     def covering(cls, half_width_px: float, step_px: float, unit_px: float) -> SplineBasis:
-        """Return splines over -`half_width_px` to `half_width_px`; see `_spread`.
-
-        Near the edge, for a few of its widths `unit_px`, they are `step_px` apart.
-        """
+        """Return splines on both sides of 0, `step_px` apart for a few `unit_px`; see `_spread`."""
         limits = [
             4 * round(units * unit_px / step_px / 4) for units in (_FINE_UNITS, _MIDDLE_UNITS)
         ]

@@ -66,8 +66,7 @@ def fit_edge(
 ) -> EdgeFit:
     """Fit an upright edge; the MTF is wanted at frequencies [f], the first 0.
 
-    `aperture_px` is the side of the largest pixel of the base model; None of `tilt` and
-    `noise_covariance` lets the plateaus tell.
+    `aperture_px` is the side of the largest pixel; what is None, the plateaus tell.
     """
     noise, light = learn_noise(edge, tilt, noise_covariance)
     lights = [light]

@@ -35,10 +35,7 @@ _ROUNDING = 1e-14  # of sums over pixels
 
 @dataclass(frozen=True, slots=True)
 class Conditional:
-    """Levels and spline coefficients that are most likely, given everything else.
-
-    The levels are factors of the columns of `Gathered`, first the fixed ones.
-    """
+    """The likeliest levels (of the columns of `Gathered`, fixed ones first) and coefficients."""
 
     levels: Vector
     coefficients: Vector
@@ -179,9 +176,7 @@ class EdgeLikelihood:
     ) -> tuple[Matrix, Matrix]:
         """Draw levels [p k] and coefficients [j k], so many at each of some points.
 
-        A draw of the prior, and of pixels, is corrected as the true pixels say (Matheron's rule).
-
-        Source: Hoffman and Ribak, Astrophys. J. 380 (1991) L5.
+        By Matheron's rule; source: Hoffman and Ribak, Astrophys. J. 380 (1991) L5.
         """
         knots, levels, white, grain = self.basis.size, [], [], []
         for one, count in zip(found, counts, strict=True):

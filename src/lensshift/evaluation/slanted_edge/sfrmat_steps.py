@@ -165,10 +165,7 @@ def _fitted(columns_px: Vector, order: int) -> Vector:
 
 
 def whole_phases(lines: int, slope: float) -> int:
-    """Return how many lines hold a whole number of pixel phases, 1/|slope| lines each.
-
-    Raises `ValueError` if there is not one whole phase: the originals then return nothing.
-    """
+    """Return how many lines hold whole pixel phases of 1/|slope|; `ValueError` if not even one."""
     phases = np.floor(lines * abs(slope))
     if phases == 0:
         need = 1 / abs(slope) if slope else np.inf

@@ -31,15 +31,11 @@ _OTHER_SCALE, _OTHER_TURN_RAD = 0.05, np.deg2rad(1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Axes:
-    """Where the image goes when the axes move.
+    """Where the image goes when the axes move."""
 
-    px_per_mm, sigma_px_per_mm : [2 2] image shift (row, col) over travel of stage (row, col)
-    play_mm : [2] what is lost when an axis turns round
-    """
-
-    px_per_mm: Floats
+    px_per_mm: Floats  # [2 2] image shift (row, col) over travel of stage (row, col)
     sigma_px_per_mm: Floats
-    play_mm: Floats
+    play_mm: Floats  # [2] what is lost when an axis turns round
 
     @classmethod
     def calibrated(cls, found: Calibration) -> Axes:
@@ -146,10 +142,7 @@ def _axes(offset_px: Floats, sigma_px: Floats, read_mm: Floats) -> Axes:
 def nudge_findings(axes: Axes, noise_px: Floats) -> Iterator[Finding]:
     """Yield what is wrong with a stage that was nudged: the image must follow both axes.
 
-    Before a lens that stands still frames differ by their noise only, and what a model of the
-    scene may err by is the same in all of them.
-
-    noise_px : [2] error of a shift along (row, col) by the noise of a position's frames
+    `noise_px` [2] is the error of a shift by the noise of frames, the only one of a still lens.
     """
     size_px = axes.gain_px_per_mm * NUDGE_MM
     error_px = float(np.sqrt(2.0) * np.linalg.norm(noise_px))

@@ -35,10 +35,7 @@ class ErrorBudget:
 
     @property
     def shift_px(self) -> float:
-        """Error of the shift of a frame of a burst: encoder, model and drift; LR pixels rms.
-
-        What registration adds to the scan is in no burst that is calibrated by it.
-        """
+        """Error of the shift of a frame of a burst, in LR px rms: without registration."""
         return float(np.sqrt(self.encoder**2 + self.model**2 + self.drift**2))
 
     @property

@@ -26,11 +26,9 @@ _COUNT_S = 0.5  # of listening for the rate
 def camera_fault(
     error: DeviceError, camera: Camera | None, port: int | None, say: Callable[[str], None]
 ) -> Finding:
-    """Return the finding behind an error of the camera.
+    """Return the finding behind an error of the camera, and `say` what takes a while.
 
-    camera : open, if it could be opened
-    port : UDP port that it should send to, None if it is no such camera
-    say : told before something that takes a while
+    The camera is None if it could not be opened, the UDP port if it should send to none.
     """
     said, number = str(error), cause_number(error)
     if number == errno.EADDRINUSE:
@@ -65,10 +63,7 @@ def _silent(said: str, port: int) -> Finding:
 
 
 def datagrams_unheard(seconds: float) -> int | None:
-    """Return how many UDP datagrams came meanwhile to ports at which nobody listens.
-
-    Linux counts them (`/proc/net/snmp`, Udp NoPorts); None elsewhere.
-    """
+    """Return how many UDP datagrams came meanwhile for nobody; None where Linux does not tell."""
     before = _no_ports()
     if before is None:
         return None

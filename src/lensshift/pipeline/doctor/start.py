@@ -27,11 +27,7 @@ def cubes() -> list[str]:
 
 
 def rig_text(row: str, col: str, port: int) -> str:
-    """Return a rig file: the example with these devices.
-
-    row, col : serial number, device or URL of the stage
-    port : UDP port of an O3M
-    """
+    """Return the example of a rig file with these devices (see there) and UDP port of an O3M."""
     changed = {'row = "83000001"': f'row = "{row}"', 'col = "83000002"': f'col = "{col}"'}
     changed["port = 42000"] = f"port = {port}"
     lines = []
@@ -42,13 +38,9 @@ def rig_text(row: str, col: str, port: int) -> str:
 
 
 def begin(path: Path, row: str | None, col: str | None, port: int, ask: Ask | None) -> None:
-    """Write a rig file from what is given, plugged in and answered.
+    """Write a rig file from what is given, plugged in, and answered to `ask`, if it is there.
 
     DataError if the file exists or cannot be written, or an axis is not known.
-
-    path : that must not exist
-    row, col : where the axes are, None: look for them
-    ask : called with a question and what is likely, returns the answer; None: nobody to ask
     """
     if path.exists():
         raise DataError("there is a rig file already: give it as argument", source=path)

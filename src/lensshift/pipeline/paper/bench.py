@@ -31,8 +31,8 @@ def paper_camera(
     light: float,  # reflectance x cos / distance^2 of the surface that has it
     brightest: float,  # the same of the brightest surface, which stays below a full tap
     *,
-    optics: Optics = "plain",
-    element: int | None = 0,
+    optics: Optics = "plain",  # without aberrations, or traced
+    element: int | None = 0,  # what moves: an element from 0, or None for the sensor
     grid: Grid = GRID,  # of the sensor
     output: Literal["o3m", "float"] = "o3m",  # "float" leaves the rounding out
 ) -> TofCamera:
@@ -42,9 +42,6 @@ def paper_camera(
 
     of the amplitude of one pixel: the exposure is what gives it. Whole centimetres and twelve
     bits, no sunlight, no scattered light: the paper's booth is dark.
-
-    optics, element : a lens without aberrations, or the traced one, and what of it moves: an
-        element from 0, or None for the sensor
     """
     lens = _PRESET.optics  # whose spot is about that of the traced one
     if optics != "plain":

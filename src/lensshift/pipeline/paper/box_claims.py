@@ -38,17 +38,13 @@ class BoxRun:
 
     gains : what -> steepness of the super-resolved edge over that of one frame [line];
         "amplitude", "distance", "phasor", and "distance, traced" with the shift map of the lens
-    depth : "distance" and "phasor" -> errors of the distance image, see `depth_error`
-    images : label -> channel -> [row col]
-    responses : one row per assumed pixel: errors of amplitude and distance
-    irwsr_ratio : error of the published solver over that of Farsiu's, both with 0.30 px
     """
 
     gains: dict[str, Floats]
-    depth: dict[str, dict[str, float]]
-    images: dict[str, dict[str, Floats]]
-    responses: list[dict[str, Any]]
-    irwsr_ratio: float
+    depth: dict[str, dict[str, float]]  # branch -> errors of the distance image, see `depth_error`
+    images: dict[str, dict[str, Floats]]  # label -> channel -> [row col]
+    responses: list[dict[str, Any]]  # one row per assumed pixel: errors of amplitude and distance
+    irwsr_ratio: float  # error of the published solver over Farsiu's, both with 0.30 px
 
 
 def take_boxes(seed: int, snr: float = SNR, response: Response = PUBLISHED) -> BoxRun:
@@ -128,10 +124,7 @@ def best_width_px(width_px: Floats, error: Floats) -> float:
 
 
 def steepness(image: Floats, rows: list[int], cols: slice, step_mm: float, share: float) -> Floats:
-    """Return the slope of the edge in each line [line], NaN where a line has none.
-
-    The highest and lowest value of the line are its plateaus, as in the paper.
-    """
+    """Return the slope of the edge in each line [line] between its extremes; NaN without one."""
     slopes: list[float] = []
     for row in rows:
         line = np.asarray(image[row, cols], dtype=np.float64)

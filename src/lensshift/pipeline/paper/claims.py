@@ -152,10 +152,7 @@ class Claim:
 
 
 def verdict(claim: str, numbers: Mapping[str, Number]) -> Verdict:
-    """Return the worst of what the numbers say of a claim, those of yardsticks left out.
-
-    ValueError if a number that decides it is missing.
-    """
+    """Return the worst of what the numbers say of a claim; ValueError if one is missing."""
     criteria = CRITERIA[claim]
     missing = set(criteria) - set(numbers)
     if missing:
@@ -174,10 +171,7 @@ def exactly(value: float) -> Number:
 
 
 def mean_interval(values: Sequence[float], *, seed: int = 0) -> Number:
-    """Return the mean of the finite values and 95 % of it, from a bootstrap over them.
-
-    For fewer than five values the interval is that of Student's t.
-    """
+    """Return the mean of finite values and 95 % of it: a bootstrap, for few of them Student's t."""
     sample = np.asarray(values, dtype=np.float64)
     sample = sample[np.isfinite(sample)]
     mean = float(sample.mean()) if sample.size else float("nan")

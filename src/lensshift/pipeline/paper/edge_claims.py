@@ -38,15 +38,11 @@ _BOTH = (("", "lens shift"), (", tikhonov", "lens shift, tikhonov"))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeRun:
-    """One draw of noise and shift errors.
-
-    departures : bits of the converter, 0 for no rounding -> rms of the frame from its limit
-        beyond 4 LP/mm
-    """
+    """One draw of noise and shift errors."""
 
     edges: dict[str, EdgeResult]  # kind -> measurement
     images: dict[str, Floats]  # kind -> [row col]
-    departures: dict[int, float]
+    departures: dict[int, float]  # bits (0: all) -> rms of the frame from its limit, 4 LP/mm up
 
 
 def take_edge(seed: int, response: Response = PUBLISHED) -> EdgeRun:

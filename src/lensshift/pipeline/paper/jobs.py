@@ -14,12 +14,10 @@ Job = tuple[str, Callable[[], Any]]
 def carry_out_jobs(
     jobs: Sequence[Job], processes: int, on_step: Callable[[int, int], None] | None = None
 ) -> list[tuple[str, Any]]:
-    """Return kind and result of each job, in their order.
+    """Return kind and result of each job, in their order; one process is this one.
 
-    ValueError if there is not at least one process; whatever a job raises.
-
-    processes : that work side by side; 1 stays in this one
-    on_step : called with the number of finished jobs and of all
+    ValueError if there is not at least one; whatever a job raises. `on_step` hears how many jobs
+    of all are done.
     """
     if processes < 1:
         raise ValueError(f"expected at least one process, got {processes}")

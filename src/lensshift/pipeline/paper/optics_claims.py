@@ -22,15 +22,12 @@ _SHIFT_PX = 0.25  # of the square pattern
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LensResult:
-    """MTF of one lens, and what moving each element costs.
-
-    rest, moved : [field f] along columns; first element at rest, and a quarter pixel away
-    """
+    """MTF of one lens, and what moving each element costs."""
 
     name: str  # of the lens
     frequency_lpmm: Floats  # [f]
-    rest: Floats
-    moved: Floats
+    rest: Floats  # [field f] along columns
+    moved: Floats  # first element a quarter pixel away
     travel_mm: tuple[float, float]  # (row, col) of the first element
     movers: tuple[Mover, ...]  # all elements
 

@@ -62,34 +62,22 @@ _NOT_DONE = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reproduction:
-    """What came out.
+    """What came out."""
 
-    claims : the paper's, with our numbers and verdicts
-    response_px, response_error_px : assumed width of a pixel, as `calibrate` finds it here
-    gradients : one row per strip, see `study_strip`
-    beyond : name of a table -> its rows: what the paper did not try
-    depth : errors of the distance on the boxes, by branch, one row per draw
-    lenses, edges, gratings, boxes : the runs behind the claims
-    not_done : what the quick run left out
-    command : how it was asked for, or empty
-    seconds : for everything
-    files : what was written
-    """
-
-    claims: tuple[Claim, ...]
-    response_px: float
+    claims: tuple[Claim, ...]  # the paper's, with our numbers and verdicts
+    response_px: float  # assumed width of a pixel, as `calibrate` finds it here
     response_error_px: float
-    gradients: tuple[dict[str, Any], ...]
-    beyond: dict[str, list[dict[str, Any]]]
-    depth: tuple[dict[str, Any], ...]
+    gradients: tuple[dict[str, Any], ...]  # one row per strip, see `study_strip`
+    beyond: dict[str, list[dict[str, Any]]]  # table -> rows: what the paper did not try
+    depth: tuple[dict[str, Any], ...]  # errors of the distance on the boxes, by branch, per draw
     lenses: tuple[LensResult, ...]
     edges: tuple[EdgeRun, ...]
     gratings: tuple[GratingRun, ...]
     boxes: tuple[BoxRun, ...]
-    not_done: tuple[str, ...]
-    command: str
-    seconds: float
-    files: tuple[Path, ...]
+    not_done: tuple[str, ...]  # what the quick run left out
+    command: str  # how it was asked for, or empty
+    seconds: float  # for everything
+    files: tuple[Path, ...]  # what was written
 
 
 def reproduce(
