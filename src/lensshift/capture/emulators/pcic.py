@@ -37,10 +37,8 @@ class PcicServer:
         model: str = "O3D",  # "O3D" or "O3R"
         exposure_s: float = 0.005,  # length of an exposure
         first_count: int = 100,  # frame count at the beginning
-        allow_remote: bool = False,
     ) -> None:
-        if not allow_remote:
-            check_own(host)
+        check_own(host)
         if model not in MODELS:
             raise ValueError(f"expected a model of {', '.join(MODELS)}, got {model!r}")
         if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz):
