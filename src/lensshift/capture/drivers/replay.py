@@ -27,30 +27,20 @@ _TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the sam
 
 
 class ReplayCamera(ReceivingCamera):
-    """Plays a recording once, from `open` on.
-
-    A pcap or pcapng file holds packets of an O3M; anything else is read as a ROS bag.
-
-    path : file, or folder of a ROS 2 bag
-    speed : 1: as fast as recorded; infinity: as fast as frames are fetched, and none is dropped
-    pitch_mm : pixel pitch, one number or (row, col)
-    modulation_hz : modulation frequency, if known
-    source : of an O3M recording: which of several cameras, as in `O3MCamera`
-    port : of an O3M recording: only datagrams to this port; None: to all
-    amplitude_topic, distance_topic : of a bag; distances are radial, floats in m, counts in mm
-    """
+    """Plays a recording once, from `open` on: packets of an O3M (pcap), or else a ROS bag."""
 
     def __init__(
         self,
-        path: str | Path,
+        path: str | Path,  # file, or folder of a ROS 2 bag
         *,
         pitch_mm: float | tuple[float, float],
+        # 1: as fast as recorded; infinity: as fast as frames are fetched, and none is dropped
         speed: float = 1.0,
         modulation_hz: float | None = None,
-        source: str | None = None,
-        port: int | None = None,
-        amplitude_topic: str = "",
-        distance_topic: str | None = None,
+        source: str | None = None,  # of an O3M recording: which of several, as in `O3MCamera`
+        port: int | None = None,  # of an O3M recording: only datagrams to this port
+        amplitude_topic: str = "",  # of a bag
+        distance_topic: str | None = None,  # radial, floats in m, counts in mm
     ) -> None:
         if not speed > 0:
             raise ValueError(f"expected a positive speed, got {speed}")
