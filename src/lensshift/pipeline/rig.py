@@ -15,7 +15,6 @@ from lensshift.capture.acquire import Progress
 from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 from lensshift.capture.opening import nominal_calibration, open_rig, read_rig
-from lensshift.capture.plan import named_plan
 from lensshift.capture.rig import OnHoming
 from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
@@ -35,6 +34,7 @@ from lensshift.registration.scan import USUAL_STEPS
 SCAN_SPAN_MM = 0.3  # 1.7 px: the longer, the better the map is known
 _SCAN_FRAMES = 6  # averaged at a position of the scan
 _FRAMES = 8  # and at one of the burst
+_PLAN = "square"
 _PATIENCE_S = 20.0  # for a frame: the emulated rig shares this computer
 NOMINAL_BLUR_PX = 0.3  # of a square pixel behind a fair lens
 # What the rig file of a run says: 5.63 px per mm and 10 %, turned by 5 degrees, mirrored.
@@ -73,14 +73,13 @@ def run_emulated(
     *,
     scale: int = 2,
     method: str = "auto",
-    plan: str = "square",
     on_step: Callable[[str, Progress], None] | None = None,
 ) -> RigSummary:
     """Start an emulated rig, calibrate it, capture over the real protocols, reconstruct, compare.
 
     Drivers, protocols, acquisition and calibration are those of a real rig; only the emulator knows
     where the image really was. DataError if the folder or a file cannot be written. DeviceError if
-    an emulated device fails. ValueError if there is no such method or plan.
+    an emulated device fails. ValueError if there is no such method.
 
     out_dir : folder for scan.nc, calibration.json and .html, burst.nc, result.nc and preview.png
     settings : of the emulated rig
@@ -88,11 +87,10 @@ def run_emulated(
     """
     start_s = time.perf_counter()
     find_method(method)
-    named_plan(plan)
     folder = made_folder(writable_folder(out_dir))
     settings = settings or RigSettings(speed=EMULATED_SPEED)
     with EmulatedRig(settings, camera_port=free_udp_port()) as emulated:
-        taken = _take(emulated, folder, plan, on_step)
+        taken = _take(emulated, folder, on_step)
         # The origin of the image is where the calibration says that the offset is zero.
         assumed_px = _assumed(taken)
         origin_px = (taken.true_px - assumed_px).mean(axis=(0, 1, 2))
@@ -123,7 +121,6 @@ def run_bench(
     *,
     scale: int = 2,
     method: str = "auto",
-    plan: str = "square",
     on_step: Callable[[str, Progress], None] | None = None,  # called with "burst" and how far it is
     on_homing: OnHoming | None = None,  # see `open_rig`
 ) -> tuple[Reconstruction, tuple[Path, ...]]:
@@ -137,7 +134,7 @@ def run_bench(
     burst_file, result_file, preview = files = tuple(folder / name for name in names)
     refuse_taken(burst_file)
     with open_rig(rig_file, on_homing=on_homing) as rig:
-        burst = rig.capture(plan, burst_file, on_step=on_step and partial(on_step, "burst"))
+        burst = rig.capture(_PLAN, burst_file, on_step=on_step and partial(on_step, "burst"))
         burst, field = rig.calibration.applied_to(burst)
     width_px = _blur_px(rig.calibration)
     result = reconstruct(burst, scale, method, psf_sigma_px=width_px, shift_field=field)
@@ -151,7 +148,6 @@ def run_bench(
 def _take(
     emulated: EmulatedRig,
     folder: Path,
-    plan: str,
     on_step: Callable[[str, Progress], None] | None,
 ) -> _Taken:
     """Scan and calibrate with the nominal map, then take the burst with the measured one."""
@@ -175,7 +171,7 @@ def _take(
         found = calibrate_rig(scan, report=folder / "calibration.html")
         rig.calibration = found.calibration
         rig.acquisition = replace(patient, frames=_FRAMES)
-        burst = rig.capture(plan, files["burst"], on_step=taken)
+        burst = rig.capture(_PLAN, files["burst"], on_step=taken)
         return _Taken(burst, rig.calibration, np.stack(true), dict(rig.camera.counts()))
 
 

@@ -161,11 +161,6 @@ class EdgeLikelihood:
         """Number of parameters."""
         return HYPERS + 1
 
-    def negative_log(self, parameters: Vector) -> float:
-        """Return minus the log posterior of the parameters, up to a constant."""
-        found = self.solved(parameters)
-        return IMPOSSIBLE if found is None else found.value
-
     def conditional(self, found: Solution) -> Conditional:
         """Return the most likely levels and coefficients at a point."""
         seen = found.explained.followed(found.left, self._misfit(found))
@@ -196,7 +191,7 @@ class EdgeLikelihood:
         return np.hstack(levels), self._prior.coefficients(heights)
 
     def with_gradient(self, parameters: Vector) -> tuple[float, Vector]:
-        """Return `negative_log` and its gradient [p]."""
+        """Return minus the log posterior of the parameters, up to a constant, and its gradient."""
         found = self.solved(parameters)
         if found is None:
             return IMPOSSIBLE, np.zeros(self.size)
