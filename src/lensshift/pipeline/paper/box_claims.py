@@ -13,9 +13,18 @@ from lensshift.core.types import Burst
 from lensshift.evaluation import fidelity
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.pipeline.experiment import depth_numbers, traced_field
-from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, WALL_LIGHT, paper_camera
+from lensshift.pipeline.paper.bench import (
+    PITCH_MM,
+    PUBLISHED,
+    SHIFT_ERROR_PX,
+    SNR,
+    WALL_LIGHT,
+    Response,
+    paper_camera,
+    reconstructed,
+    solved,
+)
 from lensshift.pipeline.paper.claims import Claim, mean_interval
-from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, reconstructed, solved
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 from lensshift.scene import four_boxes
 from lensshift.scene.targets import CARD_DISTANCE_M

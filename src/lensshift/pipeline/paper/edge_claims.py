@@ -12,7 +12,16 @@ from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult
-from lensshift.pipeline.paper.bench import CARD_LIGHT, PITCH_MM, SHIFT_ERROR_PX, paper_camera
+from lensshift.pipeline.paper.bench import (
+    CARD_LIGHT,
+    PITCH_MM,
+    PUBLISHED,
+    SHIFT_ERROR_PX,
+    SNR,
+    Response,
+    measured_edge,
+    paper_camera,
+)
 from lensshift.pipeline.paper.claims import Claim, Number, exactly, mean_interval, span
 from lensshift.pipeline.paper.gratings import (
     SOLVERS,
@@ -21,7 +30,6 @@ from lensshift.pipeline.paper.gratings import (
     mean_gratings,
     pictures,
 )
-from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, measured_edge
 from lensshift.scene import slanted_edge_card
 from lensshift.scene.targets import SLANT_RAD
 

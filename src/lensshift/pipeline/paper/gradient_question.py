@@ -13,10 +13,17 @@ import numpy as np
 from lensshift.camera import named_pattern_px, simulate_tof
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
-from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, paper_camera, px_to_m
+from lensshift.pipeline.paper.bench import (
+    PITCH_MM,
+    PUBLISHED,
+    SHIFT_ERROR_PX,
+    Response,
+    paper_camera,
+    px_to_m,
+    reconstructed,
+)
 from lensshift.pipeline.paper.box_claims import BRANCHES, SHARES, steepness
 from lensshift.pipeline.paper.claims import Pair, mean_interval
-from lensshift.pipeline.paper.measure import PUBLISHED, Response, reconstructed
 from lensshift.scene import Plane, Rectangle, Scene
 
 PHASES = 64  # lines, each a 64th of a pixel beside the one before

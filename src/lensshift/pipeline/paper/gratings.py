@@ -13,11 +13,14 @@ from lensshift.core.types import Burst
 from lensshift.pipeline.paper.bench import (
     CARD_LIGHT,
     PITCH_MM,
+    PUBLISHED,
     SHIFT_ERROR_PX,
+    SNR,
+    Response,
     paper_camera,
     px_to_m,
+    solved,
 )
-from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, solved
 from lensshift.scene import Plane, Scene
 from lensshift.scene.targets import CARD_DISTANCE_M, SLANT_RAD
 
