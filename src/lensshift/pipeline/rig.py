@@ -154,7 +154,7 @@ def _take(
     true: list[Array] = []
 
     def taken(progress: Progress) -> None:
-        true.append(emulated.true_offset_px(emulated.stages.lens_mm(time.monotonic())))
+        true.append(emulated.world.offset_px(emulated.stages.lens_mm(time.monotonic())))
         if on_step is not None:
             on_step("burst", progress)
 

@@ -72,11 +72,6 @@ class PacketCounts:
     oversize: int = 0  # messages longer than any known
     restarts: int = 0  # most jumps back of the cycle counter of a channel
 
-    @property
-    def loss(self) -> float:
-        """Share of the packets that were lost."""
-        return self.lost / max(1, self.lost + self.packets)
-
 
 class Reassembler:
     """Puts the packets of one sender together to whole messages of some channels; counts them all.

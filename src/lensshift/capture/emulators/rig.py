@@ -138,7 +138,3 @@ class EmulatedRig:
 
     def __exit__(self, *_: object) -> None:
         self._open.close()
-
-    def true_offset_px(self, lens_mm: Array) -> Array:
-        """Return where the image really is: [row col 2] for a lens position [2]."""
-        return self.world.offset_px(lens_mm)
