@@ -100,10 +100,7 @@ class Session:
 
 @contextmanager
 def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]:
-    """Run the body of a verb; print its result, or its error on one line and exit with 1.
-
-    `doing` is said, with the seconds so far, while it lasts and nothing else was printed.
-    """
+    """Run a verb that is `doing` something; print its result, or its error on one line, exit 1."""
     current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
     with ended_by_signals(), warnings.catch_warnings():

@@ -220,10 +220,7 @@ def _extremum(x: Floats, y: Floats, std: Floats, power: int) -> tuple[float, Foc
 def edge_rows(
     edges: Sequence[ChartEdge], at_lpmm: Sequence[float] = (), factor: float = 1.0
 ) -> Iterator[dict[str, Any]]:
-    """Yield a flat row for each edge: place, frequencies with intervals, MTF at frequencies.
-
-    Frequencies are multiplied by `factor` for the unit that is wanted; no name of a column says it.
-    """
+    """Yield a flat row for each edge, frequencies times `factor`; no name of a column says that."""
     for one in edges:
         found = one.result
         row: dict[str, Any] = {"image": one.image, "focus": one.focus}

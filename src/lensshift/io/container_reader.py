@@ -183,10 +183,7 @@ def _member(group: Any, name: str) -> Any:
 
 @contextmanager
 def open_container(path: str | Path, schema: str) -> Iterator[Container]:
-    """Open a file that follows the schema, in this version or an older one; else a DataError.
-
-    A `DataError` of the block gets the name of the file.
-    """
+    """Open a file that follows the schema or an older one; a `DataError` gets the name of it."""
     name, _, newest = schema.rpartition("/")
     with _opened(Path(path)) as container:
         declared = container.text("schema")

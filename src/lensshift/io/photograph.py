@@ -27,10 +27,7 @@ _COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 
 
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
-    """Read one picture [row col], or [row col 3] if its colours differ; levels stay as they are.
-
-    Of .jpg, .png or .tif (its `frame`, also of 16 bits a colour); DataError for any other.
-    """
+    """Read one picture [row col], or [row col 3] if its colours differ, of .jpg, .png or .tif."""
     require_file(path)
     suffix = Path(path).suffix.lower()
     with reading(path):
@@ -45,13 +42,7 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
 
 
 def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
-    """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others.
-
-    Raises
-    ------
-    DataError
-        If the file is missing or damaged.
-    """
+    """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others."""
     require_file(path)
     if Path(path).suffix.lower() not in JPEG_SUFFIXES:
         return None

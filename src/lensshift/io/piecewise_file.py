@@ -88,10 +88,7 @@ class PiecewiseFile(GrowingFile):
         return cls(target, part, file, starts, spaces, there)
 
     def write(self, first: int, pieces: Mapping[str, NDArray[Any]]) -> None:
-        """Write consecutive pieces [piece ...] of all arrays; they count once all are there.
-
-        DataError if a name is missing or strange, a shape is wrong, or the disk is full.
-        """
+        """Write consecutive pieces [piece ...], which count once all arrays have them; or raise."""
         count = len(next(iter(pieces.values())))
         if set(pieces) != set(self._spaces) - {WRITTEN}:
             raise DataError(f"expected {sorted(self._spaces)}, got {sorted(pieces)}")

@@ -224,13 +224,7 @@ class Status(Record, layout="<HlhhL"):
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Return the status in the data; see `Record.unpack`.
-
-        Raises
-        ------
-        DamagedMessage
-            Also if the motor moves, or stands at its limits, both ways at once.
-        """
+        """Return the status; DamagedMessage also if it moves or stands at limits both ways."""
         status = super(Status, cls).unpack(data)
         if any(status.bits & both == both for both in _BOTH_WAYS):
             raise DamagedMessage(f"impossible status {status.bits:#010x}")

@@ -88,10 +88,7 @@ class Receiver:
             self._changed.notify_all()
 
     def take(self, timeout_s: float, explain: Callable[[], str]) -> CameraFrame:
-        """Return the oldest frame held, or wait; a DeviceTimeout explains why none came in time.
-
-        DeviceError if the camera was interrupted or has ended, or nobody opened it.
-        """
+        """Return the oldest frame, or wait for one; DeviceTimeout if none came, or DeviceError."""
         if not (math.isfinite(timeout_s) and timeout_s >= 0):
             raise ValueError(f"expected a time to wait of at least 0 s, got {timeout_s}")
         with self._lock:

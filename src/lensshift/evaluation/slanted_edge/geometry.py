@@ -33,10 +33,7 @@ class EdgeLine:
 
 
 def find_edge(x_px: Vector, y_px: Vector, values: Vector, aperture_px: float) -> EdgeLine:
-    """Find the straight edge that splits n pixels at x, y best, then fit its place and width.
-
-    `ValueError` if they do not split into a bright and a dark side.
-    """
+    """Find the straight edge that splits n pixels at x, y best, and fit it; ValueError if none."""
     if values.size > _MOST_PIXELS:
         keep = np.random.default_rng(0).choice(values.size, _MOST_PIXELS, replace=False)
         angle_rad, position_px = _best_split(x_px[keep], y_px[keep], values[keep])

@@ -152,10 +152,7 @@ def turn_upright(
 def learn_noise(
     edge: UprightEdge, tilt: bool | None, covariance: Matrix | None = None
 ) -> tuple[NoiseModel, int]:
-    """Return the noise of the plateaus, and the order of uneven light: even, plane, bowl.
-
-    `tilt` says whether light is uneven, None asks the plateaus; a known noise has a `covariance`.
-    """
+    """Return noise and order of uneven light (even, plane, bowl), as told or of the plateaus."""
     sides, places = edge.plateaus(), edge.pixels.places
     step_sigma = edge.rounding.sigma
     # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes

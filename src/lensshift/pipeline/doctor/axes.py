@@ -140,10 +140,7 @@ def _axes(offset_px: Floats, sigma_px: Floats, read_mm: Floats) -> Axes:
 
 
 def nudge_findings(axes: Axes, noise_px: Floats) -> Iterator[Finding]:
-    """Yield what is wrong with a stage that was nudged: the image must follow both axes.
-
-    `noise_px` [2] is the error of a shift by the noise of frames, the only one of a still lens.
-    """
+    """Yield what is wrong with a stage that was nudged, by the noise [2] of a position's frames."""
     size_px = axes.gain_px_per_mm * NUDGE_MM
     error_px = float(np.sqrt(2.0) * np.linalg.norm(noise_px))
     stuck = size_px < max(_UNSEEN_PX, _UNSEEN_SIGMAS * error_px)

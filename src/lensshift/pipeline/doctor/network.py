@@ -26,10 +26,7 @@ _COUNT_S = 0.5  # of listening for the rate
 def camera_fault(
     error: DeviceError, camera: Camera | None, port: int | None, say: Callable[[str], None]
 ) -> Finding:
-    """Return the finding behind an error of the camera, and `say` what takes a while.
-
-    The camera is None if it could not be opened, the UDP port if it should send to none.
-    """
+    """Return the finding behind an error of the camera, if open; `say` what takes a while."""
     said, number = str(error), cause_number(error)
     if number == errno.EADDRINUSE:
         who = f" ({holder})" if port is not None and (holder := holder_of_udp(port)) else ""

@@ -38,10 +38,7 @@ def rig_text(row: str, col: str, port: int) -> str:
 
 
 def begin(path: Path, row: str | None, col: str | None, port: int, ask: Ask | None) -> None:
-    """Write a rig file from what is given, plugged in, and answered to `ask`, if it is there.
-
-    DataError if the file exists or cannot be written, or an axis is not known.
-    """
+    """Write a rig file from what is given, plugged in, and answered to `ask`; or a DataError."""
     if path.exists():
         raise DataError("there is a rig file already: give it as argument", source=path)
     found = [cube for cube in cubes() if cube not in (row, col)]

@@ -65,13 +65,7 @@ class View:
 
 
 def look(camera: Camera, patience_s: float) -> View:
-    """Take frames for two seconds, 16 at least.
-
-    Raises
-    ------
-    DeviceError
-        If the camera stops sending.
-    """
+    """Take frames for two seconds, 16 at least; DeviceError if the camera does not send them."""
     frames = [camera.next_frame(patience_s)]
     end_s = time.monotonic() + LOOKED_S
     while len(frames) < LEAST_FRAMES or time.monotonic() < end_s:

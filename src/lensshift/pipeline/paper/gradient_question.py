@@ -46,25 +46,15 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """How much steeper than in one frame the edge becomes, over all its places on the pixels.
+    """How much steeper than in one frame the edge becomes, over all its places on the pixels."""
 
-    Parameters
-    ----------
-    mean : of the ratios of the slopes
-    interval : 95 % of the mean
-    least, most : smallest and largest single ratio: what one profile may show
-    above_three : share of the profiles whose ratio is above 3
-    lines : number of profiles in which both edges reach the limits
-    reach : share of the true step that one frame shows, on average
-    """
-
-    mean: float
-    interval: Pair
-    least: float
-    most: float
-    above_three: float
-    lines: int
-    reach: float
+    mean: float  # of the ratios of the slopes
+    interval: Pair  # 95 % of the mean
+    least: float  # smallest single ratio: what one profile may show
+    most: float  # the largest
+    above_three: float  # share of the profiles whose ratio is above 3
+    lines: int  # number of profiles in which both edges reach the limits
+    reach: float  # share of the true step that one frame shows, on average
 
 
 def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> dict[str, Gain]:
