@@ -91,13 +91,9 @@ def acutance(curve: MtfCurve, height_mm: float, eye_heights: float) -> float:
 
         A = integral of MTF(f) C(f) df / integral of C(f) df,   C(f) = f^0.8 exp(-0.2 f)
 
-    with f in cycles per degree at the eye: a picture of height H, seen from n H, has
-    f = frequency H n pi / 180. Without the frame and the print: those of the display are 1.
-    ValueError if a length is not positive.
-
-    curve : of the picture, 0 beyond its last frequency
-    height_mm : height H of the picture in the unit of the curve: on the sensor, for LP/mm
-    eye_heights : n, the distance of the eye over the height of the picture that it looks at
+    with f in cycles per degree at the eye: a picture of height H (in the unit of the curve), seen
+    from n H, has f = frequency H n pi / 180. Without the frame and the print: those of the display
+    are 1. The curve is 0 beyond its last frequency. ValueError if a length is not positive.
 
     Source: IEEE 1858 (CPIQ), contrast sensitivity and acutance.
     """
@@ -145,15 +141,10 @@ def _mean_of_places(numbers: Sequence[Interval]) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class FocusFit:
-    """Where the MTF50 of a series of photographs is largest.
-
-    focus, sigma : where it is largest, and the standard error of that, from the scatter about the
-        curve; with three points, which it always meets, from their own errors
-    mtf50_lpmm : there
-    """
+    """Where the MTF50 of a series of photographs is largest."""
 
     focus: float
-    sigma: float
+    sigma: float  # by the scatter about the curve; of three, by their own errors
     mtf50_lpmm: float
 
     def scaled(self, factor: float) -> FocusFit:
@@ -170,10 +161,7 @@ def best_focus(
     is inversely proportional to s: 1 / MTF50^2 is a parabola. It is fitted to the largest MTF50 and
     up to two neighbours on each side; a parabola through MTF50 itself, which wave optics may be
     nearer to, is taken where it leaves less. ValueError if there are fewer than three positions, or
-    the largest value is the first or last one.
-
-    focus, mtf50_lpmm : of the photographs
-    std_lpmm : standard errors of MTF50, which tell `sigma` of three photographs; NaN without
+    the largest value is the first or last one. Standard errors (NaN without) are those of three.
     """
     x, y = np.asarray(focus, dtype=np.float64), np.asarray(mtf50_lpmm, dtype=np.float64)
     std = np.full(len(y), np.nan) if std_lpmm is None else np.asarray(std_lpmm, dtype=np.float64)

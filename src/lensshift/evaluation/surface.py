@@ -19,25 +19,16 @@ _LOCAL_PX = 5  # side of the window whose mean tells low-frequency bias from noi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFit:
-    """The plane that fits a distance image best, and what is left.
+    """The plane normal . p = offset that fits a distance image best, and what is left."""
 
-    normal : [3] of unit length, towards the camera
-    offset_m : points p of the plane have normal . p = offset
-    residual_m : [row col] distance of each pixel from the plane, positive towards the camera; NaN
-        where invalid
-    rms_m, max_m : of the residual
-    bias_rms_m, noise_rms_m : its smooth part and the rest; bias^2 + noise^2 = rms^2
-    count : pixels used
-    """
-
-    normal: Floats
+    normal: Floats  # [3] of unit length, towards the camera
     offset_m: float
-    residual_m: Floats
-    rms_m: float
-    max_m: float
-    bias_rms_m: float
-    noise_rms_m: float
-    count: int
+    residual_m: Floats  # [row col] distance of each pixel, positive towards the camera, or NaN
+    rms_m: float  # of the residual
+    max_m: float  # of the residual
+    bias_rms_m: float  # its smooth part; bias^2 + noise^2 = rms^2
+    noise_rms_m: float  # the rest
+    count: int  # pixels used
 
 
 @dataclass(frozen=True, slots=True, eq=False)

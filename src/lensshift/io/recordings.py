@@ -71,13 +71,10 @@ class BagImage(NamedTuple):
 
 
 def read_bag(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagImage]:
-    """Read the images of a ROS 1 bag, a ROS 2 bag (its folder) or an MCAP file.
+    """Read images of a ROS 1 bag, a ROS 2 bag (a folder) or an MCAP file, of all topics or some.
 
     Images are `sensor_msgs/Image` of encoding 32FC1, 16UC1, mono16 or mono8; others are skipped.
     ImportError if the extra `recordings` is not installed. DataError if the bag cannot be read.
-
-    path : file or folder
-    topics : those to read; none: all
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError

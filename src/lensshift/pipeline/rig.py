@@ -78,12 +78,7 @@ def run_emulated(
     """Start an emulated rig, calibrate it, capture over the real protocols, reconstruct, compare.
 
     Drivers, protocols, acquisition and calibration are those of a real rig; only the emulator knows
-    where the image really was. DataError if the folder or a file cannot be written. DeviceError if
-    an emulated device fails. ValueError if there is no such method.
-
-    out_dir : folder for scan.nc, calibration.json and .html, burst.nc, result.nc and preview.png
-    settings : of the emulated rig
-    on_step : called with what is being done ("scan", "burst") and how far it is
+    where the image really was. `on_step` hears what is being done ("scan", "burst"), and how far.
     """
     start_s = time.perf_counter()
     find_method(method)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
@@ -17,7 +16,7 @@ from lensshift.optics.mtf import Band
 from lensshift.optics.otf import diffraction_limit
 from lensshift.optics.psf import point_spread
 from lensshift.optics.spots import distortion, spots
-from lensshift.report import curves, style
+from lensshift.report import curves, images, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -224,15 +223,10 @@ def psf_figure(
 
 
 def _draw_pixel(axes: Axes, pixel_um: Floats) -> None:
-    row_um, col_um = pixel_um
-    axes.add_patch(
-        Rectangle(
-            (-0.5 * col_um, -0.5 * row_um), col_um, row_um,
-            fill=False, edgecolor="white", linewidth=1.0, linestyle="--",
-        )
-    )  # fmt: skip
-    at, how = (-0.5 * col_um, -0.5 * row_um), {"va": "top", "color": "white"}
-    style.note(axes, "pixel", at, (3.0, -3.0), path_effects=None, **how)
+    border = images.pixel_outline(pixel_um, edgecolor="white", linewidth=1.0, linestyle="--")
+    axes.add_patch(border)
+    how = {"va": "top", "color": "white"}
+    style.note(axes, "pixel", border.get_xy(), (3.0, -3.0), path_effects=None, **how)
 
 
 def _widen(axes: Axes) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
@@ -266,18 +266,8 @@ def _draw_arrows(axes: Axes, error_px: Floats, times: float) -> None:
 def _draw_spots(
     axes: Axes, both_um: Sequence[Floats], airy_um: float, pixel_um: Floats, ring: str
 ) -> None:
-    row_um, col_um = pixel_um
-    axes.add_patch(
-        Rectangle(
-            (-0.5 * col_um, -0.5 * row_um),
-            col_um,
-            row_um,
-            fill=False,
-            edgecolor=style.GREY,
-            linewidth=1.2,
-            label="pixel",
-        )
-    )
+    how = {"edgecolor": style.GREY, "linewidth": 1.2, "label": "pixel"}
+    axes.add_patch(images.pixel_outline(pixel_um, **how))
     for rays_um, colour, label, size in zip(
         both_um, (style.BLUE, style.RED), ("at rest", "moved"), (3.0, 1.2), strict=True
     ):

@@ -26,20 +26,15 @@ __all__ = ["AptAxis", "AptSettings", "AptStage", "open_apt_stage"]
 
 
 def open_apt_stage(
-    row: str,
-    col: str,
+    row: str,  # USB serial number ("83000001"), device path, or any URL of pyserial
+    col: str,  # as of row
     settings: AptSettings | None = None,
-    on_homing: OnHoming | None = None,
+    on_homing: OnHoming | None = None,  # hears how far each axis goes to be homed, gives leave
 ) -> AptStage:
     """Connect both controllers, write their parameters, enable them, and home them if allowed.
 
     ValueError if both axes are one device. DeviceError if a device cannot be found, opened, set up
     or homed, or must not be homed; nothing stays open.
-
-    row, col : port of the axis: a USB serial number ("83000001"), a device path, or any URL of
-        pyserial ("socket://host:port")
-    settings : see `AptSettings`; the default ones if None
-    on_homing : hears how far each axis will go before it is homed, and gives leave
     """
     settings = settings or AptSettings()
     ports = find_port(row), find_port(col)

@@ -54,15 +54,10 @@ class _Leg:
 
 
 class AptAxis:
-    """One controller with its actuator; `prepare` it before the first move.
+    """One controller with its actuator; `prepare` it before its first move. Or a DeviceError.
 
     `homing` and `moves` are generators, so that one thread can move several axes at once: each step
     looks once, yields how long (s) to wait before the next, and returns the result at last.
-    DeviceError if the port cannot be had, or nothing at it speaks APT.
-
-    port : any URL of pyserial, or a device path
-    settings : see `AptSettings`
-    axis : 0 (row) or 1 (col)
     """
 
     def __init__(self, port: str, settings: AptSettings, axis: int = 0) -> None:

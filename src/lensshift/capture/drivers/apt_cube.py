@@ -27,8 +27,8 @@ R = TypeVar("R", apt.Info, apt.Limits)
 class AptCube:
     """A TDC001 or KDC101 at a port; DeviceError if it cannot be had, or does not speak APT.
 
-    tolerance : counts by which two replies of a motor at rest may differ
-    attempts : how often a request is sent; replies may disagree four times as often
+    A request is sent so many `attempts`, replies may disagree four times as often; those of a motor
+    at rest may differ by the `tolerance` in counts.
     """
 
     def __init__(self, port: str, *, tolerance: int, reply_timeout_s: float, attempts: int) -> None:

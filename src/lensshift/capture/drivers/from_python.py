@@ -33,12 +33,10 @@ def python_stage(
     home: str | None = None,
     on_homing: OnHoming | None = None,
 ) -> Stage:
-    """Make the stage that the entry `use` names, with the other entries as arguments.
+    """Make the stage that the entry `use` names, called with the other entries and what it takes.
 
     DataError if there is no such attribute, it does not take the entries, or makes no stage.
     DeviceError if it fails.
-
-    home, on_homing : handed on if the attribute takes them, see `open_rig`
     """
     make = _attribute(table, folder, "stage")
     offered = {"home": home, "on_homing": on_homing}

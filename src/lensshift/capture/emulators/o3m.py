@@ -132,10 +132,7 @@ def parameter_message() -> bytes:
 class O3MSender:
     """Sends what `look` sees, cycle by cycle; a context manager with a thread.
 
-    look : called with begin and end of an exposure (`time.monotonic`), after its end; returns a
-        frame of 64 x 16 pixels
-    loss, reorder, duplicate : probability that a packet gets lost, changes places with the next,
-        comes twice
+    `look` is called with begin and end of an exposure (`time.monotonic`), after its end.
     """
 
     def __init__(
@@ -146,9 +143,9 @@ class O3MSender:
         rate_hz: float = 25.0,  # cycles a second
         host: str = "127.0.0.1",  # of the receiver
         layout: str = "1.4",  # of the pixel data, "1.0" to "1.4"
-        loss: float = 0.0,
-        reorder: float = 0.0,
-        duplicate: float = 0.0,
+        loss: float = 0.0,  # probability that a packet gets lost
+        reorder: float = 0.0,  # changes places with the next
+        duplicate: float = 0.0,  # comes twice
         exposure_s: float = 0.005,  # length of an exposure
         full_scale: float = 4.0,  # amplitude that saturates the weakest setting
         seed: int = 0,  # of the faults
