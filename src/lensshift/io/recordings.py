@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.reading import reading, require_file
-from lensshift.io.recordings_ip import Datagram as Datagram
-from lensshift.io.recordings_ip import UdpReader
-from lensshift.io.recordings_pcap import is_capture, read_packets
+from lensshift.io.recordings_pcap import Datagram, UdpReader, is_capture, read_packets
 
 _ENCODINGS = {"32FC1": "f4", "16UC1": "u2", "mono16": "u2", "mono8": "u1"}
 
