@@ -121,8 +121,7 @@ def measured_image(
     else:
         keys_of(key, path)
         frames = load_frames(path)
-    pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
-    return Measured(_one_frame(frames, path, frame), pitch, pitch_mm is not None)
+    return Measured(_one_frame(frames, path, frame), *_given_pitch(pitch_mm))
 
 
 def _pitch_of(
@@ -133,6 +132,10 @@ def _pitch_of(
         if pitch_mm is not None:
             raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
         return grid.pitch_mm, True
+    return _given_pitch(pitch_mm)
+
+
+def _given_pitch(pitch_mm: str | None) -> tuple[tuple[float, float], bool]:
     return (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm), pitch_mm is not None
 
 
@@ -170,8 +173,7 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     if suffix in PHOTOGRAPH_SUFFIXES:
         keys_of(asked.key, path)
         levels = load_photograph(path, frame=asked.frame)
-        pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
-        read = Measured(levels, pitch, pitch_mm is not None)
+        read = Measured(levels, *_given_pitch(pitch_mm))
     else:
         read = measured_of(asked)
     if curve is None and suffix in JPEG_SUFFIXES:
