@@ -27,9 +27,8 @@ from lensshift import Burst, reconstruct
 from lensshift.camera import camera_preset, simulate_tof_burst
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, distance_to_phase, phase_to_distance
 from lensshift.evaluation import depth_error
-from lensshift.pipeline.paper.bench import WALL_LIGHT, paper_camera
+from lensshift.pipeline.paper.bench import PUBLISHED, WALL_LIGHT, paper_camera
 from lensshift.pipeline.paper.box_claims import BRIGHTEST_LIGHT
-from lensshift.pipeline.paper.measure import PUBLISHED
 from lensshift.scene import four_boxes
 
 MODULATION_HZ = 15e6

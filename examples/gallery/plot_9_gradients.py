@@ -7,8 +7,8 @@ within a pixel; the gain of the gradient is the mean over them. Why the distance
 times where the amplitude gains two.
 """
 
+from lensshift.pipeline.paper.bench import calibrated_response
 from lensshift.pipeline.paper.box_claims import BRANCHES
-from lensshift.pipeline.paper.measure import calibrated_response
 from lensshift.pipeline.paper.reproduce import study_row
 from lensshift.report.claims import gains_figure
 

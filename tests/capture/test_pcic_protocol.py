@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensshift.capture.drivers.pcic_directions import bouguet_directions
 from lensshift.capture.drivers.pcic_protocol import (
     ChunkKind,
     Message,
     PcicParser,
+    bouguet_directions,
     read_chunks,
     read_result,
     read_tof_info,

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
+from seen_patterns import seen
 
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import edge_and_pattern, siemens_star_mtf
@@ -14,15 +14,12 @@ SIGMA_PX, SHAPE = 0.9, (121, 141)
 
 def star(noise: float) -> np.ndarray:
     """Return a square star of 24 cycles, averaged over pixels and blurred."""
-    fine, pad = 5, 4
-    row, col = (
-        (np.arange(-pad * fine, (n + pad) * fine) + 0.5) / fine - 0.5 - n / 2 for n in SHAPE
-    )
-    wave = np.sign(np.cos(24 * np.arctan2(row[:, None] - 0.3, col + 0.2)))
-    image = gaussian_filter(0.5 + 0.4 * wave, SIGMA_PX * fine)
-    pixels = image.reshape(SHAPE[0] + 2 * pad, fine, SHAPE[1] + 2 * pad, fine).mean(axis=(1, 3))
+    pixels = seen(
+        lambda row, col: 0.5 + 0.4 * np.sign(np.cos(24 * np.arctan2(row, col))),
+        SHAPE, (60.8, 70.3), SIGMA_PX, finer=5,
+    )  # fmt: skip
     rng = np.random.default_rng(2)
-    return pixels[pad:-pad, pad:-pad] + noise * rng.standard_normal(SHAPE)
+    return pixels + noise * rng.standard_normal(SHAPE)
 
 
 def edge(sigma_px: float, noise: float) -> np.ndarray:

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
+from seen_patterns import seen
 
 from lensshift.evaluation import edge_and_pattern, gratings_mtf
 from lensshift.evaluation.slanted_edge import measure_edge
 
 Image = NDArray[np.float64]
-SHAPE, SIGMA_PX, FINE, PAD = (71, 131), 0.7, 10, 4
+SHAPE, SIGMA_PX = (71, 131), 0.7
 LOW, HIGH = 0.1, 0.9
 FREQUENCIES = (0.08, 0.14, 0.22, 0.31)
 TURN = np.deg2rad(3.0)
@@ -23,19 +23,21 @@ def truth(f: float, turn: float = TURN) -> float:
 
 
 def groups(noise: float = 0.0, turn: float = TURN, seed: int = 1) -> Image:
-    """Return four groups of square bars on white, each averaged over 10 x 10 points a pixel."""
-    row, col = ((np.arange(-PAD * FINE, (n + PAD) * FINE) + 0.5) / FINE - 0.5 for n in SHAPE)
-    drawn = np.full((row.size, col.size), HIGH)
-    for f, (top, bottom, left, right) in zip(FREQUENCIES, BOXES, strict=True):
-        phase = 2 * np.pi * f * (col * np.cos(turn) + row[:, None] * np.sin(turn)) + 0.4
-        wave = np.where(np.cos(phase) > 0, HIGH, LOW)
-        inside = (np.abs(row - 0.5 * (top + bottom - 1)) < 0.5 * (bottom - top))[:, None]
-        inside = inside & (np.abs(col - 0.5 * (left + right - 1)) < 0.5 * (right - left))
-        drawn = np.where(inside, wave, drawn)
-    seen = gaussian_filter(drawn, SIGMA_PX * FINE)
-    pixels = seen.reshape(SHAPE[0] + 2 * PAD, FINE, SHAPE[1] + 2 * PAD, FINE).mean(axis=(1, 3))
+    """Return four groups of square bars on white."""
+
+    def bars(row: Image, col: Image) -> Image:
+        drawn = np.full((row.size, col.size), HIGH)
+        for f, (top, bottom, left, right) in zip(FREQUENCIES, BOXES, strict=True):
+            phase = 2 * np.pi * f * (col * np.cos(turn) + row * np.sin(turn)) + 0.4
+            wave = np.where(np.cos(phase) > 0, HIGH, LOW)
+            inside = np.abs(row - 0.5 * (top + bottom - 1)) < 0.5 * (bottom - top)
+            inside = inside & (np.abs(col - 0.5 * (left + right - 1)) < 0.5 * (right - left))
+            drawn = np.where(inside, wave, drawn)
+        return drawn
+
     rng = np.random.default_rng(seed)
-    return pixels[PAD:-PAD, PAD:-PAD] + noise * rng.standard_normal(SHAPE)
+    pixels = seen(bars, SHAPE, (0.0, 0.0), SIGMA_PX, finer=10)
+    return pixels + noise * rng.standard_normal(SHAPE)
 
 
 @pytest.mark.parametrize("given", [True, False])

@@ -9,20 +9,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import ive
+from seen_patterns import gaussian_mtf, seen, seen_mtf
 
 from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.known_phase import HarmonicFit, contrast_at_zero
-from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.siemens import siemens_star_mtf
 
 LEVELS = (0.1, 0.9)  # mean 0.5, contrast 0.8
 SIGMA = 0.5
 SHAPE, CENTER, CYCLES = (121, 141), (61.7, 70.2), 25
 Floats = NDArray[np.float64]
-
-
-def gaussian_mtf(frequency: Floats, sigma: float) -> Floats:
-    return np.asarray(np.exp(-2 * (np.pi * sigma * frequency) ** 2))
 
 
 def blurred_amplitude(radius: Floats, cycles: int, sigma: float) -> Floats:
@@ -47,32 +43,12 @@ def exact_star(
 
 
 @cache
-def rendered_star(
-    square: bool,
-    shape: tuple[int, int] = SHAPE,
-    center: tuple[float, float] = CENTER,
-    cycles: int = CYCLES,
-    sigma: float = SIGMA,
-) -> Floats:
-    """Return a star drawn 8 times finer, blurred by `sigma` and averaged over square pixels."""
-    fine, pad = 8, 4
-    row, col = (
-        (np.arange(-pad * fine, (n + pad) * fine) + 0.5) / fine - 0.5 - c
-        for n, c in zip(shape, center, strict=True)
-    )
-    wave = np.cos(cycles * np.arctan2(row[:, None], col))
-    image = gaussian_filter(0.5 + 0.4 * (np.sign(wave) if square else wave), sigma * fine)
-    pixels = image.reshape(shape[0] + 2 * pad, fine, shape[1] + 2 * pad, fine).mean(axis=(1, 3))
-    return np.asarray(pixels[pad:-pad, pad:-pad])
+def rendered_star(square: bool, sigma: float = SIGMA) -> Floats:
+    def star(row: Floats, col: Floats) -> Floats:
+        wave = np.cos(CYCLES * np.arctan2(row, col))
+        return 0.5 + 0.4 * (np.sign(wave) if square else wave)
 
-
-def expected_mtf(
-    frequency: Floats, middle_rad: float = 0.0, half_rad: float = np.pi, sigma: float = SIGMA
-) -> Floats:
-    """Return blur times pixel aperture, averaged over directions of the frequency."""
-    angles = middle_rad + half_rad * ((np.arange(90) + 0.5) / 45 - 1)
-    pixel = [pixel_aperture_mtf(frequency, 1.0, angle_rad=angle) for angle in angles]
-    return gaussian_mtf(frequency, sigma) * np.mean(pixel, axis=0)
+    return seen(star, SHAPE, CENTER, sigma)
 
 
 @pytest.mark.parametrize("square", [False, True], ids=["sine", "square"])
@@ -89,7 +65,7 @@ def test_rendered_star(square: bool, levels: tuple[float, float] | None) -> None
     f = result.mtf.frequency_lpmm
     assert f[0] < 0.07
     assert f[-1] > 0.48
-    np.testing.assert_allclose(result.mtf.modulation, expected_mtf(f), atol=0.006)
+    np.testing.assert_allclose(result.mtf.modulation, seen_mtf(f, SIGMA), atol=0.006)
     assert result.contrast == pytest.approx(0.8 * (4 / np.pi if square else 1), rel=2e-3)
 
 
@@ -172,7 +148,7 @@ def test_aliased_harmonics_of_a_sharp_star_are_told_apart() -> None:
     errors = []
     for k, curve in enumerate(found.sectors):
         across = np.pi * k / 3 + np.pi / 2
-        expected = expected_mtf(curve.frequency_lpmm, across, np.pi / 6, 0.15)
+        expected = seen_mtf(curve.frequency_lpmm, 0.15, np.pi / 6, across)
         errors.append((curve.modulation - expected)[curve.frequency_lpmm < 0.45])
         assert np.median(curve.std) < 0.004
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.005

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from seen_patterns import seen, seen_mtf
 
 from lensshift.core.errors import QualityWarning
-from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.zone_plate import zone_plate_response
 
 SHAPE, CENTER, CHIRP = (202, 174), (100.3, 86.6), 0.005
@@ -18,33 +18,12 @@ Floats = NDArray[np.float64]
 
 @cache
 def rendered_plate(
-    sigma: float,
-    shape: tuple[int, int] = SHAPE,
-    center: tuple[float, float] = CENTER,
-    chirp: float = CHIRP,
+    sigma: float, shape: tuple[int, int] = SHAPE, center: tuple[float, float] = CENTER
 ) -> Floats:
-    """Return a plate drawn 8 times finer, blurred and averaged over square pixels."""
-    fine, pad = 8, 4
-    row, col = (
-        (np.arange(-pad * fine, (n + pad) * fine) + 0.5) / fine - 0.5 - c
-        for n, c in zip(shape, center, strict=True)
-    )
-    image = 0.5 + 0.4 * np.cos(np.pi * chirp * (row[:, None] ** 2 + col**2) + 0.7)
-    image = gaussian_filter(image, sigma * fine)
-    pixels = image.reshape(shape[0] + 2 * pad, fine, shape[1] + 2 * pad, fine).mean(axis=(1, 3))
-    return np.asarray(pixels[pad:-pad, pad:-pad])
+    def plate(row: Floats, col: Floats) -> Floats:
+        return 0.5 + 0.4 * np.cos(np.pi * CHIRP * (row**2 + col**2) + 0.7)
 
-
-def gaussian_mtf(frequency: Floats, sigma: float) -> Floats:
-    return np.asarray(np.exp(-2 * (np.pi * sigma * frequency) ** 2))
-
-
-def pixel_mean(frequency: Floats, half_rad: float) -> Floats:
-    """Return the aperture of a pixel of side 1, averaged over directions about an axis."""
-    angles = half_rad * ((np.arange(90) + 0.5) / 45 - 1)
-    return np.asarray(
-        np.mean([pixel_aperture_mtf(frequency, 1.0, angle_rad=a) for a in angles], axis=0)
-    )
+    return seen(plate, shape, center, sigma)
 
 
 @pytest.mark.parametrize("levels", [None, LEVELS], ids=["extrapolated", "levels"])
@@ -59,7 +38,7 @@ def test_blur_times_pixel(
     np.testing.assert_allclose(result.center_px, center, atol=2e-3)
     for curve, half_rad in ((result.radial, np.pi), (result.row, 0.2618), (result.col, 0.2618)):
         f = curve.frequency_lpmm
-        expected = gaussian_mtf(f, 0.5) * pixel_mean(f, half_rad)
+        expected = seen_mtf(f, 0.5, half_rad)
         np.testing.assert_allclose(curve.modulation, expected, atol=2e-3)
     reach = [min(0.5, CHIRP * min(c, n - 1 - c)) for c, n in zip(center, shape, strict=True)]
     for curve, end in zip(
@@ -76,7 +55,7 @@ def test_axes_are_told_apart() -> None:
     result = zone_plate_response(image, pitch_mm=1.0, chirp_lpmm_per_mm=CHIRP, levels=LEVELS)
     at = np.array([0.3])
     row, col = (np.interp(at, c.frequency_lpmm, c.modulation) for c in (result.row, result.col))
-    both = (gaussian_mtf(at, 0.2) * pixel_mean(at, 0.2618))[0]
+    both = seen_mtf(at, 0.2, 0.2618)[0]
     cos = np.cos(np.linspace(-0.2618, 0.2618, 201))
     sin = np.sin(np.linspace(-0.2618, 0.2618, 201))
     assert col == pytest.approx(both * np.mean(np.exp(-2 * (np.pi * at * cos) ** 2)), abs=0.01)
@@ -120,7 +99,7 @@ def test_a_true_image_has_nothing_folded() -> None:
     for true, folded in zip((result.row, result.col), result.folded, strict=True):
         assert np.max(folded.modulation) < 8e-3
         f = true.frequency_lpmm
-        expected = gaussian_mtf(f, 0.3) * pixel_mean(f, 0.2618)
+        expected = seen_mtf(f, 0.3, 0.2618)
         np.testing.assert_allclose(true.modulation, expected, atol=5e-3)
 
 
@@ -136,7 +115,7 @@ def test_noise_uneven_light_and_holes() -> None:
     np.testing.assert_allclose(result.center_px, CENTER, atol=0.02)
     for curve, half_rad in ((result.radial, np.pi), (result.row, 0.2618), (result.col, 0.2618)):
         f, std = curve.frequency_lpmm, curve.std
-        error = curve.modulation - gaussian_mtf(f, 0.5) * pixel_mean(f, half_rad)
+        error = curve.modulation - seen_mtf(f, 0.5, half_rad)
         assert std is not None
         assert 0.6 < np.sqrt(np.mean((error / std) ** 2)) < 1.5
 

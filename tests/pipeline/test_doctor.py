@@ -86,7 +86,7 @@ def error_px(rig: EmulatedRig, file: Path) -> float:
     """Return the rms error of a calibration over sensor and scan, the common offset left out."""
     found = load_calibration(file)
     places = calibration_scan_mm(rig.settings.rest_mm, 0.25, steps=5)
-    true = np.array([rig.true_offset_px(place) for place in places])
+    true = np.array([rig.world.offset_px(place) for place in places])
     told = (
         found.offset_px(places)[:, None, None]
         if found.stage_map.field_px_per_mm is None

@@ -19,8 +19,8 @@ from lensshift.pipeline.paper.claims import CRITERIA, VERDICTS, exactly, mean_in
 from lensshift.pipeline.paper.edge_claims import jaggedness_px, upto
 from lensshift.pipeline.paper.gradient_question import PHASES, Strip, study_strip
 from lensshift.pipeline.paper.gratings import grating, read_grating, take_grating
-from lensshift.pipeline.paper.jobs import carry_out_jobs
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims
+from lensshift.pipeline.paper.reproduce import carry_out_jobs
 from lensshift.report.page import Page
 from lensshift.scene import Plane, Scene
 

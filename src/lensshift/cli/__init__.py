@@ -28,14 +28,21 @@ def main() -> None:
     get_command(app)(prog_name="lensshift")
 
 
-class _Unread:
+class _Stream:
+    """A stream that writes in a way of its own."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class _Unread(_Stream):
     """A stream that nobody may read to its end, as in `lensshift lens show petzval_a | head`.
 
     The work goes on, and its files are written; what is said about it is lost.
     """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
 
     def write(self, text: str) -> int:
         with self._unless_closed():
@@ -54,21 +61,12 @@ class _Unread:
             with Path(os.devnull).open("w") as nowhere:  # where Python flushes to when it ends, too
                 os.dup2(nowhere.fileno(), self._stream.fileno())
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
 
-
-class _Printable:
+class _Printable(_Stream):
     """A stream to a terminal for words that are not ours, as in messages about arguments."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
 
     def write(self, text: str) -> int:
         return self._stream.write("\r".join(printable(part) for part in text.split("\r")))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
 
 
 def _one_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

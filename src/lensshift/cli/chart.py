@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -71,6 +71,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
     # Processes get ready while this one imports what it measures with.
     context = None if asked.workers == 1 else ready_with("lensshift.evaluation.chart_series")
 
+    from lensshift.evaluation.chart import edge_rows
     from lensshift.evaluation.chart_series import focus_series, measure_chart
 
     pictures, pitch = _pictures(asked)
@@ -83,20 +84,21 @@ def chart(current: Session, asked: ChartOptions) -> None:
     wanted = [one / unit.factor for one in asked.edges.at or []]
     series, fits = focus_series(edges) if asked.focus is not None else ([], {})
     acutances = _acutances(pictures, edges, pitch.pitch_mm[0], asked.eye_heights)
-    _say(current, edges, unit, acutances)
+    rows = list(edge_rows(edges, wanted, unit.factor))
+    current.result |= {"unit": unit.name, "edges": rows}
+    _tell(current, edges, unit, acutances)
     ending = f" {asked.focus_unit}" if asked.focus_unit else ""
     for zone, one in fits.items():
         current.say(
             f"best focus {zone:<9} {one.focus:.4g} +- {one.sigma:.2g}{ending}, "
             f"MTF50 {one.mtf50_lpmm * unit.factor:.4g} {unit.name}"
         )
-    _tell(current, edges, unit, wanted)
     current.result |= {"acutance": acutances, "eye_heights": asked.eye_heights}
     current.result["best_focus"] = {
         zone: {"focus": one.focus, "sigma": one.sigma, "mtf50": one.mtf50_lpmm * unit.factor}
         for zone, one in fits.items()
     }
-    _write_rows(current, asked.csv, edges, wanted, unit)
+    _write_rows(current, asked.csv, rows, unit)
     _annotate(current, seen, pictures, edges, unit)
     if asked.report is not None:
         from lensshift.report.chart import chart_page
@@ -154,55 +156,32 @@ def _acutances(
     return found
 
 
-def _say(
+def _tell(
     current: Session, edges: Sequence[ChartEdge], unit: Unit, acutances: dict[str, float]
 ) -> None:
+    """Print and keep the zones of each photograph."""
     from lensshift.evaluation.chart import zone_rows
 
-    for name, here in _by_image(edges).items():
+    zones = []
+    for name in dict.fromkeys(one.image for one in edges):
+        here = [one for one in edges if one.image == name]
         usable = sum(one.result.usable for one in here)
         sharp = f", acutance {acutances[name]:.3f}" if name in acutances else ""
         current.say(f"{name}: {usable} usable of {len(here)} edges{sharp}")
         for row in zone_rows(here):
+            half = row["mtf50_lpmm"]
             current.say(
                 f"  {row['zone']:<9} {row['direction']:<11} {row['edges']:>3} edges  MTF50 "
-                f"{row['mtf50_lpmm'].scaled(unit.factor)} {unit.name}"
+                f"{half.scaled(unit.factor)} {unit.name}"
             )
-
-
-def _tell(
-    current: Session, edges: Sequence[ChartEdge], unit: Unit, wanted: Sequence[float]
-) -> None:
-    from lensshift.evaluation.chart import edge_rows, zone_rows
-
-    current.result |= {"unit": unit.name, "edges": list(edge_rows(edges, wanted, unit.factor))}
-    current.result["zones"] = [
-        {"image": name}
-        | row
-        | {"mtf50_lpmm": interval_row(row["mtf50_lpmm"])}
-        | {"mtf50": interval_row(row["mtf50_lpmm"], unit.factor)}
-        for name, here in _by_image(edges).items()
-        for row in zone_rows(here)
-    ]
-
-
-def _by_image(edges: Sequence[ChartEdge]) -> dict[str, list[ChartEdge]]:
-    found: dict[str, list[ChartEdge]] = {}
-    for one in edges:
-        found.setdefault(one.image, []).append(one)
-    return found
+            told = {"mtf50_lpmm": interval_row(half), "mtf50": interval_row(half, unit.factor)}
+            zones.append({"image": name} | row | told)
+    current.result["zones"] = zones
 
 
 def _write_rows(
-    current: Session,
-    csv: Path | None,
-    edges: Sequence[ChartEdge],
-    wanted: Sequence[float],
-    unit: Unit,
+    current: Session, csv: Path | None, rows: Sequence[dict[str, Any]], unit: Unit
 ) -> None:
-    from lensshift.evaluation.chart import edge_rows
-
-    rows = list(edge_rows(edges, wanted, unit.factor))
     told = {"mtf50", "mtf30", "mtf10"}
     suffix = unit.name.replace("/", "_per_").lower()
     columns = {}

@@ -70,26 +70,15 @@ class PhotoOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """An image to be measured.
+    """An image to be measured."""
 
-    Parameters
-    ----------
-    values : [row col], or [frame row col] with `offset_px`
-    pitch_mm : (row, col); 1 where the pitch is not known
-    has_pitch : whether it is
-    valid : mask like `values`, or None
-    scale : LR pixels are that many pixels wide
-    offset_px : [frame 2] or None
-    jpeg_steps : [8 8] of a JPEG, as of `measure_edges`, or None
-    """
-
-    values: NDArray[Any]
-    pitch_mm: tuple[float, float]
-    has_pitch: bool
-    valid: NDArray[Any] | None = None
-    scale: int = 1
-    offset_px: NDArray[Any] | None = None
-    jpeg_steps: NDArray[Any] | None = None
+    values: NDArray[Any]  # [row col], or [frame row col] with `offset_px`
+    pitch_mm: tuple[float, float]  # (row, col); 1 where the pitch is not known
+    has_pitch: bool  # whether it is
+    valid: NDArray[Any] | None = None  # mask like `values`, or None
+    scale: int = 1  # LR pixels are that many pixels wide
+    offset_px: NDArray[Any] | None = None  # [frame 2] or None
+    jpeg_steps: NDArray[Any] | None = None  # [8 8] of a JPEG, as of `measure_edges`, or None
 
     @property
     def length(self) -> str:
@@ -132,8 +121,7 @@ def measured_image(
     else:
         keys_of(key, path)
         frames = load_frames(path)
-    pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
-    return Measured(_one_frame(frames, path, frame), pitch, pitch_mm is not None)
+    return Measured(_one_frame(frames, path, frame), *_given_pitch(pitch_mm))
 
 
 def _pitch_of(
@@ -144,6 +132,10 @@ def _pitch_of(
         if pitch_mm is not None:
             raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
         return grid.pitch_mm, True
+    return _given_pitch(pitch_mm)
+
+
+def _given_pitch(pitch_mm: str | None) -> tuple[tuple[float, float], bool]:
     return (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm), pitch_mm is not None
 
 
@@ -181,8 +173,7 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     if suffix in PHOTOGRAPH_SUFFIXES:
         keys_of(asked.key, path)
         levels = load_photograph(path, frame=asked.frame)
-        pitch = (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm)
-        read = Measured(levels, pitch, pitch_mm is not None)
+        read = Measured(levels, *_given_pitch(pitch_mm))
     else:
         read = measured_of(asked)
     if curve is None and suffix in JPEG_SUFFIXES:

@@ -118,9 +118,12 @@ def _tell(
     """Print and keep the numbers of edges and of their mean; return its curve and frequencies."""
     from lensshift.evaluation.slanted_edge import average_curves, usable_edges
 
+    edges = []
     for result in results:
         say_edge(current, result, unit, length)
-        for row in at_rows(result.mtf, unit, at):
+        rows = at_rows(result.mtf, unit, at)
+        edges.append(edge_row(result, unit) | {"at": rows})
+        for row in rows:
             shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
             known = row["value"] == row["value"]
             text = shown if known else "beyond the curve"
@@ -132,11 +135,8 @@ def _tell(
         _say_numbers(current, mean, unit, length)
     curve = average_curves(results)
     frequency = curve.frequency_lpmm * unit.factor
-    current.result |= {"unit": unit.name, "length_unit": length}
-    current.result["edges"] = [
-        edge_row(result, unit) | {"at": at_rows(result.mtf, unit, at)} for result in results
-    ]
-    current.result["mean"] = _mean_row(mean, unit)
+    current.result |= {"unit": unit.name, "length_unit": length, "edges": edges}
+    current.result["mean"] = _rows(mean, unit)
     current.result["mtf"] = {"frequency": frequency, "frequency_lpmm": curve.frequency_lpmm}
     current.result["mtf"] |= {"modulation": curve.modulation, "std": curve.std}
     return curve, frequency
@@ -193,19 +193,18 @@ def _mean(results: Sequence[EdgeResult]) -> dict[str, Interval]:
     }
 
 
-def _mean_row(mean: dict[str, Interval], unit: images.Unit) -> dict[str, Any]:
-    row: dict[str, Any] = {name: images.interval_row(number) for name, number in mean.items()}
+def _rows(numbers: dict[str, Interval], unit: images.Unit) -> dict[str, Any]:
+    """Return numbers for JSON, frequencies also in the unit."""
+    rows = {name: images.interval_row(number) for name, number in numbers.items()}
     for name in ("mtf50", "mtf30", "mtf10"):
-        row[name] = images.interval_row(mean[f"{name}_lpmm"], unit.factor)
-    return row
+        rows[name] = images.interval_row(numbers[f"{name}_lpmm"], unit.factor)
+    return rows
 
 
 def edge_row(result: EdgeResult, unit: images.Unit) -> dict[str, Any]:
     """Return an edge for JSON."""
     row: dict[str, Any] = {"region": str(result.region), "orientation": result.orientation}
-    for name in ("angle_rad", "position_px", *(name for name, _, _ in NUMBERS), "asymmetry"):
-        row[name] = images.interval_row(getattr(result, name))
-    for name in ("mtf50", "mtf30", "mtf10"):
-        row[name] = images.interval_row(getattr(result, f"{name}_lpmm"), unit.factor)
+    names = ("angle_rad", "position_px", *(name for name, _, _ in NUMBERS), "asymmetry")
+    row |= _rows(picked(result, " ".join(names)), unit)
     row |= picked(result, "method dark bright contrast noise snr bend_px nyquist_lpmm")
     return row | picked(result, "beyond_nyquist usable") | {"notes": list(result.notes)}

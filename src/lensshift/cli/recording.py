@@ -39,10 +39,7 @@ class Split:
 
 
 def is_recording(asked: ReconstructOptions) -> bool:
-    """Tell whether a recording is meant.
-
-    A usage error if only half of it is said, or what a recording does not take.
-    """
+    """Tell whether a recording is meant; a usage error if half of it is, or what none takes."""
     if asked.split.window is None:
         if asked.split != Split():
             raise typer.BadParameter(

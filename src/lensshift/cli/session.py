@@ -45,21 +45,13 @@ _FILE_EVERY_S = 5.0  # a line of a log
 
 @dataclass
 class Session:
-    """One run of a verb: what it says and what it hands back.
+    """One run of a verb: what it says and what it hands back."""
 
-    Parameters
-    ----------
-    as_json : print only the result, as JSON
-    debug : show where an error comes from
-    result : what JSON output holds beside "warnings"
-    failed : whether the verb ends with 1 although it could be carried out
-    """
-
-    as_json: bool = False
-    debug: bool = False
-    result: dict[str, Any] = field(default_factory=dict)
+    as_json: bool = False  # print only the result, as JSON
+    debug: bool = False  # show where an error comes from
+    result: dict[str, Any] = field(default_factory=dict)  # what JSON output holds beside "warnings"
     warnings: list[str] = field(default_factory=list)
-    failed: bool = False
+    failed: bool = False  # whether the verb ends with 1 although it could be carried out
     waiting: Waiting | None = None
 
     def say(self, text: str) -> None:
@@ -108,13 +100,7 @@ class Session:
 
 @contextmanager
 def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]:
-    """Run the body of a verb; print its result, or its error on one line and exit with 1.
-
-    Parameters
-    ----------
-    as_json, debug : the options of every verb
-    doing : what is said, with the seconds so far, while it lasts and nothing else was printed
-    """
+    """Run a verb that is `doing` something; print its result, or its error on one line, exit 1."""
     current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
     with ended_by_signals(), warnings.catch_warnings():
@@ -186,9 +172,6 @@ class StatusLine:
 class Progress:
     """Say how far an iteration is, on stderr, once it takes more than a second.
 
-    Parameters
-    ----------
-    label : what is done
     preparing : whether it may take long before the first iteration, which is said then
     """
 
@@ -238,12 +221,7 @@ class Progress:
 
 
 class Waiting:
-    """Say every second on a terminal, else every five, that something still goes on.
-
-    Parameters
-    ----------
-    label : what is done
-    """
+    """Say every second on a terminal, else every five, that something still goes on."""
 
     def __init__(self, label: str) -> None:
         self._progress = Progress(label)

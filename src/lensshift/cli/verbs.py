@@ -28,26 +28,16 @@ _MOST_CHARACTERS = 1000  # none of ours is cut; the formatter breaks lines
 
 
 def option(default: Any, help: str, *names: str, **rules: Any) -> Any:
-    """Return a field that the command line sets by `--its-name`.
+    """Return a field that the command line sets by `--its-name`, or by `names` such as "-o".
 
-    Parameters
-    ----------
-    default : of the field; that of a list is None, and MISSING for an option that must be given
-    help : what `--help` says
-    names : further names, as "-o", or one with two dashes instead of its own
-    rules : as `typer.Option` takes them
+    The default of a list is None, MISSING that of an option that must be given; `rules` are those
+    of `typer.Option`.
     """
     return field(default=default, metadata={"told": (typer.Option, names, {"help": help, **rules})})
 
 
 def argument(help: str, **rules: Any) -> Any:
-    """Return a field that the command line sets by its place; required unless it has a default.
-
-    Parameters
-    ----------
-    help : what `--help` says
-    rules : `default`, and what `typer.Argument` takes
-    """
+    """Return a field that the command line sets by its place; required without `default`."""
     default = {"default": rules.pop("default")} if "default" in rules else {}
     return field(**default, metadata={"told": (typer.Argument, (), {"help": help, **rules})})
 
@@ -55,13 +45,7 @@ def argument(help: str, **rules: Any) -> Any:
 def verb(
     doing: str = "", *, json: Any = JsonOption
 ) -> Callable[[Callable[[Session, Any], None]], Callable[..., None]]:
-    """Make a verb of a function of a session and its options, the dataclass `asked`.
-
-    Parameters
-    ----------
-    doing : what is said while it lasts, see `session`
-    json : the option --json
-    """
+    """Make a verb of a function of a session and its options, `asked`; `doing` as in `session`."""
 
     def made(body: Callable[[Session, Any], None]) -> Callable[..., None]:
         asked = get_type_hints(body)["asked"]

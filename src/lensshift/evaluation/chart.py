@@ -49,16 +49,10 @@ class ChartEdge:
 def chart_edges(
     results: Sequence[EdgeResult], shape: tuple[int, int], *, image: str = "", focus: float = 0.0
 ) -> list[ChartEdge]:
-    """Return edges with their places in the field of an image.
+    """Return the edges of an image of a shape (rows, cols) with their places in the field.
 
     Lines that point to the middle (sagittal) are blurred across the radius: edges along the radius
     measure them, edges across it the tangential ones.
-
-    Parameters
-    ----------
-    results : of `measure_edges`
-    shape : (rows, cols) of the image; its middle is that of the field
-    image, focus : of the photograph
     """
     rows, cols = shape
     half = 0.5 * np.hypot(rows, cols)
@@ -97,19 +91,9 @@ def acutance(curve: MtfCurve, height_mm: float, eye_heights: float) -> float:
 
         A = integral of MTF(f) C(f) df / integral of C(f) df,   C(f) = f^0.8 exp(-0.2 f)
 
-    with f in cycles per degree at the eye: a picture of height H, seen from n H, has
-    f = frequency H n pi / 180. Without the frame and the print: those of the display are 1.
-
-    Parameters
-    ----------
-    curve : of the picture, 0 beyond its last frequency
-    height_mm : height H of the picture in the unit of the curve: on the sensor, for LP/mm
-    eye_heights : n, the distance of the eye over the height of the picture that it looks at
-
-    Raises
-    ------
-    ValueError
-        If a length is not positive.
+    with f in cycles per degree at the eye: a picture of height H (in the unit of the curve), seen
+    from n H, has f = frequency H n pi / 180. Without the frame and the print: those of the display
+    are 1. The curve is 0 beyond its last frequency. ValueError if a length is not positive.
 
     Source: IEEE 1858 (CPIQ), contrast sensitivity and acutance.
     """
@@ -123,10 +107,9 @@ def acutance(curve: MtfCurve, height_mm: float, eye_heights: float) -> float:
 
 
 def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
-    """Return the summary over the field: of each zone and direction the edges, mean and spread.
+    """Return the summary over the field: usable edges, mean, spread of each zone and direction.
 
-    Only usable edges count. `mtf50_lpmm` is the mean of different places, so its interval is that
-    of the places' scatter; a single edge keeps its own.
+    The interval of `mtf50_lpmm` is that of the places' scatter; a single edge keeps its own.
     """
     rows = []
     for zone, low, high in ZONES:
@@ -158,17 +141,10 @@ def _mean_of_places(numbers: Sequence[Interval]) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class FocusFit:
-    """Where the MTF50 of a series of photographs is largest.
-
-    Parameters
-    ----------
-    focus, sigma : where it is largest, and the standard error of that, from the scatter about the
-        curve; with three points, which it always meets, from their own errors
-    mtf50_lpmm : there
-    """
+    """Where the MTF50 of a series of photographs is largest."""
 
     focus: float
-    sigma: float
+    sigma: float  # by the scatter about the curve; of three, by their own errors
     mtf50_lpmm: float
 
     def scaled(self, factor: float) -> FocusFit:
@@ -184,17 +160,8 @@ def best_focus(
     Blur grows with the distance z from the best focus as s^2 = s_0^2 + (k (z - z_0))^2, and MTF50
     is inversely proportional to s: 1 / MTF50^2 is a parabola. It is fitted to the largest MTF50 and
     up to two neighbours on each side; a parabola through MTF50 itself, which wave optics may be
-    nearer to, is taken where it leaves less.
-
-    Parameters
-    ----------
-    focus, mtf50_lpmm : of the photographs
-    std_lpmm : standard errors of MTF50, which tell `sigma` of three photographs; NaN without
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three positions, or the largest value is the first or last one.
+    nearer to, is taken where it leaves less. ValueError if there are fewer than three positions, or
+    the largest value is the first or last one. Standard errors (NaN without) are those of three.
     """
     x, y = np.asarray(focus, dtype=np.float64), np.asarray(mtf50_lpmm, dtype=np.float64)
     std = np.full(len(y), np.nan) if std_lpmm is None else np.asarray(std_lpmm, dtype=np.float64)
@@ -241,14 +208,7 @@ def _extremum(x: Floats, y: Floats, std: Floats, power: int) -> tuple[float, Foc
 def edge_rows(
     edges: Sequence[ChartEdge], at_lpmm: Sequence[float] = (), factor: float = 1.0
 ) -> Iterator[dict[str, Any]]:
-    """Yield a flat row for each edge: place, frequencies with intervals, MTF at frequencies.
-
-    Parameters
-    ----------
-    at_lpmm : frequencies at which the modulation is wanted
-    factor : what frequencies are multiplied by for the unit that is wanted; the names of the
-        columns say nothing of it
-    """
+    """Yield a flat row for each edge, frequencies times `factor`; no name of a column says that."""
     for one in edges:
         found = one.result
         row: dict[str, Any] = {"image": one.image, "focus": one.focus}

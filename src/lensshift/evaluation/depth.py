@@ -47,20 +47,12 @@ class DepthError:
 
 @dataclass(frozen=True, slots=True)
 class EdgeLocationError:
-    """Where a straight depth edge lies against the truth, in LR pixels across the lines.
+    """Where a straight depth edge lies against the truth, in LR pixels across the lines."""
 
-    Parameters
-    ----------
-    mean_px : mean over the lines; positive towards larger indices
-    rms_px : of the fitted edges, so that a turned edge shows
-    scatter_px : rms of the single lines about the fitted edge of the image
-    lines : number of lines with an edge
-    """
-
-    mean_px: float
-    rms_px: float
-    scatter_px: float
-    lines: int
+    mean_px: float  # mean over the lines; positive towards larger indices
+    rms_px: float  # of the fitted edges, so that a turned edge shows
+    scatter_px: float  # rms of the single lines about the fitted edge of the image
+    lines: int  # number of lines with an edge
 
 
 def depth_error(
@@ -284,13 +276,7 @@ def rms(values: Floats) -> float:
 
 
 def distance_image(distance_m: ArrayLike, valid: ArrayLike | None) -> Floats:
-    """Return a distance image [row col] with NaN where it is not valid.
-
-    Raises
-    ------
-    ValueError
-        If it is not real or not [row col], or `valid` has another shape or is not boolean.
-    """
+    """Return a distance image [row col] with NaN where it is not valid, or a ValueError."""
     values = real_array(distance_m, "distance image", 2)
     return np.where(mask_array(valid, values.shape) & np.isfinite(values), values, np.nan)
 

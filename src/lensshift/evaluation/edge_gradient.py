@@ -24,24 +24,15 @@ _MAX_PHASE_GAP_PX = 0.5  # a wider gap leaves whole samples of the averaged prof
 
 @dataclass(frozen=True, slots=True)
 class ProfileEdge:
-    """The edge of one profile; slopes are positive, `falling` tells the direction.
+    """The edge of one profile; slopes are positive, `falling` tells the direction."""
 
-    Parameters
-    ----------
-    low, high : values of the plateaus
-    low_limit, high_limit : values between which the slope is taken
-    low_position_mm, high_position_mm : where the profile crosses the limits, from its first sample
-    position_mm : where it crosses the middle between the limits
-    falling : whether the values fall along the profile
-    """
-
-    low: float
+    low: float  # values of the plateaus
     high: float
-    low_limit: float
+    low_limit: float  # values between which the slope is taken
     high_limit: float
-    low_position_mm: float
+    low_position_mm: float  # where the profile crosses the limits, from its first sample
     high_position_mm: float
-    position_mm: float
+    position_mm: float  # where it crosses the middle between the limits
     falling: bool
 
     @property
@@ -98,18 +89,11 @@ class EdgeGradient:
 
 @dataclass(frozen=True, slots=True)
 class GradientRatio:
-    """How much steeper one edge is than another; about the gain in resolution.
+    """How much steeper one edge is than another; about the gain in resolution."""
 
-    Parameters
-    ----------
-    ratio : of the means of the normalised slopes
-    interval : 95 % of `ratio`, both sets of lines drawn independently; None for a single line
-    averaged : of the normalised slopes of the averaged profiles; None where one is missing
-    """
-
-    ratio: float
-    interval: tuple[float, float] | None
-    averaged: float | None
+    ratio: float  # of the means of the normalised slopes
+    interval: tuple[float, float] | None  # 95 %, both sets of lines drawn apart; None for one line
+    averaged: float | None  # of the slopes of the averaged profiles; None where one is missing
 
 
 def edge_gradient(
@@ -208,19 +192,7 @@ def gradient_ratio(fine: EdgeGradient, coarse: EdgeGradient) -> GradientRatio:
 def profile_edge(
     place_mm: Floats, values: Floats, limits: Limits, share: float, plateaus: Plateaus
 ) -> ProfileEdge:
-    """Measure the edge of one profile.
-
-    Parameters
-    ----------
-    place_mm : [n] increasing
-    values : [n] finite
-    limits, share, plateaus : as in `edge_gradient`
-
-    Raises
-    ------
-    ValueError
-        If there is no edge, or it does not reach a limit.
-    """
+    """Measure the edge of a profile at rising places; ValueError if it does not reach a limit."""
     split = split_index(values)
     falling = bool(values[:split].mean() > values[split:].mean())
     if falling:
@@ -258,10 +230,7 @@ def profile_edge(
 
 
 def split_index(values: Floats) -> int:
-    """Return where two constants fit best: the first sample of the second one.
-
-    Maximises k (n - k) (mean of the first k - mean of the rest)^2, which is least squares.
-    """
+    """Return where two constants fit best, by least squares: the first sample of the second one."""
     count = values.size
     first = np.arange(1, count)
     centred = values - values.mean()

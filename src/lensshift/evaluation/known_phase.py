@@ -233,10 +233,7 @@ def printed_count(frequency_lpmm: Floats, fits: Sequence[HarmonicFit], apart: in
 
 
 def warn_if_out_of_step(fits: Sequence[HarmonicFit], wrong: str) -> None:
-    """Warn if the phase turns from ring to ring: the wave that is fitted is not that of the image.
-
-    Blur leaves the phase, or reverses it at a zero of the MTF.
-    """
+    """Warn if the phase turns from ring to ring, which no blur does: the fitted wave is another."""
     seen = [fit for fit in fits if fit.modulation > _SURE * fit.std]
     if len(seen) < 2:
         return
@@ -278,10 +275,7 @@ def symmetry_center_px(pixels: Pixels, parity: int) -> tuple[float, float]:
 def refine_center_px(
     pixels: Pixels, start_px: tuple[float, float], pattern: Pattern
 ) -> tuple[float, float]:
-    """Return the centre for which the pattern leaves least, by Gauss-Newton steps.
-
-    The amplitude, phase and background of every ring are free. Warns if it does not settle.
-    """
+    """Return the centre for which the pattern, its rings free, leaves least; warn if in doubt."""
     center_px = start_px
     for _ in range(_MAX_CENTER_STEPS):
         waves = pattern(*pixels.place_mm(center_px))

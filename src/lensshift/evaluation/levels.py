@@ -61,16 +61,9 @@ def linear_light(
 
 
 def one_channel(image: ArrayLike, channel: str | None = None) -> NDArray[Any]:
-    """Return a channel [row col] of linear light [row col 3]; a grey image is itself.
+    """Return a channel [row col] of linear light [row col 3], or a grey image itself.
 
-    Parameters
-    ----------
-    channel : "red", "green", "blue", or "luminance" = 0.2125 R + 0.7154 G + 0.0721 B (the default)
-
-    Raises
-    ------
-    ValueError
-        If a grey image is asked for a colour, or the shape is none of an image.
+    Luminance, the default, is 0.2125 R + 0.7154 G + 0.0721 B. ValueError for other images.
     """
     values = np.asarray(image)
     if values.ndim == 2:
@@ -93,18 +86,8 @@ def bayer_frames(
 
     Red and blue are one frame, green is two, each of half the rows and columns: nothing is
     interpolated. The offsets [frame 2], in pixels of the frames, are what `measure_edges` takes:
-    the content of the second green frame lies where its pixels are not.
-
-    Parameters
-    ----------
-    mosaic : [row col]
-    pattern : colours of the first two rows, as "RGGB"
-    channel : "red", "green" or "blue"
-
-    Raises
-    ------
-    ValueError
-        If the pattern, the channel or the shape does not fit.
+    the content of the second green frame lies where its pixels are not. The pattern has the colours
+    of two rows, as "RGGB". ValueError if pattern, channel or shape does not fit.
     """
     values = np.asarray(mosaic)
     if values.ndim != 2 or min(values.shape) < 2:

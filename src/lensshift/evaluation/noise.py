@@ -17,16 +17,10 @@ _MAX_NOISE_ERROR = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TemporalNoise:
-    """Scatter of each pixel over repeated frames, in the units of the frames.
+    """Scatter of each pixel over repeated frames, in the units of the frames."""
 
-    Parameters
-    ----------
-    std : [row col], NaN where fewer than two frames are valid
-    median : median over the pixels, freed from the skew that few frames cause
-    """
-
-    std: Floats
-    median: float
+    std: Floats  # [row col], NaN where fewer than two frames are valid
+    median: float  # median over the pixels, freed from the skew that few frames cause
 
 
 def temporal_noise(frames: ArrayLike, *, valid: ArrayLike | None = None) -> TemporalNoise:

@@ -330,10 +330,7 @@ def _printed(
     *,
     cut: bool,
 ) -> tuple[Waves, Floats, list[HarmonicFit]]:
-    """Return the waves of the rings that show the star, their radii, and the fits.
-
-    Where `cut`, without the rings on a disc in its middle.
-    """
+    """Return waves, radii and fits of the rings that show the star; `cut`: not of a disc in it."""
     rings_mm, fits = star.measure(pixels, waves, radius_mm)
     if len(fits) < _MIN_RINGS:
         raise ValueError(

@@ -29,13 +29,7 @@ def steps_of(line: Floats) -> list[int]:
 
 
 def refuse_two_edges(lines: Floats) -> None:
-    """Refuse lines [line n] most of which cross more than one edge.
-
-    Raises
-    ------
-    ValueError
-        With the places of the edges in one of the lines.
-    """
+    """Refuse lines [line n] most of which cross two edges or more; ValueError says where."""
     found = [steps_of(line) for line in lines]
     several = [steps for steps in found if len(steps) > 1]
     if 2 * len(several) > len(lines):

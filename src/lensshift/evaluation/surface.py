@@ -19,43 +19,25 @@ _LOCAL_PX = 5  # side of the window whose mean tells low-frequency bias from noi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFit:
-    """The plane that fits a distance image best, and what is left.
+    """The plane normal . p = offset that fits a distance image best, and what is left."""
 
-    Parameters
-    ----------
-    normal : [3] of unit length, towards the camera
-    offset_m : points p of the plane have normal . p = offset
-    residual_m : [row col] distance of each pixel from the plane, positive towards the camera; NaN
-        where invalid
-    rms_m, max_m : of the residual
-    bias_rms_m, noise_rms_m : its smooth part and the rest; bias^2 + noise^2 = rms^2
-    count : pixels used
-    """
-
-    normal: Floats
+    normal: Floats  # [3] of unit length, towards the camera
     offset_m: float
-    residual_m: Floats
-    rms_m: float
-    max_m: float
-    bias_rms_m: float
-    noise_rms_m: float
-    count: int
+    residual_m: Floats  # [row col] distance of each pixel, positive towards the camera, or NaN
+    rms_m: float  # of the residual
+    max_m: float  # of the residual
+    bias_rms_m: float  # its smooth part; bias^2 + noise^2 = rms^2
+    noise_rms_m: float  # the rest
+    count: int  # pixels used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlyingPixels:
-    """Pixels between the surfaces of an edge, or beyond both.
+    """Pixels between the surfaces of an edge, or beyond both."""
 
-    Parameters
-    ----------
-    fraction : flying share of the checked pixels, NaN if none was checked
-    flying : [row col]
-    checked : [row col] valid pixels near an edge
-    """
-
-    fraction: float
-    flying: Mask
-    checked: Mask
+    fraction: float  # flying share of the checked pixels, NaN if none was checked
+    flying: Mask  # [row col]
+    checked: Mask  # [row col] valid pixels near an edge
 
 
 def fit_plane(
@@ -217,10 +199,7 @@ def _off_truth_m(measured_m: Floats, truth_m: Floats, reach: int) -> tuple[Float
 def _off_fitted_m(
     measured_m: Floats, reach: int, noise_m: float, min_step_m: float | None
 ) -> tuple[Floats, Floats]:
-    """Return how far each pixel is off the nearer of two planes fitted around it, and the step.
-
-    NaN where no two surfaces are found.
-    """
+    """Return how far pixels are off the nearer of two planes around them, and the step; or NaN."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     off_m = np.full(measured_m.shape, np.nan)
@@ -247,10 +226,7 @@ def _off_fitted_m(
 
 
 def _two_planes_m(place_px: NDArray[np.int64], values_m: Floats) -> Floats | None:
-    """Return the near and the far surface at place 0, None if a side has too few pixels.
-
-    From distances [n] at places [n 2] against the middle.
-    """
+    """Return the near and far surface at place 0 of [n 2]; None if a side has too few pixels."""
     ordered_m = np.sort(values_m)
     split = split_index(ordered_m)
     near_m, far_m = np.median(ordered_m[:split]), np.median(ordered_m[split:])

@@ -16,13 +16,9 @@ from lensshift.core.errors import DataError
 def written_whole(path: str | Path) -> Iterator[Path]:
     """Yield a temporary name beside `path`; move it there if the block succeeds.
 
-    Whatever ends the block (an error, Ctrl-C, a full disk), the temporary file is removed and
-    a file that already had the name is left as it was.
-
-    Raises
-    ------
-    DataError
-        If the folder is missing, the name cannot be written or the disk is full.
+    Whatever ends the block (an error, Ctrl-C, a full disk), the temporary file is removed and a
+    file that already had the name is left as it was. DataError if the folder is missing, the name
+    cannot be written or the disk is full.
     """
     try:
         target = writable_target(path)

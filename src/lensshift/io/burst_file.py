@@ -93,13 +93,7 @@ def load_burst(path: str | Path) -> Burst:
 
 
 class Recording:
-    """An open burst file of any length, of which parts are read; see `open_recording`.
-
-    Parameters
-    ----------
-    frame_count : number of frames
-    offset_px : [frame 2]
-    """
+    """An open burst file of any length, of which parts are read; see `open_recording`."""
 
     def __init__(self, container: Container) -> None:
         self._container = container
@@ -107,13 +101,7 @@ class Recording:
         self.frame_count = len(self.offset_px)
 
     def burst(self, first: int, count: int) -> Burst:
-        """Return some frames as a burst, without what the camera sent raw.
-
-        Raises
-        ------
-        DataError
-            If there are no such frames, or they are damaged.
-        """
+        """Return some frames as a burst, without what is raw; DataError if they are not there."""
         if not 0 <= first < first + count <= self.frame_count:
             problem = f"expected frames from 0 to {self.frame_count - 1}"
             raise DataError(

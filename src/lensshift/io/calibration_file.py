@@ -23,13 +23,7 @@ _OPTIONAL = {"px_per_mm_sigma": 2, "field_px_per_mm": 4, **dict.fromkeys(_NUMBER
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
-    """Write a calibration as JSON, whole or not at all.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be written.
-    """
+    """Write a calibration as JSON, whole or not at all. DataError if the file cannot be written."""
     content = calibration_content(calibration)
     with written_whole(path) as part:
         part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

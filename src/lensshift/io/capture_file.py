@@ -40,29 +40,18 @@ _RAW = "raw_"
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FrameRecord:
-    """One frame of a journal.
+    """One frame of a journal; `raw` is what the camera sent, with `cycle`, its counter."""
 
-    Parameters
-    ----------
-    step : place on the plan
-    amplitude, valid, distance_m : [row col], distance or None
-    time_s : by the clock of the camera, or the host's
-    offset_px, offset_sigma_px : [2] where the image lies
-    stage_mm, stage_commanded_mm : [2] where the stage stood, and should have stood
-    arrived_s : by the clock of the host
-    raw : name -> what the camera sent, with `cycle`, its counter
-    """
-
-    step: int = 0
-    amplitude: Array
+    step: int = 0  # place on the plan
+    amplitude: Array  # [row col], as `valid` and `distance_m`
     valid: Array
-    offset_px: Array
-    time_s: float
+    offset_px: Array  # [2] where the image lies
+    time_s: float  # by the clock of the camera, or the host's
     distance_m: Array | None = None
     offset_sigma_px: Array | None = None
-    stage_mm: Array | None = None
-    stage_commanded_mm: Array | None = None
-    arrived_s: float = 0.0
+    stage_mm: Array | None = None  # [2] where the stage stood
+    stage_commanded_mm: Array | None = None  # [2] and should have stood
+    arrived_s: float = 0.0  # by the clock of the host
     raw: Mapping[str, Array] = field(default_factory=dict)
 
     def arrays(self) -> dict[str, Array]:
@@ -73,13 +62,7 @@ class FrameRecord:
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Array]) -> Self:
-        """Return the record in arrays that `arrays` made; names that are not known are left out.
-
-        Raises
-        ------
-        DataError
-            If a field is missing or no number.
-        """
+        """Return the record in arrays that `arrays` made; DataError if a field is wrong."""
         values: dict[str, Any] = {}
         for one in fields(cls):
             if one.name in arrays:
@@ -98,15 +81,7 @@ def _raw(arrays: Mapping[str, Array]) -> dict[str, Array]:
 
 
 class CaptureWriter(GrowingFile):
-    """The only writer of a journal; others may read it at any time.
-
-    Use `create` or `resume`, in a `with` block.
-
-    Parameters
-    ----------
-    header : text and numbers about the whole capture
-    frames : records that are already there
-    """
+    """The only writer of a journal, by `create` or `resume`; others may read it at any time."""
 
     def __init__(
         self, path: Path, file: BinaryIO, header: Mapping[str, Any], frames: list[FrameRecord]
@@ -116,13 +91,7 @@ class CaptureWriter(GrowingFile):
 
     @classmethod
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> Self:
-        """Begin a new journal.
-
-        Raises
-        ------
-        DataError
-            If there is a file of that name already, or it cannot be written.
-        """
+        """Begin a new journal; DataError if the name is taken, or cannot be written."""
         payload = to_json({**header, "schema": _SCHEMA}, "header").encode()
         target, file = _new_file(path)
         with ExitStack() as undo:
@@ -136,13 +105,7 @@ class CaptureWriter(GrowingFile):
 
     @classmethod
     def resume(cls, path: str | Path) -> Self:
-        """Go on with a journal; half a record at its end is cut off.
-
-        Raises
-        ------
-        DataError
-            If it is no journal, or another process writes it.
-        """
+        """Go on with a journal, without half a record at its end; DataError if it is in use."""
         target = writable_target(path)
         if not is_capture(target):
             raise DataError("expected an unfinished capture", source=path)
@@ -160,13 +123,7 @@ class CaptureWriter(GrowingFile):
         return cls(target, file, header, frames)
 
     def append(self, record: FrameRecord) -> None:
-        """Add a frame; it is with the operating system when this returns.
-
-        Raises
-        ------
-        DataError
-            If the disk is full or gone; the frames before are kept.
-        """
+        """Add a frame, whole or not at all (DataError); it is with the system when this returns."""
         packed = BytesIO()
         np.savez(packed, **record.arrays())  # type: ignore[arg-type]  # names are ours
         self._write(packed.getbuffer())
@@ -192,13 +149,7 @@ class CaptureWriter(GrowingFile):
 
 
 def refuse_taken(path: str | Path) -> None:
-    """Refuse a name at which no journal can begin, before any device is opened for it.
-
-    Raises
-    ------
-    DataError
-        If there is a file of that name already, or it cannot be written.
-    """
+    """Raise a DataError, before any device is opened, if no journal can begin at a name."""
     target, file = _new_file(path)
     file.close()
     target.unlink()
@@ -227,13 +178,7 @@ def is_capture(path: str | Path) -> bool:
 
 
 def read_capture(path: str | Path) -> tuple[dict[str, Any], list[FrameRecord]]:
-    """Return header and frames of a journal, also while it is being written.
-
-    Raises
-    ------
-    DataError
-        If the file is missing or no journal.
-    """
+    """Return header and frames of a journal, also of a growing one; DataError if it is none."""
     header, frames, _ = _records(Path(path))
     return header, frames
 
@@ -241,13 +186,7 @@ def read_capture(path: str | Path) -> tuple[dict[str, Any], list[FrameRecord]]:
 def burst_of_capture(
     header: Mapping[str, Any], frames: Sequence[FrameRecord], source: Path
 ) -> Burst:
-    """Return the frames of a journal as a burst.
-
-    Raises
-    ------
-    DataError
-        If there is no frame yet, or frames do not fit together.
-    """
+    """Return the frames of a journal as a burst; DataError if there are none or they do not fit."""
     if not frames:
         raise DataError("the capture holds no whole frame", source=source)
     each = [one.arrays() for one in frames]

@@ -27,17 +27,11 @@ _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Container:
-    """An open file; every access names file and field if it fails.
-
-    Parameters
-    ----------
-    group : `entry/data` of the file
-    unpacked : bytes that each array read so far has taken
-    """
+    """An open file; every access names file and field if it fails."""
 
     path: Path
-    group: Any
-    unpacked: list[int] = field(default_factory=list)
+    group: Any  # `entry/data` of the file
+    unpacked: list[int] = field(default_factory=list)  # bytes that each array read so far has taken
 
     def has(self, name: str) -> bool:
         """Tell whether the file has a variable of this name."""
@@ -189,14 +183,7 @@ def _member(group: Any, name: str) -> Any:
 
 @contextmanager
 def open_container(path: str | Path, schema: str) -> Iterator[Container]:
-    """Open a file and check that it follows the schema, in this version or an older one.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged, of another kind, or newer than this program. A
-        `DataError` of the block gets the name of the file.
-    """
+    """Open a file that follows the schema or an older one; a `DataError` gets the name of it."""
     name, _, newest = schema.rpartition("/")
     with _opened(Path(path)) as container:
         declared = container.text("schema")

@@ -64,20 +64,12 @@ def measured(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """What a container holds.
+    """What a container holds."""
 
-    Parameters
-    ----------
-    schema : name and version of the layout, as in "lensshift-burst/1"
-    axes : dimensions of the first variable, which is the default plot
-    variables : arrays by name; a dimension has the same length everywhere
-    attributes : of the whole set; None is left out, text and numbers are kept
-    """
-
-    schema: str
-    axes: Sequence[str]
-    variables: Mapping[str, Variable]
-    attributes: Mapping[str, Any]
+    schema: str  # name and version of the layout, as in "lensshift-burst/1"
+    axes: Sequence[str]  # dimensions of the first variable, which is the default plot
+    variables: Mapping[str, Variable]  # arrays by name; a dimension has the same length everywhere
+    attributes: Mapping[str, Any]  # of the whole set; None is left out, text and numbers are kept
 
 
 def refuse_other_ending(path: str | Path) -> None:
@@ -92,13 +84,7 @@ def refuse_other_ending(path: str | Path) -> None:
 
 
 def write_container(content: Content, path: str | Path) -> None:
-    """Write variables and attributes to a new file; an old one is replaced in one step.
-
-    Raises
-    ------
-    DataError
-        If a variable does not fit or the file cannot be written.
-    """
+    """Write variables and attributes to a new file in one step; DataError if one does not fit."""
     refuse_other_ending(path)
     # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
     image = BytesIO()
@@ -108,13 +94,7 @@ def write_container(content: Content, path: str | Path) -> None:
 
 
 def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> None:
-    """Write what `write_container` writes to memory or a new file; `path` is for messages.
-
-    Raises
-    ------
-    DataError
-        If a variable does not fit.
-    """
+    """Write a container to memory or a new file; `path` is for messages, such as a DataError."""
     import h5netcdf
     import h5py
 

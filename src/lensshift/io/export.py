@@ -12,11 +12,10 @@ from lensshift.core.intrinsics import points_m
 from lensshift.core.types import FRAME_FIELDS, Burst, Estimate, Reconstruction
 from lensshift.io.atomic import written_whole
 from lensshift.io.container_writer import to_json
-from lensshift.io.image_file import TIFF_SUFFIXES
+from lensshift.io.image_file import SOFTWARE, TIFF_SUFFIXES
 from lensshift.io.image_formats import export_fits, export_ome, is_fits, is_ome
 from lensshift.io.intrinsics_fields import intrinsics_fields
 from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
-from lensshift.io.tiff_scale import SOFTWARE
 
 _BURST_ARRAYS = ("amplitude", "offset_px", "modulation_hz", *FRAME_FIELDS)
 

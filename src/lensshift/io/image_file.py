@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -39,6 +40,11 @@ _CHANNEL_MODES = ("LA", "RGB", "RGBA", "P")  # P has a palette
 _PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
 TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
 _ADVICE = "save it as greyscale of 8 or 16 bits first"
+SOFTWARE = "lensshift"  # in TIFF files of this package
+_MM = {
+    "nm": 1e-6, "um": 1e-3, "micron": 1e-3, "microns": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3,
+    "mm": 1.0, "cm": 10.0, "inch": 25.4, "in": 25.4, "m": 1e3,
+}  # fmt: skip
 
 
 def image_suffix(path: str | Path) -> str:
@@ -52,16 +58,10 @@ def image_suffix(path: str | Path) -> str:
 def load_frames(path: str | Path) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
-    Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS
-    file (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else all images, if they have
-    one size.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged, of another kind or not greyscale.
-    ImportError
-        If a FITS file is asked for and astropy is not installed.
+    Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS file
+    (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else all images, if they have one
+    size. DataError if the file is missing, damaged, of another kind or not greyscale. ImportError
+    if a FITS file is asked for and astropy is not installed.
     """
     require_file(path)
     suffix = image_suffix(path)
@@ -90,13 +90,7 @@ def load_frames(path: str | Path) -> NDArray[Any]:
 
 
 def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an NPZ file; pickled objects are refused.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged or holds Python objects.
-    """
+    """Read all arrays of an NPZ file; DataError if it is damaged or holds Python objects."""
     require_file(path)
     with reading(path):
         _check_signature(path, b"PK", "an NPZ file")
@@ -259,6 +253,50 @@ def strict_tifffile() -> Iterator[None]:
         logger.disabled, logger.propagate = before
     if complaints:
         raise DataError(f"damaged or cut short ({complaints[0]:.200})")
+
+
+def pixel_size_mm(path: str | Path) -> tuple[float, float] | None:
+    """Return the pixel size (row, col) in mm, or None where no file of a known origin tells it.
+
+    The resolution of other files is that of a printer or a screen, 72 or 96 to the inch. DataError
+    if what tells it is damaged.
+    """
+    import tifffile
+
+    if Path(path).suffix.lower() not in TIFF_SUFFIXES:
+        return None
+    with reading(path), strict_tifffile(), tifffile.TiffFile(path) as file:
+        if file.ome_metadata:
+            found = _ome_size_mm(file.ome_metadata)
+        else:
+            told = (file.imagej_metadata or {}).get("unit", "")
+            unit = str(told).encode().decode("unicode_escape") if "\\u" in str(told) else str(told)
+            tags = file.pages.first.tags
+            if tags.valueof("Software") == SOFTWARE and not unit:
+                in_cm = tags.valueof("ResolutionUnit") == tifffile.RESUNIT.CENTIMETER
+                unit = "cm" if in_cm else ""
+            found = _tagged_size_mm(tags, _MM.get(unit.strip().lower()))
+    return found if found and all(0 < size < 1e6 for size in found) else None
+
+
+def _ome_size_mm(xml: str) -> tuple[float, float] | None:
+    sizes = []
+    for axis in "YX":
+        size = re.search(rf'PhysicalSize{axis}="([0-9.eE+-]{{1,40}})"', xml)
+        unit = re.search(rf'PhysicalSize{axis}Unit="([^"]{{1,20}})"', xml)
+        factor = _MM.get(unit[1].strip().lower()) if unit else 1e-3  # micrometres by default
+        if size is None or factor is None:
+            return None
+        sizes.append(float(size[1]) * factor)
+    return sizes[0], sizes[1]
+
+
+def _tagged_size_mm(tags: Any, unit_mm: float | None) -> tuple[float, float] | None:
+    ratios = [tags.valueof(f"{axis}Resolution") for axis in "YX"]
+    if unit_mm is None or not all(ratio and ratio[0] and ratio[1] for ratio in ratios):
+        return None
+    sizes = [unit_mm * ratio[1] / ratio[0] for ratio in ratios]
+    return sizes[0], sizes[1]
 
 
 def _load_pillow(path: str | Path) -> NDArray[Any]:

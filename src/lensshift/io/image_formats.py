@@ -35,13 +35,7 @@ def _tells_pitch(value: Burst | Reconstruction) -> bool:
 
 
 def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
-    """Write all images as float32 channels of an OME-TIFF, with names and pixel size if told.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be written.
-    """
+    """Write all images as float32 channels of an OME-TIFF, with names, and pixel size if told."""
     import tifffile
 
     layers = picture_layers(value)
@@ -67,14 +61,8 @@ def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
     distortion, angles to the right and up from the axis of the camera, by the gnomonic projection
     (CMLN-TAN, CMLT-TAN); an alternative, A, which is the only one of other cameras, gives mm on the
     sensor from the middle of the first pixel, if the pitch is told. The first row of an image is
-    the first of the file.
-
-    Raises
-    ------
-    ImportError
-        If astropy is not installed.
-    DataError
-        If the file cannot be written.
+    the first of the file. ImportError if astropy is not installed. DataError if the file cannot be
+    written.
     """
     fits = astropy_fits()
     first = fits.PrimaryHDU()

@@ -21,11 +21,11 @@ from lensshift.io.image_file import (
     image_suffix,
     load_frames,
     load_named_arrays,
+    pixel_size_mm,
 )
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
-from lensshift.io.tiff_scale import pixel_size_mm
 
 FRAME_KEYS = ("amplitude", "frames", "LR")
 _GREATEST = 1e15  # beyond it sums of squares leave single precision
@@ -99,10 +99,7 @@ def load_stack_fields(
     key: str | None = None,
     frame_axis: int | None = None,
 ) -> dict[str, Any]:
-    """Read the fields of `Burst` that image files hold, at least `amplitude` [frame row col].
-
-    Takes the arguments of `load_image_stack` and raises what it raises.
-    """
+    """Read the fields of `Burst` in image files, at least `amplitude`; see `load_image_stack`."""
     if isinstance(source, str | Path):
         path = Path(source)
         if path.suffix.lower() == ".npz":

@@ -47,13 +47,7 @@ def intrinsics_attributes(intrinsics: Intrinsics | None) -> dict[str, NDArray[np
 
 
 def intrinsics_of_fields(fields: Mapping[str, Any]) -> Intrinsics | None:
-    """Return what the fields say of where the pixels look; None if they do not.
-
-    Raises
-    ------
-    DataError
-        If a field is missing or has the wrong shape, or a number is out of range.
-    """
+    """Return what fields say of where the pixels look, or None; DataError if it cannot be."""
     try:
         if "direction" in fields:
             return PixelDirections(np.asarray(fields["direction"], dtype=np.float64))

@@ -27,18 +27,7 @@ _COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 
 
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
-    """Read one picture [row col], or [row col 3] if its colours differ; levels stay as they are.
-
-    Parameters
-    ----------
-    path : .jpg, .png, or .tif (also of 16 bits a colour)
-    frame : of a TIFF with several pages
-
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged or of another kind.
-    """
+    """Read one picture [row col], or [row col 3] if its colours differ, of .jpg, .png or .tif."""
     require_file(path)
     suffix = Path(path).suffix.lower()
     with reading(path):
@@ -53,13 +42,7 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
 
 
 def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
-    """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others.
-
-    Raises
-    ------
-    DataError
-        If the file is missing or damaged.
-    """
+    """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others."""
     require_file(path)
     if Path(path).suffix.lower() not in JPEG_SUFFIXES:
         return None
@@ -69,13 +52,7 @@ def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
 
 
 def load_oecf(path: str | Path) -> NDArray[np.float64]:
-    """Read an opto-electronic conversion function [n 2] from a CSV file: level, light.
-
-    Raises
-    ------
-    DataError
-        If the file is missing or a line is not two numbers; a first line of words is a header.
-    """
+    """Read level and light [n 2] from a CSV file, with a header or not; or a DataError."""
     rows = []
     for number, row in enumerate(csv.reader(read_text(path).splitlines()), start=1):
         if not row:
@@ -132,10 +109,7 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
 
 
 def _colour_pillow(path: str | Path, frame: int = 0) -> NDArray[Any] | None:
-    """Return [row col 3] of a JPEG, or of colours of 8 bits; None if it is grey.
-
-    How opaque it is says nothing of its light.
-    """
+    """Return [row col 3] of a JPEG, or of colours of 8 bits, however opaque; None if it is grey."""
     with opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
         image.seek(frame)
         size = Path(path).stat().st_size

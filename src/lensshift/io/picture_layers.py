@@ -19,18 +19,11 @@ COLOURS = {"amplitude": "gray", "distance": "viridis"}  # of the maps that show 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLayer:
-    """One image or stack of images.
+    """One image or stack of images."""
 
-    Parameters
-    ----------
-    name : "amplitude", "distance_std" and so on
-    values : [row col] or [frame row col], real
-    unit : of the values, "" if they have none
-    """
-
-    name: str
-    values: NDArray[Any]
-    unit: str = ""
+    name: str  # "amplitude", "distance_std" and so on
+    values: NDArray[Any]  # [row col] or [frame row col], real
+    unit: str = ""  # of the values, "" if they have none
 
 
 def picture_layers(value: Burst | Reconstruction) -> list[PictureLayer]:

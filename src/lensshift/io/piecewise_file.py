@@ -34,12 +34,7 @@ WRITTEN = "written"
 
 
 class PiecewiseFile(GrowingFile):
-    """A container whose first dimension is filled in pieces; use `begin`, in a `with` block.
-
-    Parameters
-    ----------
-    written : [piece] which pieces are there
-    """
+    """A container whose first dimension is filled in pieces; use `begin`, in a `with` block."""
 
     def __init__(
         self,
@@ -48,7 +43,7 @@ class PiecewiseFile(GrowingFile):
         file: BinaryIO,
         starts: Mapping[str, int],
         spaces: Mapping[str, Allocated],
-        written: NDArray[np.bool_],
+        written: NDArray[np.bool_],  # [piece] which pieces are there
     ) -> None:
         super().__init__(file)
         self.written, self._target, self._part = written, target, part
@@ -56,19 +51,10 @@ class PiecewiseFile(GrowingFile):
 
     @classmethod
     def begin(cls, path: str | Path, content: Content, begun: str) -> Self:
-        """Allocate a file, or go on with what was begun.
+        """Allocate a file, or go on with what was `begun` with the same text.
 
-        Parameters
-        ----------
-        content : variables with `Allocated` values are filled later; their first dimension is that
-            of the first variable
-        begun : what must be the same to go on, as text
-
-        Raises
-        ------
-        DataError
-            If there is too little room, the file cannot be written, another process writes it, or
-            it was begun otherwise.
+        Variables with `Allocated` values are filled later; their first dimension is that of the
+        first variable. DataError if there is no room, or the file is another's.
         """
         refuse_other_ending(path)
         target = writable_target(path)
@@ -102,18 +88,7 @@ class PiecewiseFile(GrowingFile):
         return cls(target, part, file, starts, spaces, there)
 
     def write(self, first: int, pieces: Mapping[str, NDArray[Any]]) -> None:
-        """Write consecutive pieces of all arrays; they count once all of them are there.
-
-        Parameters
-        ----------
-        first : number of the first piece
-        pieces : by name, [piece ...]
-
-        Raises
-        ------
-        DataError
-            If a name is missing or strange, a shape is wrong, or the disk is full.
-        """
+        """Write consecutive pieces [piece ...], which count once all arrays have them; or raise."""
         count = len(next(iter(pieces.values())))
         if set(pieces) != set(self._spaces) - {WRITTEN}:
             raise DataError(f"expected {sorted(self._spaces)}, got {sorted(pieces)}")
@@ -134,13 +109,7 @@ class PiecewiseFile(GrowingFile):
         self.written[first : first + count] = True
 
     def finish(self) -> Path:
-        """Give the file its name.
-
-        Raises
-        ------
-        DataError
-            If pieces are missing.
-        """
+        """Give the file its name. DataError if pieces are missing."""
         missing = int(np.sum(~self.written))
         if missing:
             raise DataError(f"{missing} pieces are missing", source=self._part)

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.reading import reading, require_file
-from lensshift.io.recordings_ip import Datagram as Datagram
-from lensshift.io.recordings_ip import UdpReader
-from lensshift.io.recordings_pcap import is_capture, read_packets
+from lensshift.io.recordings_pcap import Datagram, UdpReader, is_capture, read_packets
 
 _ENCODINGS = {"32FC1": "f4", "16UC1": "u2", "mono16": "u2", "mono8": "u1"}
 
@@ -23,16 +21,11 @@ _ENCODINGS = {"32FC1": "f4", "16UC1": "u2", "mono16": "u2", "mono8": "u1"}
 def read_udp(path: str | Path) -> Iterator[Datagram]:
     """Read the UDP datagrams of a pcap or pcapng file, as Wireshark and tcpdump write them.
 
-    Yields (time in s, (source address, source port), destination port, payload). Both byte
-    orders, micro- and nanoseconds, Ethernet with VLAN tags, Linux cooked, raw IP and loopback;
-    IPv4 with fragments put together. The file is read as it goes, so it may be long; it may be
-    compressed by gzip.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, no such file, or damaged. A file cut off at its end and datagrams
-        that were recorded in part give a `QualityWarning`.
+    Yields (time in s, (source address, source port), destination port, payload). Both byte orders,
+    micro- and nanoseconds, Ethernet with VLAN tags, Linux cooked, raw IP and loopback; IPv4 with
+    fragments put together. The file is read as it goes, so it may be long; it may be compressed by
+    gzip. DataError if the file is missing, no such file, or damaged. A file cut off at its end and
+    datagrams that were recorded in part give a `QualityWarning`.
 
     Source: IETF drafts draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng.
     """
@@ -68,36 +61,18 @@ def _opened(path: str | Path) -> BinaryIO:
 
 
 class BagImage(NamedTuple):
-    """One image of a bag.
+    """One image of a bag."""
 
-    Parameters
-    ----------
-    time_s : stamp of the image, or of the recording if the image has none
-    topic : where it was published
-    image : [row col] in the units of the topic
-    """
-
-    time_s: float
-    topic: str
-    image: NDArray[Any]
+    time_s: float  # stamp of the image, or of the recording if the image has none
+    topic: str  # where it was published
+    image: NDArray[Any]  # [row col] in the units of the topic
 
 
 def read_bag(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagImage]:
-    """Read the images of a ROS 1 bag, a ROS 2 bag (its folder) or an MCAP file.
+    """Read images of a ROS 1 bag, a ROS 2 bag (a folder) or an MCAP file, of all topics or some.
 
     Images are `sensor_msgs/Image` of encoding 32FC1, 16UC1, mono16 or mono8; others are skipped.
-
-    Parameters
-    ----------
-    path : file or folder
-    topics : those to read; none: all
-
-    Raises
-    ------
-    ImportError
-        If the extra `recordings` is not installed.
-    DataError
-        If the bag cannot be read.
+    ImportError if the extra `recordings` is not installed. DataError if the bag cannot be read.
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError

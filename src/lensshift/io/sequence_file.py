@@ -46,27 +46,15 @@ def begin_sequence(
     path: str | Path,
     windows: int,
     grid: Grid,
-    channels: tuple[str, ...],
+    channels: tuple[str, ...],  # among "amplitude" and "distance"
     *,
     scale: int,
     method: str,
     settings: Mapping[str, Any],
-    flying: bool,
+    flying: bool,  # whether there are flags
     intrinsics: Intrinsics | None,
 ) -> PiecewiseFile:
-    """Begin the file of a sequence, or go on with one that was begun with the same settings.
-
-    Parameters
-    ----------
-    grid, intrinsics : of the HR pictures
-    channels : among "amplitude" and "distance"
-    flying : whether there are flags
-
-    Raises
-    ------
-    DataError
-        As `PiecewiseFile.begin`.
-    """
+    """Begin the file of a sequence of HR pictures, or go on with it, see `PiecewiseFile.begin`."""
     variables: dict[str, writer.Variable] = {}
     for channel in channels:
         units, label = CHANNELS[channel]
@@ -100,13 +88,7 @@ def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
 
 
 def sequence_numbers(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read what a sequence says of each window: first_frame, time, misfit and so on, [window].
-
-    Raises
-    ------
-    DataError
-        If the file is missing, damaged or no sequence.
-    """
+    """Read what a sequence says of each window [window]: first_frame, time, misfit and so on."""
     with open_container(path, SCHEMA) as container:
         return {name: container.array(name) for name in _NUMBERS}
 

@@ -65,16 +65,9 @@ def export_stream(pictures: Iterable[tuple[float, Reconstruction]], path: str | 
     """Write pictures with their times in seconds as .mcap or .rrd; return how many there were.
 
     The file appears whole or not at all. A time that is not finite becomes the number of the
-    picture.
-
-    Raises
-    ------
-    ValueError
-        If the ending is not supported.
-    ImportError
-        If the library for it is not installed.
-    DataError
-        If the file cannot be written, or a time is before 0 or beyond what ROS 2 holds (2^31 s).
+    picture. ValueError if the ending is not supported. ImportError if the library for it is not
+    installed. DataError if the file cannot be written, or a time is before 0 or beyond what ROS 2
+    holds (2^31 s).
     """
     suffix = Path(path).suffix.lower()
     if suffix not in STREAM_SUFFIXES:

@@ -29,16 +29,10 @@ _MOST_ASYMMETRY = 0.05  # over the contrast; what stands beside an edge makes it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigCalibration:
-    """What a scan says of a rig, and what its rest costs.
+    """What a scan says of a rig, and what its rest costs."""
 
-    Parameters
-    ----------
-    fit : of shifts, with the calibration
-    psnr_loss_db, mtf50_loss : of reconstructions whose shifts are wrong by the rest
-    """
-
-    fit: ScanFit
-    psnr_loss_db: float
+    fit: ScanFit  # of shifts, with the calibration
+    psnr_loss_db: float  # of reconstructions whose shifts are wrong by the rest
     mtf50_loss: float
 
     @property
@@ -101,18 +95,10 @@ def calibrate_rig(
 def psf_width_px(burst: Burst) -> tuple[float, float] | None:
     """Return the Gaussian width of the blur at straight edges of the scene, and its error.
 
-    sigma = sqrt(ln 2 / 2) / (pi MTF50), of optics and pixel together. Up to 12 frames measure an
-    edge jointly. An edge can look wider than the blur, because it is soft or something stands
-    beside it, but not sharper: the mean is over the sharpest edge and those that agree with it.
-
-    Parameters
-    ----------
-    burst : frames with registered offsets
-
-    Returns
-    -------
-    (sigma_px, error_px), the error at least 0.005 px; None if the scene has no straight edge with
-    even areas on both sides
+    sigma = sqrt(ln 2 / 2) / (pi MTF50), of optics and pixel together; None if the scene has no
+    straight edge with even areas on both sides. Up to 12 frames measure an edge jointly. An edge
+    can look wider than the blur, because it is soft or something stands beside it, but not sharper:
+    the mean is over the sharpest edge and those that agree with it.
     """
     from lensshift.evaluation.slanted_edge import measure_edge
 

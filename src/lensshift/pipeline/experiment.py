@@ -189,13 +189,7 @@ def told(experiment: Experiment, capture: TofCapture) -> tuple[Burst, ShiftField
 
 
 def traced_field(camera: TofCamera, burst: Burst) -> ShiftField:
-    """Return the offset of every pixel when the lens makes the offsets of the burst in the middle.
-
-    Raises
-    ------
-    ValueError
-        If the camera has no traced lens that moves.
-    """
+    """Return the offsets of all pixels by the traced lens of a camera; ValueError without one."""
     from lensshift.optics.shift import decenter_for_shift, shift_map
 
     lens, element = _moving_lens(camera)

@@ -85,18 +85,7 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def parse_experiment(text: str, *, source: str, folder: Path) -> Experiment:
-    """Return the experiment that a TOML text describes.
-
-    Parameters
-    ----------
-    source : name of the file, for messages
-    folder : that file names in it are relative to
-
-    Raises
-    ------
-    DataError
-        As in `load_experiment`.
-    """
+    """Return the experiment of a TOML text, or a DataError; its paths are relative to `folder`."""
     table = parse_toml(text, source)
     with settings_of(source):
         only(table, _TABLES)

@@ -37,27 +37,19 @@ SAID = 3  # contradictions of a task that are told in words
 class Windows:
     """What is done with a recording; a worker needs no more.
 
-    Parameters
-    ----------
-    recording : burst file, at a path that all workers know
-    window, every : frames of a picture, and from the first one of a picture to that of the next
-    count : pictures
-    example : first frame of a window that shows something
-    periodic : whether the shifts return after each window, so that a stream serves
-    scale, method, pace, settings : as in `lensshift.stream`
     response : width of the pixel response that the example showed, with its error, as in `meta`
     """
 
-    recording: str
-    window: int
-    every: int
-    count: int
-    example: int
-    periodic: bool
+    recording: str  # burst file, at a path that all workers know
+    window: int  # frames of a picture
+    every: int  # from the first frame of a picture to that of the next
+    count: int  # pictures
+    example: int  # first frame of a window that shows something
+    periodic: bool  # whether the shifts return after each window: a stream serves
     scale: int
     method: str
     pace: Pace
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of `stream`
     response: Mapping[str, float] = field(default_factory=dict)
 
     def burst(self, source: Recording, first: int, count: int) -> Burst:
@@ -77,20 +69,13 @@ class Solved:
 
 @dataclass(frozen=True, slots=True)
 class SequenceSummary:
-    """What became of a recording.
-
-    Parameters
-    ----------
-    windows, resumed : pictures in the file, and how many of them were there before
-    contradicted : pictures that their frames contradict, of those made now
-    said : what was wrong, the first few
-    """
+    """What became of a recording."""
 
     path: Path
-    windows: int
-    resumed: int
-    contradicted: int
-    said: tuple[str, ...]
+    windows: int  # pictures in the file
+    resumed: int  # and how many of them were there before
+    contradicted: int  # pictures that their frames contradict, of those made now
+    said: tuple[str, ...]  # what was wrong, the first few
     seconds: float
 
 
@@ -199,10 +184,7 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
 def _pictures(
     job: Windows, template: Burst, burst: Burst | None, shown: Array, start: int, count: int
 ) -> Iterator[tuple[Reconstruction | None, list[str]]]:
-    """Yield the picture of each window of a burst, and what was said of it.
-
-    None where no frame shows anything.
-    """
+    """Yield the picture of each window, None where nothing shows, and what was said of it."""
     told: dict[str, Any] = {"scale": job.scale, "method": job.method} | dict(job.settings)
     camera = stream(template, pace=job.pace, **told) if job.periodic else None
     taken = 0
@@ -243,10 +225,7 @@ def _frame(burst: Burst, k: int) -> Frame:
 
 
 def _showing(source: Recording, window: int) -> int:
-    """Return where the first window is, side by side, of which any pixel is valid.
-
-    0 if there is none, of which reading says so.
-    """
+    """Return where the first window is, side by side, of which any pixel is valid; 0 if none is."""
     starts = range(0, source.frame_count - window + 1, window)
     return next((one for one in starts if source.shown(one, window).any()), 0)
 
@@ -254,10 +233,7 @@ def _showing(source: Recording, window: int) -> int:
 def _begun(
     stack: ExitStack, source: Recording, job: Windows, out: str | Path
 ) -> tuple[Windows, PiecewiseFile, list[tuple[int, int]]]:
-    """Return job and file, and the tasks (first window, count) that are left.
-
-    A pixel response that the first window shows is that of the whole recording.
-    """
+    """Return the job, with the pixel response of its first window, the file, and the tasks left."""
     template = source.burst(job.example, job.window)
     stream(template, job.scale, job.method, pace=job.pace, **dict(job.settings))  # refuses
     with warnings.catch_warnings():

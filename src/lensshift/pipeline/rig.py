@@ -15,7 +15,6 @@ from lensshift.capture.acquire import Progress
 from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 from lensshift.capture.opening import nominal_calibration, open_rig, read_rig
-from lensshift.capture.plan import named_plan
 from lensshift.capture.rig import OnHoming
 from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
@@ -35,6 +34,7 @@ from lensshift.registration.scan import USUAL_STEPS
 SCAN_SPAN_MM = 0.3  # 1.7 px: the longer, the better the map is known
 _SCAN_FRAMES = 6  # averaged at a position of the scan
 _FRAMES = 8  # and at one of the burst
+_PLAN = "square"
 _PATIENCE_S = 20.0  # for a frame: the emulated rig shares this computer
 NOMINAL_BLUR_PX = 0.3  # of a square pixel behind a fair lens
 # What the rig file of a run says: 5.63 px per mm and 10 %, turned by 5 degrees, mirrored.
@@ -45,29 +45,16 @@ EMULATED_SPEED = 10.0  # of the emulated stages: only waiting gets shorter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigSummary:
-    """What a run with an emulated rig gave.
+    """What a run with an emulated rig gave."""
 
-    Parameters
-    ----------
-    files : what was written
-    calibration : measured by the scan
-    shift_rms_px : rms error of the shifts of the burst, common offset left out, by what the
-        emulator knows: with the nominal map, with the calibration in the middle of the sensor,
-        and with the calibration over the sensor
-    fidelity : name -> psnr_db, ssim, rmse of the amplitude against the truth
-    loss_db : PSNR with perfect shifts minus PSNR with calibrated ones
-    counts : what the camera got and lost
-    seconds : for everything
-    """
-
-    files: tuple[Path, ...]
-    calibration: Calibration
+    files: tuple[Path, ...]  # what was written
+    calibration: Calibration  # measured by the scan
     reconstruction: Reconstruction
-    shift_rms_px: dict[str, float]
-    fidelity: dict[str, dict[str, float]]
-    loss_db: float
-    counts: dict[str, int]
-    seconds: float
+    shift_rms_px: dict[str, float]  # by the map used, common offset left out
+    fidelity: dict[str, dict[str, float]]  # name -> psnr_db, ssim, rmse of the amplitude
+    loss_db: float  # PSNR with perfect shifts minus PSNR with calibrated ones
+    counts: dict[str, int]  # what the camera got and lost
+    seconds: float  # for everything
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,36 +73,19 @@ def run_emulated(
     *,
     scale: int = 2,
     method: str = "auto",
-    plan: str = "square",
     on_step: Callable[[str, Progress], None] | None = None,
 ) -> RigSummary:
     """Start an emulated rig, calibrate it, capture over the real protocols, reconstruct, compare.
 
-    Drivers, protocols, acquisition and calibration are those of a real rig; only the emulator
-    knows where the image really was.
-
-    Parameters
-    ----------
-    out_dir : folder for scan.nc, calibration.json and .html, burst.nc, result.nc and preview.png
-    settings : of the emulated rig
-    on_step : called with what is being done ("scan", "burst") and how far it is
-
-    Raises
-    ------
-    DataError
-        If the folder or a file cannot be written.
-    DeviceError
-        If an emulated device fails.
-    ValueError
-        If there is no such method or plan.
+    Drivers, protocols, acquisition and calibration are those of a real rig; only the emulator knows
+    where the image really was. `on_step` hears what is being done ("scan", "burst"), and how far.
     """
     start_s = time.perf_counter()
     find_method(method)
-    named_plan(plan)
     folder = made_folder(writable_folder(out_dir))
     settings = settings or RigSettings(speed=EMULATED_SPEED)
     with EmulatedRig(settings, camera_port=free_udp_port()) as emulated:
-        taken = _take(emulated, folder, plan, on_step)
+        taken = _take(emulated, folder, on_step)
         # The origin of the image is where the calibration says that the offset is zero.
         assumed_px = _assumed(taken)
         origin_px = (taken.true_px - assumed_px).mean(axis=(0, 1, 2))
@@ -141,29 +111,15 @@ def run_emulated(
 
 
 def run_bench(
-    rig_file: str | Path,
-    out_dir: str | Path,
+    rig_file: str | Path,  # TOML, see `lensshift.capture.opening.open_rig`
+    out_dir: str | Path,  # folder for burst.nc, result.nc and preview.png
     *,
     scale: int = 2,
     method: str = "auto",
-    plan: str = "square",
-    on_step: Callable[[str, Progress], None] | None = None,
-    on_homing: OnHoming | None = None,
+    on_step: Callable[[str, Progress], None] | None = None,  # called with "burst" and how far it is
+    on_homing: OnHoming | None = None,  # see `open_rig`
 ) -> tuple[Reconstruction, tuple[Path, ...]]:
-    """Capture a burst with a rig and reconstruct it; return the result and the files written.
-
-    Parameters
-    ----------
-    rig_file : TOML, see `lensshift.capture.opening.open_rig`
-    out_dir : folder for burst.nc, result.nc and preview.png
-    on_step : called with "burst" and how far it is
-    on_homing : see `open_rig`
-
-    Raises
-    ------
-    DataError, DeviceError, ValueError
-        As `open_rig`, `acquire` and `reconstruct`.
-    """
+    """Capture a burst with a rig and reconstruct it; return the result and the files written."""
     from lensshift.report.preview import save_shots
 
     find_method(method)
@@ -173,7 +129,7 @@ def run_bench(
     burst_file, result_file, preview = files = tuple(folder / name for name in names)
     refuse_taken(burst_file)
     with open_rig(rig_file, on_homing=on_homing) as rig:
-        burst = rig.capture(plan, burst_file, on_step=on_step and partial(on_step, "burst"))
+        burst = rig.capture(_PLAN, burst_file, on_step=on_step and partial(on_step, "burst"))
         burst, field = rig.calibration.applied_to(burst)
     width_px = _blur_px(rig.calibration)
     result = reconstruct(burst, scale, method, psf_sigma_px=width_px, shift_field=field)
@@ -187,14 +143,13 @@ def run_bench(
 def _take(
     emulated: EmulatedRig,
     folder: Path,
-    plan: str,
     on_step: Callable[[str, Progress], None] | None,
 ) -> _Taken:
     """Scan and calibrate with the nominal map, then take the burst with the measured one."""
     true: list[Array] = []
 
     def taken(progress: Progress) -> None:
-        true.append(emulated.true_offset_px(emulated.stages.lens_mm(time.monotonic())))
+        true.append(emulated.world.offset_px(emulated.stages.lens_mm(time.monotonic())))
         if on_step is not None:
             on_step("burst", progress)
 
@@ -211,7 +166,7 @@ def _take(
         found = calibrate_rig(scan, report=folder / "calibration.html")
         rig.calibration = found.calibration
         rig.acquisition = replace(patient, frames=_FRAMES)
-        burst = rig.capture(plan, files["burst"], on_step=taken)
+        burst = rig.capture(_PLAN, files["burst"], on_step=taken)
         return _Taken(burst, rig.calibration, np.stack(true), dict(rig.camera.counts()))
 
 

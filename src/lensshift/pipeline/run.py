@@ -119,13 +119,7 @@ def made_folder(folder: Path) -> Path:
 
 
 def save_truth(truth: TofTruth, path: str | Path) -> None:
-    """Write what an experimenter never gets to know as NPZ, one array per field.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be written.
-    """
+    """Write what an experimenter never gets to know as NPZ, one array per field; or a DataError."""
     arrays = {
         one.name: getattr(truth, one.name) for one in fields(truth) if one.name != "offset_field"
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -127,10 +129,7 @@ def field_figure(fit: ScanFit) -> Figure:
             *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy",
             scale_units="xy", scale=unit_px / (1.6 * step), width=0.0022, color=BLUE,
         )  # fmt: skip
-        axes.quiverkey(
-            arrows, 0.9, 1.06, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
-            fontproperties={"size": SMALL_PT},
-        )  # fmt: skip
+        _draw_key(axes, arrows, (0.9, 1.06), unit_px)
         axes.set(aspect="equal", xlim=(-2, cols + 1), ylim=(rows + 1, -2))
         axes.set(xlabel="col (px)", ylabel="row (px)")
         worst_px = float(np.linalg.norm(differing[axis], axis=-1).max())
@@ -155,15 +154,17 @@ def _draw_arrows(axes: Axes, fit: ScanFit) -> None:
         )  # fmt: skip
         axes.plot(stage_mm[here, 1], stage_mm[here, 0], ".", color=colour, markersize=3.0)
         if sign > 0:
-            axes.quiverkey(
-                arrows, 0.86, 1.04, unit_px, f"{unit_px:g} px", labelpos="E", color=INK,
-                fontproperties={"size": SMALL_PT},
-            )  # fmt: skip
+            _draw_key(axes, arrows, (0.86, 1.04), unit_px)
     axes.set(xlabel="stage, col (mm)", ylabel="stage, row (mm)", aspect="equal")
     axes.margins(0.15)
     axes.invert_yaxis()
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
     axes.set_title("residual")
+
+
+def _draw_key(axes: Axes, arrows: Any, at: tuple[float, float], unit_px: float) -> None:
+    how: Any = {"labelpos": "E", "color": INK, "fontproperties": {"size": SMALL_PT}}
+    axes.quiverkey(arrows, *at, unit_px, f"{unit_px:g} px", **how)
 
 
 def _draw_spread(axes: Axes, residual_px: Floats) -> None:

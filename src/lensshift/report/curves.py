@@ -94,6 +94,12 @@ def draw_limits(
         )
 
 
+def field_name(field_tan: ArrayLike) -> str:
+    """Return the angles of a field whose tangents (row, col) are given."""
+    row_deg, col_deg = np.round(np.rad2deg(np.arctan(np.asarray(field_tan))), 1) + 0.0
+    return f"{row_deg:.1f}/{col_deg:.1f} degrees"
+
+
 def mark_frequency(axes: Axes, at: float, text: str) -> None:
     """Draw a vertical line at a frequency in the unit of the axes, with its name along it."""
     axes.axvline(at, color=LIGHT, linewidth=1.2, zorder=1.0)

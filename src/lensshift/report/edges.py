@@ -254,10 +254,7 @@ def _draw_places(axes: Axes, picture: Floats, results: Sequence[EdgeResult]) -> 
 
 
 def _residual_map(results: Sequence[EdgeResult]) -> tuple[Floats, tuple[int, int]] | None:
-    """Return the residuals of all edges over their noise, and the corner of that map.
-
-    NaN where no edge was measured; None if no edge has a model.
-    """
+    """Return the residuals of all edges over their noise, and where they begin; None without."""
     known = [result for result in results if result.residual is not None]
     if not known:
         return None

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
@@ -91,6 +94,12 @@ def outline(axes: Axes, mask: NDArray[np.bool_], colour: str) -> None:
     axes.add_collection(
         LineCollection([*upright, *level], colors=colour, linewidths=0.8), autolim=False
     )
+
+
+def pixel_outline(pixel_um: Floats, **how: Any) -> Rectangle:
+    """Return the border of a pixel of sides (row, col) about the origin."""
+    row_um, col_um = pixel_um
+    return Rectangle((-0.5 * col_um, -0.5 * row_um), col_um, row_um, fill=False, **how)
 
 
 def plain_image(values: ArrayLike) -> Floats:

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.patches import Rectangle
-from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
@@ -17,7 +15,8 @@ from lensshift.optics.mtf import Band
 from lensshift.optics.otf import diffraction_limit
 from lensshift.optics.psf import point_spread
 from lensshift.optics.spots import distortion, spots
-from lensshift.report import curves, style
+from lensshift.report import curves, images, style
+from lensshift.report.curves import field_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,7 +64,7 @@ def fans_figure(
             line[1].plot(fan.pupil, 1e3 * fan.sagittal_mm, color=colour)
         line[0].set_ylabel("ray error (um)")
         for axes, section in zip(line, ("tangential", "sagittal"), strict=True):
-            axes.set(title=f"{_degrees(field)}, {section}", xlim=(-1.0, 1.0))
+            axes.set(title=f"{field_name(field)}, {section}", xlim=(-1.0, 1.0))
             axes.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])
     for axes in panels[-1]:
         axes.set_xlabel("place in the stop (1 at its edge)")
@@ -114,7 +113,8 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
         _widen(axes)
     curves.legend_above(focus, "", 1)
     figure.suptitle(
-        f"{lens.name or 'lens'}, centre to corner, {_degrees(fields[-1])}", fontsize=style.TITLE_PT
+        f"{lens.name or 'lens'}, centre to corner, {field_name(fields[-1])}",
+        fontsize=style.TITLE_PT,
     )
     return figure
 
@@ -151,7 +151,7 @@ def sections_figure(
     for number, field in enumerate(fields_tan):
         found = aberrations.section_mtf(lens, field, frequency_lpmm, band=band)
         for values, dashes, name in zip(found, ("-", "--"), ("T", "S"), strict=True):
-            label = f"{_degrees(field)} {name}"
+            label = f"{field_name(field)} {name}"
             left.plot(frequency_lpmm, values, dashes, color=style.colour_of(number), label=label)
     curves.draw_limits(left, [diffraction_limit(lens, frequency_lpmm, band=band)], end_lpmm)
     curves.mark_frequency(left, 0.5 * double_lpmm, "LR Nyquist")
@@ -206,9 +206,11 @@ def psf_figure(
         _draw_pixel(axes, pixel_um)
         axes.set(xlim=(-reach_um, reach_um), ylim=(reach_um, -reach_um))
         axes.grid(visible=False)
-        axes.set(title=_degrees(field), xlabel="column (um)")
+        axes.set(title=field_name(field), xlabel="column (um)")
         inside = 100.0 * psf.ensquared(side_mm)
-        axes_below.plot(1e3 * side_mm, inside, color=style.colour_of(number), label=_degrees(field))
+        axes_below.plot(
+            1e3 * side_mm, inside, color=style.colour_of(number), label=field_name(field)
+        )
     panels[0].set_ylabel("row (um)")
     above.colorbar(
         shown, ax=list(panels), label="irradiance over its peak", shrink=0.8,
@@ -224,15 +226,10 @@ def psf_figure(
 
 
 def _draw_pixel(axes: Axes, pixel_um: Floats) -> None:
-    row_um, col_um = pixel_um
-    axes.add_patch(
-        Rectangle(
-            (-0.5 * col_um, -0.5 * row_um), col_um, row_um,
-            fill=False, edgecolor="white", linewidth=1.0, linestyle="--",
-        )
-    )  # fmt: skip
-    at, how = (-0.5 * col_um, -0.5 * row_um), {"va": "top", "color": "white"}
-    style.note(axes, "pixel", at, (3.0, -3.0), path_effects=None, **how)
+    border = images.pixel_outline(pixel_um, edgecolor="white", linewidth=1.0, linestyle="--")
+    axes.add_patch(border)
+    how = {"va": "top", "color": "white"}
+    style.note(axes, "pixel", border.get_xy(), (3.0, -3.0), path_effects=None, **how)
 
 
 def _widen(axes: Axes) -> None:
@@ -240,8 +237,3 @@ def _widen(axes: Axes) -> None:
     low, high = axes.get_xlim()
     reach = max(abs(low), abs(high), 1e-3)
     axes.set_xlim(min(low, -0.15 * reach), max(high, 0.15 * reach))
-
-
-def _degrees(field_tan: ArrayLike) -> str:
-    row_deg, col_deg = np.round(np.rad2deg(np.arctan(np.asarray(field_tan))), 1) + 0.0
-    return f"{row_deg:.1f}/{col_deg:.1f} degrees"

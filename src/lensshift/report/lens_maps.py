@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
@@ -16,7 +16,7 @@ from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import moving
 from lensshift.optics.spots import spots
 from lensshift.report import images, style
-from lensshift.report.curves import legend_above
+from lensshift.report.curves import field_name, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,11 +91,10 @@ def focus_figure(lens: Lens, fields_tan: Sequence[Pair], frequency_lpmm: float) 
     figure = style.new_figure(style.WIDTH_IN, 4.2)
     axes = figure.subplots()
     for number, field in enumerate(fields_tan):
-        row_deg, col_deg = np.rad2deg(np.arctan(field))
         for values, dashes, along in zip(
             found[:, number].T, ("-", "--"), ("columns", "rows"), strict=True
         ):
-            label = f"{row_deg:.1f}/{col_deg:.1f} degrees along {along}"
+            label = f"{field_name(field)} along {along}"
             axes.plot(away_mm, values, dashes, color=style.colour_of(number), label=label)
     axes.axvline(0.0, color=style.GREY, linewidth=0.9, zorder=1.0)
     axes.set_xlabel("sensor moved away from the lens (mm)")
@@ -225,9 +224,8 @@ def spots_figure(
             axes.set_xlim(col_um - reach_um, col_um + reach_um)
             axes.set_ylim(row_um + reach_um, row_um - reach_um)
             axes.locator_params(nbins=5)
-        row_deg, col_deg = np.rad2deg(np.arctan(field)) + 0.0
         radii = f"{1e3 * rest.rms_radius_mm:.1f}, {1e3 * moved.rms_radius_mm:.1f} um rms"
-        wide.set_title(f"{row_deg:.1f}/{col_deg:.1f} degrees\n{radii}")
+        wide.set_title(f"{field_name(field)}\n{radii}")
         close.set_title(f"{wide_um / close_um:.2g} times as large")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=4, markerscale=4.0)
@@ -266,18 +264,8 @@ def _draw_arrows(axes: Axes, error_px: Floats, times: float) -> None:
 def _draw_spots(
     axes: Axes, both_um: Sequence[Floats], airy_um: float, pixel_um: Floats, ring: str
 ) -> None:
-    row_um, col_um = pixel_um
-    axes.add_patch(
-        Rectangle(
-            (-0.5 * col_um, -0.5 * row_um),
-            col_um,
-            row_um,
-            fill=False,
-            edgecolor=style.GREY,
-            linewidth=1.2,
-            label="pixel",
-        )
-    )
+    how = {"edgecolor": style.GREY, "linewidth": 1.2, "label": "pixel"}
+    axes.add_patch(images.pixel_outline(pixel_um, **how))
     for rays_um, colour, label, size in zip(
         both_um, (style.BLUE, style.RED), ("at rest", "moved"), (3.0, 1.2), strict=True
     ):

@@ -112,8 +112,7 @@ def mtf_figure(
     figure = style.new_figure(9.0, 6.2)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
     for number, field in enumerate(fields_tan):
-        row_deg, col_deg = np.rad2deg(np.arctan(field))
-        name, colour = f"{row_deg:.1f}/{col_deg:.1f} degrees", style.colour_of(number)
+        name, colour = curves.field_name(field), style.colour_of(number)
         builds = (moving(lens, element, sign * np.asarray(travel_mm)) for sign, _, _ in _STATES)
         found = [
             np.abs(exact_otf(lens, field, frequency_lpmm, azimuth_rad, build=build)[0])

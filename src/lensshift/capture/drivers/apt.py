@@ -26,27 +26,15 @@ __all__ = ["AptAxis", "AptSettings", "AptStage", "open_apt_stage"]
 
 
 def open_apt_stage(
-    row: str,
-    col: str,
+    row: str,  # USB serial number ("83000001"), device path, or any URL of pyserial
+    col: str,  # as of row
     settings: AptSettings | None = None,
-    on_homing: OnHoming | None = None,
+    on_homing: OnHoming | None = None,  # hears how far each axis goes to be homed, gives leave
 ) -> AptStage:
     """Connect both controllers, write their parameters, enable them, and home them if allowed.
 
-    Parameters
-    ----------
-    row, col : port of the axis: a USB serial number ("83000001"), a device path, or any URL of
-        pyserial ("socket://host:port")
-    settings : see `AptSettings`; the default ones if None
-    on_homing : hears how far each axis will go before it is homed, and gives leave
-
-    Raises
-    ------
-    ValueError
-        If both axes are one device.
-    DeviceError
-        If a device cannot be found, opened, set up or homed, or must not be homed; nothing stays
-        open.
+    ValueError if both axes are one device. DeviceError if a device cannot be found, opened, set up
+    or homed, or must not be homed; nothing stays open.
     """
     settings = settings or AptSettings()
     ports = find_port(row), find_port(col)
@@ -66,10 +54,9 @@ def open_apt_stage(
 
 
 class AptStage:
-    """Two axes that move at once; see `open_apt_stage` and the protocol `Stage`.
+    """Two axes that move at once, each in its one direction at last; see the protocol `Stage`.
 
-    Every position is reached by a move of each axis in its one direction. Whatever ends a move
-    before it is done, an error or Ctrl-C, stops both.
+    Whatever ends a move before it is done, an error or Ctrl-C, stops both.
     """
 
     def __init__(self, row: AptAxis, col: AptAxis, settings: AptSettings) -> None:
@@ -106,13 +93,7 @@ class AptStage:
         self.home()
 
     def home(self) -> Floats:
-        """Let both axes look for their zero at once, return the position [2].
-
-        Raises
-        ------
-        DeviceError
-            If an axis fails; both have been stopped. `DeviceTimeout` if it takes too long.
-        """
+        """Let both axes look for their zero at once, return the position [2]; or stop both."""
         return self._together([axis.homing() for axis in self.axes])
 
     def position_mm(self) -> Floats:

@@ -54,21 +54,10 @@ class _Leg:
 
 
 class AptAxis:
-    """One controller with its actuator; `prepare` it before the first move.
+    """One controller with its actuator; `prepare` it before its first move. Or a DeviceError.
 
-    `homing` and `moves` are generators, so that one thread can move several axes at once: each
-    step looks once, yields how long (s) to wait before the next, and returns the result at last.
-
-    Parameters
-    ----------
-    port : any URL of pyserial, or a device path
-    settings : see `AptSettings`
-    axis : 0 (row) or 1 (col)
-
-    Raises
-    ------
-    DeviceError
-        If the port cannot be had, or nothing at it speaks APT.
+    `homing` and `moves` are generators, so that one thread can move several axes at once: each step
+    looks once, yields how long (s) to wait before the next, and returns the result at last.
     """
 
     def __init__(self, port: str, settings: AptSettings, axis: int = 0) -> None:
@@ -119,13 +108,7 @@ class AptAxis:
         }
 
     def prepare(self) -> None:
-        """Write all parameters of motion and read them back, then enable the motor.
-
-        Raises
-        ------
-        DeviceError
-            If the controller keeps another value; the message names it.
-        """
+        """Write all parameters and read them back (DeviceError names a wrong one); then enable."""
         wanted, scale = self.settings, self._counts_per_mm
         acceleration = apt.servo_acceleration(wanted.acceleration_mmps2 * scale)
         velocity = apt.Velocity(0, acceleration, apt.servo_velocity(wanted.velocity_mmps * scale))
@@ -203,10 +186,7 @@ class AptAxis:
         return self.homed and (came or went >= 2)
 
     def moves(self, goal_mm: float, *, direct: bool = False) -> Generator[float, None, float]:
-        """Go to a position step by step, at last in the one direction; return the position (mm).
-
-        With `direct` straight there: for a calibration that measures the play.
-        """
+        """Go to a position (mm) step by step, ending in the one direction unless `direct`."""
         with self._doing(f"move to {goal_mm:.4f} mm"):
             for _ in range(self.settings.max_retries):
                 arrived = yield from self._approach(self._counts(goal_mm), direct=direct)

@@ -109,10 +109,7 @@ class Message:
 
 
 class Bits(IntFlag):
-    """Status of the motor.
-
-    Forward and backward are as the protocol has them; other programs turn them round.
-    """
+    """Status of the motor; directions as in the protocol, which other programs turn round."""
 
     FORWARD_LIMIT = 0x1
     BACKWARD_LIMIT = 0x2
@@ -165,13 +162,7 @@ class Record:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Return the record in the data.
-
-        Raises
-        ------
-        DamagedMessage
-            If the length or the channel is wrong.
-        """
+        """Return the record in the data. DamagedMessage if the length or the channel is wrong."""
         channel, *fields = _unpacked(cls.FORMAT, data)
         if channel != CHANNEL:
             raise DamagedMessage(f"expected channel {CHANNEL}, got {channel}")
@@ -233,13 +224,7 @@ class Status(Record, layout="<HlhhL"):
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Return the status in the data; see `Record.unpack`.
-
-        Raises
-        ------
-        DamagedMessage
-            Also if the motor moves, or stands at its limits, both ways at once.
-        """
+        """Return the status; DamagedMessage also if it moves or stands at limits both ways."""
         status = super(Status, cls).unpack(data)
         if any(status.bits & both == both for both in _BOTH_WAYS):
             raise DamagedMessage(f"impossible status {status.bits:#010x}")
@@ -281,13 +266,7 @@ class Info:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Return what is in the data.
-
-        Raises
-        ------
-        DamagedMessage
-            If the length is wrong or the model is no text.
-        """
+        """Return what is in the data; DamagedMessage if its length or its model is wrong."""
         fields = _unpacked(cls.FORMAT, data)
         serial_number, model, _, minor, interim, major, _, notes = fields[:8]
         text = model.split(b"\0")[0].decode("ascii", "replace").strip()

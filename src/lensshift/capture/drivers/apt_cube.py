@@ -25,19 +25,10 @@ R = TypeVar("R", apt.Info, apt.Limits)
 
 
 class AptCube:
-    """A TDC001 or KDC101 at a port.
+    """A TDC001 or KDC101 at a port; DeviceError if it cannot be had, or does not speak APT.
 
-    Parameters
-    ----------
-    port : any URL of pyserial, or a device path
-    tolerance : counts by which two replies of a motor at rest may differ
-    reply_timeout_s : how long a reply may take
-    attempts : how often a request is sent; replies may disagree four times as often
-
-    Raises
-    ------
-    DeviceError
-        If the port cannot be had, or nothing at it speaks APT.
+    A request is sent so many `attempts`, replies may disagree four times as often; those of a motor
+    at rest may differ by the `tolerance` in counts.
     """
 
     def __init__(self, port: str, *, tolerance: int, reply_timeout_s: float, attempts: int) -> None:
@@ -105,13 +96,7 @@ class AptCube:
         raise self._contradiction()
 
     def write(self, name: str, setter: Id, wanted: apt.Record) -> None:
-        """Set a record until it reads back; request and answer have the ids after the setter's.
-
-        Raises
-        ------
-        DeviceError
-            If the controller keeps another value; the message names it.
-        """
+        """Set a record until it reads back, else raise; request and answer have the next ids."""
         for _ in range(self._attempts):
             kept = self.link.ask(
                 Message(setter, data=wanted.pack()),

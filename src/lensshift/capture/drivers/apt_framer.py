@@ -9,26 +9,19 @@ from lensshift.capture.drivers.apt_codec import CONTROLLER, HEADER_BYTES, HOST, 
 
 
 class Framer:
-    """Finds messages in any stream of bytes.
+    """Finds messages in any stream of bytes; it holds less than one.
 
     What is no message, or of a length that its id does not have, is skipped byte by byte; half a
-    message is dropped when nothing follows it in time. It holds less than one message.
-
-    Parameters
-    ----------
-    sizes : bytes of data by message id; 0 is the short form
-    destination, source : the only addresses that are accepted; several destinations, of a device
-        that is called by more than one
-    patience_s : how long half a message waits for its next byte
+    message is dropped when nothing follows it in time.
     """
 
     def __init__(
         self,
-        sizes: Mapping[int, tuple[int, ...]],
+        sizes: Mapping[int, tuple[int, ...]],  # bytes of data by message id; 0 is the short form
         *,
-        destination: int | tuple[int, ...] = HOST,
+        destination: int | tuple[int, ...] = HOST,  # accepted, one or several
         source: int = CONTROLLER,
-        patience_s: float = 0.03,
+        patience_s: float = 0.03,  # how long half a message waits for its next byte
     ) -> None:
         self.resyncs = 0  # stretches of bytes that were no message
         self._sizes = sizes

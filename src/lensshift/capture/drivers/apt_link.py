@@ -25,13 +25,7 @@ T = TypeVar("T")
 
 
 def find_port(name: str) -> str:
-    """Return the port of the USB serial number `name`; anything else is a port already.
-
-    Raises
-    ------
-    DeviceError
-        If no such device is plugged in; it says which are.
-    """
+    """Return the port of a USB serial number, or of what is a port already; DeviceError if none."""
     if not name.isdigit():
         return name
     there = list(serial.tools.list_ports.comports())
@@ -47,21 +41,7 @@ def find_port(name: str) -> str:
 
 
 class AptLink:
-    """Requests and replies over one port.
-
-    Several threads may use it: a request and its reply are never torn apart.
-
-    Parameters
-    ----------
-    port : any URL of pyserial, or a device path
-    reply_timeout_s : how long a reply may take
-    attempts : how often a request is sent before the controller counts as silent
-
-    Raises
-    ------
-    DeviceError
-        If the port cannot be had.
-    """
+    """Requests and replies over one port, which no threads tear apart; DeviceError without one."""
 
     def __init__(self, port: str, *, reply_timeout_s: float, attempts: int) -> None:
         self.device = port  # how errors name it; the model, once it is known
@@ -96,34 +76,17 @@ class AptLink:
         return self._framer.resyncs
 
     def send(self, *messages: Message) -> None:
-        """Send messages that are not answered.
-
-        Raises
-        ------
-        DeviceError
-            If the connection is lost.
-        """
+        """Send messages that are not answered. DeviceError if the connection is lost."""
         with self._lock:
             self._write(messages)
 
     def ask(
         self, *messages: Message, answer: int, read: Callable[[Message], T], attempts: int = 0
     ) -> T:
-        """Send messages, the last of them a request, until a whole answer comes.
+        """Send messages, the last a request, until `answer` comes and `read` takes it.
 
-        Parameters
-        ----------
-        messages : sent together, and again if no answer comes
-        answer : id of the message that answers
-        read : turns it into the result; raises DamagedMessage to ask again
-        attempts : how often to send, if not as often as usual
-
-        Raises
-        ------
-        DeviceTimeout
-            If none comes.
-        DeviceError
-            If the connection is lost.
+        DeviceTimeout if none comes, DeviceError if the connection is lost; DamagedMessage of `read`
+        asks again, so many `attempts`.
         """
         with self._lock:
             before = self._bytes, self.heard.total()

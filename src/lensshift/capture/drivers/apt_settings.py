@@ -15,44 +15,29 @@ Z8_COUNTS_PER_MM = 34554.96
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AptSettings:
-    """What is written to both controllers, and when a position counts as reached.
+    """What is written to both controllers, and when a position counts as reached."""
 
-    Parameters
-    ----------
-    counts_per_mm : encoder counts, for both axes or (row, col)
-    velocity_mmps, acceleration_mmps2 : speed and acceleration of every move (mm/s, mm/s^2)
-    home_velocity_mmps : speed while looking for the zero
-    home_offset_mm : from the switch to the zero
-    home : look for the zero on opening, which takes the lens to the end of its way: after asking
-        if a controller does not know it ("ask"), so without asking ("if_needed"), "always", "never"
-    approach_mm : every position is reached by a move of at least this length in one direction, so
-        that the play behind the encoder always lies on one side; longer than the play
-    approach_direction : "forward" or "backward", for both axes or (row, col): against the weight of
-        the lens where an axis lifts it, against the spring of a mount
-    travel_mm : (lowest, highest) position the motor may go to
-    tolerance_mm : a position is reached within this
-    settle_polls : replies in a row that must say so; also before anything else is done about them
-    max_retries : how often a message or a move that went wrong is repeated
-    reply_timeout_s : how long a reply may take
-    enable_wait_s : wait after enabling; the TDC001 locks up if it is sent home sooner
-    timeout_margin_s : a move may last half as long again as it should, and this
-    """
-
-    counts_per_mm: float | tuple[float, float] = Z8_COUNTS_PER_MM
-    velocity_mmps: float = 2.3
+    counts_per_mm: float | tuple[float, float] = Z8_COUNTS_PER_MM  # of both axes or (row, col)
+    velocity_mmps: float = 2.3  # of every move, as the acceleration
     acceleration_mmps2: float = 4.0
-    home_velocity_mmps: float = 1.0
-    home_offset_mm: float = 0.3
+    home_velocity_mmps: float = 1.0  # while looking for the zero
+    home_offset_mm: float = 0.3  # from the switch to the zero
+    # Look for the zero on opening, which takes the lens to the end of its way: after asking if a
+    # controller does not know it ("ask"), so without asking ("if_needed"), "always", "never".
     home: Literal["ask", "if_needed", "always", "never"] = "ask"
+    # Every position is reached by a move of at least this length in one direction, so that the play
+    # behind the encoder always lies on one side; longer than the play.
     approach_mm: float = 0.02
+    # For both axes or (row, col): against the weight of the lens where an axis lifts it, against
+    # the spring of a mount.
     approach_direction: Direction | tuple[Direction, Direction] = "forward"
-    travel_mm: tuple[float, float] = (0.0, 6.0)
-    tolerance_mm: float = 0.001
-    settle_polls: int = 3
-    max_retries: int = 10
+    travel_mm: tuple[float, float] = (0.0, 6.0)  # (lowest, highest) the motor may go to
+    tolerance_mm: float = 0.001  # a position is reached within this
+    settle_polls: int = 3  # replies in a row that must say so, or whatever else is acted on
+    max_retries: int = 10  # of a message or a move that went wrong
     reply_timeout_s: float = 0.1
-    enable_wait_s: float = 1.0
-    timeout_margin_s: float = 2.0
+    enable_wait_s: float = 1.0  # the TDC001 locks up if it is sent home sooner after enabling
+    timeout_margin_s: float = 2.0  # a move may last half as long again as it should, and this
 
     def __post_init__(self) -> None:
         if not isinstance(self.counts_per_mm, int | float) and len(self.counts_per_mm) != 2:

@@ -22,15 +22,11 @@ _OWN_KEYS = ("amplitude", "distance_m", "valid", "time_s")
 def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, Array]]:
     """Turn what a function returned into a frame and the arrays to keep beside it.
 
-    Parameters
-    ----------
+    TypeError, ValueError if it is nothing of this kind. Pixels that are not finite are marked
+    invalid.
+
     grabbed : amplitude [row col]; or (amplitude, distance_m); or a mapping with `amplitude` and
         as you like `distance_m`, `valid`, `time_s`; its other entries are kept as they are
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is nothing of this kind. Pixels that are not finite are marked invalid.
     """
     fields: dict[str, Any]
     if isinstance(grabbed, Mapping):

@@ -27,26 +27,16 @@ T = TypeVar("T")
 
 
 def python_stage(
-    table: Mapping[str, Any],
-    folder: Path,
+    table: Mapping[str, Any],  # `use = "module:attribute"`, and what the attribute is called with
+    folder: Path,  # where modules are looked for first
     *,
     home: str | None = None,
     on_homing: OnHoming | None = None,
 ) -> Stage:
-    """Make the stage that the entry `use` names, with the other entries as arguments.
+    """Make the stage that the entry `use` names, called with the other entries and what it takes.
 
-    Parameters
-    ----------
-    table : `use = "module:attribute"`, and what the attribute is called with
-    folder : where modules are looked for first
-    home, on_homing : handed on if the attribute takes them, see `open_rig`
-
-    Raises
-    ------
-    DataError
-        If there is no such attribute, it does not take the entries, or makes no stage.
-    DeviceError
-        If it fails.
+    DataError if there is no such attribute, it does not take the entries, or makes no stage.
+    DeviceError if it fails.
     """
     make = _attribute(table, folder, "stage")
     offered = {"home": home, "on_homing": on_homing}

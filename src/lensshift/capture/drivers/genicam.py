@@ -21,32 +21,17 @@ _CONFIDENCES = ("Confidence16", "Confidence8")
 
 
 class GenicamCamera(CallableCamera):
-    """One GenICam camera; range as Coord3D_C16 or Coord3D_ABC32f, intensity as Mono16 or Mono8.
-
-    Parameters
-    ----------
-    producer : path of the vendor's GenTL producer, a .cti file
-    pitch_mm : pixel pitch, one number or (row, col)
-    index : which of the cameras that the producer finds
-    modulation_hz : modulation frequency, if known
-    timeout_s : for one buffer
-    harvester : a `Harvester` that is set up already, instead of `producer`
-
-    Raises
-    ------
-    ImportError
-        If the extra `genicam` is not installed.
-    """
+    """One GenICam camera: range as Coord3D_C16 or Coord3D_ABC32f, light as Mono16 or Mono8."""
 
     def __init__(
         self,
-        producer: str = "",
+        producer: str = "",  # path of the vendor's GenTL producer, a .cti file
         *,
-        pitch_mm: float | tuple[float, float],
-        index: int = 0,
-        modulation_hz: float | None = None,
-        timeout_s: float = 5.0,
-        harvester: Any = None,
+        pitch_mm: float | tuple[float, float],  # pixel pitch, one number or (row, col)
+        index: int = 0,  # which of the cameras that the producer finds
+        modulation_hz: float | None = None,  # modulation frequency, if known
+        timeout_s: float = 5.0,  # for one buffer
+        harvester: Any = None,  # a `Harvester` that is set up already, instead of `producer`
     ) -> None:
         self._harvester = _harvester(producer) if harvester is None else harvester
         self._own = harvester is None
@@ -64,13 +49,7 @@ class GenicamCamera(CallableCamera):
         )
 
     def open(self) -> None:
-        """Start the camera and begin to receive.
-
-        Raises
-        ------
-        DeviceError
-            If there is no such camera.
-        """
+        """Start the camera and begin to receive. DeviceError if there is no such camera."""
         found = len(self._harvester.device_info_list)
         if not 0 <= self._index < found:
             raise DeviceError(f"the producer finds {found} cameras", device=self.name)
@@ -114,12 +93,7 @@ def read_components(components: Any, step_m: float = MILLIMETRE_M) -> dict[str, 
     """Return amplitude, distance_m and valid from the components of a buffer.
 
     A count of range is `step_m`; points are in millimetres, their distance is radial. A range or
-    confidence of zero is invalid.
-
-    Raises
-    ------
-    DataError
-        If there is no intensity, or a component is too short.
+    confidence of zero is invalid. DataError if there is no intensity, or a component is too short.
     """
     parts = {str(one.data_format): one for one in components}
     name = next((one for one in _AMPLITUDES if one in parts), None)

@@ -23,26 +23,17 @@ _SOCKET_BYTES = 4 << 20  # about four seconds at 50 Hz, if the system grants it
 
 
 class O3MCamera(ReceivingCamera):
-    """Receives what an O3M sends; nothing is ever sent to the camera.
-
-    Parameters
-    ----------
-    port : UDP port that the camera is set to, 42000 as delivered; 0 takes a free one
-    host : own address to listen at. The default is all of them, because the camera may send to
-        the broadcast address, which arrives at no single one.
-    source : address of the camera, "192.168.1.1" or with ":port", if several send to this port
-    pitch_mm : pixel pitch, one number or (row, col)
-    modulation_hz : modulation frequency; the camera does not tell it
-    """
+    """Receives what an O3M sends; nothing is ever sent to the camera."""
 
     def __init__(
         self,
-        port: int = DATA_PORT,
+        port: int = DATA_PORT,  # UDP port that the camera is set to; 0 takes a free one
         *,
+        # Own address: all of them, since broadcasts of a camera arrive at no single one.
         host: str = "0.0.0.0",
-        source: str | None = None,
+        source: str | None = None,  # of several cameras: "192.168.1.1", or with ":port"
         pitch_mm: float | tuple[float, float] = PITCH_MM,
-        modulation_hz: float | None = None,
+        modulation_hz: float | None = None,  # the camera does not tell it
     ) -> None:
         if not 0 <= port <= 65535:
             raise ValueError(f"expected a UDP port from 0 to 65535, got {port}")
@@ -62,13 +53,7 @@ class O3MCamera(ReceivingCamera):
         return None if direction is None else PixelDirections(direction)
 
     def open(self) -> None:
-        """Begin to receive.
-
-        Raises
-        ------
-        DeviceError
-            If it is open already, or another program has the port.
-        """
+        """Begin to receive. DeviceError if it is open already, or another program has the port."""
         self._refuse_open()
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:

@@ -61,25 +61,16 @@ _DIAGNOSIS = struct.Struct(">12x f 132x f B")  # temperatures of board and light
 class O3MImage:
     """One cycle of the camera.
 
-    Parameters
-    ----------
-    layout : "DIA1 1.4" and so on
-    amplitude : [16 64] what a pixel would have read without its choice of exposure and gain
-    distance_m : [16 64] radial, from the optical centre
-    valid : [16 64] False where the camera calls the pixel invalid or too weak
-    timestamp_us : master clock of the camera, wraps at 2^32
-    coarse_pixels : pixels whose distance is that in whole centimetres, because the coordinates
-        contradict it
     raw : distance_cm, amplitude, confidence, x_m, y_m, z_m, normalization, timestamp_us,
         frame_counter, available, calibration (x, y, z in m, three angles in rad), field_of_view
     """
 
-    layout: str
-    amplitude: Floats
-    distance_m: Floats
-    valid: Mask
-    timestamp_us: int
-    coarse_pixels: int
+    layout: str  # "DIA1 1.4" and so on
+    amplitude: Floats  # [16 64] what a pixel would have read without its exposure and gain
+    distance_m: Floats  # [16 64] radial, from the optical centre
+    valid: Mask  # [16 64] False where the camera calls the pixel invalid or too weak
+    timestamp_us: int  # master clock of the camera, wraps at 2^32
+    coarse_pixels: int  # whose distance is in whole centimetres: coordinates contradict it
     raw: Mapping[str, NDArray[np.generic]]
 
     @property
@@ -101,13 +92,7 @@ class O3MImage:
 
 @dataclass(frozen=True, slots=True)
 class O3MDiagnosis:
-    """How the camera is.
-
-    Parameters
-    ----------
-    main_celsius, light_celsius : temperatures of the camera and of its illumination
-    mode : key of `MODES` if it is known
-    """
+    """How the camera is: temperatures of itself and of its light, and what it does (`MODES`)."""
 
     main_celsius: float
     light_celsius: float
@@ -120,13 +105,7 @@ class O3MDiagnosis:
 
 
 def layout_of(message: bytes) -> tuple[str, int]:
-    """Return the layout of a message of channel 8 in words, and where its pixels begin.
-
-    Raises
-    ------
-    DataError
-        If magic, version and size are not those of a known layout.
-    """
+    """Return the layout of a message of channel 8, and where its pixels begin; or a DataError."""
     if not message.startswith(_MAGIC):
         if len(message) == _SIZES[1, 0]:
             return "DI 1.0", 0
@@ -152,14 +131,10 @@ def read_image(message: bytes) -> O3MImage:
         amplitude = raw amplitude * normalization[(confidence >> 1) & 3]
         distance_m = |(x, y, z) - (x, y, z) of the camera|
 
-    Exposure and gain are chosen per pixel, so raw amplitudes of neighbours cannot be compared.
-    The coordinates are finer than the distance in whole centimetres; where the two differ by more
-    than 1 cm, or a coordinate is not finite, the centimetres count.
-
-    Raises
-    ------
-    DataError
-        If this is no known layout or not of 64 x 16 pixels.
+    Exposure and gain are chosen per pixel, so raw amplitudes of neighbours cannot be compared. The
+    coordinates are finer than the distance in whole centimetres; where the two differ by more than
+    1 cm, or a coordinate is not finite, the centimetres count. DataError if this is no known layout
+    or not of 64 x 16 pixels.
     """
     layout, start = layout_of(message)
     pixels = np.frombuffer(message, _PIXELS, count=1, offset=start)[0]
@@ -197,13 +172,7 @@ def _distance_m(pixels: np.void) -> tuple[Floats, int]:
 
 
 def read_diagnosis(message: bytes) -> O3MDiagnosis:
-    """Read a message of channel 256; unlike all others it is big-endian.
-
-    Raises
-    ------
-    DataError
-        If it is too short.
-    """
+    """Read a message of channel 256, big-endian unlike all others; DataError if it is too short."""
     if len(message) < _DIAGNOSIS.size:
         raise DataError(
             f"expected at least {_DIAGNOSIS.size} bytes, got {len(message)}", field="diagnosis"

@@ -24,11 +24,7 @@ _LATE_PACKETS = 64  # further back in the packet counter it says nothing about r
 
 
 class PacketHeader(NamedTuple):
-    """The 32 bytes at the start of every packet, little-endian.
-
-    `total_length` and `payload_length` are kept, but nothing relies on them: what exactly they
-    count is not known.
-    """
+    """The 32 bytes at the start of every packet; what the two lengths count is not known."""
 
     version: int
     device: int
@@ -57,60 +53,33 @@ def read_header(datagram: bytes | bytearray | memoryview) -> PacketHeader | None
 
 
 class ChannelMessage(NamedTuple):
-    """Everything a camera sent on one channel in one cycle.
+    """Everything a camera sent on one channel in one cycle."""
 
-    Parameters
-    ----------
-    channel : 8 pixels, 14 parameters, 256 diagnosis
-    cycle : the cycle counter, unwrapped: it only grows, also when the camera starts anew
-    content : the bytes between the channel header and the end delimiter
-    """
-
-    channel: int
-    cycle: int
-    content: bytes
+    channel: int  # 8 pixels, 14 parameters, 256 diagnosis
+    cycle: int  # the cycle counter, unwrapped: it only grows, also when the camera starts anew
+    content: bytes  # the bytes between the channel header and the end delimiter
 
 
 @dataclass(slots=True)
 class PacketCounts:
-    """What came from one sender.
+    """What came from one sender."""
 
-    Parameters
-    ----------
-    packets : with an O3M header
-    lost : missing by the packet counter
-    duplicate : came twice, or after their message was whole or given up
-    reordered : came after a later one
-    partial : messages given up because a packet was missing
-    oversize : messages longer than any known
-    restarts : times the camera started anew: most jumps back of the cycle counter of a channel
-    """
-
-    packets: int = 0
-    lost: int = 0
-    duplicate: int = 0
-    reordered: int = 0
-    partial: int = 0
-    oversize: int = 0
-    restarts: int = 0
-
-    @property
-    def loss(self) -> float:
-        """Share of the packets that were lost."""
-        return self.lost / max(1, self.lost + self.packets)
+    packets: int = 0  # with an O3M header
+    lost: int = 0  # missing by the packet counter
+    duplicate: int = 0  # came twice, or after their message was whole or given up
+    reordered: int = 0  # came after a later one
+    partial: int = 0  # messages given up because a packet was missing
+    oversize: int = 0  # messages longer than any known
+    restarts: int = 0  # most jumps back of the cycle counter of a channel
 
 
 class Reassembler:
-    """Puts the packets of one sender together to whole messages.
+    """Puts the packets of one sender together to whole messages of some channels; counts them all.
 
     Bytes are joined only if they come from packets with the same cycle counter, channel and
     number of packets, with no gap and no more than 2 s between first and last. A message is
     yielded at most once, and never after a later one of its channel. Memory is bounded whatever
     arrives.
-
-    Parameters
-    ----------
-    channels : those to put together; packets of others are only counted
     """
 
     def __init__(self, channels: Container[int]) -> None:
@@ -132,14 +101,7 @@ class Reassembler:
     def push(
         self, header: PacketHeader, datagram: bytes | bytearray | memoryview, arrived_s: float
     ) -> ChannelMessage | None:
-        """Take a packet in; return the message that it completes, if it does.
-
-        Parameters
-        ----------
-        header : of this packet, as `read_header` returned it
-        datagram : the whole packet; it is copied
-        arrived_s : any clock that only grows
-        """
+        """Copy a packet; return the message that it completes, if any. Time is any rising clock."""
         self.counts.packets += 1
         message = None
         fresh = True

@@ -39,15 +39,11 @@ Snapshot = tuple[int, dict[str, int], dict[int, int]]
 
 
 class O3MStream:
-    """Takes datagrams, returns frames of one camera.
+    """Takes datagrams, returns frames of one camera, at an address ("192.168.1.1:50000") or any.
 
     The camera is who sends pixels that can be read, whatever else comes to the port. Its other
     channels may come from other ports of its address. Others are counted and left aside; one takes
     its place only after it has fallen silent.
-
-    Parameters
-    ----------
-    source : address of the camera, "192.168.1.1" or "192.168.1.1:50000"; None: whoever sends
     """
 
     def __init__(self, source: str | None = None) -> None:
@@ -88,11 +84,8 @@ class O3MStream:
     ) -> CameraFrame | None:
         """Take a datagram in; return the frame that it completes, if it does.
 
-        Raises
-        ------
-        DeviceError
-            If the camera has started anew, or another one has taken its place after a silence.
-            Later datagrams may be pushed all the same.
+        DeviceError if the camera has started anew, or another one has taken its place after a
+        silence. Later datagrams may be pushed all the same.
         """
         self._datagrams += 1
         header = read_header(datagram)

@@ -31,28 +31,17 @@ _FRAME_COUNT_AT = 4 + 32  # in a result: after `star`, in the first chunk
 
 
 class PcicCamera(ReceivingCamera):
-    """A client of a camera's process interface. A lost connection is not made again.
-
-    Parameters
-    ----------
-    host : address of the camera
-    port : 50010; of an O3R 50010 + number of the camera's port
-    pitch_mm : pixel pitch, one number or (row, col)
-    schema : JSON that says what a result shall hold, or None to leave the camera as it is; it
-        must ask for an amplitude
-    modulation_hz : modulation frequency, if known
-    timeout_s : for the connection, each answer, and the first frame, which tells the shape
-    """
+    """A client of a camera's process interface. A lost connection is not made again."""
 
     def __init__(
         self,
-        host: str,
-        port: int = RESULT_PORT,
+        host: str,  # address of the camera
+        port: int = RESULT_PORT,  # 50010; of an O3R 50010 + number of the camera's port
         *,
-        pitch_mm: float | tuple[float, float],
-        schema: str | None = None,
-        modulation_hz: float | None = None,
-        timeout_s: float = 5.0,
+        pitch_mm: float | tuple[float, float],  # pixel pitch, one number or (row, col)
+        schema: str | None = None,  # what a result holds, with an amplitude; None: as it is
+        modulation_hz: float | None = None,  # modulation frequency, if known
+        timeout_s: float = 5.0,  # for connection, answer, first frame
     ) -> None:
         super().__init__(f"PCIC camera {host}:{port}", pitch_mm, modulation_hz)
         self._address = (host, port)
@@ -83,14 +72,7 @@ class PcicCamera(ReceivingCamera):
         return None if direction is None else PixelDirections(direction)
 
     def open(self) -> None:
-        """Connect, set the schema, ask for results and wait for the first one.
-
-        Raises
-        ------
-        DeviceError
-            If it is open already, there is no connection, or the camera refuses.
-            `DeviceTimeout` if no answer or no result comes.
-        """
+        """Connect, set the schema, ask for results, wait for the first; DeviceError if it fails."""
         self._refuse_open()
         try:
             self._socket = socket.create_connection(self._address, self._timeout_s)

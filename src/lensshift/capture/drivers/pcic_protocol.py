@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lensshift.capture.drivers.pcic_directions import BOUGUET, bouguet_directions, sent_directions
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
 from lensshift.core.units import MILLIMETRE_M
@@ -30,6 +29,8 @@ _INFO = struct.Struct("<I2f3f6fI32fI32f")
 _SCALARS = ("<u1", "<i1", "<u2", "<i2", "<u4", "<i4", "<f4", "<u8", "<f8")
 _FORMATS = dict(enumerate(map(np.dtype, _SCALARS))) | {10: np.dtype(("<f4", (3,)))}
 _INVALID = 1  # bit of the confidence
+_STEEPEST = 1e3  # tangent of 89.94 degrees: no pixel of a lens looks farther aside
+_BOUGUET = 0  # number of the model of `bouguet_directions` in an O3R's information
 
 
 class ChunkKind(IntEnum):
@@ -78,14 +79,7 @@ def write_message(ticket: bytes, content: bytes) -> bytes:
 
 
 class PcicParser:
-    """Cuts the stream of bytes into messages.
-
-    What is no message is skipped up to the next that may be one, and counted.
-
-    Parameters
-    ----------
-    max_bytes : a message that claims to be longer is none, so memory is bounded
-    """
+    """Cuts the stream of bytes into messages; what is none, or too long, is skipped and counted."""
 
     def __init__(self, max_bytes: int = MAX_MESSAGE_BYTES) -> None:
         self.skipped_bytes = 0
@@ -149,37 +143,19 @@ class PcicParser:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunk:
-    """One part of a result.
+    """One part of a result."""
 
-    Parameters
-    ----------
-    kind : a `ChunkKind`, or a number that is not listed there
-    shape : (rows, cols) as the header says; chunks without pixels say it too
-    pixel_format : number of the type of a pixel
-    time_us : time stamp, wraps at 2^32
-    frame_count : counter of the frames, wraps at 2^32
-    time_s : time of the camera's clock, None before header version 2
-    metadata : from header version 3 on
-    data : everything after the header
-    """
-
-    kind: int
-    shape: tuple[int, int]
-    pixel_format: int
-    time_us: int
-    frame_count: int
-    time_s: float | None
-    metadata: Mapping[str, Any]
-    data: bytes
+    kind: int  # a `ChunkKind`, or a number that is not listed there
+    shape: tuple[int, int]  # (rows, cols) as the header says; chunks without pixels say it too
+    pixel_format: int  # number of the type of a pixel
+    time_us: int  # time stamp, wraps at 2^32
+    frame_count: int  # counter of the frames, wraps at 2^32
+    time_s: float | None  # time of the camera's clock, None before header version 2
+    metadata: Mapping[str, Any]  # from header version 3 on
+    data: bytes  # everything after the header
 
     def image(self) -> Array:
-        """Return the pixels [row col] or [row col 3].
-
-        Raises
-        ------
-        DataError
-            If the type is not known or the data are too short.
-        """
+        """Return the pixels [row col] or [row col 3]; DataError if there are none such."""
         if self.pixel_format not in _FORMATS:
             raise DataError(
                 f"expected a known pixel format, got {self.pixel_format}",
@@ -196,13 +172,7 @@ class Chunk:
 
 
 def read_chunks(content: bytes) -> list[Chunk]:
-    """Cut the content of a result, `star` to `stop`, into its chunks.
-
-    Raises
-    ------
-    DataError
-        If the frame is missing or a size leads out of it.
-    """
+    """Cut the content of a result, `star` to `stop`, into chunks, or raise a DataError."""
     if len(content) < 8 or not (content.startswith(b"star") and content.endswith(b"stop")):
         raise DataError(f"expected 'star' ... 'stop', got {content[:8]!r}", field="result")
     chunks = []
@@ -243,37 +213,21 @@ def _metadata(text: bytes) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class TofInfo:
-    """What an O3R tells of itself with each frame.
+    """What an O3R tells of itself with each frame."""
 
-    Parameters
-    ----------
-    version : of this information
-    distance_resolution_m, amplitude_resolution : value of one count
-    amplitude_factors : of the three exposures
-    extrinsic : place (x, y, z) in m and three angles in rad
-    intrinsic_model, intrinsic : pixel to ray
-    inverse_model, inverse : ray to pixel
-    """
-
-    version: int
-    distance_resolution_m: float
+    version: int  # of this information
+    distance_resolution_m: float  # value of one count
     amplitude_resolution: float
-    amplitude_factors: tuple[float, ...]
-    extrinsic: tuple[float, ...]
+    amplitude_factors: tuple[float, ...]  # of the three exposures
+    extrinsic: tuple[float, ...]  # place (x, y, z) in m and three angles in rad
     intrinsic_model: int
-    intrinsic: tuple[float, ...]
+    intrinsic: tuple[float, ...]  # pixel to ray, by the model
     inverse_model: int
-    inverse: tuple[float, ...]
+    inverse: tuple[float, ...]  # ray to pixel, by the model
 
 
 def read_tof_info(chunk: Chunk) -> TofInfo:
-    """Read the chunk TOF_INFO; what versions above 1 add is left out.
-
-    Raises
-    ------
-    DataError
-        If it is too short.
-    """
+    """Read the chunk TOF_INFO, without what versions above 1 add; DataError if it is too short."""
     if len(chunk.data) < _INFO.size:
         raise DataError(
             f"expected at least {_INFO.size} bytes, got {len(chunk.data)}", field="TOF_INFO"
@@ -284,39 +238,21 @@ def read_tof_info(chunk: Chunk) -> TofInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PcicImage:
-    """One result as arrays.
+    """One result as arrays; `raw`: as they came, by the name of their chunk."""
 
-    Parameters
-    ----------
-    amplitude : [row col] normalised where the camera offers it
-    distance_m : [row col] radial, or None
-    valid : [row col] False where the confidence or a distance of zero says so
-    frame_count, time_us : as the camera counts, both wrap at 2^32
-    time_s : the camera's clock, or None
-    info : of an O3R, or None
-    direction : [row col 3] unit vectors of the pixels (x right, y down, z forward), or None
-    raw : the pixels as they came, by the name of their chunk
-    """
-
-    amplitude: Floats
-    distance_m: Floats | None
-    valid: Mask
-    frame_count: int
+    amplitude: Floats  # [row col] normalised where the camera offers it
+    distance_m: Floats | None  # [row col] radial, or None
+    valid: Mask  # [row col] False where the confidence or a distance of zero says so
+    frame_count: int  # as the camera counts, wraps at 2^32, as does `time_us`
     time_us: int
-    time_s: float | None
-    info: TofInfo | None
-    direction: Floats | None = None
+    time_s: float | None  # the camera's clock, or None
+    info: TofInfo | None  # of an O3R, or None
+    direction: Floats | None = None  # [row col 3] unit vectors (right, down, forward), or None
     raw: Mapping[str, Array] = field(default_factory=dict)
 
 
 def read_result(content: bytes) -> PcicImage:
-    """Read a result of an O3D (counts of 1 mm) or O3R (counts times the resolution it tells).
-
-    Raises
-    ------
-    DataError
-        If it is damaged, holds no amplitude, or its images differ in size.
-    """
+    """Read a result of an O3D (counts of mm) or O3R (of what it tells), or raise a DataError."""
     chunks = read_chunks(content)
     images = {one.kind: one for one in chunks if one.kind in _IMAGES}
     info = next((read_tof_info(one) for one in chunks if one.kind == ChunkKind.TOF_INFO), None)
@@ -344,8 +280,8 @@ def read_result(content: bytes) -> PcicImage:
             valid &= np.isfinite(distance_m) & (distance_m > 0)
     first = chunks[0]
     sent = next((one.image() for one in chunks if one.kind == ChunkKind.UNIT_VECTORS), None)
-    direction = sent_directions(sent, amplitude.shape)
-    if sent is None and info is not None and info.intrinsic_model == BOUGUET:
+    direction = _sent_directions(sent, amplitude.shape)
+    if sent is None and info is not None and info.intrinsic_model == _BOUGUET:
         direction = bouguet_directions(info.intrinsic, amplitude.shape)
     return PcicImage(
         amplitude, distance_m, valid, first.frame_count, first.time_us, first.time_s, info,
@@ -367,3 +303,41 @@ def _distance_m(chunk: Chunk, counts: Array, info: TofInfo | None) -> Floats:
     if isinstance(told, float):
         return counts * told
     return counts * (MILLIMETRE_M if info is None else info.distance_resolution_m)
+
+
+def _sent_directions(vectors: Array | None, shape: tuple[int, ...]) -> Floats | None:
+    """Return unit vectors [row col 3] as an O3D sends them if asked; None if they are not whole."""
+    if vectors is None or vectors.shape != (*shape, 3):
+        return None
+    whole = np.isfinite(vectors).all() and vectors.any(axis=2).all()
+    return vectors.astype(np.float64) if whole else None
+
+
+def bouguet_directions(numbers: Sequence[float], shape: tuple[int, ...]) -> Floats | None:
+    """Return the directions [row col 3] that an O3R's intrinsic numbers lead to.
+
+        x = (col + 1/2 - mx) / fx - alpha y,  y = (row + 1/2 - my) / fy,  r^2 = x^2 + y^2
+        right = x R + 2 k3 x y + k4 (r^2 + 2 x^2),  down = y R + k3 (r^2 + 2 y^2) + 2 k4 x y
+        R = 1 + k1 r^2 + k2 r^4 + k5 r^6
+
+    None where they are not numbers of a lens, as those of a camera without a calibration.
+
+    numbers : fx, fy, mx, my, alpha, k1, k2, k3, k4, k5, and others that do not matter
+
+    Source: ifm's public examples for the O3R, function `intrinsic_projection`.
+    """
+    fx, fy, mx, my, alpha, k1, k2, k3, k4, k5 = numbers[:10]
+    if not np.isfinite(numbers[:10]).all() or not min(fx, fy) > 0:
+        return None
+    row, col = np.indices(shape)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of no lens
+        y = (row + 0.5 - my) / fy
+        x = (col + 0.5 - mx) / fx - alpha * y
+        square, across = x * x + y * y, 2.0 * x * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k5))
+        right = x * radial + k3 * across + k4 * (square + 2.0 * x * x)
+        down = y * radial + k3 * (square + 2.0 * y * y) + k4 * across
+        vectors = np.stack([right, down, np.ones_like(right)], axis=-1)
+        if not np.all(np.abs(vectors) < _STEEPEST):  # also if it is no number
+            return None
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

@@ -29,13 +29,7 @@ def counter_steps(newer: int, older: int) -> int:
 
 
 class Receiver:
-    """Runs a camera's receiving loop in a thread and holds the frames nobody has fetched yet.
-
-    Parameters
-    ----------
-    device : name of the camera, for the messages
-    depth : frames held; beyond that the oldest is dropped and counted
-    """
+    """Runs a camera's receiving loop in a thread; holds `depth` frames, then drops the oldest."""
 
     def __init__(self, device: str, *, depth: int = QUEUE_FRAMES) -> None:
         self.device = device
@@ -94,20 +88,7 @@ class Receiver:
             self._changed.notify_all()
 
     def take(self, timeout_s: float, explain: Callable[[], str]) -> CameraFrame:
-        """Return the oldest frame held; wait for one if there is none.
-
-        Parameters
-        ----------
-        timeout_s : how long to wait
-        explain : tells why none came
-
-        Raises
-        ------
-        DeviceTimeout
-            If none came in time.
-        DeviceError
-            If the camera was interrupted or has ended, or nobody opened it.
-        """
+        """Return the oldest frame, or wait for one; DeviceTimeout if none came, or DeviceError."""
         if not (math.isfinite(timeout_s) and timeout_s >= 0):
             raise ValueError(f"expected a time to wait of at least 0 s, got {timeout_s}")
         with self._lock:
@@ -151,14 +132,7 @@ class _Relay(AbstractContextManager["_Relay"]):
 
 
 class ReceivingCamera(ABC):
-    """What cameras have in common that receive in a thread; the rest of `Camera` is the driver's.
-
-    Parameters
-    ----------
-    name : what it is called in messages
-    pitch_mm : pixel pitch, one number or (row, col)
-    modulation_hz : modulation frequency, if known
-    """
+    """What cameras have in common that receive in a thread; drivers do the rest of `Camera`."""
 
     def __init__(
         self, name: str, pitch_mm: float | tuple[float, float], modulation_hz: float | None

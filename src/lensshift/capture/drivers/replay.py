@@ -27,32 +27,20 @@ _TOGETHER_S = 0.005  # amplitude and distance of one exposure bear about the sam
 
 
 class ReplayCamera(ReceivingCamera):
-    """Plays a recording once, from `open` on.
-
-    A pcap or pcapng file holds packets of an O3M; anything else is read as a ROS bag.
-
-    Parameters
-    ----------
-    path : file, or folder of a ROS 2 bag
-    speed : 1: as fast as recorded; infinity: as fast as frames are fetched, and none is dropped
-    pitch_mm : pixel pitch, one number or (row, col)
-    modulation_hz : modulation frequency, if known
-    source : of an O3M recording: which of several cameras, as in `O3MCamera`
-    port : of an O3M recording: only datagrams to this port; None: to all
-    amplitude_topic, distance_topic : of a bag; distances are radial, floats in m, counts in mm
-    """
+    """Plays a recording once, from `open` on: packets of an O3M (pcap), or else a ROS bag."""
 
     def __init__(
         self,
-        path: str | Path,
+        path: str | Path,  # file, or folder of a ROS 2 bag
         *,
         pitch_mm: float | tuple[float, float],
+        # 1: as fast as recorded; infinity: as fast as frames are fetched, and none is dropped
         speed: float = 1.0,
         modulation_hz: float | None = None,
-        source: str | None = None,
-        port: int | None = None,
-        amplitude_topic: str = "",
-        distance_topic: str | None = None,
+        source: str | None = None,  # of an O3M recording: which of several, as in `O3MCamera`
+        port: int | None = None,  # of an O3M recording: only datagrams to this port
+        amplitude_topic: str = "",  # of a bag
+        distance_topic: str | None = None,  # radial, floats in m, counts in mm
     ) -> None:
         if not speed > 0:
             raise ValueError(f"expected a positive speed, got {speed}")
@@ -93,13 +81,7 @@ class ReplayCamera(ReceivingCamera):
         return [self._amplitude_topic, *distance]
 
     def open(self) -> None:
-        """Begin to play.
-
-        Raises
-        ------
-        DeviceError
-            If it is open already, or the recording cannot be read.
-        """
+        """Begin to play. DeviceError if it is open already, or the recording cannot be read."""
         self._refuse_open()
         try:
             self.grid  # noqa: B018 - reads the shape out of the recording
@@ -166,11 +148,7 @@ class ReplayCamera(ReceivingCamera):
             cycle += 1
 
     def newest_cycle(self) -> int:
-        """Return the counter of the newest frame that has begun to arrive, -1 before the first.
-
-        At infinite speed the recording waits for the one that fetches, so the newest frame is the
-        last one fetched.
-        """
+        """Return the counter of the newest frame begun; at infinite speed, of the last fetched."""
         if math.isinf(self._speed):
             return self._fetched
         return self._stream.newest_cycle() if self._is_o3m else self._cycle

@@ -114,10 +114,7 @@ class Served:
 
 
 def serve_tcp(controller: AptController, host: str = "127.0.0.1", port: int = 0) -> Served:
-    """Serve one host at a time over TCP; `url` is "socket://host:port" for pyserial.
-
-    Only this computer can connect unless another `host` is given; port 0 means any that is free.
-    """
+    """Serve one host at a time over TCP (port 0: a free one); `url` is "socket://host:port"."""
     return Served(controller, _Tcp(host, port))
 
 
@@ -127,14 +124,7 @@ def serve_pty(controller: AptController) -> Served:
 
 
 class EmulatedStagePair:
-    """Two controllers, row and col, each with an actuator, to be used in a `with` statement.
-
-    Parameters
-    ----------
-    seed : of noise and losses
-    link : "tcp" or "pty"
-    settings : play_mm, encoder_noise_mm, loss, loss_in, speed; see `AptController`
-    """
+    """Two controllers, row and col, with actuators, for a `with` statement; see `AptController`."""
 
     def __init__(
         self, *, seed: int = 0, link: Literal["tcp", "pty"] = "tcp", **settings: Any

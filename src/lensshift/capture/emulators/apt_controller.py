@@ -21,6 +21,8 @@ from lensshift.capture.emulators.apt_motion import Motion
 
 _ZERO_MM = 0.3  # from the backward switch to the zero of `lens_mm`
 _TRAVEL_MM = 6.5  # from switch to switch
+_START_MM = 2.0  # where the lens is at power on
+_PER_S, _PER_S2 = apt.SAMPLE_S * 65536, apt.SAMPLE_S**2 * 65536  # units of the servo
 _HISTORY_S = 20.0  # how long ago `lens_mm` still knows
 _LOCKS_UP_S = 0.8  # home sooner after enabling, and the controller hangs
 _KEPT_MESSAGES = 1000  # for who looks what came
@@ -35,34 +37,21 @@ class AptController:
     It keeps the rules of the devices: parameters are lost at power off, the zero is found anew,
     home right after enable hangs, backward moves overrun by the firmware's backlash until that is
     set to 0. Times of the caller are those of `time.monotonic()`.
-
-    Parameters
-    ----------
-    model : "TDC001" or "KDC101"
-    serial_number, stage_id : as reported; stage 11 is the Z806
-    play_mm : how far the lens lags behind the encoder after going backward
-    encoder_noise_mm : standard deviation of the reported position
-    loss, loss_in : probability that a message out, or a block of bytes in, loses one byte
-    speed : how much faster than real time it runs
-    seed : of noise and losses
-    start_mm : where the lens is at power on
-    counts_per_mm : true scale of the actuator
     """
 
     def __init__(
         self,
         *,
-        model: str = "KDC101",
+        model: str = "KDC101",  # "TDC001" or "KDC101"
         serial_number: int = 27000001,
-        stage_id: int = 11,
-        play_mm: float = 0.0,
-        encoder_noise_mm: float = 0.0,
-        loss: float = 0.0,
-        loss_in: float = 0.0,
-        speed: float = 1.0,
-        seed: int = 0,
-        start_mm: float = 2.0,
-        counts_per_mm: float = Z8_COUNTS_PER_MM,
+        stage_id: int = 11,  # 11 is the Z806
+        play_mm: float = 0.0,  # how far the lens lags behind the encoder after going backward
+        encoder_noise_mm: float = 0.0,  # standard deviation of the reported position
+        loss: float = 0.0,  # probability that a message out loses a byte
+        loss_in: float = 0.0,  # that a block of bytes in loses one
+        speed: float = 1.0,  # how much faster than real time it runs
+        seed: int = 0,  # of noise and losses
+        counts_per_mm: float = Z8_COUNTS_PER_MM,  # true scale of the actuator
     ) -> None:
         if model not in ("TDC001", "KDC101"):
             raise ValueError(f"expected model 'TDC001' or 'KDC101', got {model!r}")
@@ -79,7 +68,7 @@ class AptController:
         self._random = random.Random(seed)
         self._lock = threading.RLock()
         self._began_s = time.monotonic()
-        self._motion = Motion(self._counts(start_mm), self._counts(play_mm))
+        self._motion = Motion(self._counts(_START_MM), self._counts(play_mm))
         self._flags: int = Bits.CONNECTED
         self._arrival: Id | None = None  # what to say when the motor stands
         self._answers: dict[int, Callable[[Message], bytes | None]] = {
@@ -108,12 +97,7 @@ class AptController:
     # ---- for the bench ------------------------------------------------------------------------
 
     def lens_mm(self, now_s: float | None = None) -> float:
-        """Return the true position of the lens, from the zero of an offset of 0.3 mm.
-
-        Parameters
-        ----------
-        now_s : `time.monotonic()`, also some seconds ago; now if None
-        """
+        """Return the true position of the lens, now or at `now_s`, from a zero of 0.3 mm offset."""
         with self._lock:
             return self._motion.lens(self._time(now_s)) / self._counts_per_mm
 
@@ -258,8 +242,7 @@ class AptController:
         ready = self._flags & Bits.ENABLED and not self._flags & (Bits.MOTION_ERROR | Bits.HOMING)
         if not ready:
             return
-        acceleration = max(rising / (apt.SAMPLE_S**2 * 65536), 1.0)
-        speed = max(highest / (apt.SAMPLE_S * 65536), 1.0)
+        speed, acceleration = max(highest / _PER_S, 1.0), max(rising / _PER_S2, 1.0)
         overrun = self._record(apt.Backlash, Id.BACKLASH).counts
         now_s = self._time()
         self._motion.brake(now_s, acceleration)
@@ -283,9 +266,8 @@ class AptController:
             self._hung = True
             return
         home = self._record(apt.Home, Id.HOME)
-        speed = max(home.velocity / (apt.SAMPLE_S * 65536), 1.0)
-        servo = self._record(apt.Velocity, Id.VELOCITY).acceleration
-        acceleration = max(servo / (apt.SAMPLE_S**2 * 65536), 1.0)
+        speed = max(home.velocity / _PER_S, 1.0)
+        acceleration = max(self._record(apt.Velocity, Id.VELOCITY).acceleration / _PER_S2, 1.0)
         self._motion.brake(now_s, acceleration)
         low, high = self._switches
         for end in (low, min(max(low + home.offset, low), high)):
@@ -302,7 +284,7 @@ class AptController:
         self._flags &= ~Bits.HOMING
         if message.parameters[1] == apt.STOP_PROFILED:
             servo = self._record(apt.Velocity, Id.VELOCITY).acceleration
-            self._motion.brake(self._time(), max(servo / (apt.SAMPLE_S**2 * 65536), 1.0))
+            self._motion.brake(self._time(), max(servo / _PER_S2, 1.0))
             self._arrival = Id.STOPPED
             return b""
         self._motion.halt(self._time())

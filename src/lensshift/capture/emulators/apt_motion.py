@@ -36,13 +36,7 @@ class _Piece:
 
 
 class Motion:
-    """Where motor and lens are at any time, also some time ago.
-
-    Parameters
-    ----------
-    counts : where the motor begins, at rest
-    play : how far the lens lags behind the motor that goes backward, in counts
-    """
+    """Where motor (first at `counts`) and lens (up to `play` behind) are, now and some time ago."""
 
     def __init__(self, counts: float, play: float) -> None:
         self._play = play

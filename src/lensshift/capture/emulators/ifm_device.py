@@ -40,13 +40,6 @@ class IfmDevice:
 
     `getParameter`, `getAllParameters`, `getSWVersion`, `getHWInfo`, and of an O3R `get` and
     `getSchema`. Nothing can be changed.
-
-    Parameters
-    ----------
-    model : "O3D" or "O3R"
-    pcic_port : where its results are
-    port : TCP port, 80 of a real one; 0 takes a free one
-    host : own address
     """
 
     def __init__(

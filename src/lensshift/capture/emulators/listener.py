@@ -7,25 +7,13 @@ import socket
 
 
 def check_own(host: str) -> None:
-    """Refuse an address beyond this computer: an emulator has no business there.
-
-    Raises
-    ------
-    ValueError
-        If it is none of this computer's.
-    """
+    """Refuse an address beyond this computer (ValueError): an emulator has no business there."""
     if host != "localhost" and not ipaddress.ip_address(host).is_loopback:
         raise ValueError(f"expected an address of this computer, got {host}")
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens at a TCP port; 0 takes any that is free.
-
-    Raises
-    ------
-    OSError
-        That names the port, if it cannot be had.
-    """
+    """Return a socket that listens at a TCP port (0: any that is free); or say which, and raise."""
     try:
         return socket.create_server((host, port))
     except OSError as error:

@@ -33,23 +33,17 @@ _FULL_COUNT = 60000  # above it a pixel takes the next weaker setting
 _HALF_FIELD_RAD = (math.radians(1.6), math.radians(6.5))  # (row, col)
 _CAMERA_M = (1.5, 0.2, 0.8)  # where it stands in the coordinates of the vehicle
 _FIRST_CYCLE = 1000  # it has been running for a while
+_DELAY_S = 0.002  # from the end of an exposure to the first packet
 
 
 def packetise(
-    channels: Mapping[int, bytes],
+    channels: Mapping[int, bytes],  # channel -> message, in the order of sending
     cycle: int,
     first_packet: int,
     *,
-    packet_bytes: int = PACKET_BYTES,
+    packet_bytes: int = PACKET_BYTES,  # longest packet, header and all
 ) -> list[bytes]:
-    """Cut the messages of one cycle into packets as the camera does.
-
-    Parameters
-    ----------
-    channels : channel -> message, in the order of sending
-    cycle, first_packet : counters; both wrap at 2^32
-    packet_bytes : longest packet, header and all
-    """
+    """Cut the messages of one cycle into packets as the camera does; its counters wrap at 2^32."""
     room = packet_bytes - 32
     cut: list[tuple[int, int, list[bytes]]] = []
     for channel, message in channels.items():
@@ -73,17 +67,11 @@ def packetise(
 def pixel_message(
     frame: Frame, *, layout: str = "1.4", full_scale: float = 4.0, timestamp_us: int = 0
 ) -> bytes:
-    """Write a frame of 64 x 16 pixels as the camera's pixel data.
+    """Write a frame of 64 x 16 pixels as the camera's pixel data, in one of `LAYOUTS`.
 
     Each pixel takes the most sensitive of four settings (exposure 1 or 10, gain 1 or 4) that does
-    not saturate it, and says so in its confidence; the factors that undo it stand beside.
-
-    Parameters
-    ----------
-    frame : what the camera sees
-    layout : a key of `LAYOUTS`
-    full_scale : amplitude that the weakest setting can just read
-    timestamp_us : master clock
+    not saturate it, and says so in its confidence; the factors that undo it stand beside. The
+    weakest can just read an amplitude of `full_scale`.
     """
     if frame.amplitude.shape != (ROWS, COLS):
         raise ValueError(f"expected a frame of shape ({ROWS}, {COLS}), got {frame.amplitude.shape}")
@@ -129,14 +117,10 @@ def _directions() -> Floats:
     return np.asarray(vector / np.linalg.norm(vector, axis=0))
 
 
-def diagnosis_message(mode: int, main_celsius: float = 41.5, light_celsius: float = 48.25) -> bytes:
-    """Write the diagnosis; unlike all else it is big-endian."""
+def diagnosis_message(mode: int) -> bytes:
+    """Write the diagnosis, temperatures of 41.5 and 48.25 degrees; it alone is big-endian."""
     magic, size = _DIAGNOSIS
-    message = bytearray(magic.ljust(size, b"\0"))
-    struct.pack_into(">f", message, 12, main_celsius)
-    struct.pack_into(">f", message, 148, light_celsius)
-    message[152] = mode
-    return bytes(message)
+    return struct.pack(">12sf132xfB", magic, 41.5, 48.25, mode).ljust(size, b"\0")
 
 
 def parameter_message() -> bytes:
@@ -148,48 +132,31 @@ def parameter_message() -> bytes:
 class O3MSender:
     """Sends what `look` sees, cycle by cycle; a context manager with a thread.
 
-    Parameters
-    ----------
-    look : called with begin and end of an exposure (`time.monotonic`), after its end; returns a
-        frame of 64 x 16 pixels
-    port : UDP port of the receiver
-    rate_hz : cycles a second
-    host : address of the receiver; other computers only with `allow_remote`
-    layout : of the pixel data, "1.0" to "1.4"
-    loss, reorder, duplicate : probability that a packet gets lost, changes places with the next,
-        comes twice
-    exposure_s, delay_s : length of an exposure; from its end to the first packet
-    full_scale : amplitude that saturates the weakest setting
-    first_cycle : cycle counter at the beginning
-    seed : of the faults
+    `look` is called with begin and end of an exposure (`time.monotonic`), after its end.
     """
 
     def __init__(
         self,
         look: Look,
         *,
-        port: int,
-        rate_hz: float = 25.0,
-        host: str = "127.0.0.1",
-        layout: str = "1.4",
-        loss: float = 0.0,
-        reorder: float = 0.0,
-        duplicate: float = 0.0,
-        exposure_s: float = 0.005,
-        delay_s: float = 0.002,
-        full_scale: float = 4.0,
-        first_cycle: int = _FIRST_CYCLE,
-        seed: int = 0,
-        allow_remote: bool = False,
+        port: int,  # UDP port of the receiver
+        rate_hz: float = 25.0,  # cycles a second
+        host: str = "127.0.0.1",  # of the receiver
+        layout: str = "1.4",  # of the pixel data, "1.0" to "1.4"
+        loss: float = 0.0,  # probability that a packet gets lost
+        reorder: float = 0.0,  # changes places with the next
+        duplicate: float = 0.0,  # comes twice
+        exposure_s: float = 0.005,  # length of an exposure
+        full_scale: float = 4.0,  # amplitude that saturates the weakest setting
+        seed: int = 0,  # of the faults
     ) -> None:
-        if not allow_remote:
-            check_own(host)
+        check_own(host)
         if not 0 < port <= 65535:
             raise ValueError(f"expected the UDP port of the receiver, got {port}")
-        if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz and delay_s >= 0):
+        if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz):
             raise ValueError(
                 "expected a positive rate, an exposure within its period and a delay of at least "
-                f"0 s, got {rate_hz} Hz, {exposure_s} s and {delay_s} s"
+                f"0 s, got {rate_hz} Hz, {exposure_s} s and {_DELAY_S} s"
             )
         self.sent = 0
         self.frames_dropped = 0
@@ -198,18 +165,17 @@ class O3MSender:
         self._period_s = 1.0 / rate_hz
         self._faults = (loss, reorder, duplicate)
         self._exposure_s = exposure_s
-        self._delay_s = delay_s
         self._full_scale = full_scale
         self._rng = np.random.default_rng(seed)
         self._paused = False
-        self._cycle = first_cycle
-        self._packet = first_cycle * 15
+        self._cycle = _FIRST_CYCLE
+        self._packet = _FIRST_CYCLE * 15
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self.set_layout(layout)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("" if allow_remote else "127.0.0.1", 0))
+        self._socket.bind(("127.0.0.1", 0))
 
     @property
     def address(self) -> tuple[str, int]:
@@ -262,7 +228,7 @@ class O3MSender:
                 told_s = end_s
                 channels[256] = diagnosis_message(RUN_MODE)
                 channels[14] = parameter_message()
-            self._wait(end_s + self._delay_s)
+            self._wait(end_s + _DELAY_S)
             self._send(channels)
             begin_s = self._next_begin_s(begin_s)
 

@@ -25,32 +25,20 @@ class PcicServer:
 
     One client at a time. Commands: `p0`, `p1` output off and on, `V?`, `G?`, `C?`, `c` with a
     schema, which says what the results hold from then on.
-
-    Parameters
-    ----------
-    look : called with begin and end of an exposure (`time.monotonic`), after its end
-    rate_hz : results a second
-    host : own address; other computers can connect only with `allow_remote`
-    port : 0 takes a free one
-    model : "O3D" or "O3R"
-    exposure_s : length of an exposure
-    first_count : frame count at the beginning
     """
 
     def __init__(
         self,
-        look: Look,
+        look: Look,  # called with begin and end of an exposure (`time.monotonic`), after its end
         *,
-        rate_hz: float = 10.0,
-        host: str = "127.0.0.1",
-        port: int = 0,
-        model: str = "O3D",
-        exposure_s: float = 0.005,
-        first_count: int = 100,
-        allow_remote: bool = False,
+        rate_hz: float = 10.0,  # results a second
+        host: str = "127.0.0.1",  # own address
+        port: int = 0,  # 0 takes a free one
+        model: str = "O3D",  # "O3D" or "O3R"
+        exposure_s: float = 0.005,  # length of an exposure
+        first_count: int = 100,  # frame count at the beginning
     ) -> None:
-        if not allow_remote:
-            check_own(host)
+        check_own(host)
         if model not in MODELS:
             raise ValueError(f"expected a model of {', '.join(MODELS)}, got {model!r}")
         if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz):

@@ -127,13 +127,7 @@ def schema_text(model: str) -> bytes:
 
 
 def wanted_by(schema: bytes, model: str) -> tuple[str | bytes, ...]:
-    """Return the parts that a schema asks for: names of blobs, and bytes to send as they are.
-
-    Raises
-    ------
-    ValueError
-        If it is no schema, or asks for what this camera does not have.
-    """
+    """Return the blobs and bytes that a schema asks for; ValueError if the camera lacks one."""
     try:
         content = json.loads(schema)
     except RecursionError as error:
@@ -163,21 +157,12 @@ def _part(element: Any) -> str | bytes:
 def result_content(
     frame: Frame,
     *,
-    model: str = "O3D",
-    count: int = 0,
-    time_s: float = 0.0,
-    wanted: Sequence[str | bytes] | None = None,
+    model: str = "O3D",  # "O3D" (header version 1, mm) or "O3R" (version 2, with TOF_INFO)
+    count: int = 0,  # frame count
+    time_s: float = 0.0,  # the camera's clock
+    wanted: Sequence[str | bytes] | None = None,  # see `wanted_by`; None: what it sends unasked
 ) -> bytes:
-    """Write a frame as a result, `star` to `stop` unless the schema has it otherwise.
-
-    Parameters
-    ----------
-    frame : what the camera sees
-    model : "O3D" (header version 1, distance in mm) or "O3R" (version 2, with TOF_INFO)
-    count : frame count
-    time_s : the camera's clock
-    wanted : see `wanted_by`; what the camera sends unasked if None
-    """
+    """Write a frame as a result, `star` to `stop` unless the schema has it otherwise."""
     out: list[bytes] = []
     unasked: tuple[str | bytes, ...] = (b"star", *DEFAULT[model], b"stop")
     for part in unasked if wanted is None else wanted:

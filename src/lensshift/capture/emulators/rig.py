@@ -25,10 +25,7 @@ _HOMING_S = 12.0  # the longest move of a real stage: 7.3 mm at 1 mm/s, and its 
 
 
 def _turned() -> Array:
-    """Return image shift over lens travel of a rig that nobody built perfectly.
-
-    The stages stand turned by half a degree, and one of them is 2 % off.
-    """
+    """Return image shift over lens travel of stages half a degree turned, one of them 2 % off."""
     per_mm = 0.25 / QUARTER_PIXEL_MM
     turn = np.deg2rad(0.5)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -37,49 +34,27 @@ def _turned() -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigSettings:
-    """What an emulated rig is like.
-
-    Parameters
-    ----------
-    scene, camera : the world
-    px_per_mm : [2 2] image shift over lens travel in the middle of the sensor
-    field_share : how much more the image shifts at the ends of the sensor than in the middle
-    rest_mm : [2] lens position of no shift
-    play_mm, encoder_noise_mm : of the stages
-    message_loss : share of the messages of the stages that lose a byte
-    packet_loss, reorder : share of the packets of the camera
-    drift_px_per_s : [2] of the image while the lens stands still
-    brightness_jump : share by which every other frame may be brighter, and nobody tells
-    rate_hz : frames per second
-    speed : of the stages, times their own
-    seed : of all of it
-    """
+    """What an emulated rig is like; `rest_mm` [2] is the lens position of no shift."""
 
     scene: Scene = field(default_factory=four_boxes)
     camera: TofCamera = field(default_factory=lambda: camera_preset("o3m151"))
-    px_per_mm: Array = field(default_factory=_turned)
-    field_share: float = 0.02
+    px_per_mm: Array = field(default_factory=_turned)  # [2 2] in the middle of the sensor
+    field_share: float = 0.02  # how much more the image shifts at the ends of the sensor
     rest_mm: Array = field(default_factory=lambda: np.array([3.0, 3.0]))
-    play_mm: float = 0.006
-    encoder_noise_mm: float = 0.001
-    message_loss: float = 0.02
-    packet_loss: float = 0.01
+    play_mm: float = 0.006  # of the stages
+    encoder_noise_mm: float = 0.001  # of the stages
+    message_loss: float = 0.02  # share of the messages of the stages that lose a byte
+    packet_loss: float = 0.01  # share of the packets of the camera
     reorder: float = 0.01
-    drift_px_per_s: tuple[float, float] = (0.0, 0.0)
-    brightness_jump: float = 0.0
-    rate_hz: float = 25.0
-    speed: float = 1.0
-    seed: int = 0
+    drift_px_per_s: tuple[float, float] = (0.0, 0.0)  # [2] of the image while the lens stands still
+    brightness_jump: float = 0.0  # share by which every other frame may be brighter, untold
+    rate_hz: float = 25.0  # frames per second
+    speed: float = 1.0  # of the stages, times their own
+    seed: int = 0  # of all of it
 
 
 class EmulatedWorld:
-    """The scene as the emulated camera sees it through the emulated lens.
-
-    Parameters
-    ----------
-    settings : of the rig
-    lens_mm : instant (`time.monotonic()`) -> true position [2] of the lens
-    """
+    """The scene as the camera sees it through the lens, which is at `lens_mm` [2] at an instant."""
 
     def __init__(self, settings: RigSettings, lens_mm: Any) -> None:
         self._settings, self._lens_mm = settings, lens_mm
@@ -112,13 +87,7 @@ class EmulatedWorld:
 
 
 class EmulatedRig:
-    """Two APT controllers on loopback TCP and an O3M on UDP; use it in a `with` block.
-
-    Parameters
-    ----------
-    settings : what it is like
-    camera_port : UDP port that the camera sends to
-    """
+    """Two APT controllers on loopback TCP and an O3M that sends by UDP, for a `with` block."""
 
     def __init__(self, settings: RigSettings | None = None, *, camera_port: int) -> None:
         self.settings = settings or RigSettings()
@@ -169,7 +138,3 @@ class EmulatedRig:
 
     def __exit__(self, *_: object) -> None:
         self._open.close()
-
-    def true_offset_px(self, lens_mm: Array) -> Array:
-        """Return where the image really is: [row col 2] for a lens position [2]."""
-        return self.world.offset_px(lens_mm)

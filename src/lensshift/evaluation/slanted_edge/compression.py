@@ -31,8 +31,6 @@ def lost_std(
     harmonic of the error), and where the coefficient is many steps large its places within the
     blocks do.
 
-    Parameters
-    ----------
     frequency_cpp : along the normal of the edge
     modulation : there
     steps : quantisation table [row col], over the contrast

@@ -78,10 +78,7 @@ def core_slopes(
 def edge_parts(
     normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float, width_px: float
 ) -> NDArray[np.float64]:
-    """Return [3 4 n]: edges blurred by a Gaussian, a Lorentzian, a Laplacian alone; their slopes.
-
-    All as in `core_slopes`; the two laws of the `Tail` have one width.
-    """
+    """Return [3 4 n]: `core_slopes` of a Gaussian, a Lorentzian, a Laplacian alone."""
     p, q = _half_sides(angle_rad, aperture_px)
     grows = float(p > _SMALLEST_HALF_PX), float(q > _SMALLEST_HALF_PX)
     p, q = max(p, _SMALLEST_HALF_PX), max(q, _SMALLEST_HALF_PX)
@@ -135,10 +132,7 @@ class SplineBasis:
 
     @classmethod
     def covering(cls, half_width_px: float, step_px: float, unit_px: float) -> SplineBasis:
-        """Return splines over -`half_width_px` to `half_width_px`; see `_spread`.
-
-        Near the edge, for a few of its widths `unit_px`, they are `step_px` apart.
-        """
+        """Return splines on both sides of 0, `step_px` apart for a few `unit_px`; see `_spread`."""
         limits = [
             4 * round(units * unit_px / step_px / 4) for units in (_FINE_UNITS, _MIDDLE_UNITS)
         ]

@@ -64,11 +64,7 @@ def fit_edge(
     seed: int,
     noise_covariance: Matrix | None = None,
 ) -> EdgeFit:
-    """Fit an upright edge; the MTF is wanted at frequencies [f], the first 0.
-
-    `aperture_px` is the side of the largest pixel of the base model; None of `tilt` and
-    `noise_covariance` lets the plateaus tell.
-    """
+    """Fit an upright edge at frequencies [f], the first 0; what is None, the plateaus tell."""
     noise, light = learn_noise(edge, tilt, noise_covariance)
     lights = [light]
     if tilt is None and not light and slopes_across(edge):
@@ -246,10 +242,7 @@ class _Curves:
     def of(
         self, parameters: Matrix, factor: Vector, coefficients: Matrix, missing: Vector
     ) -> tuple[NDArray[np.complex128], Matrix, Matrix]:
-        """Return the transform of the LSF [f k], ESF [d k] and LSF [d k].
-
-        Of the light that the base model sends beyond the region, a share `missing` [k] is none.
-        """
+        """Return OTF [f k], ESF and LSF [d k]; a share `missing` [k] of light beyond is none."""
         other = np.any(parameters[:, 1:] != parameters[:, :-1], axis=0)
         number = np.concatenate([[0], np.cumsum(other)])  # of the parameters in each draw
         unlike = parameters[:, np.concatenate([[True], other])]

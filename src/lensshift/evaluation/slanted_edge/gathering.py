@@ -113,10 +113,7 @@ def splines_for(units: float, unit_px: float) -> SplineBasis:
 
 
 def nodes_for(basis: SplineBasis, unit_px: float, aperture_px: float, farthest_px: float) -> Nodes:
-    """Return nodes that tell the base model and the splines as far as the farthest pixel.
-
-    Their steps are counted in the width `unit_px` of the edge.
-    """
+    """Return nodes, in steps of `unit_px`, for base model and splines up to the farthest pixel."""
     core = np.ceil(32.0 * _ZONES[0][0] * max(1.0, aperture_px / unit_px)) / 32.0
     near = _near(float(basis.number[-1] * _KNOT_STEP), float(core))
     end, last = near.place_px[-1], farthest_px / unit_px + _MARGIN * _FARTHEST_STEP

@@ -33,11 +33,7 @@ class EdgeLine:
 
 
 def find_edge(x_px: Vector, y_px: Vector, values: Vector, aperture_px: float) -> EdgeLine:
-    """Find the straight edge that splits the pixels best, then fit its place and width.
-
-    From n pixels at x, y, of which large regions give a random choice. Raises `ValueError` if they
-    do not split into a bright and a dark side.
-    """
+    """Find the straight edge that splits n pixels at x, y best, and fit it; ValueError if none."""
     if values.size > _MOST_PIXELS:
         keep = np.random.default_rng(0).choice(values.size, _MOST_PIXELS, replace=False)
         angle_rad, position_px = _best_split(x_px[keep], y_px[keep], values[keep])
@@ -59,10 +55,7 @@ def find_edge(x_px: Vector, y_px: Vector, values: Vector, aperture_px: float) ->
 def explained_share(
     x_px: Vector, y_px: Vector, values: Vector, near_rad: float | None = None
 ) -> float:
-    """Return the share of the variance that one straight step explains, 0 to 1.
-
-    Its normal has a direction to within a few degrees of `near_rad`, or any.
-    """
+    """Return the share of the variance that one step (towards `near_rad`, if told) explains."""
     variance = float(np.var(values)) * values.size
     if np.ptp(values) == 0.0 or variance <= 0.0:  # the mean of equal values is rounded
         return 0.0

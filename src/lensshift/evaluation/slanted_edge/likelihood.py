@@ -35,10 +35,7 @@ _ROUNDING = 1e-14  # of sums over pixels
 
 @dataclass(frozen=True, slots=True)
 class Conditional:
-    """Levels and spline coefficients that are most likely, given everything else.
-
-    The levels are factors of the columns of `Gathered`, first the fixed ones.
-    """
+    """The likeliest levels (of the columns of `Gathered`, fixed ones first) and coefficients."""
 
     levels: Vector
     coefficients: Vector
@@ -164,11 +161,6 @@ class EdgeLikelihood:
         """Number of parameters."""
         return HYPERS + 1
 
-    def negative_log(self, parameters: Vector) -> float:
-        """Return minus the log posterior of the parameters, up to a constant."""
-        found = self.solved(parameters)
-        return IMPOSSIBLE if found is None else found.value
-
     def conditional(self, found: Solution) -> Conditional:
         """Return the most likely levels and coefficients at a point."""
         seen = found.explained.followed(found.left, self._misfit(found))
@@ -179,9 +171,7 @@ class EdgeLikelihood:
     ) -> tuple[Matrix, Matrix]:
         """Draw levels [p k] and coefficients [j k], so many at each of some points.
 
-        A draw of the prior, and of pixels, is corrected as the true pixels say (Matheron's rule).
-
-        Source: Hoffman and Ribak, Astrophys. J. 380 (1991) L5.
+        By Matheron's rule; source: Hoffman and Ribak, Astrophys. J. 380 (1991) L5.
         """
         knots, levels, white, grain = self.basis.size, [], [], []
         for one, count in zip(found, counts, strict=True):
@@ -201,7 +191,7 @@ class EdgeLikelihood:
         return np.hstack(levels), self._prior.coefficients(heights)
 
     def with_gradient(self, parameters: Vector) -> tuple[float, Vector]:
-        """Return `negative_log` and its gradient [p]."""
+        """Return minus the log posterior of the parameters, up to a constant, and its gradient."""
         found = self.solved(parameters)
         if found is None:
             return IMPOSSIBLE, np.zeros(self.size)

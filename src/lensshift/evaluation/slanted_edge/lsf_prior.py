@@ -62,8 +62,6 @@ class SplinePrior:
 
     for the pixels near a knot see neighbouring heights alone.
 
-    Parameters
-    ----------
     basis : splines of the LSF
     unit_px : width by which the prior is scaled, 1 for an edge a pixel wide
     """

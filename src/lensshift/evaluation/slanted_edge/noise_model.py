@@ -162,10 +162,7 @@ def plateau_tilt_matters(
 
 
 def few_factors(columns: Matrix, values: Vector) -> Vector:
-    """Return the least squares factors of a few columns of like size, many rows long.
-
-    Through the normal equations: twenty times as quick as a factorisation of all rows.
-    """
+    """Return the least squares factors of a few long columns, quickly by the normal equations."""
     return np.asarray(np.linalg.lstsq(columns.T @ columns, columns.T @ values)[0])
 
 
@@ -252,10 +249,7 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
 def _best_prediction(
     scaled: Vector, places: NDArray[np.intp], sites: NDArray[np.intp]
 ) -> tuple[int, Vector, float]:
-    """Return order and factors of the prediction at some pixels, and the variance it leaves.
-
-    From noise [n] of even variance at places [n 3], NaN where it is not known.
-    """
+    """Return order and factors that foretell noise [n] at places [n 3], and the variance left."""
     index, widest = _index_of(places), _half_plane(_LARGEST_ORDER)
     sites = sites[:: max(1, sites.size // _MOST_SITES)]
     found = _look_up(index, places[sites], widest)

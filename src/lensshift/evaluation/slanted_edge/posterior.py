@@ -145,10 +145,7 @@ def _student(size: int, count: int, seed: int) -> Matrix:
 def descended(
     likelihood: EdgeLikelihood, start: Vector, directions: Matrix
 ) -> tuple[Vector, float, Matrix]:
-    """Return the optimum, its value, and directions along which the posterior is about round.
-
-    The descent goes along columns [p p] of steps of like worth.
-    """
+    """Return the optimum along columns [p p] of like worth, its value, and rounder directions."""
 
     def along(z: Vector) -> tuple[float, Vector]:
         value, gradient = likelihood.with_gradient(start + directions @ z)

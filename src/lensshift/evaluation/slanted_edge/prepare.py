@@ -116,10 +116,7 @@ class UprightEdge:
 def turn_upright(
     pixels: Pixels, aperture_px: float, most_bends: int, out: Mask | None = None
 ) -> UprightEdge:
-    """Find the edge of a region, without the pixels `out` [n], and turn it upright.
-
-    It bends with `most_bends` terms at most. Raises `ValueError` if there is no edge.
-    """
+    """Find the edge of a region, but for pixels `out` [n], turned upright; or a `ValueError`."""
     told = np.ones(pixels.values.size, dtype=bool) if out is None else ~out
     line = find_edge(pixels.col_px[told], pixels.row_px[told], pixels.values[told], aperture_px)
     cosine, sine = np.cos(line.angle_rad), np.sin(line.angle_rad)
@@ -155,10 +152,7 @@ def turn_upright(
 def learn_noise(
     edge: UprightEdge, tilt: bool | None, covariance: Matrix | None = None
 ) -> tuple[NoiseModel, int]:
-    """Return the noise of the plateaus, and the order of uneven light: even, plane, bowl.
-
-    `tilt` says whether light is uneven, None asks the plateaus; a known noise has a `covariance`.
-    """
+    """Return noise and order of uneven light (even, plane, bowl), as told or of the plateaus."""
     sides, places = edge.plateaus(), edge.pixels.places
     step_sigma = edge.rounding.sigma
     # A free ESF first: a ghost or a halo on a plateau is neither noise nor uneven light. It takes
@@ -193,10 +187,7 @@ def learn_noise(
 
 
 def slopes_across(edge: UprightEdge) -> bool:
-    """Tell whether the plateaus seem to slope across the edge, as under uneven light.
-
-    A wide response slopes them too, and correlated noise: then, comparing both costs time only.
-    """
+    """Tell whether the plateaus seem to slope, under uneven light or by a wide response."""
     begin_px = 0.5 * (_HALF_WIDTH + 1.0) * edge.unit_px
     for side in (edge.normal_px < -begin_px, edge.normal_px > begin_px):
         if not side.any():
@@ -267,10 +258,7 @@ class EdgeFrames:
         return np.asarray(self.values[0])
 
     def pixels(self, region: Region) -> Pixels:
-        """Return the valid pixels of a region, with coordinates from its centre.
-
-        Raises `ValueError` if there are too few.
-        """
+        """Return the valid pixels of a region from its centre; `ValueError` if they are too few."""
         part = self.values[(slice(None), *region.slices)]
         frame, row, col = np.nonzero(np.isfinite(part))
         if frame.size < _FEWEST_PIXELS:
@@ -287,13 +275,7 @@ class EdgeFrames:
         )
 
     def normal_pitch_mm(self, slope_rad: float, vertical: bool) -> float:
-        """Return the length of one pixel along the normal of an edge.
-
-        Parameters
-        ----------
-        slope_rad : angle of the edge against the columns (vertical) or the rows
-        vertical : which of the two
-        """
+        """Return the length of a pixel along the normal of an edge, upright if `vertical`."""
         row_mm, col_mm = self.pitch_mm
         across_mm, along_mm = (col_mm, row_mm) if vertical else (row_mm, col_mm)
         return float(1.0 / np.hypot(np.cos(slope_rad) / across_mm, np.sin(slope_rad) / along_mm))
@@ -316,13 +298,7 @@ def take_frames(
     valid: ArrayLike | None,
     scale: int,
 ) -> EdgeFrames:
-    """Check the input of a measurement.
-
-    Raises
-    ------
-    ValueError
-        If a shape does not fit, or the pixels are complex, or the pitch is not positive.
-    """
+    """Check the input of a measurement: ValueError for wrong shapes, complex pixels, no pitch."""
     given = np.asarray(image)
     if given.dtype.kind not in "buif" or given.ndim not in (2, 3) or given.size == 0:
         raise ValueError(

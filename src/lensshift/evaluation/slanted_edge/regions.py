@@ -109,10 +109,7 @@ def _noise_of(image: Image) -> float:
 
 
 def _without_impulses(image: Image, noise: float) -> Image:
-    """Return the image with single hot and dead pixels cut to the range of their neighbours.
-
-    They lie outside of it by more than it is wide; pixels of edges and lines lie within.
-    """
+    """Return the image with hot and dead pixels cut to the range of their neighbours."""
     around = np.ones((3, 3), dtype=bool)
     around[1, 1] = False
     low = ndimage.minimum_filter(image, footprint=around)
@@ -181,10 +178,7 @@ def _off_bend_px(lines: NDArray[np.intp], places: NDArray[np.intp]) -> float:
 def _around(
     strength: Image, lines: NDArray[np.intp], places: NDArray[np.intp], least: float
 ) -> tuple[Region | None, float]:
-    """Return the region of one straight crest of the gradient and its angle against the lines.
-
-    There is none if the crest is short, bent, upright or cramped. Below `least` is noise.
-    """
+    """Return the region of one long straight crest above noise, and its angle to the lines."""
     first, last = int(lines[0]) + _CORNER_PX, int(lines[-1]) + 1 - _CORNER_PX
     if last - first < _LEAST_LENGTH_PX:
         return None, 0.0

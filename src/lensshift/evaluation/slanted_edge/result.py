@@ -50,10 +50,7 @@ class Interval:
 
 
 def interval_of(values: Vector) -> Interval:
-    """Return the estimate, the first of [1 + k], with the central 95 % of the draws behind it.
-
-    NaN draws count as unreached.
-    """
+    """Return the estimate, first of [1 + k], with 95 % of the draws behind it; NaN is unreached."""
     value, draws = float(values[0]), values[1:]
     finite = draws[np.isfinite(draws)]
     if finite.size < 0.5 * draws.size or not draws.size:

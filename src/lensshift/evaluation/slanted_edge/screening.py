@@ -47,10 +47,9 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
 def _told_apart(
     pixels: Pixels, aperture_px: float, most_bends: int, out: Mask
 ) -> tuple[UprightEdge, Mask]:
-    """Return the edge as the pixels that do not stand out tell it, and which do.
+    """Return the edge as the pixels that do not stand out tell it, and which do, `out` at first.
 
-    Each time the edge is found without them, all are asked again: the worst hide others. `out` are
-    those of a first guess.
+    Each time the edge is found without them, all are asked again: the worst hide others.
     """
     edge = turn_upright(pixels, aperture_px, most_bends, out)
     for _ in range(_MOST_PASSES):
@@ -64,10 +63,7 @@ def _told_apart(
 
 
 def _other_things(edge: UprightEdge, out: Mask) -> Mask:
-    """Return the pixels of patches that stand out aside of the edge, with those in their blur.
-
-    A patch is no chance: a corner of the edge, or something else within the region.
-    """
+    """Return pixels of patches that stand out aside of the edge: no chance, but other things."""
     frame, row, col = edge.pixels.places.T
     image = np.zeros(edge.pixels.places.max(axis=0) + 1, dtype=bool)
     image[frame, row, col] = out

@@ -71,20 +71,10 @@ def sfrmat3(image: ArrayLike) -> SfrmatResult:
     A straight edge through the centroids of the lines, bins of 1/4 px, the LSF as a finite
     difference of the ESF centred on its centroid, a Hamming window w over all of it.
 
-    Parameters
-    ----------
-    image : [row col] one edge between two flat sides, within 45 degrees of a row or column
-
-    Raises
-    ------
-    ValueError
-        If the image does not fit, or the original gives no curve: less than one whole pixel phase,
-        bins without neighbours, or a brighter left side that it takes for the darker one.
-
-    Warns
-    -----
-    QualityWarning
-        If bins are empty, where sfrmat3 sets the ESF to 0; if lines show no edge.
+    `image` [row col] has one edge between two flat sides, within 45 degrees of a row or column.
+    ValueError if it does not fit, or the original gives no curve: less than one whole pixel phase,
+    bins without neighbours, or a brighter left side that it takes for the darker one. Warns of
+    empty bins, where sfrmat3 sets the ESF to 0, and of lines that show no edge.
 
     Source: Burns, Proc. IS&T PICS (2000) 135.
     """
@@ -118,24 +108,9 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey")
 
         MTF(f) = | F[w LSF](f) | / | F[w LSF](0) | * D(f)
 
-    As `sfrmat3`, with a polynomial edge, the LSF centred on its maximum, and Tukey windows.
-
-    Parameters
-    ----------
-    image : [row col] one edge between two flat sides, within 45 degrees of a row or column
-    order : of the polynomial through the edge, 1 to 5
-    window : of the centroids and of the LSF
-
-    Raises
-    ------
-    ValueError
-        If `order` or `window` is not one of these, or as in `sfrmat3`.
-
-    Warns
-    -----
-    QualityWarning
-        If bins are empty, which sfrmat5 interpolates; if MTF50 is above 0.495 cycles per pixel,
-        where the original reports 0.495.
+    As `sfrmat3`, with an edge that is a polynomial of an order from 1 to 5, the LSF centred on its
+    maximum, and Tukey windows of centroids and LSF. Warns of empty bins, which it interpolates, and
+    of an MTF50 above 0.495 cycles per pixel, where the original reports 0.495.
 
     Source: Burns and Williams, Electronic Imaging (2018), IQSP-171.
     """

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial.polynomial import Polynomial, polyval
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -165,10 +166,7 @@ def _fitted(columns_px: Vector, order: int) -> Vector:
 
 
 def whole_phases(lines: int, slope: float) -> int:
-    """Return how many lines hold a whole number of pixel phases, 1/|slope| lines each.
-
-    Raises `ValueError` if there is not one whole phase: the originals then return nothing.
-    """
+    """Return how many lines hold whole pixel phases of 1/|slope|; `ValueError` if not even one."""
     phases = np.floor(lines * abs(slope))
     if phases == 0:
         need = 1 / abs(slope) if slope else np.inf
@@ -211,13 +209,7 @@ def project(
 
 def shifted(values: Vector, steps: int) -> Vector:
     """Return the samples moved to the left by some steps, zeros following."""
-    moved = np.zeros_like(values)
-    kept = max(values.size - abs(steps), 0)
-    if steps >= 0:
-        moved[:kept] = values[steps:]
-    else:
-        moved[values.size - kept :] = values[:kept]
-    return moved
+    return np.asarray(ndimage.shift(values, -steps, order=0))
 
 
 def modulation_of(windowed: Vector) -> Vector:

@@ -31,17 +31,11 @@ _OTHER_SCALE, _OTHER_TURN_RAD = 0.05, np.deg2rad(1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Axes:
-    """Where the image goes when the axes move.
+    """Where the image goes when the axes move."""
 
-    Parameters
-    ----------
-    px_per_mm, sigma_px_per_mm : [2 2] image shift (row, col) over travel of stage (row, col)
-    play_mm : [2] what is lost when an axis turns round
-    """
-
-    px_per_mm: Floats
+    px_per_mm: Floats  # [2 2] image shift (row, col) over travel of stage (row, col)
     sigma_px_per_mm: Floats
-    play_mm: Floats
+    play_mm: Floats  # [2] what is lost when an axis turns round
 
     @classmethod
     def calibrated(cls, found: Calibration) -> Axes:
@@ -102,14 +96,8 @@ def nudge(stage: Stage, camera: Camera, calibration: Calibration, settings: Acqu
 
     Every nudge begins at rest, reached in the one direction of the stage, and goes on in it, so
     that no play lies between; the way straight back shows the play. The lens is brought back to
-    rest however this ends.
-
-    Raises
-    ------
-    ValueError
-        If rest is too near to the end of the travel.
-    DeviceError
-        If stage or camera fail.
+    rest however this ends. ValueError if rest is too near to the end of the travel. DeviceError if
+    stage or camera fail.
     """
     rest_mm = np.asarray(calibration.rest_mm)
     way_mm = np.where(np.broadcast_to(run_up_mm(stage, settings), (2,)) < 0, -NUDGE_MM, NUDGE_MM)
@@ -152,15 +140,7 @@ def _axes(offset_px: Floats, sigma_px: Floats, read_mm: Floats) -> Axes:
 
 
 def nudge_findings(axes: Axes, noise_px: Floats) -> Iterator[Finding]:
-    """Yield what is wrong with a stage that was nudged: the image must follow both axes.
-
-    Before a lens that stands still frames differ by their noise only, and what a model of the
-    scene may err by is the same in all of them.
-
-    Parameters
-    ----------
-    noise_px : [2] error of a shift along (row, col) by the noise of a position's frames
-    """
+    """Yield what is wrong with a stage that was nudged, by the noise [2] of a position's frames."""
     size_px = axes.gain_px_per_mm * NUDGE_MM
     error_px = float(np.sqrt(2.0) * np.linalg.norm(noise_px))
     stuck = size_px < max(_UNSEEN_PX, _UNSEEN_SIGMAS * error_px)

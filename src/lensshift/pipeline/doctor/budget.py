@@ -21,20 +21,12 @@ _CURES = {
 
 @dataclass(frozen=True, slots=True)
 class ErrorBudget:
-    """Parts of the error of a shift along one axis, in LR pixels rms.
+    """Parts of the error of a shift along one axis, in LR pixels rms."""
 
-    Parameters
-    ----------
-    registration : of one position of the scan, by what its frames tell
-    encoder : noise of the position that is read back, as image shift
-    model : what else the scan leaves unexplained
-    drift : of the image during a burst of four positions
-    """
-
-    registration: float
-    encoder: float
-    model: float
-    drift: float
+    registration: float  # of one position of the scan, by what its frames tell
+    encoder: float  # noise of the position that is read back, as image shift
+    model: float  # what else the scan leaves unexplained
+    drift: float  # of the image during a burst of four positions
 
     @property
     def parts(self) -> dict[str, float]:
@@ -43,10 +35,7 @@ class ErrorBudget:
 
     @property
     def shift_px(self) -> float:
-        """Error of the shift of a frame of a burst: encoder, model and drift; LR pixels rms.
-
-        What registration adds to the scan is in no burst that is calibrated by it.
-        """
+        """Error of the shift of a frame of a burst, in LR px rms: without registration."""
         return float(np.sqrt(self.encoder**2 + self.model**2 + self.drift**2))
 
     @property

@@ -58,31 +58,19 @@ OnStep = Callable[[str, Progress | None], None]
 
 @dataclass(slots=True, eq=False)
 class Diagnosis:
-    """What the doctor found.
+    """What the doctor found, as far as it came; `devices`: "stage", "camera" -> of themselves."""
 
-    Parameters
-    ----------
-    source : the rig file
-    began : date and time (UTC)
-    findings : in the order in which they came
-    devices : "stage" and "camera" -> what they say of themselves
-    counts : of the camera
-    averages : frames at each position, 0 before they are chosen
-    view, axes, calibration, budget : None where it did not come so far
-    files : written
-    """
-
-    source: str
+    source: str  # the rig file
     began: str = field(default_factory=lambda: datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"))
     findings: list[Finding] = field(default_factory=list)
     devices: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
-    averages: int = 0
+    counts: dict[str, int] = field(default_factory=dict)  # of the camera
+    averages: int = 0  # frames at each position, 0 before they are chosen
     view: View | None = None
     axes: Axes | None = None
     calibration: RigCalibration | None = None
     budget: ErrorBudget | None = None
-    files: list[Path] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)  # written
 
     @property
     def level(self) -> Level:

@@ -21,20 +21,12 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was found.
+    """One thing that was found."""
 
-    Parameters
-    ----------
-    level : how bad it is
-    name : what it is called, two words at most
-    said : what is so, with numbers
-    cure : what to do
-    """
-
-    level: Level
-    name: str
-    said: str
-    cure: str = ""
+    level: Level  # how bad it is
+    name: str  # what it is called, two words at most
+    said: str  # what is so, with numbers
+    cure: str = ""  # what to do
 
     @property
     def line(self) -> str:

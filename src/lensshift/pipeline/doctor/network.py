@@ -26,14 +26,7 @@ _COUNT_S = 0.5  # of listening for the rate
 def camera_fault(
     error: DeviceError, camera: Camera | None, port: int | None, say: Callable[[str], None]
 ) -> Finding:
-    """Return the finding behind an error of the camera.
-
-    Parameters
-    ----------
-    camera : open, if it could be opened
-    port : UDP port that it should send to, None if it is no such camera
-    say : told before something that takes a while
-    """
+    """Return the finding behind an error of the camera, if open; `say` what takes a while."""
     said, number = str(error), cause_number(error)
     if number == errno.EADDRINUSE:
         who = f" ({holder})" if port is not None and (holder := holder_of_udp(port)) else ""
@@ -67,10 +60,7 @@ def _silent(said: str, port: int) -> Finding:
 
 
 def datagrams_unheard(seconds: float) -> int | None:
-    """Return how many UDP datagrams came meanwhile to ports at which nobody listens.
-
-    Linux counts them (`/proc/net/snmp`, Udp NoPorts); None elsewhere.
-    """
+    """Return how many UDP datagrams came meanwhile for nobody; None where Linux does not tell."""
     before = _no_ports()
     if before is None:
         return None

@@ -27,36 +27,17 @@ def cubes() -> list[str]:
 
 
 def rig_text(row: str, col: str, port: int) -> str:
-    """Return a rig file: the example with these devices.
-
-    Parameters
-    ----------
-    row, col : serial number, device or URL of the stage
-    port : UDP port of an O3M
-    """
+    """Return the example of a rig file with these devices (see there) and UDP port of an O3M."""
     changed = {'row = "83000001"': f'row = "{row}"', 'col = "83000002"': f'col = "{col}"'}
     changed["port = 42000"] = f"port = {port}"
-    lines = []
-    for line in EXAMPLE.splitlines():
-        begin = next((one for one in changed if line.startswith(one)), "")
-        lines.append(changed[begin] + line[len(begin) :] if begin else line)
-    return "\n".join(lines) + "\n"
+    text = EXAMPLE
+    for line, told in changed.items():
+        text = text.replace(f"\n{line}", f"\n{told}")
+    return text
 
 
 def begin(path: Path, row: str | None, col: str | None, port: int, ask: Ask | None) -> None:
-    """Write a rig file from what is given, plugged in and answered.
-
-    Parameters
-    ----------
-    path : that must not exist
-    row, col : where the axes are, None: look for them
-    ask : called with a question and what is likely, returns the answer; None: nobody to ask
-
-    Raises
-    ------
-    DataError
-        If the file exists or cannot be written, or an axis is not known.
-    """
+    """Write a rig file from what is given, plugged in, and answered to `ask`; or a DataError."""
     if path.exists():
         raise DataError("there is a rig file already: give it as argument", source=path)
     found = [cube for cube in cubes() if cube not in (row, col)]
@@ -87,8 +68,8 @@ def with_calibration(path: Path, calibration: Path) -> None:
 
     name = Path(os.path.relpath(calibration, path.parent)).as_posix()
     lines = path.read_text(encoding="utf-8").splitlines()
-    kept = [line for line in lines if not line.startswith(("px_per_mm", "rest_mm", "# file"))]
-    kept = [line for line in kept if not line.startswith("# lens_field")]
+    other = ("px_per_mm", "rest_mm", "# file", "# lens_field")
+    kept = [line for line in lines if not line.startswith(other)]
     kept.insert(kept.index("[calibration]") + 1, f'file = "{name}"')
     with written_whole(path) as part:
         part.write_text("\n".join(kept) + "\n", encoding="utf-8")

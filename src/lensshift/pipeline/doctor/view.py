@@ -30,27 +30,16 @@ _MOST_INVALID = 0.5  # half of the pixels see nothing
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Frames of a camera behind a lens that stands still.
+    """Frames of a camera behind a lens that stands still."""
 
-    Parameters
-    ----------
-    amplitude, valid : [frame row col]
-    rate_hz : by the camera's own counter
-    lost_share : of the frames that the camera counted
-    snr : median over the pixels of mean over noise in time
-    sigma_px : [2] how well one frame tells a shift along (row, col)
-    brightness_jump : rms change of brightness from frame to frame that noise does not explain
-    settings_share : of the pixels whose amplitude depends on the exposure that they chose
-    """
-
-    amplitude: Floats
-    valid: Mask
-    rate_hz: float
-    lost_share: float
-    snr: float
-    sigma_px: Floats
-    brightness_jump: float
-    settings_share: float
+    amplitude: Floats  # [frame row col]
+    valid: Mask  # the same
+    rate_hz: float  # by the camera's own counter
+    lost_share: float  # of the frames that the camera counted
+    snr: float  # median over the pixels of mean over noise in time
+    sigma_px: Floats  # [2] how well one frame tells a shift along (row, col)
+    brightness_jump: float  # rms change between frames that noise does not explain
+    settings_share: float  # of the pixels whose amplitude depends on the exposure that they chose
 
     @property
     def averages_needed(self) -> float:
@@ -76,13 +65,7 @@ class View:
 
 
 def look(camera: Camera, patience_s: float) -> View:
-    """Take frames for two seconds, 16 at least.
-
-    Raises
-    ------
-    DeviceError
-        If the camera stops sending.
-    """
+    """Take frames for two seconds, 16 at least; DeviceError if the camera does not send them."""
     frames = [camera.next_frame(patience_s)]
     end_s = time.monotonic() + LOOKED_S
     while len(frames) < LEAST_FRAMES or time.monotonic() < end_s:
@@ -145,10 +128,7 @@ def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Ma
 
 
 def _chance(first: Floats, second: Floats, pixels: int) -> float:
-    """Return by how much the means of two groups differ by chance in one of so many pixels.
-
-    By Welch's test: of groups of three or four frames one scatters little by chance.
-    """
+    """Return by how much the means of two small groups differ by chance, one of so many (Welch)."""
     variance = np.array([one.var(ddof=1) / len(one) for one in (first, second)])
     freedom = np.array([len(first) - 1, len(second) - 1])
     if not variance.any():
@@ -161,12 +141,7 @@ def _chance(first: Floats, second: Floats, pixels: int) -> float:
 def view_findings(
     view: View, counts: Mapping[str, int], known: Mapping[str, Any]
 ) -> Iterator[Finding]:
-    """Yield what is wrong with the light, the scene and the network.
-
-    Parameters
-    ----------
-    counts, known : what the camera counted, and what it says of itself
-    """
+    """Yield what is wrong with light, scene and network, by what the camera counted and is."""
     invalid = 1.0 - float(view.valid.mean())
     poor = view.averages_needed > MOST_AVERAGES
     along = ("rows", "columns")[int(np.argmax(view.sigma_px))]

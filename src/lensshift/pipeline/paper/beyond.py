@@ -14,22 +14,20 @@ from lensshift.pipeline.experiment import Experiment, told
 from lensshift.pipeline.paper.bench import (
     CARD_LIGHT,
     PITCH_MM,
+    PRIOR_WEIGHT,
+    PUBLISHED,
     SHIFT_ERROR_PX,
+    SNR,
     WALL_LIGHT,
+    Response,
+    measured_edge,
     paper_camera,
+    reconstructed,
+    solved,
 )
 from lensshift.pipeline.paper.box_claims import BRIGHTEST_LIGHT, amplitude_error
 from lensshift.pipeline.paper.claims import Claim, mean_interval
 from lensshift.pipeline.paper.gratings import grating_of
-from lensshift.pipeline.paper.measure import (
-    PRIOR_WEIGHT,
-    PUBLISHED,
-    SNR,
-    Response,
-    measured_edge,
-    reconstructed,
-    solved,
-)
 from lensshift.scene import Plane, Scene, ZonePlate, four_boxes, slanted_edge_card
 from lensshift.scene.targets import CARD_DISTANCE_M
 

@@ -13,9 +13,18 @@ from lensshift.core.types import Burst
 from lensshift.evaluation import fidelity
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.pipeline.experiment import depth_numbers, traced_field
-from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, WALL_LIGHT, paper_camera
+from lensshift.pipeline.paper.bench import (
+    PITCH_MM,
+    PUBLISHED,
+    SHIFT_ERROR_PX,
+    SNR,
+    WALL_LIGHT,
+    Response,
+    paper_camera,
+    reconstructed,
+    solved,
+)
 from lensshift.pipeline.paper.claims import Claim, mean_interval
-from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, reconstructed, solved
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 from lensshift.scene import four_boxes
 from lensshift.scene.targets import CARD_DISTANCE_M
@@ -36,21 +45,15 @@ RESPONSES: tuple[Response, ...] = ((1.0, 0.05), *((None, width) for width in _WI
 class BoxRun:
     """One draw of noise, shift errors and the place of the scene on the pixels.
 
-    Parameters
-    ----------
     gains : what -> steepness of the super-resolved edge over that of one frame [line];
         "amplitude", "distance", "phasor", and "distance, traced" with the shift map of the lens
-    depth : "distance" and "phasor" -> errors of the distance image, see `depth_error`
-    images : label -> channel -> [row col]
-    responses : one row per assumed pixel: errors of amplitude and distance
-    irwsr_ratio : error of the published solver over that of Farsiu's, both with 0.30 px
     """
 
     gains: dict[str, Floats]
-    depth: dict[str, dict[str, float]]
-    images: dict[str, dict[str, Floats]]
-    responses: list[dict[str, Any]]
-    irwsr_ratio: float
+    depth: dict[str, dict[str, float]]  # branch -> errors of the distance image, see `depth_error`
+    images: dict[str, dict[str, Floats]]  # label -> channel -> [row col]
+    responses: list[dict[str, Any]]  # one row per assumed pixel: errors of amplitude and distance
+    irwsr_ratio: float  # error of the published solver over Farsiu's, both with 0.30 px
 
 
 def take_boxes(seed: int, snr: float = SNR, response: Response = PUBLISHED) -> BoxRun:
@@ -130,10 +133,7 @@ def best_width_px(width_px: Floats, error: Floats) -> float:
 
 
 def steepness(image: Floats, rows: list[int], cols: slice, step_mm: float, share: float) -> Floats:
-    """Return the slope of the edge in each line [line], NaN where a line has none.
-
-    The highest and lowest value of the line are its plateaus, as in the paper.
-    """
+    """Return the slope of the edge in each line [line] between its extremes; NaN without one."""
     slopes: list[float] = []
     for row in rows:
         line = np.asarray(image[row, cols], dtype=np.float64)

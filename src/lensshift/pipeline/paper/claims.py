@@ -22,16 +22,12 @@ _ANY = float("inf")
 class Criterion:
     """What one number says of a claim.
 
-    Parameters
-    ----------
-    meaning : of the number
-    claimed : range that the whole interval must lie in for "confirmed"
     tolerated : range that the number itself must lie in for "qualified"; beyond: "refuted". The
         interval plays no part, so that fewer draws save no claim.
     """
 
-    meaning: str
-    claimed: Pair
+    meaning: str  # of the number
+    claimed: Pair  # range that the whole interval must lie in for "confirmed"
     tolerated: Pair
 
     def judge(self, number: Number) -> Verdict:
@@ -128,22 +124,16 @@ CRITERIA: Mapping[str, Mapping[str, Criterion]] = {
 class Claim:
     """One statement of the paper, measured.
 
-    Parameters
-    ----------
-    id : short name, under which `CRITERIA` says what decides
-    statement : the paper's, in our words
-    paper : its number, or in words what it shows
     numbers : what decides it, with 95 % over noise, shift errors and edge phases (for numbers
         without chance the range over what was tried), the most telling first; named as in
         `CRITERIA`; after a comma whose: shown beside it, and decides nothing
-    why : one sentence
     """
 
-    id: str
-    statement: str
-    paper: str
+    id: str  # short name, under which `CRITERIA` says what decides
+    statement: str  # the paper's, in our words
+    paper: str  # its number, or in words what it shows
     numbers: Mapping[str, Number]
-    why: str
+    why: str  # one sentence
 
     @property
     def ours(self) -> float:
@@ -162,13 +152,7 @@ class Claim:
 
 
 def verdict(claim: str, numbers: Mapping[str, Number]) -> Verdict:
-    """Return the worst of what the numbers say of a claim, those of yardsticks left out.
-
-    Raises
-    ------
-    ValueError
-        If a number that decides it is missing.
-    """
+    """Return the worst of what the numbers say of a claim; ValueError if one is missing."""
     criteria = CRITERIA[claim]
     missing = set(criteria) - set(numbers)
     if missing:
@@ -187,10 +171,7 @@ def exactly(value: float) -> Number:
 
 
 def mean_interval(values: Sequence[float], *, seed: int = 0) -> Number:
-    """Return the mean of the finite values and 95 % of it, from a bootstrap over them.
-
-    For fewer than five values the interval is that of Student's t.
-    """
+    """Return the mean of finite values and 95 % of it: a bootstrap, for few of them Student's t."""
     sample = np.asarray(values, dtype=np.float64)
     sample = sample[np.isfinite(sample)]
     mean = float(sample.mean()) if sample.size else float("nan")

@@ -12,7 +12,16 @@ from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult
-from lensshift.pipeline.paper.bench import CARD_LIGHT, PITCH_MM, SHIFT_ERROR_PX, paper_camera
+from lensshift.pipeline.paper.bench import (
+    CARD_LIGHT,
+    PITCH_MM,
+    PUBLISHED,
+    SHIFT_ERROR_PX,
+    SNR,
+    Response,
+    measured_edge,
+    paper_camera,
+)
 from lensshift.pipeline.paper.claims import Claim, Number, exactly, mean_interval, span
 from lensshift.pipeline.paper.gratings import (
     SOLVERS,
@@ -21,7 +30,6 @@ from lensshift.pipeline.paper.gratings import (
     mean_gratings,
     pictures,
 )
-from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, measured_edge
 from lensshift.scene import slanted_edge_card
 from lensshift.scene.targets import SLANT_RAD
 
@@ -38,19 +46,11 @@ _BOTH = (("", "lens shift"), (", tikhonov", "lens shift, tikhonov"))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeRun:
-    """One draw of noise and shift errors.
+    """One draw of noise and shift errors."""
 
-    Parameters
-    ----------
-    edges : kind -> measurement
-    images : kind -> [row col]
-    departures : bits of the converter, 0 for no rounding -> rms of the frame from its limit
-        beyond 4 LP/mm
-    """
-
-    edges: dict[str, EdgeResult]
-    images: dict[str, Floats]
-    departures: dict[int, float]
+    edges: dict[str, EdgeResult]  # kind -> measurement
+    images: dict[str, Floats]  # kind -> [row col]
+    departures: dict[int, float]  # bits (0: all) -> rms of the frame from its limit, 4 LP/mm up
 
 
 def take_edge(seed: int, response: Response = PUBLISHED) -> EdgeRun:

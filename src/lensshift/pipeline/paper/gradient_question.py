@@ -13,10 +13,17 @@ import numpy as np
 from lensshift.camera import named_pattern_px, simulate_tof
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
-from lensshift.pipeline.paper.bench import PITCH_MM, SHIFT_ERROR_PX, paper_camera, px_to_m
+from lensshift.pipeline.paper.bench import (
+    PITCH_MM,
+    PUBLISHED,
+    SHIFT_ERROR_PX,
+    Response,
+    paper_camera,
+    px_to_m,
+    reconstructed,
+)
 from lensshift.pipeline.paper.box_claims import BRANCHES, SHARES, steepness
 from lensshift.pipeline.paper.claims import Pair, mean_interval
-from lensshift.pipeline.paper.measure import PUBLISHED, Response, reconstructed
 from lensshift.scene import Plane, Rectangle, Scene
 
 PHASES = 64  # lines, each a 64th of a pixel beside the one before
@@ -30,41 +37,24 @@ _BRIGHT = 0.8  # reflectance of the brighter of the two
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """What is in front of the camera.
+    """What is in front of the camera."""
 
-    Parameters
-    ----------
-    contrast : amplitude of the strip over that of the wall
-    width_px : of the strip
-    snr : of the brighter of the two
-    """
-
-    contrast: float
-    width_px: float
-    snr: float = 50.0
+    contrast: float  # amplitude of the strip over that of the wall
+    width_px: float  # of the strip
+    snr: float = 50.0  # of the brighter of the two
 
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """How much steeper than in one frame the edge becomes, over all its places on the pixels.
+    """How much steeper than in one frame the edge becomes, over all its places on the pixels."""
 
-    Parameters
-    ----------
-    mean : of the ratios of the slopes
-    interval : 95 % of the mean
-    least, most : smallest and largest single ratio: what one profile may show
-    above_three : share of the profiles whose ratio is above 3
-    lines : number of profiles in which both edges reach the limits
-    reach : share of the true step that one frame shows, on average
-    """
-
-    mean: float
-    interval: Pair
-    least: float
-    most: float
-    above_three: float
-    lines: int
-    reach: float
+    mean: float  # of the ratios of the slopes
+    interval: Pair  # 95 % of the mean
+    least: float  # smallest single ratio: what one profile may show
+    most: float  # the largest
+    above_three: float  # share of the profiles whose ratio is above 3
+    lines: int  # number of profiles in which both edges reach the limits
+    reach: float  # share of the true step that one frame shows, on average
 
 
 def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> dict[str, Gain]:

@@ -13,11 +13,14 @@ from lensshift.core.types import Burst
 from lensshift.pipeline.paper.bench import (
     CARD_LIGHT,
     PITCH_MM,
+    PUBLISHED,
     SHIFT_ERROR_PX,
+    SNR,
+    Response,
     paper_camera,
     px_to_m,
+    solved,
 )
-from lensshift.pipeline.paper.measure import PUBLISHED, SNR, Response, solved
 from lensshift.scene import Plane, Scene
 from lensshift.scene.targets import CARD_DISTANCE_M, SLANT_RAD
 
@@ -67,26 +70,17 @@ def grating(frequency_lpmm: float, phase_rad: float) -> Scene:
 
 
 def read_grating(
-    image: Floats,
-    frequency_lpmm: float,
-    phase_rad: float,
+    image: Floats,  # [row col], over the whole sensor; its rim and far columns are left out
+    frequency_lpmm: float,  # of the wave on the sensor
+    phase_rad: float,  # of the wave in the middle of the sensor
     *,
-    scale: int,
-    offset_px: tuple[float, float] = (0.0, 0.0),
-    stretch: float = 1.0,
+    scale: int,  # pixels of the image per LR pixel
+    offset_px: tuple[float, float] = (0.0, 0.0),  # of the content, in LR pixels
+    stretch: float = 1.0,  # how much finer than that the lens makes it
 ) -> float:
     """Return the share of a wave that an image shows in the phase in which it was drawn.
 
-        I = c (1 + C (a cos phi - b sin phi)),   modulation = a
-
-    Parameters
-    ----------
-    image : [row col], over the whole sensor; its rim and far columns are left out
-    frequency_lpmm : of the wave on the sensor
-    phase_rad : of the wave in the middle of the sensor
-    scale : pixels of the image per LR pixel
-    offset_px : of the content, in LR pixels
-    stretch : how much finer than that the lens makes it
+    I = c (1 + C (a cos phi - b sin phi)),   modulation = a
     """
     rows, cols = image.shape
     row, col = np.meshgrid(

@@ -22,23 +22,14 @@ _SHIFT_PX = 0.25  # of the square pattern
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LensResult:
-    """MTF of one lens, and what moving each element costs.
+    """MTF of one lens, and what moving each element costs."""
 
-    Parameters
-    ----------
-    name : of the lens
-    frequency_lpmm : [f]
-    rest, moved : [field f] along columns; first element at rest, and a quarter pixel away
-    travel_mm : (row, col) of the first element
-    movers : all elements
-    """
-
-    name: str
-    frequency_lpmm: Floats
-    rest: Floats
-    moved: Floats
-    travel_mm: tuple[float, float]
-    movers: tuple[Mover, ...]
+    name: str  # of the lens
+    frequency_lpmm: Floats  # [f]
+    rest: Floats  # [field f] along columns
+    moved: Floats  # first element a quarter pixel away
+    travel_mm: tuple[float, float]  # (row, col) of the first element
+    movers: tuple[Mover, ...]  # all elements
 
 
 def study_lens(name: str, frequencies: int = 27) -> LensResult:

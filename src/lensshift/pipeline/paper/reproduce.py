@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 
 from lensshift.core.settings import to_json
 from lensshift.io.atomic import written_whole
+from lensshift.pipeline.paper.bench import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.beyond import (
     ERRORS_PX,
     MAPS,
@@ -26,11 +29,12 @@ from lensshift.pipeline.paper.claims import CRITERIA, Claim
 from lensshift.pipeline.paper.edge_claims import EdgeRun, edge_claims, take_edge
 from lensshift.pipeline.paper.gradient_question import Strip, study_strip
 from lensshift.pipeline.paper.gratings import GRATINGS_LPMM, GratingRun, take_grating
-from lensshift.pipeline.paper.jobs import Job, carry_out_jobs
-from lensshift.pipeline.paper.measure import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims, study_lens
 from lensshift.pipeline.paper.page import write_page
 from lensshift.pipeline.run import made_folder, writable_folder
+
+# What its result is filed under, and a call of a function of a module: another process finds it.
+Job = tuple[str, Callable[[], Any]]
 
 # Contrast, width in LR pixels, SNR of one frame.
 _QUICK_STRIPS = ((3.0, 12.0, 400.0), (0.15, 1.0, 400.0))
@@ -62,36 +66,22 @@ _NOT_DONE = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reproduction:
-    """What came out.
+    """What came out."""
 
-    Parameters
-    ----------
-    claims : the paper's, with our numbers and verdicts
-    response_px, response_error_px : assumed width of a pixel, as `calibrate` finds it here
-    gradients : one row per strip, see `study_strip`
-    beyond : name of a table -> its rows: what the paper did not try
-    depth : errors of the distance on the boxes, by branch, one row per draw
-    lenses, edges, gratings, boxes : the runs behind the claims
-    not_done : what the quick run left out
-    command : how it was asked for, or empty
-    seconds : for everything
-    files : what was written
-    """
-
-    claims: tuple[Claim, ...]
-    response_px: float
+    claims: tuple[Claim, ...]  # the paper's, with our numbers and verdicts
+    response_px: float  # assumed width of a pixel, as `calibrate` finds it here
     response_error_px: float
-    gradients: tuple[dict[str, Any], ...]
-    beyond: dict[str, list[dict[str, Any]]]
-    depth: tuple[dict[str, Any], ...]
+    gradients: tuple[dict[str, Any], ...]  # one row per strip, see `study_strip`
+    beyond: dict[str, list[dict[str, Any]]]  # table -> rows: what the paper did not try
+    depth: tuple[dict[str, Any], ...]  # errors of the distance on the boxes, by branch, per draw
     lenses: tuple[LensResult, ...]
     edges: tuple[EdgeRun, ...]
     gratings: tuple[GratingRun, ...]
     boxes: tuple[BoxRun, ...]
-    not_done: tuple[str, ...]
-    command: str
-    seconds: float
-    files: tuple[Path, ...]
+    not_done: tuple[str, ...]  # what the quick run left out
+    command: str  # how it was asked for, or empty
+    seconds: float  # for everything
+    files: tuple[Path, ...]  # what was written
 
 
 def reproduce(
@@ -177,6 +167,36 @@ def _jobs(quick: bool, response: Response) -> list[Job]:
         jobs += [("patterns", partial(pattern_row, *arguments, response)) for arguments in PATTERNS]
         jobs += [("shift_map", partial(shift_map_row, *arguments)) for arguments in MAPS]
     return jobs
+
+
+def carry_out_jobs(
+    jobs: Sequence[Job], processes: int, on_step: Callable[[int, int], None] | None = None
+) -> list[tuple[str, Any]]:
+    """Return kind and result of each job, in their order; one process is this one.
+
+    ValueError if there is not at least one; whatever a job raises. `on_step` hears how many jobs
+    of all are done.
+    """
+    if processes < 1:
+        raise ValueError(f"expected at least one process, got {processes}")
+    said = on_step or (lambda done, total: None)
+    if processes == 1:
+        found: list[tuple[str, Any]] = []
+        for kind, job in jobs:
+            found.append((kind, job()))
+            said(len(found), len(jobs))
+        return found
+    # Fresh processes: a forked one may inherit locks of numerical libraries.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        futures = [pool.submit(job) for _, job in jobs]
+        try:
+            for done, future in enumerate(as_completed(futures), start=1):
+                future.result()
+                said(done, len(jobs))
+        finally:
+            pool.shutdown(cancel_futures=True)  # after a failure the rest is not wanted
+        return [(kind, one.result()) for (kind, _), one in zip(jobs, futures, strict=True)]
 
 
 def study_row(contrast: float, width_px: float, snr: float, response: Response) -> dict[str, Any]:
