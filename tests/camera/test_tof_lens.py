@@ -112,9 +112,10 @@ def test_contrast_is_aperture_times_lens(name: str, col: int, shift_px: float, m
     contrast = fast_mtf(lens, field, [local / 0.155], [0.0], build=build, rings=8)[0, 0]
     assert contrast < most
     camera = make_camera(grid, optics=LensOptics(lens))
+    fine = EXACT | {"samples_per_px": 64}  # 16 cells of a pixel lose 0.002 of the contrast
     seen = [
         simulate_tof(
-            wall(DISTANCE_M, stripes(cycles, turns)), camera, [(0.0, shift_px)], **EXACT
+            wall(DISTANCE_M, stripes(cycles, turns)), camera, [(0.0, shift_px)], **fine
         ).burst.amplitude[0, 1, col]
         for turns in (0.0, 1 / 3, 2 / 3)
     ]
@@ -160,10 +161,10 @@ def stopped(lens: Lens, f_number: float) -> Lens:
     ("name", "f_number", "pitch_mm", "near"),
     [
         ("petzval_a", None, 0.155, 0.02),
-        ("petzval_b", None, 0.155, 0.025),
+        ("petzval_b", None, 0.155, 0.02),
         ("petzval_a", 12.5, 0.011, 0.02),
         ("petzval_b", 12.5, 0.011, 0.02),
-        ("al2550", None, 0.155, 0.05),  # spots grow by half a pixel from node to node
+        ("al2550", None, 0.155, 0.04),  # spots grow faster than nodes follow
         ("al2550", 12.5, 0.011, 0.02),
     ],
 )

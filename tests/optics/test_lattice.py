@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lensshift.optics.lattice import lattice_image
+from lensshift.optics.lattice import LatticeImage, lattice_images
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import diffraction_mtf
@@ -21,6 +21,13 @@ def mirror(inner: float, away_mm: float = 0.0) -> Lens:
     """Return a paraboloid at f/5, which images a point on its axis without an aberration."""
     surface = Surface(-200.0, -1.0, semi_diameter_mm=12.5, inner_mm=10 * inner, mirror=True)
     return Lens((Element((surface,), (), ()),), (100.0 + away_mm,), Stop(20.0), wavelength_nm=550.0)
+
+
+def lattice_image(
+    lens: Lens, field_tan: np.ndarray, *sizes: np.ndarray, **options: bool
+) -> LatticeImage:
+    """Return the image of one field."""
+    return lattice_images(lens, field_tan[None], *sizes, **options)[0]
 
 
 @pytest.mark.parametrize("inner", [0.0, 0.4])

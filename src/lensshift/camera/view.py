@@ -22,7 +22,7 @@ _LIGHT_NODES = 17  # from the middle to the corner, where the light is traced
 _FEW_RINGS = 8  # of rays that tell the light where many places are traced
 _NEAR_PX = 1e-2  # of where a spot is: spots change slowly
 _NODE_RINGS = 4  # of rays that tell how slowly
-_LOST = 0.015  # of the contrast between nodes
+_LOST = 0.005  # of the contrast between nodes
 _POINTS_PER_SIDE = 8  # of squares, at least, of the lattices on which spots are
 
 
@@ -52,9 +52,9 @@ class SpotBlur:
         return float(np.abs(self.place).max()) / self.per_px
 
     def nodes_at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
-        """Return where places [row], [col] lie between the nodes, which are evenly apart."""
+        """Return where places [row], [col] lie between the nodes."""
         rows, cols = (
-            np.clip((places - nodes[0]) / (nodes[1] - nodes[0]), 0.0, len(nodes) - 1.0)
+            np.interp(places, nodes, np.arange(len(nodes)))
             for nodes, places in ((self.row_px, row_px), (self.col_px, col_px))
         )
         return rows, cols
@@ -93,7 +93,10 @@ def motions(camera: TofCamera, offset_px: Array, side_px: float, *, scale: int =
         sigma_px = camera.optics.blur_sigma_px
         return [(offset[None, None, :], sigma_px) for offset in offset_px]
     optics, grid = camera.optics, camera.grid
-    per_px = 2 * scale * int(np.ceil(0.5 * _POINTS_PER_SIDE / (side_px * scale)))
+    half = int(np.ceil(0.5 * _POINTS_PER_SIDE / (side_px * scale)))
+    per_px = (
+        2 * scale * (half | 1)
+    )  # odd, so that cells, of which there are 16, do not beat with it
     if optics.element is None:
         (blur,) = _spot_blurs(optics, 0, grid, np.zeros((1, 2)), side_px, per_px)
         return [(offset[None, None, :], blur) for offset in offset_px]
@@ -236,7 +239,7 @@ def _spot_blurs(
 ) -> list[SpotBlur]:
     """Return the spots of the lens in each frame, as squares of a side can tell them."""
     from lensshift.optics.directions import places_mm
-    from lensshift.optics.lattice import lattice_image
+    from lensshift.optics.lattice import lattice_images
     from lensshift.optics.shift import moving
     from lensshift.optics.spots import fields_for_image
 
@@ -247,13 +250,10 @@ def _spot_blurs(
     fields = fields_for_image(lens, places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm)
     blurs = []
     for moved_mm, of_frame in zip(decenter_mm, fields, strict=True):
-        images = [
-            lattice_image(
-                lens, field, pitch_mm / per_px, 1.0 / (side_px * pitch_mm),
-                build=moving(lens, element, moved_mm), diffraction=optics.diffraction,
-            )
-            for field in of_frame.reshape(-1, 2)
-        ]  # fmt: skip
+        images = lattice_images(
+            lens, of_frame.reshape(-1, 2), pitch_mm / per_px, 1.0 / (side_px * pitch_mm),
+            build=moving(lens, element, moved_mm), diffraction=optics.diffraction,
+        )  # fmt: skip
         ends = np.cumsum([0] + [len(one.weight) for one in images])
         start = np.stack([ends[:-1], ends[1:]]).reshape(2, len(rows), len(cols))
         place = np.concatenate([one.place for one in images])
@@ -270,23 +270,25 @@ def _nodes_between_spots(lens: Lens, grid: Grid, side_px: float) -> tuple[Array,
 
         cos(pi f d) = 1 - (pi f d)^2 / 2,    f = 1 / side at most matters
 
-    where it would be 1. No more of them than where directions are traced.
+    where it would be 1. Nodes are as far apart as that allows, but no more of them than where
+    directions are traced.
     """
     from lensshift.optics.directions import nodes_px, places_mm
     from lensshift.optics.spots import fields_for_image, spots
 
-    most = [nodes_px(count, 0.5) for count in grid.shape]
+    dense = [nodes_px(count, 0.5) for count in grid.shape]
     near_mm = _NEAR_PX * min(grid.pitch_mm)
-    fields = fields_for_image(lens, places_mm(grid, *most), tolerance_mm=near_mm)
+    fields = fields_for_image(lens, places_mm(grid, *dense), tolerance_mm=near_mm)
     spot = spots(lens, fields, rings=_NODE_RINGS)
     landing_px = spot.ray_mm / np.asarray(grid.pitch_mm)
+    most_px = side_px / np.pi * np.sqrt(2.0 * _LOST)
     found = []
-    for axis, places in enumerate(most):
-        landing = np.moveaxis(landing_px, axis, 0)
-        weight = np.moveaxis(spot.weight, axis, 0)
+    for axis, places in enumerate(dense):
+        landing, weight = (np.moveaxis(one, axis, 0) for one in (landing_px, spot.weight))
         square = np.sum(np.diff(landing, axis=0) ** 2, axis=-1)
-        apart_px = np.sqrt((np.minimum(weight[1:], weight[:-1]) * square).sum(axis=-1).max())
-        lost = 0.5 * (np.pi * apart_px / side_px) ** 2
-        count = 1 + int(np.ceil((len(places) - 1) * np.sqrt(lost / _LOST)))
-        found.append(np.linspace(places[0], places[-1], min(max(count, 3), len(places))))
+        both = np.minimum(weight[1:], weight[:-1])
+        apart_px = np.sqrt((both * square).sum(axis=-1).max(axis=1))
+        along = np.concatenate([[0.0], np.cumsum(np.maximum(apart_px, 1e-3 * most_px))])
+        count = min(max(2 + int(along[-1] / most_px), 3), len(places))
+        found.append(np.interp(np.linspace(0.0, along[-1], count), along, places))
     return found[0], found[1]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,21 +14,23 @@ from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.linear_algebra import one_thread
 from lensshift.optics.lens import Lens
-from lensshift.optics.otf import PupilFit, pupils
+from lensshift.optics.otf import PupilFit, pupils_of_fields
 from lensshift.optics.spots import Spots, spots
 from lensshift.optics.trace import Build
 
 _TAIL = 10.0  # wavelengths x f-number: beyond are 0.2 / 10 of the light of an Airy disc
 _LEAST_SAMPLES = 64  # across the pupil
+_FEW_POINTS = 40  # along an axis
 _MOST_POINTS = 1024  # along an axis; of a spot a hundred pixels wide rays say enough
 _RAY_RINGS = 24  # where there is no diffraction
 _MOST_SAMPLES = 2048  # across the pupil; beyond are 100 waves, where rays do
 _FEW_STEPS, _STEPS = 40, 200  # of the fit, on every other point and on all of them
-_CLOSE = 2e-3  # of the contrast, anywhere in the band
+_CLOSE = 1e-3  # of the contrast, anywhere in the band
 _ENOUGH = 5e-3  # beyond, every other point is not
 _GRAIN = 5e-4  # of the light: weaker points are drawn together
 
-OtfOn = Callable[[tuple[int, int], Floats], NDArray[np.complex128]]
+Transform = Callable[[NDArray[Any]], NDArray[Any]]
+Otf = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ class LatticeImage:
         return np.asarray(np.exp(-2j * np.pi * cycles_per_step @ self.place.T) @ self.weight)
 
 
-def lattice_image(
+def lattice_images(
     lens: Lens,
     field_tan: Floats,
     step_mm: Floats,
@@ -58,30 +59,74 @@ def lattice_image(
     *,
     build: Build | None = None,
     diffraction: bool = True,
-) -> LatticeImage:
-    """Return light on a lattice that has the OTF of one field, about the centroid, within a band.
-
-    On every other point of the lattice where that does, because the light is spread anyway.
+) -> list[LatticeImage]:
+    """Return light on a lattice that has the OTF of each field, about the centroid, within a band.
 
     Parameters
     ----------
-    field_tan : [2] (row, col)
+    field_tan : [field 2] (row, col)
     step_mm : [2] of the lattice
     band_lpmm : [2] highest frequency along each axis, less than a quarter of 1 / step
     build : as for `exact_otf`
     diffraction : whether there is any; else only rays
     """
     with warnings.catch_warnings(), one_thread():
-        warnings.simplefilter("ignore", QualityWarning)  # of light that is lost, for each place
-        otf_on, reach_mm = (_of_waves if diffraction else _of_rays)(lens, field_tan, build)
-        count = _counts(reach_mm, step_mm)
-        if max(count) > _MOST_POINTS:
-            return _of_rays_as_they_land(lens, field_tan, build, step_mm)
-        otf = otf_on(count, step_mm)
-    cycles = zip(_cycles(count), band_lpmm * step_mm, strict=True)
-    wanted = np.logical_and.outer(*(np.abs(cycle) <= band for cycle, band in cycles))
-    stride = 2
-    light, missing = _fitted(_halved(otf), _halved(wanted), _FEW_STEPS)
+        warnings.simplefilter("ignore", QualityWarning)  # of light that is lost: spots tell of it
+        pupils: list[PupilFit | None] = [None] * len(field_tan)
+        if diffraction:
+            pupils[:] = pupils_of_fields(lens, field_tan, build=build)
+        images = []
+        for field, pupil in zip(field_tan, pupils, strict=True):
+            if pupil is None or _samples(lens, pupil) > _MOST_SAMPLES:
+                spot = spots(lens, field, build=build, rings=_RAY_RINGS)
+                images.append(_image_of_rays(spot, step_mm, band_lpmm))
+            else:
+                images.append(_image_of_waves(lens, pupil, step_mm, band_lpmm))
+    return images
+
+
+def _reach_mm(lens: Lens, pupil: PupilFit) -> float:
+    """Return how far the light of a point goes, but for what is diffracted farthest."""
+    return pupil.reach_mm + _TAIL * 1e-6 * lens.wavelength_nm / (2.0 * pupil.span)
+
+
+def _samples(lens: Lens, pupil: PupilFit) -> float:
+    """Return how many samples across the pupil keep copies of the image apart."""
+    return 4.0 * pupil.span * _reach_mm(lens, pupil) / (1e-6 * lens.wavelength_nm)
+
+
+def _image_of_waves(
+    lens: Lens, pupil: PupilFit, step_mm: Floats, band_lpmm: Floats
+) -> LatticeImage:
+    count = _counts(np.full(2, _reach_mm(lens, pupil)), step_mm)
+    otf = _wave_otf(pupil, 1e-6 * lens.wavelength_nm, count, step_mm)
+    return _image(otf, count, band_lpmm * step_mm)
+
+
+def _image_of_rays(spot: Spots, step_mm: Floats, band_lpmm: Floats) -> LatticeImage:
+    """Return the image of a spot without diffraction, of a very wide one each ray as it lands."""
+    count = _counts(np.abs(spot.ray_mm).max(axis=0), step_mm)
+    if max(count) > _MOST_POINTS:
+        arrives = spot.weight > 0.0
+        place = np.rint(spot.ray_mm[arrives] / step_mm).astype(np.int64)
+        return LatticeImage(place, spot.weight[arrives])
+    row, col = (
+        np.exp(-2j * np.pi * np.outer(cycles, place))
+        for cycles, place in zip(_cycles(count), (spot.ray_mm / step_mm).T, strict=True)
+    )
+    return _image(np.asarray((row * spot.weight) @ col.T), count, band_lpmm * step_mm)
+
+
+def _image(otf: Otf, count: tuple[int, int], band: Floats) -> LatticeImage:
+    """Return the image with an OTF within a band, in cycles per step, from that on a lattice.
+
+    On every other point where that does, because the light is spread anyway.
+    """
+    cycles = zip(_cycles(count), band, strict=True)
+    wanted = np.logical_and.outer(*(np.abs(cycle) <= highest for cycle, highest in cycles))
+    stride, missing = 2, np.inf
+    if max(count) > _FEW_POINTS:
+        light, missing = _fitted(_halved(otf), _halved(wanted), _FEW_STEPS)
     if missing > _ENOUGH:
         stride = 1
         light, _ = _fitted(otf, wanted, _STEPS)
@@ -93,30 +138,6 @@ def _halved(spectrum: NDArray[Any]) -> NDArray[Any]:
     """Return the frequencies of `rfft2` that a lattice of half as many points along an axis has."""
     quarter, half = len(spectrum) // 4, spectrum.shape[1] // 2
     return np.concatenate([spectrum[:quarter], spectrum[-quarter:]])[:, : half + 1]
-
-
-def _of_waves(lens: Lens, field_tan: Floats, build: Build | None) -> tuple[OtfOn, Floats]:
-    """Return what gives the OTF on lattices, and how far the light reaches along each axis."""
-    ((_, wave_mm, pupil),) = pupils(lens, field_tan, build=build)
-    reach_mm = pupil.reach_mm + _TAIL * wave_mm / (2.0 * pupil.span)
-    if 4.0 * pupil.span * reach_mm / wave_mm > _MOST_SAMPLES:
-        return _of_rays(lens, field_tan, build)
-    return partial(_wave_otf, pupil, wave_mm), np.full(2, reach_mm)
-
-
-def _of_rays(lens: Lens, field_tan: Floats, build: Build | None) -> tuple[OtfOn, Floats]:
-    """Return what `_of_waves` does, without diffraction."""
-    spot = spots(lens, field_tan, build=build, rings=_RAY_RINGS)
-    return partial(_ray_otf, spot), np.abs(spot.ray_mm).max(axis=0)
-
-
-def _of_rays_as_they_land(
-    lens: Lens, field_tan: Floats, build: Build | None, step_mm: Floats
-) -> LatticeImage:
-    spot = spots(lens, field_tan, build=build, rings=_RAY_RINGS)
-    arrives = spot.weight > 0.0
-    place = np.rint(spot.ray_mm[arrives] / step_mm).astype(np.int64)
-    return LatticeImage(place, spot.weight[arrives])
 
 
 def _counts(reach_mm: Floats, step_mm: Floats) -> tuple[int, int]:
@@ -134,9 +155,7 @@ def _cycles(count: tuple[int, int]) -> tuple[NDArray[Any], NDArray[Any]]:
     return np.fft.fftfreq(count[0]), np.fft.rfftfreq(count[1])
 
 
-def _wave_otf(
-    pupil: PupilFit, wave_mm: float, count: tuple[int, int], step_mm: Floats
-) -> NDArray[np.complex128]:
+def _wave_otf(pupil: PupilFit, wave_mm: float, count: tuple[int, int], step_mm: Floats) -> Otf:
     """Return the OTF [row col] at the frequencies of the lattice: of the pupil with itself."""
     from scipy.fft import fft2, ifft2, next_fast_len
 
@@ -162,35 +181,56 @@ def _wave_otf(
     return np.asarray(otf)
 
 
-def _ray_otf(spot: Spots, count: tuple[int, int], step_mm: Floats) -> NDArray[np.complex128]:
-    row, col = (
-        np.exp(-2j * np.pi * np.outer(cycles, place))
-        for cycles, place in zip(_cycles(count), (spot.ray_mm / step_mm).T, strict=True)
-    )
-    return np.asarray((row * spot.weight) @ col.T)
-
-
-def _fitted(otf: NDArray[np.complex128], wanted: Mask, steps: int) -> tuple[Floats, float]:
+def _fitted(otf: Otf, wanted: Mask, steps: int) -> tuple[Floats, float]:
     """Return light [row col] on a lattice, nowhere negative, with the OTF where it is wanted.
 
     And what is missing of that at most: its squares are minimised by projected gradients.
 
     Source: Beck, Teboulle, SIAM J. Imaging Sci. 2 (2009) 183.
     """
-    from scipy.fft import irfft2, rfft2
+    from scipy.fft import irfft2
 
     count = (len(otf), 2 * (otf.shape[1] - 1))
+    into, back = _within(wanted, count)
+    wanted_otf = otf[np.ix_(wanted.any(axis=1), wanted.any(axis=0))]
     light = np.maximum(irfft2(otf, count), 0.0)
     ahead, pace = light, 1.0
     for _ in range(steps):
-        missing = np.where(wanted, otf - rfft2(ahead), 0.0)
+        missing = wanted_otf - into(ahead)
         if np.abs(missing).max() < _CLOSE:
             break
-        before, light = light, np.maximum(ahead + irfft2(missing, count), 0.0)
+        before, light = light, np.maximum(ahead + back(missing), 0.0)
         faster = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * pace * pace))
         ahead = light + (pace - 1.0) / faster * (light - before)
         pace = faster
-    return light, float(np.abs(np.where(wanted, otf - rfft2(light), 0.0)).max())
+    return light, float(np.abs(wanted_otf - into(light)).max())
+
+
+def _within(wanted: Mask, count: tuple[int, int]) -> tuple[Transform, Transform]:
+    """Return the transforms from light to the wanted frequencies, and back.
+
+    By products of matrices where the lattice is small: the overhead of FFTs is larger.
+    """
+    from scipy.fft import irfft2, rfft2
+
+    some = np.ix_(wanted.any(axis=1), wanted.any(axis=0))
+    if max(count) > _FEW_POINTS:
+
+        def spread(part: NDArray[Any]) -> NDArray[Any]:
+            whole = np.zeros(wanted.shape, dtype=np.complex128)
+            whole[some] = part
+            return np.asarray(irfft2(whole, count))
+
+        return lambda light: rfft2(light)[some], spread
+    row, col = (
+        np.exp(-2j * np.pi * np.outer(cycle[one.ravel()], np.arange(n)))
+        for cycle, one, n in zip(_cycles(count), some, count, strict=True)
+    )
+    across = np.ascontiguousarray(col.T)
+    down = row.conj().T / (count[0] * count[1])
+    half = col.conj()
+    half[1:] *= 2.0  # the other half of the frequencies
+    return lambda light: row @ light @ across, lambda part: (down @ part @ half).real
 
 
 def _drawn_together(light: Floats) -> tuple[NDArray[np.int64], Floats]:

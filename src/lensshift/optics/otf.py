@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebvander
@@ -154,6 +155,28 @@ def pupils(
         (float(part), 1e-6 * nm, _fit(lens, rays, spot, points, weight, centre))
         for part, (nm, _), (rays, spot) in zip(share, light, traced, strict=True)
     ]
+
+
+def pupils_of_fields(
+    lens: Lens, field_tan: Floats, *, build: Build | None = None
+) -> list[PupilFit]:
+    """Return the pupils of fields [field 2] at the design wavelength, traced together.
+
+    Each about the centroid of its own light; `build` and errors as for `pupils`.
+    """
+    points, weight = pupil_quadrature(_RINGS, _ARMS)
+    rays = trace(lens, field_tan, points, build=build, heights=True)
+    spot = spots_of_rays(lens, rays, weight)
+    return [
+        _fit(lens, _one_of(rays, n), _one_of(spot, n), points, weight, spot.centroid_mm[n])
+        for n in range(len(field_tan))
+    ]
+
+
+def _one_of(several: Any, number: int) -> Any:
+    """Return rays or spots of one field."""
+    parts = ((one.name, getattr(several, one.name)) for one in fields(several))
+    return replace(several, **{name: None if p is None else p[number] for name, p in parts})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
