@@ -157,6 +157,14 @@ def test_a_budget_follows_from_the_travel(call: Call, tmp_path: Path) -> None:
     assert f"costs {found['psnr_loss_db']:.2f} dB of PSNR" in text
 
 
+def test_a_budget_without_errors_says_what_it_needs(call: Call) -> None:
+    text = call("lens", "budget", "petzval_a").stdout
+    assert "stroke" in text
+    assert "--repeatability-um, --backlash-um, --encoder-um, --drift-um" in text
+    assert "dB" not in text
+    assert numbers(call, "budget", "petzval_a")["psnr_loss_db"] == 0.0
+
+
 def test_a_budget_beyond_what_was_simulated_warns(call: Call) -> None:
     done = call("lens", "budget", "petzval_a", "--drift-um", "100")
     assert done.exit_code == 0, done.output

@@ -45,7 +45,7 @@ class Footprints:
     def reach_px(self) -> float:
         """How far beyond its own LR pixel a pixel looks, at most."""
         if isinstance(self.blur, SpotBlur):
-            blurred_px = float(np.abs(self.blur.landing_px).max())
+            blurred_px = self.blur.reach_px
         else:
             blurred_px = _REACH_SIGMAS * self.blur
         return float(np.abs(self.offset_px).max()) + blurred_px
@@ -212,23 +212,36 @@ def _add_through_spots(
     where: tuple[slice, slice],
     image: Array,
 ) -> None:
-    """Add means over footprints that each ray of the spots moves elsewhere."""
-    from lensshift.camera.footprint_kernel import add_spots
+    """Add means over footprints that the image of a point spreads."""
+    from lensshift.camera.footprint_kernel import add_images, lattice_means
 
-    side = one.side_px * tile.samples
+    side, points = one.side_px * tile.samples, blur.per_px // one.per_px
     centre_px = [one.centres_px(part) for part in where]
-    begin = [  # in cells from the first node
-        (centre_px[axis] - 0.5 * one.side_px + 0.5) * tile.samples
+    if not all(len(centres) for centres in centre_px):
+        return
+    begin = np.array([  # in cells from the first node
+        (centre_px[axis][0] - 0.5 * one.side_px + 0.5) * tile.samples
         - tile.first[axis]
         + int(side)
         + 1
         for axis in (0, 1)
-    ]
+    ])  # fmt: skip
     offset_px = one.offset_px
     if offset_px.shape[:2] != (1, 1):
         offset_px = offset_px[where]
-    add_spots(
-        sums, side, _nodes_to_a_cell(side), np.concatenate(begin),
-        np.ascontiguousarray(offset_px * tile.samples), *blur.nodes_at(*centre_px),
-        blur.landing_px * tile.samples, blur.weight, image,
-    )  # fmt: skip
+    offset = np.ascontiguousarray(offset_px * tile.samples)
+    # Points whose squares may hold cells; their first column is that of a pixel.
+    apart = tile.samples / one.per_px
+    farthest = np.abs(offset).max() + 1.0
+    nodes = [
+        last - first + int(side) + 2 for first, last in zip(tile.first, tile.last, strict=True)
+    ]
+    low = [int(np.floor((-farthest - at) / apart)) for at in begin]
+    high = [
+        int(np.ceil((size + farthest - at) / apart)) for size, at in zip(nodes, begin, strict=True)
+    ]
+    first = points * np.array(low)
+    shape = (points * (high[0] - low[0]) + 1, points, high[1] - low[1] + 1, sums.shape[2])
+    means = np.empty(shape, dtype=np.float32)
+    lattice_means(sums, side, _nodes_to_a_cell(side), begin, apart, offset, first, means)
+    add_images(means, first, *blur.nodes_at(*centre_px), blur.start, blur.place, blur.weight, image)

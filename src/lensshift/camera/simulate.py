@@ -163,12 +163,14 @@ def simulate_tof(
         raise ValueError(f"expected shift_error_px of at least 0, got {shift_error_px}")
     rng = np.random.default_rng(seed)
     offset = planned + shift_error_px * rng.standard_normal(planned.shape)
-    *moved, (_, rest_blur) = motions(camera, np.concatenate([offset, np.zeros((1, 2))]))
     side_px = camera.pixels.fill_factor**0.5
-    looks = [Footprints(1, moved_px, side_px, blur) for moved_px, blur in moved]
-    looks += [
-        Footprints(scale, np.zeros((1, 1, 2)), 1.0 / scale, blur) for blur in (rest_blur, 0.0)
+    looks = [
+        Footprints(1, moved_px, side_px, blur)
+        for moved_px, blur in motions(camera, offset, side_px)
     ]
+    rest_px = np.zeros((1, 2))
+    ((_, rest_blur),) = motions(camera, rest_px, min(side_px, 1.0 / scale), scale=scale)
+    looks += [Footprints(scale, rest_px[None], 1.0 / scale, blur) for blur in (rest_blur, 0.0)]
     tones = Tones(camera.illumination.modulation_hz, tuple(harmonic_shares(camera.pixels)))
     *frames, ideal, sharp = see(scene, camera, tones, looks, samples, on_progress)
     if camera.multipath is not None:
@@ -185,7 +187,7 @@ def simulate_tof(
     notes["psf_sigma_px"] = response_width_px(side_px, rest_blur, camera.grid.shape)
     field = None
     if isinstance(camera.optics, LensOptics) and camera.optics.element is not None:
-        field = ShiftField(np.stack([moved_px for moved_px, _ in moved]))
+        field = ShiftField(np.stack([one.offset_px for one in looks[:-2]]))
     return TofCapture(
         burst=_burst(images, camera, planned, shift_error_px, notes),
         truth=TofTruth(

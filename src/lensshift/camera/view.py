@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lensshift.camera.flat import GOLDEN
 from lensshift.camera.radiometry import relative_illumination
 from lensshift.camera.settings import LensOptics, PlainOptics, TofCamera
 from lensshift.core.arrays import Array
@@ -18,10 +18,12 @@ from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
 from lensshift.optics.lens import Lens
 
-_RINGS = 4  # of rays in the spots, 64 of them
 _LIGHT_NODES = 17  # from the middle to the corner, where the light is traced
 _FEW_RINGS = 8  # of rays that tell the light where many places are traced
-_DENSE = np.linspace(0.0, 400.0, 40_001)  # pi times radii of the Airy disc
+_NEAR_PX = 1e-2  # of where a spot is: spots change slowly
+_NODE_RINGS = 4  # of rays that tell how slowly
+_LOST = 0.005  # of the contrast between nodes
+_POINTS_PER_SIDE = 8  # of squares, at least, of the lattices on which spots are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,40 +32,56 @@ class SpotBlur:
 
     Parameters
     ----------
-    row_px, col_px : [node] rising places on the sensor
-    landing_px : [node node ray 2] (row, col) from the image of the point; linear between the
-        nodes, ray by ray
-    weight : [node node ray] sums to 1 over the rays
+    row_px, col_px : [node] rising places on the sensor; linear between them
+    per_px : points of a lattice along an LR pixel
+    start : [2 node node] first point of the image at each node, and that behind its last
+    place : [point 2] (row, col) points of the lattice from the image
+    weight : [point] sums to 1 over those of a node
     """
 
     row_px: Array
     col_px: Array
-    landing_px: Array
+    per_px: int
+    start: NDArray[np.int64]
+    place: NDArray[np.int64]
     weight: Array
 
-    def at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
-        """Return landing points [row col ray 2] and weights [row col ray] at [row], [col]."""
-        rows, cols = (
-            np.maximum(1.0 - np.abs(at[:, None] - np.arange(count)), 0.0)
-            for at, count in zip(self.nodes_at(row_px, col_px), self.weight.shape, strict=False)
-        )
-        landing = np.einsum("rn,cm,nmki->rcki", rows, cols, self.landing_px, optimize=True)
-        return landing, np.einsum("rn,cm,nmk->rck", rows, cols, self.weight, optimize=True)
+    @property
+    def reach_px(self) -> float:
+        """How far along an axis any light lands."""
+        return float(np.abs(self.place).max()) / self.per_px
 
     def nodes_at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
-        """Return where places [row], [col] lie between the nodes, which are evenly apart."""
+        """Return where places [row], [col] lie between the nodes."""
         rows, cols = (
-            np.clip((places - nodes[0]) / (nodes[1] - nodes[0]), 0.0, len(nodes) - 1.0)
+            np.interp(places, nodes, np.arange(len(nodes)))
             for nodes, places in ((self.row_px, row_px), (self.col_px, col_px))
         )
         return rows, cols
+
+    def otf(self, place_px: Array, cycles_per_px: Array) -> NDArray[np.complex128]:
+        """Return the OTF at a place [2] and frequencies [... 2], all (row, col)."""
+        at_row, at_col = self.nodes_at(*place_px[:, None])
+        down, across = (
+            np.maximum(1.0 - np.abs(at - np.arange(count)), 0.0)
+            for at, count in ((at_row, len(self.row_px)), (at_col, len(self.col_px)))
+        )
+        share = np.repeat(np.outer(down, across).ravel(), np.diff(self.start, axis=0).ravel())
+        seen = share > 0.0
+        turns = cycles_per_px @ self.place[seen].T / self.per_px
+        return np.asarray(np.exp(-2j * np.pi * turns) @ (share * self.weight)[seen])
 
 
 Motion = tuple[Array, float | SpotBlur]
 
 
-def motions(camera: TofCamera, offset_px: Array) -> list[Motion]:
+def motions(camera: TofCamera, offset_px: Array, side_px: float, *, scale: int = 1) -> list[Motion]:
     """Return what differs in each frame of `offset_px` [frame 2] from what the camera at rest sees.
+
+    Parameters
+    ----------
+    side_px : of the squares over which pixels average, in LR pixels: how finely they see spots
+    scale : pixels along an LR pixel
 
     Returns
     -------
@@ -74,7 +92,20 @@ def motions(camera: TofCamera, offset_px: Array) -> list[Motion]:
     if isinstance(camera.optics, PlainOptics):
         sigma_px = camera.optics.blur_sigma_px
         return [(offset[None, None, :], sigma_px) for offset in offset_px]
-    return _lens_motions(camera.optics, camera.grid, offset_px)
+    optics, grid = camera.optics, camera.grid
+    half = int(np.ceil(0.5 * _POINTS_PER_SIDE / (side_px * scale)))
+    per_px = (
+        2 * scale * (half | 1)
+    )  # odd, so that cells, of which there are 16, do not beat with it
+    if optics.element is None:
+        (blur,) = _spot_blurs(optics, 0, grid, np.zeros((1, 2)), side_px, per_px)
+        return [(offset[None, None, :], blur) for offset in offset_px]
+    from lensshift.optics.shift import decenter_for_shift
+
+    decenter_mm = decenter_for_shift(optics.lens, optics.element, offset_px, grid)
+    fields_px = _offset_fields(optics.lens, optics.element, grid, decenter_mm)
+    blurs = _spot_blurs(optics, optics.element, grid, decenter_mm, side_px, per_px)
+    return list(zip(fields_px, blurs, strict=True))
 
 
 def response_width_px(side_px: float, blur: float | SpotBlur, shape: tuple[int, int]) -> float:
@@ -94,9 +125,7 @@ def response_width_px(side_px: float, blur: float | SpotBlur, shape: tuple[int, 
         pixel = np.sinc(side_px * f)
         if not isinstance(blur, SpotBlur):
             return float(pixel * np.exp(-2.0 * (np.pi * blur * f) ** 2))
-        landing, weight = blur.at(*(np.array([0.5 * (size - 1)]) for size in shape))
-        waves = np.exp(2j * np.pi * f * landing[0, 0, :, axis])
-        return float(pixel * np.abs(weight[0, 0] @ waves))
+        return float(pixel * np.abs(blur.otf(0.5 * (np.array(shape) - 1.0), f * np.eye(2)[axis])))
 
     first_zero_cpp = 1.0 / side_px
     half_cpp = [
@@ -188,18 +217,6 @@ def _traced_light(lens: Lens, down: Array, right: Array) -> Callable[[Array, Arr
     return lambda down, right: np.maximum(over_both.ev(down, right), 0.0)
 
 
-def _lens_motions(optics: LensOptics, grid: Grid, offset_px: Array) -> list[Motion]:
-    from lensshift.optics.shift import decenter_for_shift
-
-    if optics.element is None:
-        (blur,) = _spot_blurs(optics, 0, grid, np.zeros((1, 2)))
-        return [(offset[None, None, :], blur) for offset in offset_px]
-    decenter_mm = decenter_for_shift(optics.lens, optics.element, offset_px, grid)
-    fields_px = _offset_fields(optics.lens, optics.element, grid, decenter_mm)
-    blurs = _spot_blurs(optics, optics.element, grid, decenter_mm)
-    return list(zip(fields_px, blurs, strict=True))
-
-
 def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> Array:
     """Return the traced offset of every pixel, [frame row col 2], by splines between nodes."""
     from scipy.interpolate import RectBivariateSpline
@@ -217,49 +234,61 @@ def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> 
     return np.stack([np.stack([part(row, col) for part in pair], axis=-1) for pair in splines])
 
 
-def _spot_blurs(optics: LensOptics, element: int, grid: Grid, decenter_mm: Array) -> list[SpotBlur]:
-    """Return the spots of the lens in each frame."""
-    from lensshift.optics.directions import nodes_px, places_mm
+def _spot_blurs(
+    optics: LensOptics, element: int, grid: Grid, decenter_mm: Array, side_px: float, per_px: int
+) -> list[SpotBlur]:
+    """Return the spots of the lens in each frame, as squares of a side can tell them."""
+    from lensshift.optics.directions import places_mm
+    from lensshift.optics.lattice import lattice_images
     from lensshift.optics.shift import moving
-    from lensshift.optics.spots import fields_for_image, obstruction, spots
+    from lensshift.optics.spots import fields_for_image
 
-    rows, cols = (nodes_px(count, 0.5) for count in grid.shape)
-    lens = optics.lens
+    rows, cols = _nodes_between_spots(optics.lens, grid, side_px)
+    lens, pitch_mm = optics.lens, np.asarray(grid.pitch_mm)
     build = moving(lens, element, decenter_mm[:, None, None, :])
-    near_mm = 1e-2 * min(grid.pitch_mm)  # the spots change slowly
+    near_mm = _NEAR_PX * min(grid.pitch_mm)
     fields = fields_for_image(lens, places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm)
-    spot = spots(lens, fields, build=build, rings=_RINGS)
-    landing_mm = spot.ray_mm
-    if optics.diffraction:
-        spread_mm = lens.wavelength_nm * 1e-6 * optics.f_number
-        points = airy_points(landing_mm.shape[-2], obstruction(lens))
-        landing_mm = landing_mm + points * spread_mm
-        landing_mm -= np.einsum("...k,...ki->...i", spot.weight, landing_mm)[..., None, :]
-    landing_px = landing_mm / np.asarray(grid.pitch_mm)
-    pairs = zip(landing_px, spot.weight, strict=True)
-    return [SpotBlur(rows, cols, landing, weight) for landing, weight in pairs]
+    blurs = []
+    for moved_mm, of_frame in zip(decenter_mm, fields, strict=True):
+        images = lattice_images(
+            lens, of_frame.reshape(-1, 2), pitch_mm / per_px, 1.0 / (side_px * pitch_mm),
+            build=moving(lens, element, moved_mm), diffraction=optics.diffraction,
+        )  # fmt: skip
+        ends = np.cumsum([0] + [len(one.weight) for one in images])
+        start = np.stack([ends[:-1], ends[1:]]).reshape(2, len(rows), len(cols))
+        place = np.concatenate([one.place for one in images])
+        weight = np.concatenate([one.weight for one in images])
+        unused = 1 if np.any(place % 2) else 2  # of every so many points of the lattice
+        blurs.append(SpotBlur(rows, cols, per_px // unused, start, place // unused, weight))
+    return blurs
 
 
-def airy_points(count: int, inner: float = 0.0) -> Array:
-    """Return points [point 2] of equal light of an Airy disc, in wavelength times f-number.
+def _nodes_between_spots(lens: Lens, grid: Grid, side_px: float) -> tuple[Array, Array]:
+    """Return places along rows and columns between which the light of spots may be mixed.
 
-        light within r = 1 - J0(pi r)^2 - J1(pi r)^2
-        light at r ~ [J1(pi r) - e J1(e pi r)]^2 / r^2,  behind a pupil with an obstruction e
+    Of a ray that lands d elsewhere at the next node, half way is left of a wave of f cycles
 
-    Their order goes evenly through radii and angles, so that each may be added to another ray.
+        cos(pi f d) = 1 - (pi f d)^2 / 2,    f = 1 / side at most matters
 
-    Source: Born, Wolf, Principles of Optics, section 8.5.
+    where it would be 1. Nodes are as far apart as that allows, but no more of them than where
+    directions are traced.
     """
-    from scipy.special import j0, j1
+    from lensshift.optics.directions import nodes_px, places_mm
+    from lensshift.optics.spots import fields_for_image, spots
 
-    light = 1.0 - j0(_DENSE) ** 2 - j1(_DENSE) ** 2
-    if inner:  # summed by trapezia; twice its whole is 1 - inner^2
-        wave = j1(_DENSE) - inner * j1(inner * _DENSE)
-        each = wave**2 / np.maximum(_DENSE, 1e-12)
-        within = np.concatenate([[0.0], np.cumsum(0.5 * (each[1:] + each[:-1]))])
-        light = 2.0 * within * (_DENSE[1] - _DENSE[0]) / (1.0 - inner**2)
-    number = np.arange(count)
-    share = (np.argsort(np.argsort(np.mod(number * GOLDEN, 1.0))) + 0.5) / count
-    radius = np.interp(share, light, _DENSE) / np.pi
-    angle = 2.0 * np.pi * np.mod(number * 2.0**0.5, 1.0)
-    return np.asarray(radius[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1))
+    dense = [nodes_px(count, 0.5) for count in grid.shape]
+    near_mm = _NEAR_PX * min(grid.pitch_mm)
+    fields = fields_for_image(lens, places_mm(grid, *dense), tolerance_mm=near_mm)
+    spot = spots(lens, fields, rings=_NODE_RINGS)
+    landing_px = spot.ray_mm / np.asarray(grid.pitch_mm)
+    most_px = side_px / np.pi * np.sqrt(2.0 * _LOST)
+    found = []
+    for axis, places in enumerate(dense):
+        landing, weight = (np.moveaxis(one, axis, 0) for one in (landing_px, spot.weight))
+        square = np.sum(np.diff(landing, axis=0) ** 2, axis=-1)
+        both = np.minimum(weight[1:], weight[:-1])
+        apart_px = np.sqrt((both * square).sum(axis=-1).max(axis=1))
+        along = np.concatenate([[0.0], np.cumsum(np.maximum(apart_px, 1e-3 * most_px))])
+        count = min(max(2 + int(along[-1] / most_px), 3), len(places))
+        found.append(np.interp(np.linspace(0.0, along[-1], count), along, places))
+    return found[0], found[1]

@@ -295,6 +295,11 @@ def budget(current: Session, asked: BudgetOptions) -> None:
         shift_px=asked.of.shift_px,
     )
     current.say(format_budget(found))
+    if not found.shift_error_px:
+        current.say(
+            "no error of the actuator is given, so nothing is lost; of its data sheet, in um: "
+            "--repeatability-um, --backlash-um, --encoder-um, --drift-um"
+        )
     current.result |= {"lens": model.name or asked.of.lens, "noise": asked.noise}
     current.result |= asdict(found) | {"element": moved + 1}
     outputs.write_plot(current, asked.plot, "lens_build.budget_figure", found)

@@ -198,13 +198,15 @@ def reconstruction_loss(shift_error_px: float, noise: float) -> tuple[float, flo
 
 
 def format_budget(budget: ActuatorBudget) -> str:
-    """Return a budget as lines of text."""
+    """Return a budget as lines of text, of an actuator without errors the travel alone."""
     beyond = budget.shift_error_px > max(error_px for _, error_px in _MEASURED)
     lines = [
         f"element {budget.element + 1}: stroke {budget.stroke_um:.1f} um, "
         f"{budget.sensitivity_px_per_um:.5f} px per um, over the sensor up to "
         f"{budget.largest_px_per_um:.5f}"
     ]
+    if not budget.shift_error_px:
+        return lines[0]
     lines += [f"{name:<14} {error_px:8.4f} px rms" for name, error_px in budget.parts_px.items()]
     lines += [
         f"{'all together':<14} {budget.shift_error_px:8.4f} px rms",

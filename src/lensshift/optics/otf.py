@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebvander
@@ -156,6 +157,28 @@ def pupils(
     ]
 
 
+def pupils_of_fields(
+    lens: Lens, field_tan: Floats, *, build: Build | None = None
+) -> list[PupilFit]:
+    """Return the pupils of fields [field 2] at the design wavelength, traced together.
+
+    Each about the centroid of its own light; `build` and errors as for `pupils`.
+    """
+    points, weight = pupil_quadrature(_RINGS, _ARMS)
+    rays = trace(lens, field_tan, points, build=build, heights=True)
+    spot = spots_of_rays(lens, rays, weight)
+    return [
+        _fit(lens, _one_of(rays, n), _one_of(spot, n), points, weight, spot.centroid_mm[n])
+        for n in range(len(field_tan))
+    ]
+
+
+def _one_of(several: Any, number: int) -> Any:
+    """Return rays or spots of one field."""
+    parts = ((one.name, getattr(several, one.name)) for one in fields(several))
+    return replace(several, **{name: None if p is None else p[number] for name, p in parts})
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PupilFit:
     """Polynomials over the pupil in direction cosines, about their middle.
@@ -185,16 +208,28 @@ class PupilFit:
         samples : along each axis
         wave : 2 pi / wavelength
         """
+        along = midpoints(samples)
+        found, energy = self.waves_at(along, along, 2.0 / samples, wave)
+        return self.span * along, found, energy
+
+    def waves_at(
+        self, row: Floats, col: Floats, step: float, wave: float
+    ) -> tuple[NDArray[np.complex128], float]:
+        """Return the wave [row col] at scaled cosines [row], [col] about `step` apart, and energy.
+
+        Parameters
+        ----------
+        wave : as for `waves`
+        """
         from lensshift.optics.otf_kernel import pupil_wave
 
-        along, step = midpoints(samples), 2.0 / samples
-        basis = chebvander(along, _DEGREE)
-        found = np.empty((samples, samples), dtype=np.complex128)
+        down, across = chebvander(row, _DEGREE), chebvander(col, _DEGREE)
+        found = np.empty((len(row), len(col)), dtype=np.complex128)
         energy = 0.0
-        for first in range(0, samples, _BLOCK):
+        for first in range(0, len(row), _BLOCK):
             rows = slice(first, first + _BLOCK)
-            energy += pupil_wave(basis[rows] @ self.terms @ basis.T, step, wave, found[rows])
-        return self.span * along, found, energy
+            energy += pupil_wave(down[rows] @ self.terms @ across.T, step, wave, found[rows])
+        return found, energy
 
     def overlap(self, shift: Floats, samples: int, wave: float) -> complex:
         """Return the sum over the pupil moved by `shift` one way and the other.
@@ -221,6 +256,8 @@ class PupilFit:
 def _fit(
     lens: Lens, rays: RayBundle, spot: Spots, points: Floats, weight: Floats, centre_mm: Floats
 ) -> PupilFit:
+    from scipy.linalg import lstsq
+
     traced = np.isfinite(rays.path_mm)  # vignetted rays too: their paths are smooth
     cosine = rays.direction[traced, :2]
     path = rays.path_mm[traced] + np.einsum(
@@ -246,7 +283,9 @@ def _fit(
     row, col = (chebvander(x, _DEGREE) for x in scaled.T)
     design = row[:, first[used]] * col[:, second[used]]
     root = np.sqrt(weight[traced])[:, None]
-    solved = np.linalg.lstsq(design * root, np.stack(quantities, axis=-1) * root, rcond=None)[0]
+    solved = lstsq(design * root, np.stack(quantities, axis=-1) * root, lapack_driver="gelsy")[
+        0
+    ]  # by QR, in a third of the time
     terms = np.zeros((len(quantities), _DEGREE + 1, _DEGREE + 1))
     terms[:, first[used], second[used]] = solved.T
     slopes = np.zeros((4, _DEGREE + 1, _DEGREE + 1))
