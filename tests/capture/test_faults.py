@@ -5,7 +5,6 @@ Real drivers over real sockets; only the devices are emulated.
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ import pytest
 from lensshift import load_burst
 from lensshift.capture.acquire import Acquisition, Progress
 from lensshift.capture.emulators.apt import EmulatedStagePair
+from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.o3m import O3MSender
 from lensshift.capture.emulators.rig import EmulatedRig
 from lensshift.capture.opening import Rig, open_rig
@@ -34,17 +34,11 @@ def look(begin_s: float, end_s: float) -> Frame:
     return Frame(np.full(SHAPE, 0.5), np.full(SHAPE, 2.0), np.ones(SHAPE, dtype=bool), end_s)
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return int(udp.getsockname()[1])
-
-
 class Bench:
     """Emulated devices and the rig file that opens them."""
 
     def __init__(self, folder: Path) -> None:
-        self.port = free_port()
+        self.port = free_udp_port()
         self.stages = EmulatedStagePair(play_mm=0.006, speed=20.0)
         self.camera = O3MSender(look, port=self.port, rate_hz=40.0)
         self.file = folder / "rig.toml"
@@ -102,7 +96,7 @@ def test_the_emulated_rig_opens_at_the_speed_of_real_stages() -> None:
 
     How fast they go home is another matter.
     """
-    with EmulatedRig(camera_port=free_port()) as emulated:
+    with EmulatedRig(camera_port=free_udp_port()) as emulated:
         table = tomllib.loads(emulated.rig_file())
         table["stage"] |= {"home_velocity_mmps": 20.0, "acceleration_mmps2": 400.0}
         with open_rig(table) as rig:

@@ -1,7 +1,6 @@
 """`capture`, `info` and `emulate`: what they write, what they say, what they refuse."""
 
 import json
-import socket
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from lensshift import (
     save_lens_field,
 )
 from lensshift.capture.emulators.apt import EmulatedStagePair
+from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.o3m import O3MSender
 from lensshift.capture.journal import capture_header
 from lensshift.capture.opening import EXAMPLE, nominal_calibration
@@ -45,15 +45,9 @@ def look(begin_s: float, end_s: float) -> Frame:
     return Frame(np.full(SHAPE, 0.5), np.full(SHAPE, 2.0), np.ones(SHAPE, dtype=bool), end_s)
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return int(udp.getsockname()[1])
-
-
 @pytest.fixture
 def rig_file(tmp_path: Path) -> Iterator[Path]:
-    port = free_port()
+    port = free_udp_port()
     with EmulatedStagePair(speed=20.0) as pair, O3MSender(look, port=port, rate_hz=40.0):
         file = tmp_path / "rig.toml"
         file.write_text(
@@ -238,7 +232,7 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
     done = call("capture", "--print-rig")
     assert done.stdout == EXAMPLE
     file = tmp_path / "rig.toml"
-    file.write_text(done.stdout.replace("port = 42000", f"port = {free_port()}"))
+    file.write_text(done.stdout.replace("port = 42000", f"port = {free_udp_port()}"))
     missing = call("capture", file, "-o", tmp_path / "a.nc")
     assert missing.exit_code == 1
     assert "83000001" in missing.stderr
@@ -328,7 +322,7 @@ def test_a_rig_file_that_is_not_there(tmp_path: Path) -> None:
     "arguments", [("stage",), ("stage", "--link", "pty"), ("pcic", "--port", 0), ("o3m",), ("rig",)]
 )
 def test_devices_are_emulated_until_told(call: Call, arguments: tuple[object, ...]) -> None:
-    port = ("--port", free_port()) if arguments[0] in ("o3m", "rig") else ()
+    port = ("--port", free_udp_port()) if arguments[0] in ("o3m", "rig") else ()
     done = call("emulate", *arguments, *port, "--seconds", 0.3, "--json")
     assert done.exit_code == 0, done.output
     ready, result = done.stdout.split("\n", 1)  # a script waits for the first line

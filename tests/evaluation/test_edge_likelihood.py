@@ -151,7 +151,7 @@ def test_sums_over_nodes_are_those_over_pixels() -> None:
     np.testing.assert_allclose(likelihood.model_of(start, levels, np.zeros(knots)), base, atol=2e-4)
 
 
-@pytest.mark.parametrize("seed", [0, 7])
+@pytest.mark.parametrize("seed", [0, pytest.param(7, marks=pytest.mark.slow)])
 def test_a_sharp_edge_along_few_pixels_has_no_bends(seed: int) -> None:
     """Steps of the pixels along 32 rows look like bends, and led a fit astray by 1 and 32 %."""
     rng = np.random.default_rng(7000 + seed)

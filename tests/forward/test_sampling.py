@@ -20,11 +20,15 @@ def test_compiled_kernels_equal_the_python_that_they_are_written_in(scale, shape
         ("field", field_positions(field, scale)),
     ):
         taps = (*blur.taps(positions[0], scale, hr[0]), *blur.taps(positions[1], scale, hr[1]))
+        for one in taps:
+            one.flags.writeable = False  # as they are in a model: others are compiled anew
         for name, values, like in ((f"forward_{kind}", x, y), (f"adjoint_{kind}", y, x)):
             kernel, fast, slow = getattr(sampling, name), *np.full((2, *like.shape), np.nan)
             last = ()
             if kind == "separable":
-                last = (sampling.regular_runs(*taps[2:], scale), 0, like.shape[-2])
+                run = sampling.regular_runs(*taps[2:], scale)
+                run.flags.writeable = False
+                last = (run, 0, like.shape[-2])
             kernel(values, *taps, *last, fast)
             kernel.py_func(values, *taps, *last, slow)
             np.testing.assert_allclose(fast, slow, atol=1e-13)

@@ -25,18 +25,10 @@ SIZES = ((390, 844), (1440, 900), (3840, 2160))
 def emulated(folder: Path) -> Iterator[str]:
     """Run `lensshift live --rig emulated` in a process of its own, and yield the address."""
     code = "from lensshift.cli import main; main()"
-    words = [
-        "live",
-        "--rig",
-        "emulated",
-        "--no-open",
-        "--port",
-        "0",
-        "--json",
-        "--out",
-        str(folder),
-    ]
-    process = subprocess.Popen([sys.executable, "-c", code, *words], stdout=subprocess.PIPE)
+    words = ["live", "--rig", "emulated", "--no-open", "--port", "0", "--json", "--out"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *words, str(folder)], stdout=subprocess.PIPE
+    )
     assert process.stdout is not None
     try:
         yield json.loads(process.stdout.readline())["address"]

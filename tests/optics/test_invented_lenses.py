@@ -152,7 +152,7 @@ def test_focal_lengths_are_those_of_optiland(name: str) -> None:
     assert got == pytest.approx(wanted, rel=1e-9)
 
 
-@pytest.mark.parametrize("moved_mm", [0.0, MOVED_MM])
+@pytest.mark.parametrize("moved_mm", [pytest.param(0.0, marks=pytest.mark.slow), MOVED_MM])
 @pytest.mark.parametrize("name", SKETCHES)
 def test_spots_are_those_of_optiland(name: str, moved_mm: float) -> None:
     one = SKETCHES[name]

@@ -102,7 +102,7 @@ def test_a_grating_is_read_as_it_was_drawn(scale: int) -> None:
     assert abs(read_grating(noise, 2.5, 0.4, scale=scale)) < 0.15
 
 
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
 def test_pixels_leave_of_a_grating_what_theory_says(seed: int) -> None:
     shown = take_grating(3.0, seed).modulation
     along = 3.0 * PITCH_MM * np.array([np.cos(np.deg2rad(10.0)), np.sin(np.deg2rad(10.0))])

@@ -143,7 +143,7 @@ def test_noise_that_is_told_too_small_is_refuted_and_the_right_one_is_not() -> N
             assert refuted(asked, solve_together([asked])[0]) is expected
 
 
-@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize("seed", [21, *(pytest.param(n, marks=pytest.mark.slow) for n in (22, 23))])
 def test_frames_that_no_noise_explains_are_followed_as_far_as_they_predict(seed: int) -> None:
     """A camera that compresses: even blocks, as if noise were hardly there, and edges that err."""
     seen = shaken_burst(seed, {}, frames=12)

@@ -67,7 +67,7 @@ def test_live_pictures_keep_the_doubt_about_the_plan() -> None:
         assert doubted == [expected] * 4
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [12, *(pytest.param(n, marks=pytest.mark.slow) for n in (11, 13))])
 def test_a_resting_scene_is_as_sharp_at_the_live_pace(seed):
     truth, rng = scene(seed).truth, np.random.default_rng(seed)
     clean, errors = clean_frames(truth), {}

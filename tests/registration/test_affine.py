@@ -98,7 +98,7 @@ def test_large_frames_come_to_it_from_coarse_ones() -> None:
     assert corner_px(found.affine - affine, y.shape[1:]) < 0.05
 
 
-@pytest.mark.parametrize("seed", [5, 6, 7])
+@pytest.mark.parametrize("seed", [5, *(pytest.param(n, marks=pytest.mark.slow) for n in (6, 7))])
 def test_frames_that_turn_are_named_and_others_are_not(seed: int) -> None:
     offset_px, affine = motion(6, seed, 0.6)
     turned = Burst.from_arrays(taken(offset_px, affine, 0.05, seed))

@@ -34,16 +34,18 @@ def valid(frames: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize(
-    "seed", [1, pytest.param(10, marks=pytest.mark.slow), pytest.param(11, marks=pytest.mark.slow)]
+    ("count", "seed"),
+    [(20, 1), *(pytest.param(35, seed, marks=pytest.mark.slow) for seed in (1, 10, 11))],
 )
-def test_a_scene_of_cards_is_known(seed: int) -> None:
-    """Thirty-five frames of SNR 500 and more, as a scan takes them, from planned shifts.
+def test_a_scene_of_cards_is_known(count: int, seed: int) -> None:
+    """Frames of SNR 500 and more, as a scan takes them, from planned shifts.
 
-    A second search from a quarter of a pixel beside ended elsewhere, and nothing passed for known.
+    A second search from a quarter of a pixel beside ended elsewhere with thirty-five of them, and
+    nothing passed for known.
     """
     rng = np.random.default_rng(seed)
     running = RunningCamera(cards(seed), camera_preset("o3m151"))
-    true_px = rng.uniform(-1.0, 1.0, (35, 2))
+    true_px = rng.uniform(-1.0, 1.0, (count, 2))
     frames = np.array([
         np.mean([running.frame(one[None], rng).amplitude for _ in range(4)], axis=0)
         for one in true_px

@@ -202,7 +202,9 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     kinds, size = powers.shape[1], across.size
     products = np.zeros((kinds, kinds, size, size))
     with_right = np.zeros((kinds, size, right.shape[1]))
-    rows = (whitener.indptr, whitener.indices, whitener.data)
+    # One kind of index: scipy's depends on how the matrix came about, and each is compiled.
+    pointers, taps = (np.asarray(one, np.intp) for one in (whitener.indptr, whitener.indices))
+    rows = (pointers, taps, whitener.data)
     kernels.node_products(*rows, pixels.first, pixels.shares, powers, right, products, with_right)
     reach = np.empty((size, 2), dtype=np.intp)
     kernels.node_reach(products, reach)
