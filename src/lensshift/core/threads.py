@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import _thread
 import os
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -99,7 +99,8 @@ class _Workers:
     ) -> None:
         """Do tasks, and tell each of their queues what was raised, or None."""
         while self._count < min(max(len(tasks), at_once), os.cpu_count() or 1):
-            threading.Thread(target=self._work, name="lensshift", daemon=True).start()
+            # Not `threading.Thread`, whose start waits in Python code, which a signal may tear up.
+            _thread.start_new_thread(self._work, ())
             self._count += 1
         for one in tasks:
             self._tasks.put(one)
