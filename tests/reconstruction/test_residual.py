@@ -70,6 +70,15 @@ def test_frames_that_a_picture_explains_to_the_last_digit_have_no_noise() -> Non
     assert found == 0.0
 
 
+@pytest.mark.filterwarnings("error")
+def test_complex_frames_are_read_without_a_warning_of_their_imaginary_part() -> None:
+    rng = np.random.default_rng(5)
+    phase = np.exp(6j * rng.random((1, *SHAPE)))
+    burst = Burst.from_arrays(rng.random((2, *SHAPE)) * phase, offset_px=OFFSET_PX, pitch_mm=0.1)
+    found = reconstruct(burst, channel="amplitude", psf_sigma_px=0.3).amplitude
+    assert np.iscomplexobj(found.image)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_picture_reads_closer_the_noise_of_two_textured_frames(seed: int) -> None:
     sigma, rng = 0.004, np.random.default_rng(70 + seed)

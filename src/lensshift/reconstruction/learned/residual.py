@@ -45,7 +45,7 @@ def less_noise(asked: Asked, solve: Callable[[Asked], Solution]) -> float:
         moved = replace(believed, y=(asked.y + step * signs).astype(asked.y.dtype))
         seen, other = (A.forward(single(solve(one).image)) for one in (believed, moved))
         followed = signs[used] * (other - seen)[used] / step[used]
-        left = 1.0 - float(np.mean(followed))
+        left = 1.0 - float(np.mean(followed.real))
         if left < LEAST_LEFT:
             break
         size = np.median(np.abs(asked.y - seen)[used] / believed.sigma[used]) / MEDIAN_SIZE
