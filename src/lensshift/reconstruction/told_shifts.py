@@ -16,11 +16,9 @@ from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import Doubt, doubt_of, surely_better, warn_of_doubt
 
-# Farther apart are frames that lie elsewhere, or something that moved (`registration.told`).
-LARGEST_PX = 0.3
-# Errors that more than doubled the loss of resolution which is expected of a calibrated rig, see
-# `lens budget`; smaller ones are mended without a word.
-TOLD_PX = 0.05
+# More than twice the budget of a calibration, which `register` calls poor as well; smaller errors
+# are mended without a word.
+SAID_PX = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,15 +72,17 @@ def held_against_frames(
 def _mended(told: Told, look: Glance, request: Request) -> Told:
     """Return the burst with the shifts that the frames show, if they surely show other ones."""
     # Few bursts come here; the others need not wait until it is imported.
-    from lensshift.registration.told import corrected_shifts
+    from lensshift.registration.told import REACH_PX, corrected_shifts
 
+    if np.abs(look.apart_px).max() > REACH_PX:
+        return told
     burst, part = told.burst, told.part
     valid = np.ones(part.amplitude.shape, np.bool_) if part.valid is None else part.valid
     found = corrected_shifts(part.amplitude, valid, part.offset_px)
     if found is None or not surely_better(look, found.offset_px):
         return told
     used = list(request.frames or range(burst.frame_count))
-    if found.error_px > TOLD_PX:
+    if found.error_px > SAID_PX:
         away_px = found.offset_px - part.offset_px
         most = int(np.argmax(np.hypot(*away_px.T)))
         down, right = away_px[most]
@@ -112,6 +112,6 @@ def _in_question(part: Burst, look: Glance) -> bool:
         return False
     away_px2 = float(np.sum(look.apart_px**2)) / (len(look.apart_px) - 1)
     usual_px2 = 2 * USUAL_SHIFT_ERROR_PX**2
-    if away_px2 <= usual_px2 or np.abs(look.apart_px).max() > LARGEST_PX:
+    if away_px2 <= usual_px2:
         return False
     return away_px2 > usual_px2 + found_variance_px2(look.smooth, look.found_px)

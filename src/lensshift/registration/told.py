@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from lensshift.core.arrays import Array
-from lensshift.registration.blocks import filled, scatter_of_parts, telling_part
+from lensshift.registration.blocks import LEAST_VALID, filled, scatter_of_parts, telling_part
 from lensshift.registration.likelihood import UNKNOWN_PX, likely_shifts
 
 Shifts = NDArray[np.float64]
@@ -50,8 +50,8 @@ def corrected_shifts(frames: Array, valid: NDArray[np.bool_], told_px: Shifts) -
 
     d the likeliest shifts, t those told, both about their means (P: a common shift of all frames
     moves the picture and shows nowhere), C what the frames tell d to, wider where parts of the
-    sensor disagree. Told shifts that are right leave s = 0 and stay; along an edge, where frames
-    show no shift, they stay as well. Gain and level of each frame are free.
+    sensor disagree. Told shifts that are right leave s = 0 and stay; so do those of scenes with
+    edges in one direction alone. Gain and level of each frame are free.
 
     Parameters
     ----------
@@ -113,6 +113,8 @@ def _likeliest(
     Of many frames some at a time are asked, each time beside the first: the price of a likelihood
     goes with the cube of their number.
     """
+    if valid.mean(axis=(1, 2)).min() < LEAST_VALID:
+        return None
     count = len(frames)
     side = max(LEAST_PX, int((MOST_SAMPLES / count) ** 0.5))
     span_px = np.ceil(np.ptp(told_px, axis=0)).astype(int)
