@@ -16,6 +16,8 @@ import serial.urlhandler.protocol_socket
 import typer.testing
 from hypothesis import settings
 
+from lensshift.core.threads import core_count
+
 # Each core has a worker already. The threads of their linear algebra would wait for one another
 # over matrices far too small to share: four times the processor time. Read when numpy is imported,
 # and by all processes that tests start.
@@ -31,9 +33,9 @@ settings.register_profile("lensshift", deadline=None, max_examples=20)
 settings.load_profile("lensshift")
 
 
-# With two workers one takes what stands before the tests of the top folder, the other the rest:
-# about the same time (tests that need long are not among the last, where they would be waited
-# for), and kernels, which a new clone compiles, that few tests of the other half need as well.
+# Workers begin at even distances in this order: two take as long for what stands before the tests
+# of the top folder as for the rest (tests that need long are not among the last, where they would
+# be waited for), and kernels, which a new clone compiles, that few tests of other parts need too.
 ORDER = (
     "camera", "optics", "evaluation", "report", "capture", "cli", "core", "scene", "tests",
     "reconstruction", "registration", "pipeline", "live", "io", "forward",
@@ -59,6 +61,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the folders into their order."""
     places = {folder: place for place, folder in enumerate(ORDER)}
     items.sort(key=lambda item: places.get(item.path.parent.name, len(ORDER)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Return one worker more than cores: a fifth of the time tests wait for stages and cameras."""
+    return core_count() + 1
 
 
 @pytest.hookimpl(optionalhook=True)
