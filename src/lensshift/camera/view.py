@@ -94,9 +94,8 @@ def motions(camera: TofCamera, offset_px: Array, side_px: float, *, scale: int =
         return [(offset[None, None, :], sigma_px) for offset in offset_px]
     optics, grid = camera.optics, camera.grid
     half = int(np.ceil(0.5 * _POINTS_PER_SIDE / (side_px * scale)))
-    per_px = (
-        2 * scale * (half | 1)
-    )  # odd, so that cells, of which there are 16, do not beat with it
+    # Odd, so that cells, of which there are 16, do not beat with it.
+    per_px = 2 * scale * (half | 1)
     if optics.element is None:
         (blur,) = _spot_blurs(optics, 0, grid, np.zeros((1, 2)), side_px, per_px)
         return [(offset[None, None, :], blur) for offset in offset_px]

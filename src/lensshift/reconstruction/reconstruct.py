@@ -148,8 +148,7 @@ def reconstruct(
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    too_wide = response["psf_sigma_px"] > QUESTIONED_BLUR_PX  # of which the user was told
-    request = replace(request, shifts_doubted=too_wide)
+    request = replace(request, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX)
     asked = (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick)
     told, request = held_against_frames(burst, part, field, scale, request, asked=asked)
     burst, part = told.burst, told.part
