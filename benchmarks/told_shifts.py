@@ -1,12 +1,15 @@
 """Shifts that are off from where they were told: what the frames make of them, and the picture.
 
-python benchmarks/told_shifts.py --seed 40 --bursts 4
+python benchmarks/told_shifts.py --seed 400 --bursts 4
+python benchmarks/told_shifts.py --seed 400 --bursts 8 --upright
 
 Cards, waves and parts of photographs, seen by square pixels at the very shifts (8 x 8 points in a
 pixel), with four frames on a square and nine at random places; each shift is off by a normal error
 that nobody told. A line for each error: that of the shifts about their mean before and after, how
 often they were mended and named, the gain of the picture over shifts that are believed (told to be
 exact), and what 2 std hold of the truth. For each number of frames, level of noise and scene.
+Upright scenes (boxes, checkers, crosses) have edges along the pixels alone, and shifts that were
+told right.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +85,35 @@ def picture(rng: np.random.Generator) -> Scene:
     return at
 
 
+def boxes(rng: np.random.Generator) -> Scene:
+    """Return upright boxes, one to twelve, one before the other."""
+    parts = rng.uniform((0, 0, 1, 1, 0.1), (*SHAPE, 8, 8, 0.9), (int(rng.integers(1, 13)), 5))
+
+    def at(row: Array, col: Array) -> Array:
+        found = np.full(np.broadcast(row, col).shape, 0.3)
+        for y, x, half, wide, tone in parts:
+            found = np.where((np.abs(row - y) < half) & (np.abs(col - x) < wide), tone, found)
+        return found
+
+    return at
+
+
+def checker(rng: np.random.Generator) -> Scene:
+    """Return an upright checker of 2 to 7 px."""
+    size, top, left = rng.uniform((2, 0, 0), 7)
+    return lambda row, col: (
+        0.2 + 0.6 * ((np.floor((row - top) / size) + np.floor((col - left) / size)) % 2)
+    )
+
+
+def cross(rng: np.random.Generator) -> Scene:
+    """Return an upright cross, its bars 0.6 to 4 px wide, and nothing else."""
+    y, x, half = rng.uniform((9, 9, 0.3), (18, 24, 2))
+    return lambda row, col: np.where((np.abs(row - y) < half) | (np.abs(col - x) < half), 0.8, 0.2)
+
+
 SCENES = {"cards": cards, "waves": waves, "picture": picture}
+UPRIGHT = {"boxes": boxes, "checker": checker, "cross": cross}
 
 
 def judged(burst: Burst, truth: Array) -> tuple[float, float, dict[str, object], bool]:
@@ -100,7 +131,7 @@ def judged(burst: Burst, truth: Array) -> tuple[float, float, dict[str, object],
 def one(name: str, frames: int, snr: float, error_px: float, seed: int) -> list[float]:
     """Return what a line is the mean of."""
     rng = np.random.default_rng(seed)
-    scene = SCENES[name](rng)
+    scene = (SCENES | UPRIGHT)[name](rng)
     told_px = SQUARE_PX if frames == 4 else rng.uniform(-0.5, 0.5, (frames, 2))
     wrong_px = error_px * rng.standard_normal(told_px.shape)
     wrong_px -= wrong_px.mean(axis=0)  # which moves the picture, no more
@@ -120,22 +151,18 @@ def one(name: str, frames: int, snr: float, error_px: float, seed: int) -> list[
             inside_before, inside]  # fmt: skip
 
 
-def main() -> None:
-    """Print the lines."""
-    ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    ask.add_argument("--seed", type=int, default=40)
-    ask.add_argument("--bursts", type=int, default=4, help="of each scene, noise and frame count")
-    given = ask.parse_args()
+def print_lines(seed: int, bursts: int, names: Iterable[str], errors_px: Sequence[float]) -> None:
+    """Print a line for each error and number of frames."""
     sys.stdout.write(
         "error px  frames  off px: told   left  mended  named  gain dB: mean  least  "
         "2 std before  after\n"
     )
-    for error_px in ERRORS_PX:
+    for error_px in errors_px:
         for frames in (4, 9):
             rows = np.array([
-                one(name, frames, snr, error_px, given.seed + number)
-                for number in range(given.bursts)
-                for name in SCENES
+                one(name, frames, snr, error_px, seed + number)
+                for number in range(bursts)
+                for name in names
                 for snr in SNRS
             ])  # fmt: skip
             told, left, mended, said, gain, before, after = rows.mean(axis=0)
@@ -144,6 +171,19 @@ def main() -> None:
                 f"{said:6.2f} {gain:14.2f} {rows[:, 4].min():6.2f} {before:13.3f} {after:6.3f}\n"
             )
             sys.stdout.flush()
+
+
+def main() -> None:
+    """Print the lines, of upright scenes for each kind."""
+    ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    ask.add_argument("--seed", type=int, default=400)
+    ask.add_argument("--bursts", type=int, default=4, help="of each scene, noise and frame count")
+    ask.add_argument("--upright", action="store_true", help="scenes with edges along the pixels")
+    given = ask.parse_args()
+    names, errors_px = (UPRIGHT, (0.0,)) if given.upright else (SCENES, ERRORS_PX)
+    for part in ([name] for name in names) if given.upright else (names,):
+        sys.stdout.write(f"{', '.join(part)}\n")
+        print_lines(given.seed, given.bursts, part, errors_px)
 
 
 if __name__ == "__main__":
