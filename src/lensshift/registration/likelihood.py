@@ -30,7 +30,8 @@ UNKNOWN_PX = 1.0
 # For differences of the score.
 _STEP_PX = 0.02
 # A search that starts off by a quarter of the finest period in the model returns to within 3 % of
-# that where a shift is known (from farther it ends in other maxima); along an edge it stays. Where
+# that where a shift is known (from farther it ends in other maxima), of 35 frames at times from one
+# side only; along an edge it stays on both (at half and more, 80 searches of 3x3 and 4x4). Where
 # the likelihood bends as it should (`Curvature`) it need not be asked: edges leave up to 0.84 of
 # the information, at SNR 1000, where aliases dwarf the noise and nine frames or more have several
 # of them in the model.
@@ -116,10 +117,11 @@ def likely_shifts(
     other = np.arange(len(frames)) != reference
     quarter_px = 0.25 / (reach + 0.5)  # the aliases end at reach + 1/2 cycles per pixel
     away_px = quarter_px * np.where(other, np.where(np.arange(len(frames)) % 2, -1.0, 1.0), 0.0)
-    again, _, _ = search(fit.offset_px + away_px[:, None] * along)
-    left_px = ((again.offset_px - fit.offset_px) @ along)[other]
-    if np.mean(left_px**2) < (_RETURNS * quarter_px) ** 2:
-        return fit
+    for side in (1.0, -1.0):  # one of many frames may be caught on its way back
+        again, _, _ = search(fit.offset_px + side * away_px[:, None] * along)
+        left_px = ((again.offset_px - fit.offset_px) @ along)[other]
+        if np.mean(left_px**2) < (_RETURNS * quarter_px) ** 2:
+            return fit
     blind_px2 = np.kron(np.diag(other * _BLIND_PX**2), np.outer(along, along))
     return replace(fit, covariance_px2=fit.covariance_px2 + blind_px2)
 
