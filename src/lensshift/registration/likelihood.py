@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
 from lensshift.registration.curvature import LEAST_SHARE, Curvature, inverse
-from lensshift.registration.spectrum import Frequencies, Spectrum, first_spectrum
+from lensshift.registration.spectrum import Frequencies, Spectrum, Steering, first_spectrum
 from lensshift.registration.taper import Tapered, quiet_flank_px, taper_frames
 
 Shifts = NDArray[np.float64]
@@ -73,6 +74,11 @@ class _State:
     offset_px: Shifts
     log_gain: NDArray[np.float64]
     spectrum: Spectrum
+
+    @property
+    def steering(self) -> Steering:
+        """What the frames see of each frequency and its aliases."""
+        return self.spectrum.frequencies.steering(self.offset_px, np.exp(self.log_gain))
 
 
 def likely_shifts(
@@ -171,14 +177,13 @@ def _search(
         if photometric:
             state.log_gain = np.clip(state.log_gain + step[:, 2], -_LARGEST_LOG, _LARGEST_LOG)
         if freed < _FREE_ROUNDS and (largest_px < _FREE_BELOW_PX or told < _FREE_BELOW_SIGMAS):
-            state.spectrum = state.spectrum.freed(
-                tapered.spectra, state.offset_px, np.exp(state.log_gain)
-            )
+            state.spectrum = state.spectrum.freed(tapered.spectra, state.steering)
             freed += 1
         elif largest_px < CONVERGED_PX or told < CONVERGED_SIGMAS:
             converged = True
             break
-        tapered = tapered.with_expected(state.spectrum, state.offset_px, np.exp(state.log_gain))
+        if not valid.all():
+            tapered = tapered.with_expected(state.spectrum, state.steering)
     if curvature is None:
         curvature = _curvature(taper, state, tapered, kinds, reference)
         _, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
@@ -262,65 +267,69 @@ def _curvature(
 
 def _fit_spectrum(state: _State, tapered: Tapered, passes: int, *, whole: bool) -> None:
     """Fit level, exponent and noise of the spectrum; only the noise once it has been freed."""
+    steering = state.steering
     for _ in range(passes):
-        gain = np.exp(state.log_gain)
-        state.spectrum, step = state.spectrum.scored(
-            tapered.spectra, state.offset_px, gain, whole=whole
-        )
+        state.spectrum, step = state.spectrum.scored(tapered.spectra, steering, whole=whole)
         if step < 0.02:
             break
 
 
-def _slopes(state: _State, kinds: int) -> Iterator[tuple[slice, Array, Array]]:
-    """Yield a part of the frequencies, S^-1 there, and v [frequency parameter frame].
+def _turned(state: _State, kinds: int) -> Array:
+    """Return the power of each alias times what a parameter multiplies it with, [kind f alias].
 
-    dS / dp = e_k v^T + conj(v) e_k^T touches one row and one column of S only:
-    v = sum_m P_m q_m a_m[k] conj(a_m), q = -2 pi i (f + m) for a shift, 1 for the log gain.
+    dS / dp = e_k v^T + conj(v) e_k^T touches one row and one column of S only: v is row k of
+    D = sum P q b b^H,   q = -2 pi i (f + m) for a shift, 1 for the log gain; here without -2 pi i.
     """
-    spectrum, frequencies = state.spectrum, state.spectrum.frequencies
-    count, whole_power = len(state.offset_px), state.spectrum.power
-    for part in frequencies.parts(count, kinds):
-        steering = spectrum.steering(part, state.offset_px, np.exp(state.log_gain))
-        power = whole_power[part]
-        inverse = np.linalg.inv(spectrum.covariance(power, steering))
-        turns = frequencies.turns(part)[..., :kinds]
-        by_kind = np.empty((len(power), count, kinds, count), np.complex128)
-        for kind in range(kinds):
-            weighted = (power * turns[..., kind])[..., None] * steering
-            by_kind[:, :, kind] = np.swapaxes(weighted, 1, 2) @ np.conj(steering)
-        yield part, inverse, by_kind.reshape(len(power), kinds * count, count)
+    at = state.spectrum.frequencies
+    return state.spectrum.power * np.stack([at.down, at.right, np.ones_like(at.down)][:kinds])
+
+
+def _slopes(turned: Array, part: slice, steering: Steering) -> Array:
+    """Return D [kind frequency frame frame] of a part of the frequencies."""
+    slopes = steering.summed(turned[:, part])
+    slopes[:2] *= -2j * np.pi
+    return slopes
 
 
 def _gradients(state: _State, tapered: tuple[Tapered, ...], kinds: int) -> Array:
     """Return the gradient [taper parameter] of the log likelihood alone, for several tapers."""
-    frame = np.repeat(np.arange(len(state.offset_px)), kinds)
-    found = np.zeros((len(tapered), len(frame)))
-    for part, inverted, v in _slopes(state, kinds):
+    steering, turned = state.steering, _turned(state, kinds)
+    found = np.zeros((len(tapered), len(state.offset_px), kinds))
+    spectra = [steering.back * one.spectra for one in tapered]
+    for part, inverted, _, _ in state.spectrum.inverted(tapered[0].spectra, steering):
+        slopes = _slopes(turned, part, steering)
         weight = 2.0 * state.spectrum.frequencies.weight[part]
-        own = np.sum(v * np.swapaxes(inverted, 1, 2)[:, frame], axis=-1)
-        for number, one in enumerate(tapered):
-            seen = (inverted @ one.spectra[part][..., None])[..., 0]
-            slope = np.conj(seen)[:, frame] * (v @ seen[..., None])[..., 0]
-            found[number] += weight @ np.real(slope - own)
-    return found
+        own = np.einsum("afkl,flk->afk", slopes, inverted)
+        for number, y in enumerate(spectra):
+            seen = (inverted @ y[part][..., None])[..., 0]
+            slope = np.conj(seen) * (slopes @ seen[..., None])[..., 0]
+            found[number] += np.einsum("f,afk->ka", weight, np.real(slope - own))
+    return found.reshape(len(tapered), -1)
 
 
 def _score(state: _State, tapered: Tapered, kinds: int) -> tuple[Array, Array]:
-    """Return the gradient of the log likelihood by the shifts and its Fisher information."""
+    """Return the gradient of the log likelihood by the shifts and its Fisher information.
+
+    With W = S^-1 and E = D W, of frames k, l and kinds a, b
+
+        information = 2 Re sum over f of  E_a[k l] E_b[l k] + (E_a D_b^H)[k l] W[l k]
+    """
     count = len(state.offset_px)
-    frame = np.repeat(np.arange(count), kinds)
-    every = np.arange(kinds * count)
-    score = np.zeros(kinds * count)
-    information = np.zeros((kinds * count, kinds * count))
-    for part, inverted, v in _slopes(state, kinds):
-        seen = (inverted @ tapered.spectra[part][..., None])[..., 0]
-        v_inverse = v @ inverted
-        slope = np.conj(seen)[:, frame] * (v @ seen[..., None])[..., 0]
+    steering, turned = state.steering, _turned(state, kinds)
+    score, information = np.zeros((count, kinds)), np.zeros((count, kinds, count, kinds))
+    for part, inverted, _, seen in state.spectrum.inverted(tapered.spectra, steering):
+        slopes = _slopes(turned, part, steering)
+        whitened = slopes @ inverted
+        slope = np.conj(seen) * (slopes @ seen[..., None])[..., 0]
         weight = 2.0 * state.spectrum.frequencies.weight[part]
-        score += weight @ np.real(slope - v_inverse[:, every, frame])
-        crossed = v_inverse[:, :, frame]
-        mixed = v_inverse @ np.conj(np.swapaxes(v, 1, 2))
-        square = crossed * np.swapaxes(crossed, 1, 2)
-        square += mixed * np.swapaxes(inverted[:, frame][:, :, frame], 1, 2)
-        information += np.tensordot(weight, np.real(square), 1)
-    return score, 0.5 * (information + information.T)
+        own = np.diagonal(whitened, axis1=2, axis2=3)
+        score += np.einsum("f,afk->ka", weight, np.real(slope - own))
+        back = np.swapaxes(inverted, 1, 2)
+        for a, b in combinations_with_replacement(range(kinds), 2):
+            shared = whitened[a] * np.swapaxes(whitened[b], 1, 2)
+            shared += (whitened[a] @ np.conj(np.swapaxes(slopes[b], 1, 2))) * back
+            information[:, a, :, b] += np.tensordot(weight, np.real(shared), 1)
+    for a, b in combinations_with_replacement(range(kinds), 2):
+        information[:, b, :, a] = information[:, a, :, b].T
+    square = information.reshape(kinds * count, kinds * count)
+    return score.ravel(), 0.5 * (square + square.T)

@@ -62,13 +62,15 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
             f"{frame.shape}"
         )
     low, whole = BANDS_CYCLES_PER_PX
-    found_px = _refined(reference, frame, _peak(_score(reference, frame, low)), low)
+    peak_px = _peak(_score(reference, frame, low))
+    found_px = _refined(reference, frame, peak_px, low)
     left = _misfit(reference, frame, found_px)
-    # Spokes of a star pass for shifts by many; most bursts move by less than a pixel.
-    rest_px = _refined(reference, frame, np.zeros(2), low)
-    at_rest = _misfit(reference, frame, rest_px)
-    if at_rest < _CLEARLY_BETTER * left:
-        found_px, left = rest_px, at_rest
+    if np.any(np.rint(peak_px)):
+        # Spokes of a star pass for shifts by many; most bursts move by less than a pixel.
+        rest_px = _refined(reference, frame, np.zeros(2), low)
+        at_rest = _misfit(reference, frame, rest_px)
+        if at_rest < _CLEARLY_BETTER * left:
+            found_px, left = rest_px, at_rest
     if left < _UNLIKE:
         return found_px
     other_px = _refined(reference, frame, _peak(_score(reference, frame, whole)), whole)

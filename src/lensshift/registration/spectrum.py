@@ -76,16 +76,22 @@ class Frequencies:
             reach,
         )
 
-    def parts(self, frames: int, kinds: int) -> Iterator[slice]:
+    def parts(self, frames: int) -> Iterator[slice]:
         """Yield slices of the frequencies that fit in memory one after another."""
-        step = max(1, _NUMBERS_AT_ONCE // max(self.down.shape[1] * frames, (kinds * frames) ** 2))
+        step = max(1, _NUMBERS_AT_ONCE // max(self.down.shape[1], 4 * frames**2))
         for first in range(0, len(self.down), step):
             yield slice(first, min(first + step, len(self.down)))
 
-    def turns(self, part: slice) -> Array:
-        """Return what a change of row, col and log gain multiplies an alias with, [f alias 3]."""
-        row, col = -2j * np.pi * self.down[part], -2j * np.pi * self.right[part]
-        return np.stack([row, col, np.ones_like(row)], axis=-1)
+    def steering(self, offset_px: Shifts, gain: Array) -> Steering:
+        """Return what frames at some offsets [frame 2] and with some gains see of them."""
+        middle = self.down.shape[1] // 2  # where the alias is 0
+        base = np.stack([self.down[:, middle], self.right[:, middle]], axis=-1)
+        alias = np.rint(np.stack([self.down[0], self.right[0]], axis=-1) - base[0])
+        of_alias = gain * np.exp(-2j * np.pi * (alias @ offset_px.T))
+        pairs = of_alias[:, :, None] * np.conj(of_alias[:, None])
+        return Steering(
+            np.exp(2j * np.pi * (base @ offset_px.T)), of_alias, pairs.reshape(len(alias), -1)
+        )
 
     def smoothed(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the mean over the neighbours of each frequency, aliases included, [f alias]."""
@@ -103,6 +109,33 @@ class Frequencies:
         count = uniform_filter(count, _NEIGHBOURS, mode="wrap")
         found: NDArray[np.float64] = (total / count)[at_row % rows, at_col % cols]
         return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steering:
+    """What a frequency and its aliases look like in each frame.
+
+        a_m = exp(-2 pi i f . d) b_m,   b_m = g exp(-2 pi i m . d)
+
+    The first factor is that of all aliases of a frequency, the second that of all frequencies:
+    where spectra are turned back by the first, covariances are sums of the same few matrices.
+
+    Parameters
+    ----------
+    back : [frequency frame] exp(2 pi i f . d)
+    alias : [alias frame] b_m
+    pairs : [alias frame * frame] b_m b_m^H
+    """
+
+    back: Array
+    alias: Array
+    pairs: Array
+
+    def summed(self, power: NDArray[np.float64]) -> Array:
+        """Return sum over m of P b b^H [... f frame frame] for P [... f alias]."""
+        count = self.alias.shape[1]
+        sums = power @ self.pairs.view(np.float64)  # faster than of complex numbers
+        return sums.view(np.complex128).reshape(*power.shape[:-1], count, count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,58 +179,55 @@ class Spectrum:
         lowest = 1.0 / max(at.shape)
         return np.asarray(np.log(lowest**2 + at.down**2 + at.right**2))
 
-    def steering(self, part: slice, offset_px: Shifts, gain: Array) -> Array:
-        """Return a_m [frequency alias frame], what an alias looks like in each frame.
+    def inverted(
+        self, spectra: Array, steering: Steering
+    ) -> Iterator[tuple[slice, Array, Array, Array]]:
+        """Yield a part of the frequencies, S^-1, y and S^-1 y there, turned back.
 
-        All frequencies have the same aliases, so that exp(f + m) = exp(f) exp(m): an exponential
-        takes many times as long as a product.
+        S = sum P b b^H + sigma^2 I
         """
-        at = self.frequencies
-        middle = at.down.shape[1] // 2  # where the alias is 0
-        base = np.stack([at.down[part, middle], at.right[part, middle]], axis=-1)
-        alias = np.stack([at.down[0], at.right[0]], axis=-1)
-        alias = np.rint(alias - alias[middle])
-        of_base = np.exp(-2j * np.pi * (base @ offset_px.T))
-        of_alias = gain * np.exp(-2j * np.pi * (alias @ offset_px.T))
-        return np.asarray(of_base[:, None] * of_alias)
+        power, diagonal = self.power, np.arange(spectra.shape[1])
+        turned = steering.back * spectra
+        for part in self.frequencies.parts(spectra.shape[1]):
+            matrix = steering.summed(power[part])
+            rounding = _ROUNDING * power[part].sum(axis=-1, keepdims=True)
+            matrix[:, diagonal, diagonal] += self.noise_power + rounding
+            inverse = np.linalg.inv(matrix)
+            yield part, inverse, turned[part], (inverse @ turned[part][..., None])[..., 0]
 
-    def covariance(self, power: Array, steering: Array) -> Array:
-        """Return S [frequency frame frame] = sum P a a^H + sigma^2 I."""
-        matrix = np.swapaxes(power[..., None] * steering, 1, 2) @ np.conj(steering)
-        diagonal = np.arange(matrix.shape[-1])
-        rounding = _ROUNDING * power.sum(axis=-1, keepdims=True)
-        matrix[:, diagonal, diagonal] += self.noise_power + rounding
-        return np.asarray(matrix)
-
-    def scored(
-        self, spectra: Array, offset_px: Shifts, gain: Array, *, whole: bool
-    ) -> tuple[Spectrum, float]:
+    def scored(self, spectra: Array, steering: Steering, *, whole: bool) -> tuple[Spectrum, float]:
         """Return the spectrum after one step of Fisher scoring, and the size of the step.
 
-        Level, exponent and noise take part if `whole`, otherwise only the noise.
+        Level, exponent and noise take part if `whole`, otherwise only the noise. Of the level,
+        dS = S - sigma^2 I; of the noise, dS = sigma^2 I.
         """
-        terms = (0, 1, 2) if whole else (2,)
         score, information = np.zeros(3), np.zeros((3, 3))
-        power, log_frequency = self.power, self._log_frequency()
-        count = len(offset_px)
-        for part in self.frequencies.parts(count, 1):
-            steering = self.steering(part, offset_px, gain)
-            matrix = self.covariance(power[part], steering)
-            inverse = np.linalg.inv(matrix)
-            seen = (inverse @ spectra[part][..., None])[..., 0]
-            slopes: dict[int, Array] = {2: self.noise_power * np.eye(count)}
-            if whole:
-                steeper = -power[part] * log_frequency[part]
-                slopes[0] = matrix - slopes[2]
-                slopes[1] = np.swapaxes(steeper[..., None] * steering, 1, 2) @ np.conj(steering)
+        noise, count = self.noise_power, spectra.shape[1]
+        steeper = -self.power * self._log_frequency()
+        for part, inverse, y, seen in self.inverted(spectra, steering):
             weight = self.frequencies.weight[part]
-            whitened = {p: inverse @ slopes[p] for p in terms}
-            for p in terms:
-                square = np.real(np.sum(np.conj(seen) * (slopes[p] @ seen[..., None])[..., 0], -1))
-                score[p] += weight @ (square - np.real(np.einsum("fkk->f", whitened[p])))
-                for q in terms:
-                    product = np.sum(whitened[p] * np.swapaxes(whitened[q], 1, 2), axis=(1, 2))
-                    information[p, q] += weight @ np.real(product)
+            trace = noise * np.real(np.trace(inverse, axis1=1, axis2=2))
+            square = noise * np.sum(np.abs(seen) ** 2, axis=1)
+            both = noise**2 * np.sum(np.abs(inverse) ** 2, axis=(1, 2))
+            score[2] += weight @ (square - trace)
+            information[2, 2] += weight @ both
+            if not whole:
+                continue
+            score[0] += weight @ (
+                np.real(np.sum(np.conj(y) * seen, axis=1)) - square - count + trace
+            )
+            information[0, 0] += weight @ (count - 2.0 * trace + both)
+            information[0, 2] += weight @ (trace - both)
+            slope = steering.summed(steeper[part])
+            whitened = inverse @ slope
+            own = np.real(np.trace(whitened, axis1=1, axis2=2))
+            mixed = noise * np.real(np.einsum("fkl,flk->f", whitened, inverse))
+            bent = np.real(np.sum(np.conj(seen) * (slope @ seen[..., None])[..., 0], axis=1))
+            score[1] += weight @ (bent - own)
+            information[1, 1] += weight @ np.real(np.einsum("fkl,flk->f", whitened, whitened))
+            information[0, 1] += weight @ (own - mixed)
+            information[1, 2] += weight @ mixed
+        information += np.triu(information, 1).T
         step = np.linalg.pinv(information, hermitian=True) @ score
         step = np.clip(step, -1.0, 1.0)
         moved = replace(
@@ -208,19 +238,18 @@ class Spectrum:
         )
         return moved, float(np.abs(step).max())
 
-    def freed(self, spectra: Array, offset_px: Shifts, gain: Array) -> Spectrum:
+    def freed(self, spectra: Array, steering: Steering) -> Spectrum:
         """Return the spectrum with the power that the frames show, smoothed over neighbours.
 
         P <- P0 (mean of E|X|^2 / P0)^(n / (n + nu)),   E|X|^2 given the frames (EM)
         """
         power = self.power
         seen_power = np.empty_like(power)
-        for part in self.frequencies.parts(len(offset_px), 1):
-            steering = self.steering(part, offset_px, gain)
-            inverse = np.linalg.inv(self.covariance(power[part], steering))
-            data = np.conj(steering) @ (inverse @ spectra[part][..., None])
-            mean_square = (power[part] * np.abs(data[..., 0])) ** 2
-            known = np.real(np.sum(np.conj(steering) * (steering @ np.swapaxes(inverse, 1, 2)), -1))
+        pairs = steering.pairs.view(np.float64).T
+        for part, inverse, _, seen in self.inverted(spectra, steering):
+            data = seen @ np.conj(steering.alias).T
+            known = inverse.reshape(len(seen), -1).view(np.float64) @ pairs
+            mean_square = (power[part] * np.abs(data)) ** 2
             seen_power[part] = mean_square + power[part] - power[part] ** 2 * known
         law = power / self.freedom
         bins = _NEIGHBOURS**2
@@ -228,14 +257,11 @@ class Spectrum:
         lean = bins / (bins + _LEANING_BINS)
         return replace(self, freedom=np.maximum(ratio, _LEAST_FREEDOM) ** lean)
 
-    def expected(self, spectra: Array, offset_px: Shifts, gain: Array) -> Array:
+    def expected(self, spectra: Array, steering: Steering) -> Array:
         """Return what of the spectra [frequency frame] is scene, not noise."""
         found = np.empty_like(spectra)
-        power = self.power
-        for part in self.frequencies.parts(len(offset_px), 1):
-            matrix = self.covariance(power[part], self.steering(part, offset_px, gain))
-            seen = np.linalg.solve(matrix, spectra[part][..., None])[..., 0]
-            found[part] = spectra[part] - self.noise_power * seen
+        for part, _, y, seen in self.inverted(spectra, steering):
+            found[part] = np.conj(steering.back[part]) * (y - self.noise_power * seen)
         return found
 
 

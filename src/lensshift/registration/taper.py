@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lensshift.core.arrays import Array
 
 if TYPE_CHECKING:
-    from lensshift.registration.spectrum import Spectrum
+    from lensshift.registration.spectrum import Spectrum, Steering
 
 Shifts = NDArray[np.float64]
 
@@ -45,15 +45,13 @@ class Tapered:
     expected: Array | None
     inflation: float
 
-    def with_expected(
-        self, spectrum: Spectrum, offset_px: Shifts, gain: NDArray[np.float64]
-    ) -> Tapered:
+    def with_expected(self, spectrum: Spectrum, steering: Steering) -> Tapered:
         """Return it with what the model expects of the frames, to fill invalid pixels with."""
         count, rows, cols = self.window.shape
         whole = spectrum.frequencies.whole_plane
         columns = cols if whole else cols // 2 + 1
         padded = np.zeros((rows * columns, count), np.complex128)
-        padded[1:] = spectrum.expected(self.spectra, offset_px, gain)
+        padded[1:] = spectrum.expected(self.spectra, steering)
         shaped = padded.T.reshape(count, rows, columns) * self.scale[:, None, None]
         expected = np.fft.ifft2(shaped) if whole else np.fft.irfft2(shaped, s=(rows, cols))
         return replace(self, expected=expected)
