@@ -58,6 +58,7 @@ def test_images_gather_the_cells_that_their_squares_cover(side: float) -> None:
     assert expected.max() > 0.5
 
 
+@pytest.mark.slow
 def test_what_a_lens_blurs_far_does_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """A lens 0.4 mm out of focus throws light over several tiles."""
     lens = load_lens("al2550")

@@ -123,6 +123,7 @@ def test_contrast_is_aperture_times_lens(name: str, col: int, shift_px: float, m
     assert swing == pytest.approx(0.5 * np.sinc(local) * contrast, abs=0.002)
 
 
+@pytest.mark.slow
 def test_the_sharp_truth_lacks_what_the_lens_takes_and_nothing_else() -> None:
     """Stripes: their contrast over the sharp one is the MTF, and they lie at the same place."""
     cycles, col, scale = 170.0, 60, 2
@@ -194,7 +195,7 @@ def test_what_is_seen_through_a_lens_has_its_wave_optical_otf(
         np.testing.assert_allclose(seen, exact, atol=near)
 
 
-@pytest.mark.parametrize("cycles_per_px", [0.2, 0.45])
+@pytest.mark.parametrize("cycles_per_px", [pytest.param(0.2, marks=pytest.mark.slow), 0.45])
 def test_stripes_at_f_12_lose_what_waves_lose(cycles_per_px: float) -> None:
     """Through cells, tiles and pixels: rays with the Airy disc would show a tenth less."""
     lens, pitch_mm = stopped(load_lens("petzval_b"), 12.5), 0.011

@@ -68,6 +68,7 @@ def test_photographs_of_one_name_are_drawn_apart(call: Call, tmp_path: Path) -> 
     assert len(list(seen.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_through_focus(call: Call, tmp_path: Path) -> None:
     names = []
     for place, sigma_px in ((0, 1.0), (10, 0.6), (20, 1.0)):

@@ -143,6 +143,7 @@ def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:
     assert table["stroke_mm"].shape == (len(rows),)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_report_tells_and_draws_all(call: Call, tmp_path: Path) -> None:
     page, sensor = tmp_path / "page.html", ("--sensor", "62x13", "--pitch-mm", "0.2,0.155")
     found = numbers(call, "report", "petzval_a", *sensor, "--band-nm", "40")

@@ -90,6 +90,7 @@ def test_the_best_of_several_lenses_comes_first(call: Call, tmp_path: Path) -> N
     assert numbers(call, "show", out)["focal_length_mm"] == pytest.approx(42.7, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_form_is_refined_beside_a_stock_lens(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "found.toml"
     arguments = "refine", "petzval_b", "--focal-length-mm", 42.7, "--f-number", 2.135, *SENSOR
@@ -108,6 +109,7 @@ def test_a_form_is_refined_beside_a_stock_lens(call: Call, tmp_path: Path) -> No
     assert rows[0]["mtf_centred"] == pytest.approx(told["mtf"], abs=1e-6)  # type: ignore[index]
 
 
+@pytest.mark.slow
 def test_a_train_may_have_a_window_a_stop_inside_and_other_light(
     call: Call, tmp_path: Path
 ) -> None:
@@ -124,6 +126,7 @@ def test_a_train_may_have_a_window_a_stop_inside_and_other_light(
     assert paraxial(lens).focal_length_mm == pytest.approx(35.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_designs_are_ranked_by_the_picture(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "best.toml"
     train = "optimise", "al2550", "eo33950", "--focal-length-mm", 42.7, *SENSOR

@@ -35,6 +35,7 @@ QUARTERS = 0.25 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 CORNER = np.tan(np.radians([1.6, 6.5]))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the rays of")  # the same few rays on both sides
 def test_a_focus_scan_equals_the_fast_mtf_of_moved_sensors() -> None:
     lens = load_lens("petzval_b").with_decenter(2, (0.0, 4.8))  # some rays are lost

@@ -114,6 +114,7 @@ def test_a_tilted_plate_moves_the_image_as_the_closed_form_says() -> None:
     assert found_mm == pytest.approx(expected_mm, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_tilt_that_blurs_far_from_rest_is_told_near_it() -> None:
     """Beyond one pixel of shift the contrast is gone and its widths are no polynomial."""
     lens, grid = load_lens("petzval_a"), Grid((16, 64), (0.155, 0.155))
@@ -206,6 +207,7 @@ def test_a_burst_of_something_else_is_refused_with_the_cure() -> None:
     )
 
 
+@pytest.mark.slow
 def test_half_the_reach_where_the_lens_cuts_off_light() -> None:
     lens = load_lens("petzval_b")
     sensor = Grid((16, 64), (0.155, 0.155))

@@ -25,6 +25,7 @@ INDEX = refractive_index("N-BK7", 850.0)
 AXIS, MIDDLE = [0.0, 0.0], [[0.0, 0.0]]
 
 
+@pytest.mark.slow
 def test_all_movers_stand_in_one_table() -> None:
     lens, shift_px = load_lens("petzval_a"), 0.25
     grid = Grid((5, 9), (0.16, 0.15))

@@ -80,6 +80,7 @@ def left_by_a_solver(
     return float(np.mean((picture - truth)[8:-8, 8:-8] ** 2))
 
 
+@pytest.mark.slow
 def test_a_solver_leaves_what_the_closed_form_says() -> None:
     """Tikhonov, which knows nothing of the scene's power, over patterns, places and errors."""
     told, got = [], []
@@ -98,6 +99,7 @@ def test_a_solver_leaves_what_the_closed_form_says() -> None:
     assert got[2] < 0.6 * got[0]
 
 
+@pytest.mark.slow
 def test_score_prefers_the_element_that_is_less_sensitive() -> None:
     lens = load_lens("petzval_a")
     exact = [picture_score(lens, element, SENSOR, actuator_um=0.0) for element in (0, 1)]

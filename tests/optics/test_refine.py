@@ -123,6 +123,7 @@ def test_the_sensor_stands_between_the_foci_of_two_temperatures() -> None:
     assert ray_error_um(found, both)[0] < ray_error_um(lens.with_sensor(cold), both)[0]
 
 
+@pytest.mark.slow
 def test_a_stock_lens_stays_whole_beside_one_that_is_made() -> None:
     stock = load_lens("al2550").elements[0]
     made = Element((Surface(60.0), Surface(300.0)), ("N-SF11",), (3.0,), name="made")

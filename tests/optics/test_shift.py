@@ -156,6 +156,7 @@ def test_wrong_requests() -> None:
     assert edge_fields(lens, SMALL).shape == (9, 2)
 
 
+@pytest.mark.slow
 def test_the_least_mtf_is_that_of_all_fields_directions_and_moves() -> None:
     grid = Grid((5, 9), (0.5, 0.9))
     lens = load_lens("petzval_b")

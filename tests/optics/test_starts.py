@@ -26,6 +26,7 @@ def test_random_forms_find_a_better_place() -> None:
     assert merit(found, whole, FREE) < 0.5 * alone
 
 
+@pytest.mark.slow
 def test_never_worse_and_the_same_again() -> None:
     alone = merit(refine(PAIR, TASK, FREE, steps=6), TASK, FREE)
     told: list[tuple[int, int]] = []

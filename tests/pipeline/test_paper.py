@@ -185,7 +185,8 @@ def test_verdicts_on_the_lens_follow_from_the_curves() -> None:
     assert optics_claims([alone])[2].verdict == "confirmed"
 
 
-@pytest.mark.parametrize("snr", [15.0, pytest.param(50.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("snr", [15.0, 50.0])
 def test_phasors_keep_the_edges_of_the_boxes(snr: float) -> None:
     """Asked: 0.85 times the edge error of the distance channel, and no more on the flat."""
     depth = take_boxes(0, snr).depth
@@ -193,6 +194,7 @@ def test_phasors_keep_the_edges_of_the_boxes(snr: float) -> None:
     assert depth["phasor"]["flat_rmse_m"] < depth["distance"]["flat_rmse_m"]
 
 
+@pytest.mark.slow
 def test_the_traced_shift_map_resolves_more_rings() -> None:
     """Asked: 0.3 dB for the first lens of build B; the third shifts far less evenly."""
     gain_db = {}

@@ -112,7 +112,7 @@ CARDS = [
     pytest.param(0.04, 100.0, marks=[pytest.mark.slow, NOT_MET]),
     pytest.param(0.1, 15.0, marks=pytest.mark.slow),
     pytest.param(0.1, 50.0, marks=pytest.mark.slow),
-    pytest.param(0.1, 100.0),
+    pytest.param(0.1, 100.0, marks=pytest.mark.slow),
 ]
 
 
@@ -140,6 +140,7 @@ def test_a_dark_surface_is_not_drawn_to_the_bright_wall(snr: float, dark: float)
     assert np.mean(within) >= 0.9
 
 
+@pytest.mark.slow
 def test_a_pole_of_one_pixel_is_seen_and_std_says_how_well() -> None:
     """Asked: within 5 cm in 80 % of the lines; a pole between two HR pixels is not."""
     near, within = [], []
@@ -214,6 +215,7 @@ def test_distances_of_hardly_any_light_spoil_nothing() -> None:
     assert spoilt < 1.3 * clean
 
 
+@pytest.mark.slow
 def test_std_of_wide_surfaces_is_that_of_their_errors() -> None:
     """Amplitude and distance of even surfaces, of noise that follows the light, without a bias."""
 

@@ -112,6 +112,7 @@ def test_what_is_told_is_not_read() -> None:
 
 
 # The usual width is too wide, and the frames say so.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lensshift.QualityWarning")
 def test_pictures_are_as_good_as_with_the_told_width() -> None:
     """Of half-wide pixels: half a decibel mostly, where the usual width loses many."""

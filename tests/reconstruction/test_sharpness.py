@@ -120,6 +120,7 @@ def test_frames_are_compared_in_sharpness_as_soon_as_they_contradict(
     assert list(shaken) == expected
 
 
+@pytest.mark.slow
 def test_few_frames_tell_of_no_other_and_outliers_are_no_shaking() -> None:
     seen = shaken_burst(4, {1: (3.0, 0.0)}, frames=3)
     model = forward_model(SHAPE, 2, seen.offset_px, blur=GaussianBlur(WIDTH_PX))
@@ -143,7 +144,8 @@ def test_noise_that_is_told_too_small_is_refuted_and_the_right_one_is_not() -> N
             assert refuted(asked, solve_together([asked])[0]) is expected
 
 
-@pytest.mark.parametrize("seed", [21, *(pytest.param(n, marks=pytest.mark.slow) for n in (22, 23))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [21, 22, 23])
 def test_frames_that_no_noise_explains_are_followed_as_far_as_they_predict(seed: int) -> None:
     """A camera that compresses: even blocks, as if noise were hardly there, and edges that err."""
     seen = shaken_burst(seed, {}, frames=12)

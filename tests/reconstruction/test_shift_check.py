@@ -104,6 +104,7 @@ def test_another_unit_is_named_with_the_factor_that_cures_it(times: float) -> No
     assert f"multiply offset_px by about {doubt.factor:.2g}" in doubt.cure
 
 
+@pytest.mark.slow
 def test_micrometres_on_a_sensor_of_more_than_a_part_are_doubted() -> None:
     """Frames said to lie 39 px apart lie half a pixel apart."""
     y = photograph(_weave, (90, 90), SQUARE_PX)
@@ -289,6 +290,7 @@ def test_gain_outliers_and_dead_pixels_are_no_wrong_shifts() -> None:
     assert doubtful_shifts(np.where(hit, np.nan, y), SQUARE_PX, valid=~hit) is None
 
 
+@pytest.mark.slow
 def test_a_part_of_a_large_sensor_tells_with_shift_fields_and_phasors_too() -> None:
     y = np.zeros((4, 120, 90))
     y[:, 60:84, 40:70] = _frames(_boxes, SQUARE_PX, 0.0)

@@ -104,6 +104,7 @@ def test_phasors_stream_as_well():
     assert errors["live"] < 1.1 * errors["refined"]
 
 
+@pytest.mark.slow
 def test_phasors_of_which_smaller_pixels_are_asked_stream_as_well():
     """The second look at their light began with the channels of phasors, beyond its arrays."""
     steps = (-1 / 3, 0.0, 1 / 3)

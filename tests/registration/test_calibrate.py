@@ -263,6 +263,7 @@ def test_a_scan_leaves_a_lens_field_as_it_is_that_is_right(scan: Burst) -> None:
         fit_scan(found.burst, registered=True, lens_field=near)
 
 
+@pytest.mark.slow
 def test_a_bright_card_across_the_sensor_does_not_make_the_map_its_own() -> None:
     """Shifts too small by two thirds fit it as well, where frames are tapered as they move."""
     wall = Plane(centre_m=(0.0, 0.0, 5.0), reflectance=0.3)
