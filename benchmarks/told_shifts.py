@@ -4,12 +4,12 @@ python benchmarks/told_shifts.py --seed 400 --bursts 4
 python benchmarks/told_shifts.py --seed 400 --bursts 8 --upright
 
 Cards, waves and parts of photographs, seen by square pixels at the very shifts (8 x 8 points in a
-pixel), with four frames on a square and nine at random places; each shift is off by a normal error
-that nobody told. A line for each error: that of the shifts about their mean before and after, how
-often they were mended and named, the gain of the picture over shifts that are believed (told to be
-exact), and what 2 std hold of the truth. For each number of frames, level of noise and scene.
-Upright scenes (boxes, checkers, crosses) have edges along the pixels alone, and shifts that were
-told right.
+pixel, 64 x 64 where scenes are upright, whose edges move by whole steps of these), with four frames
+on a square and nine at random places; each shift is off by a normal error that nobody told. A line
+for each error: that of the shifts about their mean before and after, how often they were mended and
+named, the gain of the picture over shifts that are believed (told to be exact), and what 2 std hold
+of the truth. For each number of frames, level of noise and scene. Upright scenes (boxes, checkers,
+crosses) have edges along the pixels alone, and shifts that were told right.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from lensshift import Burst, reconstruct
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "reconstruction"))
 
-from pixel_camera import SQUARE_PX, interior_psnr, photograph
+from pixel_camera import FINE, SQUARE_PX, interior_psnr, photograph
 
 SHAPE = (27, 34)
 ERRORS_PX = (0.0, 0.02, 0.05, 0.1)
@@ -135,9 +135,10 @@ def one(name: str, frames: int, snr: float, error_px: float, seed: int) -> list[
     told_px = SQUARE_PX if frames == 4 else rng.uniform(-0.5, 0.5, (frames, 2))
     wrong_px = error_px * rng.standard_normal(told_px.shape)
     wrong_px -= wrong_px.mean(axis=0)  # which moves the picture, no more
-    y = photograph(scene, SHAPE, told_px + wrong_px)
+    fine = 64 if name in UPRIGHT else FINE
+    y = photograph(scene, SHAPE, told_px + wrong_px, fine=fine)
     y += rng.normal(0.0, 0.8 / snr, y.shape)
-    truth = photograph(scene, SHAPE, (0.0, 0.0), 2)[0]
+    truth = photograph(scene, SHAPE, (0.0, 0.0), 2, fine)[0]
     asked = Burst.from_arrays(y, offset_px=told_px, pitch_mm=0.015)
     exact = Burst.from_arrays(
         y, offset_px=told_px, pitch_mm=0.015, offset_sigma_px=np.zeros_like(told_px)

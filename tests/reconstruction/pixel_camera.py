@@ -30,21 +30,26 @@ def edge_scene(row: Array, col: Array) -> Array:
 
 
 def photograph(
-    scene: Scene, shape: tuple[int, int], offset_px: ArrayLike, scale: int = 1
+    scene: Scene, shape: tuple[int, int], offset_px: ArrayLike, scale: int = 1, fine: int = FINE
 ) -> NDArray[np.float64]:
-    """Return the frames [frame row col]; with one offset 0 and a scale, the HR truth."""
+    """Return the frames [frame row col]; with one offset 0 and a scale, the HR truth.
+
+    `fine` x `fine` points in a pixel: edges along the pixels move by whole steps of these.
+    """
     offsets = np.atleast_2d(np.asarray(offset_px, np.float64))
-    return np.stack([_frame(scene, shape, (row, col), scale) for row, col in offsets.tolist()])
+    return np.stack(
+        [_frame(scene, shape, (row, col), scale, fine) for row, col in offsets.tolist()]
+    )
 
 
 @lru_cache(maxsize=200)  # many tests look at the same scene from the same places
 def _frame(
-    scene: Scene, shape: tuple[int, int], offset_px: tuple[float, float], scale: int
+    scene: Scene, shape: tuple[int, int], offset_px: tuple[float, float], scale: int, fine: int
 ) -> NDArray[np.float64]:
-    step = 1.0 / (FINE * scale)
-    rows, cols = (-0.5 + step * (np.arange(n * scale * FINE) + 0.5) for n in shape)
+    step = 1.0 / (fine * scale)
+    rows, cols = (-0.5 + step * (np.arange(n * scale * fine) + 0.5) for n in shape)
     seen = scene(rows[:, None] - offset_px[0], cols[None, :] - offset_px[1])
-    return seen.reshape(shape[0] * scale, FINE, shape[1] * scale, FINE).mean(axis=(1, 3))
+    return seen.reshape(shape[0] * scale, fine, shape[1] * scale, fine).mean(axis=(1, 3))
 
 
 def truth(scene: Scene, shape: tuple[int, int], scale: int) -> NDArray[np.float64]:
