@@ -32,25 +32,15 @@ _WAIT_S = 1.0  # for a frame of a recording with gaps
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A frame as it arrives.
+    """A frame as it arrives."""
 
-    Parameters
-    ----------
-    frame : what the camera saw
-    place : where on the plan
-    taken_s : `time.monotonic()` when its last byte had come
-    plan : burst of empty frames with the shifts of the plan, the grid, and what else is known
-    offset_px : [2] where the image lies by what the stage reads back, or as planned
-    stage_mm, commanded_mm : [2] where the lens was, and where it was sent; None without a stage
-    """
-
-    frame: Frame
-    place: int
-    taken_s: float
-    plan: Burst
-    offset_px: Array
-    stage_mm: Array | None = None
-    commanded_mm: Array | None = None
+    frame: Frame  # what the camera saw
+    place: int  # where on the plan
+    taken_s: float  # `time.monotonic()` when its last byte had come
+    plan: Burst  # empty frames with the shifts of the plan, the grid, and what else is known
+    offset_px: Array  # [2] where the image lies by what the stage reads back, or as planned
+    stage_mm: Array | None = None  # [2] where the lens was, None without a stage
+    commanded_mm: Array | None = None  # [2] and where it was sent
 
 
 class Source(Protocol):
@@ -59,29 +49,22 @@ class Source(Protocol):
     @property
     def name(self) -> str:
         """What it is called in messages."""
-        ...
 
     @property
     def pattern(self) -> str:
         """Name of the plan that the lens goes round."""
-        ...
 
     def choose(self, pattern: str) -> None:
         """Go round another plan from the next frame on.
 
-        Raises
-        ------
-        ValueError
-            If there is no such plan, the stage cannot go there, or the plan is fixed.
+        ValueError if there is no such plan, the stage cannot go there, or the plan is fixed.
         """
-        ...
 
     def shots(self) -> Iterator[Shot | None]:
         """Yield frames as they arrive, None now and then while none comes.
 
         Closing the iterator brings the lens back to rest.
         """
-        ...
 
 
 class _AnyPlan:
@@ -137,13 +120,7 @@ class RigSource(_AnyPlan):
 
 
 class SimulatedSource(_AnyPlan):
-    """Frames of a simulated camera whose image moves by the plan, and a little beside it.
-
-    Parameters
-    ----------
-    rate_hz : frames per second
-    shift_error_px : rms error of each shift along each axis, which nobody is told
-    """
+    """Frames of a simulated camera whose image moves by the plan, and a little beside it."""
 
     def __init__(
         self,
@@ -152,7 +129,7 @@ class SimulatedSource(_AnyPlan):
         pattern: str = "square",
         *,
         rate_hz: float = 25.0,
-        shift_error_px: float = 0.02,
+        shift_error_px: float = 0.02,  # rms along each axis, which nobody is told
         seed: int = 0,
     ) -> None:
         self._running = RunningCamera(scene, camera)
@@ -184,12 +161,9 @@ class SimulatedSource(_AnyPlan):
 
 
 class BurstSource:
-    """Frames of a burst file or of the journal of a capture, over and over.
+    """Frames of a burst file or of the journal of a capture, over and over unless not `again`.
 
-    Parameters
-    ----------
-    rate_hz : frames per second; infinity: as fast as they are fetched
-    again : begin anew at the end
+    At an infinite rate they come as fast as they are fetched.
     """
 
     def __init__(
@@ -282,15 +256,10 @@ def template_of(
     grid: Grid,
     modulation_hz: float | None,
     intrinsics: Intrinsics | None,
-    blur_px: float | None,
+    blur_px: float | None,  # width of the pixel response, lens included, in LR pixels
     name: str,
 ) -> Burst:
-    """Return a burst of empty frames: a plan, with what is known of the camera.
-
-    Parameters
-    ----------
-    blur_px : width of the pixel response, lens included, in LR pixels; None: not known
-    """
+    """Return a burst of empty frames: a plan, with what is known of the camera."""
     meta: dict[str, Any] = {"plan": name}
     if blur_px is not None:
         meta["psf_sigma_px"] = float(blur_px)
