@@ -63,7 +63,9 @@ def intrinsics_of_fields(fields: Mapping[str, Any]) -> Intrinsics | None:
 
 def read_intrinsics(container: Container) -> Intrinsics | None:
     """Return where the pixels look by the fields of a container; `DataError` as above."""
-    return intrinsics_of_fields(container.fields(NAMES))
+    found: dict[str, Any] = {name: container.numbers(name) for name in _COUNTS}
+    found["direction"] = container.known("direction", kinds="uif")
+    return intrinsics_of_fields({name: one for name, one in found.items() if one is not None})
 
 
 def _numbers(fields: Mapping[str, Any], name: str, count: int) -> list[float]:
