@@ -79,7 +79,7 @@ def rig(current: Session, asked: RigOptions) -> None:
     """
     from lensshift.capture.emulators.listener import free_udp_port
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
-    from lensshift.io.atomic import written_whole
+    from lensshift.io.atomic import write_text
     from lensshift.pipeline.experiment_file import named_scene
 
     settings = RigSettings(
@@ -93,8 +93,7 @@ def rig(current: Session, asked: RigOptions) -> None:
     with EmulatedRig(settings, camera_port=port) as running:
         text = running.rig_file()
         if asked.file is not None:
-            with written_whole(asked.file) as part:
-                part.write_text(text, encoding="utf-8")
+            write_text(asked.file, text)
             current.say(f"wrote {asked.file}")
         current.say(text)
         current.result |= {"stage": list(running.stages.urls), "camera_port": port}

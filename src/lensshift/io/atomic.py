@@ -32,6 +32,12 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text that appears whole or not at all; `DataError` as `written_whole`."""
+    with written_whole(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
 class GrowingFile:
     """A file that is open for writing, and closed at the end of a `with` block."""
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lensshift.core.settings import to_json
-from lensshift.io.atomic import written_whole
+from lensshift.io.atomic import write_text
 from lensshift.pipeline.paper.bench import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.beyond import (
     ERRORS_PX,
@@ -219,5 +219,4 @@ def _write_results(found: Reproduction, path: Path) -> None:
     ]
     content = {"claims": claims} | {name: getattr(found, name) for name in _WRITTEN}
     content["gratings"] = [asdict(one) for one in found.gratings]
-    with written_whole(path) as part:
-        part.write_text(to_json(content) + "\n", encoding="utf-8")
+    write_text(path, to_json(content) + "\n")
