@@ -23,7 +23,7 @@ from lensshift.cli.images import (
     interval_row,
     measured_photograph,
 )
-from lensshift.cli.inputs import check_files, parse_numbers, parse_pitch_mm, refuse_overwriting
+from lensshift.cli.inputs import parse_numbers, parse_pitch_mm, refuse_overwriting
 from lensshift.cli.mtf import EdgeOptions
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb
@@ -66,7 +66,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
     from lensshift.core.processes import ready_with
 
     read, seen = [*asked.images, asked.photo.oecf], _annotated_files(asked)
-    check_files(read, [path for path in (asked.report, asked.csv) if path is not None])
+    outputs.check(read, asked.report, asked.csv)
     refuse_overwriting(read, seen)
     # Processes get ready while this one imports what it measures with.
     context = None if asked.workers == 1 else ready_with("lensshift.evaluation.chart_series")

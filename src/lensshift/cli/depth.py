@@ -13,6 +13,7 @@ from lensshift.cli import outputs
 from lensshift.cli.images import (
     Measured,
     PitchOption,
+    Region,
     measured_frames,
     measured_image,
     parse_region,
@@ -70,7 +71,7 @@ def depth(current: Session, asked: DepthOptions) -> None:
     """
     image, truth = asked.image, asked.truth
     place = parse_region(asked.plane)
-    outputs.check([image, truth], asked.to.csv, asked.to.plot)
+    outputs.check([image, truth], asked.to.csv, plot=asked.to.plot)
     measured = _distance_image(image, asked.pitch_mm, asked.key, asked.frame)
     options: dict[str, Any] = {
         "scale": asked.scale or measured.scale, "noise_m": asked.noise_m,
@@ -164,10 +165,7 @@ def _surfaces(
 
 
 def _plane(
-    current: Session,
-    measured: Measured,
-    region: tuple[int, int, int, int],
-    focal_length_mm: float | None,
+    current: Session, measured: Measured, region: Region, focal_length_mm: float | None
 ) -> None:
     import numpy as np
 

@@ -51,7 +51,7 @@ def gain(current: Session, asked: GainOptions) -> None:
 
     fine, coarse, key = asked.fine, asked.coarse, asked.key
     place = images.parse_region(asked.region)
-    outputs.check([fine, coarse], asked.to.csv, asked.to.plot)
+    outputs.check([fine, coarse], asked.to.csv, plot=asked.to.plot)
     of_fine, of_coarse = images.keys_of(key, fine, coarse)
     below = (
         images.measured_frames(coarse, key=of_coarse)

@@ -59,7 +59,7 @@ def gradient(current: Session, asked: GradientOptions) -> None:
 
     against, key = asked.against, asked.of.key
     place = images.parse_region(asked.region)
-    outputs.check([asked.of.image, against], asked.to.csv, asked.to.plot)
+    outputs.check([asked.of.image, against], asked.to.csv, plot=asked.to.plot)
     if against is None:
         fine, coarse = images.measured_of(asked.of), None
     else:
@@ -86,17 +86,11 @@ def gradient(current: Session, asked: GradientOptions) -> None:
 
 
 def _lines(
-    measured: images.Measured,
-    region: tuple[int, int, int, int] | None,
-    asked: GradientOptions,
-    scale: int,
+    measured: images.Measured, region: images.Region | None, asked: GradientOptions, scale: int
 ) -> tuple[NDArray[Any], float]:
     """Return the lines [line n] and the distance of their samples."""
-    import numpy as np
-
-    part = np.asarray(
-        measured.values[images.slices_of(images.scaled(region, scale), measured.values.shape)]
-    )
+    values = measured.values
+    part = values[images.slices_of(images.scaled(region, scale), values.shape)]
     upright, line = asked.along == "col", asked.line
     lines = part if upright else part.T
     if line is not None:
@@ -134,11 +128,7 @@ def _compare(current: Session, fine: EdgeGradient, coarse: EdgeGradient) -> None
     if ratio.averaged is not None:
         current.say(f"  ratio to trust     {ratio.averaged:.4g} from the averaged profiles")
     current.result["against"] = _row(coarse)
-    current.result["ratio"] = {
-        "mean": ratio.ratio,
-        "interval": ratio.interval,
-        "averaged": ratio.averaged,
-    }
+    current.result["ratio"] = {"mean": ratio.ratio} | picked(ratio, "interval averaged")
 
 
 def _row(found: EdgeGradient) -> dict[str, Any]:

@@ -141,7 +141,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
 
     from lensshift.optics.otf import diffraction_limit
 
-    outputs.check([Path(asked.of.lens)], asked.csv, asked.plot)
+    outputs.check([Path(asked.of.lens)], asked.csv, plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     fields_tan = optics.parse_fields_tan(asked.field_deg)
     travel_mm = optics.diagonal_mm(model, moved, asked.of.shift_px, grid)
@@ -225,7 +225,7 @@ def which(current: Session, asked: WhichOptions) -> None:
     from lensshift.optics.movers import which_mover
     from lensshift.optics.which import format_movers
 
-    outputs.check([Path(asked.of.lens)], asked.to.csv, asked.to.plot)
+    outputs.check([Path(asked.of.lens)], asked.to.csv, plot=asked.to.plot)
     model, grid = optics.opened(asked.of)
     movers = which_mover(model, grid, shift_px=asked.shift_px)
     current.say(format_movers(movers))

@@ -212,7 +212,7 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         tolerance_analysis,
     )
 
-    outputs.check([Path(asked.of.lens)], asked.to.csv, asked.to.plot)
+    outputs.check([Path(asked.of.lens)], asked.to.csv, plot=asked.to.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     shift_px, builds = asked.of.shift_px, asked.builds
     limits = Tolerances(

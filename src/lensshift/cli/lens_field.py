@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli import optics, outputs
-from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
+from lensshift.cli.inputs import PatternOption, check_netcdf
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb
 
@@ -62,11 +62,7 @@ def field(current: Session, asked: FieldOptions) -> None:
     out, reach_px = asked.out, asked.reach_px
     if out is not None:
         check_netcdf(out, "a lens field")
-    check_files(
-        (asked.burst, Path(asked.lens)),
-        [path for path in (out, asked.to.csv, asked.to.plot) if path is not None],
-    )
-    outputs.check([], asked.to.csv, asked.to.plot)
+    outputs.check([asked.burst, Path(asked.lens)], out, asked.to.csv, plot=asked.to.plot)
     wanted_px = named_pattern_px(asked.pattern)
     if reach_px is not None and reach_px < abs(wanted_px).max():
         raise typer.BadParameter(

@@ -80,7 +80,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
     place = images.parse_region(asked.region)
-    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
+    outputs.check([asked.of.image], asked.to.csv, plot=asked.to.plot)
     measured = (
         images.measured_frames(asked.of.image, key=asked.of.key)
         if asked.joint
@@ -99,7 +99,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
 
 
 def edges_of(
-    measured: images.Measured, region: tuple[int, int, int, int] | None, **options: Any
+    measured: images.Measured, region: images.Region | None, **options: Any
 ) -> list[EdgeResult]:
     """Measure the edges of an image, or of a region of it."""
     from lensshift.evaluation.slanted_edge import measure_edges

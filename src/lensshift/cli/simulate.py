@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
+from lensshift.cli import outputs
+from lensshift.cli.inputs import PatternOption, check_netcdf
 from lensshift.cli.optics import ELEMENT_HELP, element_of
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
@@ -101,8 +102,7 @@ def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
     check_netcdf(out, "a burst")
     if phases is not None and phases.suffix.lower() != ".npz":
         raise typer.BadParameter(f"expected phases that end in .npz, got {phases}")
-    files = [path for path in (out, truth_file, phases) if path is not None]
-    check_files((Path(asked.scene), Path(asked.camera)), files)
+    outputs.check((Path(asked.scene), Path(asked.camera)), out, truth_file, phases)
 
 
 def _camera(asked: SimulateOptions) -> TofCamera:

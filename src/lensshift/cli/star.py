@@ -262,7 +262,7 @@ def _pattern(current: Session, asked: ResolutionOptions, seen: images.Measured) 
     return found.radial if asked.chirp is not None else found.mtf
 
 
-def _group(text: str, seen: images.Measured) -> tuple[float, tuple[int, int, int, int] | None]:
+def _group(text: str, seen: images.Measured) -> tuple[float, images.Region | None]:
     """Return frequency and region of a group of bars, from "2.5", "8px" or "8px@0,40,10,60"."""
     lines, _, region = text.partition("@")
     expected = "bars like 2.5, 8px or 8px@0,40,10,60"
@@ -294,7 +294,7 @@ def _say_contrast(current: Session, found: Any) -> None:
 
 
 def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[images.Measured, images.Unit]:
-    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
+    outputs.check([asked.of.image], asked.to.csv, plot=asked.to.plot)
     measured = _one_image(asked.of, asked.photo)
     return measured, images.frequency_unit(measured, asked.focal_length_mm)
 
