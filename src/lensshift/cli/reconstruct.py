@@ -303,8 +303,8 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
     same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
     if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
         same["channel"] = "auto"
-    with warnings.catch_warnings():  # of the burst all was said
-        warnings.simplefilter("ignore", QualityWarning)
+    # of the burst all was said
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
     reference = {name: one.image for name, one in bicubic.channels.items()}
     title = f"{result.method} x{result.scale}"

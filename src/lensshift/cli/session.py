@@ -103,8 +103,7 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
     """Run a verb that is `doing` something; print its result, or its error on one line, exit 1."""
     current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
-    with ended_by_signals(), warnings.catch_warnings():
-        warnings.simplefilter("always", QualityWarning)
+    with ended_by_signals(), warnings.catch_warnings(action="always", category=QualityWarning):
         warnings.showwarning = current.warn
         try:
             yield current

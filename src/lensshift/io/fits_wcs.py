@@ -38,8 +38,7 @@ def astropy_fits() -> Any:
 def quiet_astropy() -> Iterator[None]:
     """Keep astropy from speaking of cards, by warnings or (of SIP) on stdout, where JSON may go."""
     logger = logging.getLogger("astropy")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         before = logger.disabled
         logger.disabled = True
         try:

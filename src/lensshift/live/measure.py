@@ -41,8 +41,7 @@ def shift_error(window: Burst) -> dict[str, float]:
     from lensshift.registration import register
 
     begin_s = time.process_time()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)  # sigma_px says it
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):  # sigma_px says it
         found = register(window, motion="shift")
     error_px = found.offset_px - window.offset_px
     error_px = error_px - error_px.mean(axis=0)
@@ -66,8 +65,7 @@ def edge_curve(
 
     frequency_lpmm = np.linspace(0.0, min(most_lpmm, 1.0 / pitch_mm), _CURVE_POINTS)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", QualityWarning)  # the notes say it
+        with warnings.catch_warnings(action="ignore", category=QualityWarning):  # the notes say it
             found = measure_edge(
                 image,
                 pitch_mm,

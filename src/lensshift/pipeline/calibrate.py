@@ -107,9 +107,8 @@ def psf_width_px(burst: Burst) -> tuple[float, float] | None:
     valid = None if burst.valid is None else burst.valid[::every]
     widths = []
     for region in _edges(burst):
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(action="ignore", category=QualityWarning):
             # Doubts are about one frame: many frames leave no pixel phase out.
-            warnings.simplefilter("ignore", QualityWarning)
             edge = measure_edge(frames, offset_px=offset_px, valid=valid, region=region)
         half = edge.mtf50_lpmm
         told = np.all(np.isfinite([half.value, half.low, half.high])) and half.low > 0.0

@@ -193,8 +193,7 @@ def _pictures(
         if burst is None or not shown[begin : begin + job.window].any():
             yield None, [NOTHING]
             continue
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", QualityWarning)
+        with warnings.catch_warnings(record=True, action="always", category=QualityWarning) as said:
             if camera is None:
                 found = reconstruct(burst.select(range(begin, begin + job.window)), **told)
             else:
@@ -207,8 +206,7 @@ def _pictures(
 
 def _blank(job: Windows, template: Burst) -> dict[str, Array]:
     """Return the fields of a window that shows nothing: no number, which frames contradict."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         like = of_sequence(reconstruct(template, job.scale, job.method, **dict(job.settings)))
     blank = {
         name: np.full_like(one, np.nan if one.dtype.kind == "f" else 0)
@@ -236,8 +234,7 @@ def _begun(
     """Return the job, with the pixel response of its first window, the file, and the tasks left."""
     template = source.burst(job.example, job.window)
     stream(template, job.scale, job.method, pace=job.pace, **dict(job.settings))  # refuses
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         example = reconstruct(template, job.scale, job.method, **dict(job.settings))
     if example.settings["psf_source"] == "frames":
         read = {name: example.settings[name] for name in ("psf_sigma_px", "psf_std_px")}
