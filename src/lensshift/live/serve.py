@@ -7,10 +7,10 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from lensshift.core.errors import of_extra
 from lensshift.live.server import make_app
 from lensshift.live.worker import Live
 
@@ -84,12 +84,8 @@ def serve(
 
 def require_web() -> None:
     """Raise an ImportError with what to install if the extra `live` is not."""
-    try:
-        for name in ("starlette", "uvicorn", "websockets"):
-            import_module(name)
-    except ImportError as error:
-        problem = "the live page needs a web server: python -m pip install 'lensshift[live]'"
-        raise ImportError(problem) from error
+    for name in ("starlette", "uvicorn", "websockets"):
+        of_extra(name, "the live page needs a web server: python -m pip install 'lensshift[live]'")
 
 
 def _named(listener: socket.socket) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.arrays import Array
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import QualityWarning, of_extra
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.io.burst_file import Recording, open_recording
 from lensshift.io.piecewise_file import PiecewiseFile
@@ -258,11 +258,8 @@ def _solved_by_dask(
     job: Windows, tasks: list[tuple[int, int]], workers: int | None, scheduler: str | None
 ) -> Iterator[Solved]:
     """Yield what workers solved, as it comes; what a dying one was at is given to another."""
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError as error:
-        problem = "workers need dask.distributed: pip install 'lensshift[cluster]'"
-        raise ImportError(problem) from error
+    needed = "workers need dask.distributed: pip install 'lensshift[cluster]'"
+    distributed = of_extra("distributed", needed)
     with ExitStack() as stack:
         where: Any = scheduler
         if scheduler is None:
