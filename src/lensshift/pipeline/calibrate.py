@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from lensshift.core.optical import gaussian_width
 from lensshift.core.types import Burst
 from lensshift.optics.actuator import PIXEL_NOISE, reconstruction_loss
 from lensshift.registration.calibrate import ScanFit, fit_scan
-
-if TYPE_CHECKING:
-    from lensshift.report.page import Page
 
 _FINER = 3  # times the pixels of a frame: of the picture in which edges are looked for
 _MOST_FRAMES = 12  # that measure an edge jointly; time goes with them
@@ -39,14 +35,6 @@ class RigCalibration:
     def calibration(self) -> Calibration:
         """The calibration."""
         return self.fit.calibration
-
-    def page(self) -> Page:
-        """Return a page that shows the calibration."""
-        from lensshift.report.calibration import calibration_page
-
-        return calibration_page(
-            self.fit, psnr_loss_db=self.psnr_loss_db, mtf50_loss=self.mtf50_loss
-        )
 
 
 def calibrate_rig(
@@ -85,11 +73,13 @@ def calibrate_rig(
         if width is not None:
             found = replace(fit.calibration, psf_sigma_px=width[0], psf_sigma_sigma_px=width[1])
             fit = replace(fit, calibration=found)
-    losses = reconstruction_loss(fit.calibration.stage_map.sigma_px, noise)
-    done = RigCalibration(fit, *losses)
+    psnr_loss_db, mtf50_loss = reconstruction_loss(fit.calibration.stage_map.sigma_px, noise)
     if report is not None:
-        done.page().save(report)
-    return done
+        from lensshift.report.calibration import calibration_page
+
+        page = calibration_page(fit, psnr_loss_db=psnr_loss_db, mtf50_loss=mtf50_loss)
+        page.save(report)
+    return RigCalibration(fit, psnr_loss_db, mtf50_loss)
 
 
 def psf_width_px(burst: Burst) -> tuple[float, float] | None:
