@@ -34,9 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class ChartOptions:
-    """Options of `lensshift evaluate chart`."""
-
+class _ChartOptions:
     images: list[Path] = argument("Photographs of one lens.")
     pitch_mm: PitchOption = None
     focus: str | None = option(None, "Positions of the focus, one a photograph: 0,10,20.")
@@ -54,7 +52,7 @@ class ChartOptions:
 
 
 @verb()
-def chart(current: Session, asked: ChartOptions) -> None:
+def chart(current: Session, asked: _ChartOptions) -> None:
     """Measure all slanted edges of photographs: field map, through focus, a page, a table.
 
     \b
@@ -116,7 +114,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
         current.say(f"wrote {asked.report}")
 
 
-def _pictures(asked: ChartOptions) -> tuple[list[Photograph], Measured]:
+def _pictures(asked: _ChartOptions) -> tuple[list[Photograph], Measured]:
     """Return the photographs, and the first as it was read, with the pitch of all."""
     from lensshift.evaluation.chart_series import Photograph
 
@@ -191,7 +189,7 @@ def _write_rows(
     outputs.write_table(current, csv, columns)
 
 
-def _annotated_files(asked: ChartOptions) -> list[Path]:
+def _annotated_files(asked: _ChartOptions) -> list[Path]:
     """Return where each photograph is written with what was measured; numbered where names meet."""
     if asked.annotate is None:
         return []

@@ -31,9 +31,7 @@ _SOURCE = "distance"
 
 
 @dataclass(frozen=True, slots=True)
-class DepthOptions:
-    """Options of `lensshift evaluate depth`."""
-
+class _DepthOptions:
     image: Path = argument("Image, burst file or reconstruction.")
     truth: Path | None = argument("True distances in m, an image of the same shape.", default=None)
     pitch_mm: PitchOption = None
@@ -60,7 +58,7 @@ class DepthOptions:
 
 
 @verb("measuring distances")
-def depth(current: Session, asked: DepthOptions) -> None:
+def depth(current: Session, asked: _DepthOptions) -> None:
     """Judge a distance image: errors against the truth, flying pixels, fill rate, planes, noise.
 
     \b

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class DoctorOptions:
-    """Options of `lensshift doctor`."""
-
+class _DoctorOptions:
     rig: Path | None = argument("Rig file (TOML); without one, one is written.", default=None)
     out: Path | None = option(None, "Folder of page, scan, calibration; default: by date.", "-o")
     file: Path = option(Path("rig.toml"), "Without a rig file: the one that is written.")
@@ -35,7 +33,7 @@ class DoctorOptions:
 
 
 @verb()
-def doctor(current: Session, asked: DoctorOptions) -> None:
+def doctor(current: Session, asked: _DoctorOptions) -> None:
     """Examine a rig, name what is wrong, calibrate it, and write a page about it.
 
     The first line is the verdict. Axes are homed only with leave, nothing moves while there is a

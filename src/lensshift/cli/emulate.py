@@ -51,9 +51,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class RigOptions:
-    """Options of `lensshift emulate rig`."""
-
+class _RigOptions:
     file: Path | None = option(None, "Write the rig file for `lensshift capture`.")
     scene: SceneOption = "four_boxes"
     port: PortOption = 42000
@@ -69,7 +67,7 @@ class RigOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def rig(current: Session, asked: RigOptions) -> None:
+def rig(current: Session, asked: _RigOptions) -> None:
     """Emulate both stages and an O3M whose image moves with them.
 
     \b
@@ -101,9 +99,7 @@ def rig(current: Session, asked: RigOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class StageOptions:
-    """Options of `lensshift emulate stage`."""
-
+class _StageOptions:
     link: str = option("tcp", "tcp, or pty (not on Windows).")
     speed: SpeedOption = 1.0
     play_um: PlayOption = 6.0
@@ -114,7 +110,7 @@ class StageOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def stage(current: Session, asked: StageOptions) -> None:
+def stage(current: Session, asked: _StageOptions) -> None:
     """Emulate a pair of APT controllers (TDC001 and KDC101) with Z806 actuators.
 
     \b
@@ -140,9 +136,7 @@ def stage(current: Session, asked: StageOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class O3mOptions:
-    """Options of `lensshift emulate o3m`."""
-
+class _O3mOptions:
     scene: SceneOption = "four_boxes"
     port: PortOption = 42000
     rate_hz: RateOption = 25.0
@@ -154,7 +148,7 @@ class O3mOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def o3m(current: Session, asked: O3mOptions) -> None:
+def o3m(current: Session, asked: _O3mOptions) -> None:
     """Emulate an O3M that sends frames of a scene by UDP; its lens stands still.
 
     \b
@@ -178,9 +172,7 @@ def o3m(current: Session, asked: O3mOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class PcicOptions:
-    """Options of `lensshift emulate pcic`."""
-
+class _PcicOptions:
     scene: SceneOption = "four_boxes"
     port: int = option(50010, "TCP port; 0: a free one.", min=0, max=65535)
     rate_hz: RateOption = 10.0
@@ -193,7 +185,7 @@ class PcicOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def pcic(current: Session, asked: PcicOptions) -> None:
+def pcic(current: Session, asked: _PcicOptions) -> None:
     """Emulate a camera that streams frames of a scene by PCIC over TCP.
 
     Clients such as ifm3d first ask what it is, by XML-RPC at another port.

@@ -20,9 +20,7 @@ _DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
 
 
 @dataclass(frozen=True, slots=True)
-class GradientOptions:
-    """Options of `lensshift evaluate gradient`."""
-
+class _GradientOptions:
     of: images.ImageOptions
     against: Path | None = option(None, "A coarser image of the same scene; gives the ratio.")
     region: images.RegionOption = None
@@ -43,7 +41,7 @@ class GradientOptions:
 
 
 @verb("measuring gradients")
-def gradient(current: Session, asked: GradientOptions) -> None:
+def gradient(current: Session, asked: _GradientOptions) -> None:
     """Measure the gradient of an edge, line by line and averaged over the phases.
 
     The number to trust is that of the averaged profile: the slope of one line depends on where
@@ -86,7 +84,7 @@ def gradient(current: Session, asked: GradientOptions) -> None:
 
 
 def _lines(
-    measured: images.Measured, region: images.Region | None, asked: GradientOptions, scale: int
+    measured: images.Measured, region: images.Region | None, asked: _GradientOptions, scale: int
 ) -> tuple[NDArray[Any], float]:
     """Return the lines [line n] and the distance of their samples."""
     values = measured.values

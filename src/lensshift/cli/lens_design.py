@@ -27,9 +27,7 @@ BestOption = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class OptimiseOptions:
-    """Options of `lensshift lens optimise`."""
-
+class _OptimiseOptions:
     places: list[str] = argument(
         "The lens for each place, or several to choose from: al2550,eo33944."
     )
@@ -56,7 +54,7 @@ class OptimiseOptions:
 
 
 @verb()
-def optimise(current: Session, asked: OptimiseOptions) -> None:
+def optimise(current: Session, asked: _OptimiseOptions) -> None:
     """Find gaps, orientations and the element to move for a train of stock lenses.
 
     Maximises the least MTF over the sensor at twice its Nyquist frequency, centred and moved, at
@@ -179,9 +177,7 @@ def _row(design: Design) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class ToleranceOptions:
-    """Options of `lensshift lens tolerance`."""
-
+class _ToleranceOptions:
     of: optics.MovedLensOptions
     builds: int = option(1000, "Random builds.", min=1)
     limit: float = option(0.9, "MTF that a good build keeps.", min=0.0, max=1.0)
@@ -195,7 +191,7 @@ class ToleranceOptions:
 
 
 @verb()
-def tolerance(current: Session, asked: ToleranceOptions) -> None:
+def tolerance(current: Session, asked: _ToleranceOptions) -> None:
     """Build a lens many times at random, and set each tolerance to its limit alone.
 
     The sensor is refocused in every build; MTF at twice LR Nyquist, at rest and for the four
@@ -259,9 +255,7 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
 
 
 @dataclass(frozen=True, slots=True)
-class BudgetOptions:
-    """Options of `lensshift lens budget`."""
-
+class _BudgetOptions:
     of: optics.MovedLensOptions
     repeatability_um: float = option(0.0, "Standard deviation of where it stops.", min=0.0)
     backlash_um: float = option(0.0, "Between approaches from the two sides.", min=0.0)
@@ -272,7 +266,7 @@ class BudgetOptions:
 
 
 @verb("computing the budget")
-def budget(current: Session, asked: BudgetOptions) -> None:
+def budget(current: Session, asked: _BudgetOptions) -> None:
     """Tell what the errors of an actuator cost: micrometres, pixels, lost resolution.
 
     The losses are those of simulated bursts of four frames whose shifts were wrong by as much,

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class FieldOptions:
-    """Options of `lensshift lens field`."""
-
+class _FieldOptions:
     lens: optics.LensArgument
     element: int | None = option(None, f"{optics.ELEMENT_HELP} 0: the sensor moves.", min=0)
     tilt: bool = option(False, "The element tilts, as a plate does.", "--tilt")
@@ -42,7 +40,7 @@ class FieldOptions:
 
 
 @verb()
-def field(current: Session, asked: FieldOptions) -> None:
+def field(current: Session, asked: _FieldOptions) -> None:
     """Fit how shift and blur vary over the sensor while an element moves.
 
     The file holds polynomials over the sensor and the place of the element; `reconstruct
@@ -87,7 +85,7 @@ def field(current: Session, asked: FieldOptions) -> None:
         current.wrote(out)
 
 
-def _grid(asked: FieldOptions) -> Grid:
+def _grid(asked: _FieldOptions) -> Grid:
     if asked.burst is None:
         return optics.sensor_grid(
             optics.SensorOptions(asked.sensor or optics.SENSOR, asked.pitch_mm or optics.PITCH_MM)

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RefineOptions:
-    """Options of `lensshift lens refine`."""
-
+class _RefineOptions:
     of: LensOptions
     focal_length_mm: float = option(MISSING, "Kept.")
     f_number: float = option(MISSING, "Kept, by the stop.")
@@ -53,7 +51,7 @@ class RefineOptions:
 
 
 @verb("refining the lens")
-def refine(current: Session, asked: RefineOptions) -> None:
+def refine(current: Session, asked: _RefineOptions) -> None:
     """Find curvatures, thicknesses, gaps and aspheres of a lens from a starting form.
 
     Least squares of ray errors over the sensor, the light and the temperatures. Elements that are

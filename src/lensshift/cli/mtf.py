@@ -40,9 +40,7 @@ class EdgeOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class MtfOptions:
-    """Options of `lensshift evaluate mtf`."""
-
+class _MtfOptions:
     of: images.ImageOptions
     region: images.RegionOption = None
     joint: bool = option(False, "Fit all frames of a burst file together.")
@@ -66,7 +64,7 @@ NUMBERS = (
 
 
 @verb("measuring edges")
-def mtf(current: Session, asked: MtfOptions) -> None:
+def mtf(current: Session, asked: _MtfOptions) -> None:
     """Measure the MTF of slanted edges, with 95 % intervals.
 
     Every edge of the image is found and measured, unless a region is given; numbers of several

@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RegisterOptions:
-    """Options of `lensshift register`."""
-
+class _RegisterOptions:
     burst: BurstArgument
     out: Path | None = option(None, "Burst file; default: BURST_registered.nc beside it.", "-o")
     method: Literal["auto", "gradient", "phase"] = option("auto", "How the shifts are found.")
@@ -43,7 +41,7 @@ class RegisterOptions:
 
 
 @verb("finding the shifts")
-def register(current: Session, asked: RegisterOptions) -> None:
+def register(current: Session, asked: _RegisterOptions) -> None:
     """Find the shifts of a burst from its own frames.
 
     \b

@@ -14,16 +14,14 @@ from lensshift.cli.verbs import option, verb
 
 
 @dataclass(frozen=True, slots=True)
-class ReproduceOptions:
-    """Options of `lensshift reproduce`."""
-
+class _ReproduceOptions:
     out: Path = option(Path("lensshift-paper"), "Folder for results.json and report.html.", "-o")
     quick: bool = option(False, "Fewer draws, about a minute.")
     processes: int | None = option(None, "Side by side; default: all cores.", min=1)
 
 
 @verb()
-def reproduce(current: Session, asked: ReproduceOptions) -> None:
+def reproduce(current: Session, asked: _ReproduceOptions) -> None:
     """Repeat the experiments of the paper: each claim confirmed, qualified or refuted.
 
     \b

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RunOptions:
-    """Options of `lensshift run`."""
-
+class _RunOptions:
     config: Path | None = argument(
         "Experiment in TOML; the built-in four boxes if not given.", default=None
     )
@@ -38,7 +36,7 @@ class RunOptions:
 
 
 @verb()
-def run(current: Session, asked: RunOptions) -> None:
+def run(current: Session, asked: _RunOptions) -> None:
     """Simulate one experiment, reconstruct its burst, and compare with the truth.
 
     With --rig emulated: start emulated stages and an emulated camera, calibrate them, capture over
@@ -97,7 +95,7 @@ def _say(current: Session, summary: RunSummary) -> None:
     current.result |= {"shape": shape}
 
 
-def _with_rig(current: Session, asked: RunOptions) -> None:
+def _with_rig(current: Session, asked: _RunOptions) -> None:
     """Carry out the chain with an emulated rig or one of the user's own."""
     scale, method = asked.scale or 2, asked.method or "auto"
     if asked.rig == "emulated":
@@ -121,7 +119,7 @@ def _with_rig(current: Session, asked: RunOptions) -> None:
     current.result["method"] = result.method
 
 
-def _emulated(current: Session, asked: RunOptions, scale: int, method: str) -> None:
+def _emulated(current: Session, asked: _RunOptions, scale: int, method: str) -> None:
     from lensshift.capture.emulators.rig import RigSettings
     from lensshift.pipeline.rig import EMULATED_SPEED, run_emulated
 

@@ -21,9 +21,7 @@ _PHASES = "difference electrons_per_count exposure gain saturated modulation_hz"
 
 
 @dataclass(frozen=True, slots=True)
-class SimulateOptions:
-    """Options of `lensshift simulate`."""
-
+class _SimulateOptions:
     scene: str = argument(
         "four_boxes, slanted_edge, depth_step, siemens_star, zone_plate, or a TOML file.",
         default="four_boxes",
@@ -47,7 +45,7 @@ class SimulateOptions:
 
 
 @verb("simulating")
-def simulate(current: Session, asked: SimulateOptions) -> None:
+def simulate(current: Session, asked: _SimulateOptions) -> None:
     """Simulate a burst of a time-of-flight camera whose lens moves.
 
     Writes the burst and, as NPZ beside it, what an experimenter never knows: among others what
@@ -96,7 +94,7 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
     current.result |= {"shape": burst.grid.shape, "valid_share": valid}
 
 
-def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
+def _check_outputs(asked: _SimulateOptions, truth_file: Path) -> None:
     """Complain before the work about names that cannot be written."""
     out, phases = asked.out, asked.phases
     check_netcdf(out, "a burst")
@@ -105,7 +103,7 @@ def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
     outputs.check((Path(asked.scene), Path(asked.camera)), out, truth_file, phases)
 
 
-def _camera(asked: SimulateOptions) -> TofCamera:
+def _camera(asked: _SimulateOptions) -> TofCamera:
     from lensshift.camera import Ambient, camera_preset
     from lensshift.pipeline.experiment_file import load_experiment
 
@@ -124,7 +122,7 @@ def _camera(asked: SimulateOptions) -> TofCamera:
     return camera.ideal() if asked.ideal else camera
 
 
-def _optics(asked: SimulateOptions, of_camera: PlainOptics | LensOptics) -> LensOptics:
+def _optics(asked: _SimulateOptions, of_camera: PlainOptics | LensOptics) -> LensOptics:
     """Return the traced lens, asked for or of the camera, with the element that is to move."""
     from lensshift.camera import LensOptics
     from lensshift.cli.optics import read_lens
