@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 from lensshift.core.types import Estimate
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
@@ -127,8 +127,6 @@ def _phase_scale(container: Container) -> PhaseScale | None:
 def _blur(settings: Any) -> Blur:
     for kind in (GaussianBlur, ApertureBlur):
         if isinstance(settings, Mapping) and set(settings) == set(kind.__dataclass_fields__):
-            try:
+            with about("settings.blur"):
                 return kind(**settings)
-            except (TypeError, ValueError) as error:
-                raise DataError(str(error), field="settings.blur") from error
     raise DataError(f"expected a pixel response, got {settings!r:.80}", field="settings.blur")

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError, naming
+from lensshift.core.errors import DataError, about, naming
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
@@ -195,10 +195,7 @@ def read_picture(
     """Return channels with what a file of pictures says of all of them."""
     amplitude, distance = channels.get("amplitude"), channels.get("distance")
     rows, cols = next(iter(channels.values())).image.shape
-    pitch_mm = container.number_pair("pitch_mm")
-    try:
-        grid = Grid((rows, cols), pitch_mm)
-    except ValueError as error:
-        raise DataError(str(error), field="pitch_mm") from error
+    with about("pitch_mm"):
+        grid = Grid((rows, cols), container.number_pair("pitch_mm"))
     of_all = (container.text("method"), settings, flying, read_intrinsics(container))
     return Reconstruction(amplitude, distance, grid, scale, *of_all)

@@ -85,29 +85,16 @@ class Reproduction:
 
 
 def reproduce(
-    out_dir: str | Path,
+    out_dir: str | Path,  # made if it is missing
     *,
-    quick: bool = False,
-    processes: int = 2,
-    command: str = "",
-    on_step: Callable[[int, int], None] | None = None,
+    quick: bool = False,  # fewer draws and strips, one lens, nothing beyond the paper
+    processes: int = 2,  # that work side by side; 1 stays in this one
+    command: str = "",  # line that asked for it, for the report
+    on_step: Callable[[int, int], None] | None = None,  # called with jobs finished, and all of them
 ) -> Reproduction:
     """Repeat the experiments of the paper and write results.json and report.html.
 
-    Parameters
-    ----------
-    out_dir : folder; made if it is missing
-    quick : fewer draws and strips, one lens, nothing beyond the paper
-    processes : that work side by side; 1 stays in this one
-    command : line that asked for it, for the report
-    on_step : called with the number of finished jobs and of all jobs
-
-    Raises
-    ------
-    DataError
-        If the folder or a file cannot be written.
-    ValueError
-        If there is not at least one process.
+    DataError if the folder or a file cannot be written. ValueError without a process.
     """
     start_s = time.perf_counter()
     folder = writable_folder(out_dir)
