@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -43,35 +44,11 @@ class Shot:
     commanded_mm: Array | None = None  # [2] and where it was sent
 
 
-class Source(Protocol):
-    """What gives frames until nobody asks for more."""
-
-    @property
-    def name(self) -> str:
-        """What it is called in messages."""
-
-    @property
-    def pattern(self) -> str:
-        """Name of the plan that the lens goes round."""
-
-    def choose(self, pattern: str) -> None:
-        """Go round another plan from the next frame on.
-
-        ValueError if there is no such plan, the stage cannot go there, or the plan is fixed.
-        """
-
-    def shots(self) -> Iterator[Shot | None]:
-        """Yield frames as they arrive, None now and then while none comes.
-
-        Closing the iterator brings the lens back to rest.
-        """
-
-
-class _AnyPlan:
-    """A source whose plan may change between two frames."""
+class Source(ABC):
+    """What gives frames until nobody asks for more; its plan may change between two frames."""
 
     def __init__(self, name: str, pattern: str) -> None:
-        self.name = name
+        self.name = name  # in messages
         self._plan = self._checked(pattern)
 
     @property
@@ -80,8 +57,18 @@ class _AnyPlan:
         return self._plan.name
 
     def choose(self, pattern: str) -> None:
-        """Go round another plan from the next frame on."""
+        """Go round another plan from the next frame on.
+
+        ValueError if there is no such plan, the stage cannot go there, or the plan is fixed.
+        """
         self._plan = self._checked(pattern)
+
+    @abstractmethod
+    def shots(self) -> Iterator[Shot | None]:
+        """Yield frames as they arrive, None now and then while none comes.
+
+        Closing the iterator brings the lens back to rest.
+        """
 
     def _checked(self, pattern: str) -> ShiftPlan:
         return named_plan(pattern)
@@ -93,7 +80,7 @@ class _AnyPlan:
         )
 
 
-class RigSource(_AnyPlan):
+class RigSource(Source):
     """Frames of an open rig; each began after the stage had settled."""
 
     def __init__(self, rig: Rig, pattern: str = "square") -> None:
@@ -119,7 +106,7 @@ class RigSource(_AnyPlan):
                         break
 
 
-class SimulatedSource(_AnyPlan):
+class SimulatedSource(Source):
     """Frames of a simulated camera whose image moves by the plan, and a little beside it."""
 
     def __init__(
@@ -160,7 +147,7 @@ class SimulatedSource(_AnyPlan):
         return template_of(plan.target_px, camera.grid, hz, known, blur_px, plan.name)
 
 
-class BurstSource:
+class BurstSource(Source):
     """Frames of a burst file or of the journal of a capture, over and over unless not `again`.
 
     At an infinite rate they come as fast as they are fetched.
@@ -170,8 +157,7 @@ class BurstSource:
         self, burst: Burst, name: str, *, rate_hz: float = 20.0, again: bool = True
     ) -> None:
         self._burst, self._rate_hz, self._again = burst, rate_hz, again
-        self.name = f"recording {name}"
-        self.pattern = str(burst.meta.get("plan") or "recorded")
+        pattern = str(burst.meta.get("plan") or "recorded")
         steps = burst.meta.get("step")
         fits = isinstance(steps, list | tuple) and len(steps) == burst.frame_count
         given = np.asarray(steps if fits else _visited(burst.offset_px), dtype=np.intp)
@@ -183,15 +169,15 @@ class BurstSource:
             burst.frequencies_hz[0] if len(burst.frequencies_hz) == 1 else None,
             burst.intrinsics,
             burst.meta.get("psf_sigma_px"),
-            self.pattern,
+            pattern,
         )
+        super().__init__(f"recording {name}", pattern)
 
-    def choose(self, pattern: str) -> None:
-        """Refuse another plan: the recorded one is over."""
-        if pattern != self.pattern:
-            raise ValueError(
-                f"a recording has its own plan ({self.pattern}); it cannot become {pattern!r}"
-            )
+    def _checked(self, pattern: str) -> ShiftPlan:
+        own = self.plan.meta["plan"]
+        if pattern != own:
+            raise ValueError(f"a recording has its own plan ({own}); it cannot become {pattern!r}")
+        return ShiftPlan(self.plan.offset_px, name=pattern)
 
     def shots(self) -> Iterator[Shot]:
         """Yield the frames in the order in which they were taken."""
@@ -223,7 +209,7 @@ def _visited(offset_px: Array) -> Array:
     return np.asarray(np.argsort(np.argsort(first))[kinds.ravel()])
 
 
-class CameraSource(_AnyPlan):
+class CameraSource(Source):
     """Frames of a recording of a camera, which says nothing of the lens: it went round a plan."""
 
     def __init__(self, camera: ReplayCamera, pattern: str = "square") -> None:
