@@ -120,9 +120,7 @@ def _edges(burst: Burst) -> list[tuple[int, int, int, int]]:
     from lensshift.evaluation.slanted_edge import find_regions
     from lensshift.reconstruction.reconstruct import reconstruct
 
-    together = reconstruct(burst, _FINER, "shift-and-add", "amplitude", std=False).amplitude
-    if together is None:
-        raise ValueError("expected a picture of the amplitude")
+    together = reconstruct(burst, _FINER, "shift-and-add", "amplitude", std=False)["amplitude"]
     try:
         found = find_regions(together.image)
     except ValueError:
