@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import time
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.inputs import check_netcdf
 from lensshift.cli.session import Session, StatusLine, picked
 from lensshift.cli.verbs import argument, option, verb
+from lensshift.core.ending import Closing
 from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def capture(current: Session, asked: _CaptureOptions) -> None:
             _stream(current, opened, wanted, asked)
             return
         start_s = time.monotonic()
-        with closing(Show(current)) as show:
+        with Show(current) as show:
             burst = _take(opened, wanted, asked, show)
         counts = dict(opened.camera.counts())
     seconds = time.monotonic() - start_s
@@ -180,7 +180,7 @@ def _stream(current: Session, rig: Rig, plan: ShiftPlan, asked: _CaptureOptions)
     current.result |= {"files": files, "counts": dict(rig.camera.counts())}
 
 
-class Show:
+class Show(Closing):
     """Say where an acquisition is, on stderr: one line on a terminal, else one a position."""
 
     def __init__(self, current: Session) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -74,7 +73,7 @@ def chart(current: Session, asked: _ChartOptions) -> None:
 
     pictures, pitch = _pictures(asked)
     unit = frequency_unit(pitch, asked.focal_length_mm)
-    with closing(Progress("measuring edges")) as progress:
+    with Progress("measuring edges") as progress:
         edges = measure_chart(
             pictures, pitch.pitch_mm, workers=asked.workers, on_edge=progress.count,
             context=context, **asked.edges.given(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -74,7 +73,7 @@ def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
     else:
         time_s = sequence_numbers(source)["time"]
         numbers = range(len(time_s)) if window is None else (window,)
-        with closing(Progress(f"writing {target.name}")) as progress:
+        with Progress(f"writing {target.name}") as progress:
             windows = (load_window(source, k) for k in numbers)  # refuses one that is not there
             pictures = ((float(time_s[k]), one) for k, one in zip(numbers, windows, strict=True))
             export_stream(progress.counted(pictures, len(numbers)), target)

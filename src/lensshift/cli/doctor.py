@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,7 +51,7 @@ def doctor(current: Session, asked: _DoctorOptions) -> None:
         begin(asked.file, asked.row, asked.col, asked.port, _ask if on_terminal() else None)
         current.say(f"wrote {asked.file}: look whether it is right, rest_mm above all")
     folder = asked.out or Path(time.strftime("doctor-%Y-%m-%d-%H%M%S"))
-    with closing(Show(current)) as show:
+    with Show(current) as show:
         done = examine_rig(
             asked.rig or asked.file,
             folder,

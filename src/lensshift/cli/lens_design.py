@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from dataclasses import MISSING, asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -142,7 +141,7 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
     stock = [[optics.read_lens(name.strip()) for name in place.split(",")] for place in places]
     if element is not None and element > len(stock):
         raise typer.BadParameter(f"expected an element from 1 to {len(stock)}, got {element}")
-    with closing(Progress("optimising")) as progress:
+    with Progress("optimising") as progress:
         if element is not None and all(len(place) == 1 for place in stock):
             parts = [part for place in stock for part in place[0].elements]
             name = " + ".join(part.name for part in parts)
@@ -216,7 +215,7 @@ def tolerance(current: Session, asked: _ToleranceOptions) -> None:
         asked.index,
     )  # fmt: skip
     table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
-    with closing(Progress("building")) as progress:
+    with Progress("building") as progress:
         found = tolerance_analysis(
             model, moved, grid, limits, builds=builds, seed=asked.seed, shift_px=shift_px,
             on_progress=progress.count,

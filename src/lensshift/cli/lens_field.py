@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from dataclasses import field as group
 from pathlib import Path
@@ -73,7 +72,7 @@ def field(current: Session, asked: _FieldOptions) -> None:
     moved = None if asked.element == 0 else optics.element_of(model, asked.element)
     motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
-    with closing(Progress("tracing")) as progress:
+    with Progress("tracing") as progress:
         found = lens_field(
             model, grid, moved, motion=motion, reach_px=reach_px, on_progress=progress.count
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,7 +87,7 @@ def refine(current: Session, asked: _RefineOptions) -> None:
         numbers, thicknesses=asked.thicknesses, conics=asked.conics, aspheres=asked.aspheres,
         aspheric=of_aspheres, stop=asked.move_stop,
     )  # fmt: skip
-    with closing(Progress("refining", preparing=True)) as progress:
+    with Progress("refining", preparing=True) as progress:
         found = refine_from_several(
             start, task, freedom, starts=asked.starts, seed=asked.seed,
             grow=grow, steps=asked.steps, on_progress=progress.count,

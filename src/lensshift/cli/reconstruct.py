@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -247,7 +246,7 @@ def _reconstruct(
         current.warn(little, QualityWarning, "", 0)
     start_s = time.perf_counter()
     progress = Progress(f"reconstructing with {settings['method']}", preparing=True)
-    with closing(progress), naming(source):
+    with progress, naming(source):
         result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
     seconds = time.perf_counter() - start_s
     target, preview, *exports = files

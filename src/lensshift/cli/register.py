@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -71,7 +70,7 @@ def with_shifts(current: Session, burst: Burst, motion: Motion, *, photometric: 
     """Return a burst of unknown shifts with those that its frames tell, and say them."""
     from lensshift.registration import register as find_shifts
 
-    with closing(Waiting("finding the shifts")):
+    with Waiting("finding the shifts"):
         found = find_shifts(burst, motion=motion, photometric=photometric)
     current.say("no shifts are given; the frames say:")
     _say(current, found)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -30,7 +29,7 @@ def reproduce(current: Session, asked: _ReproduceOptions) -> None:
     """
     from lensshift.pipeline.paper import reproduce as reproduce_paper
 
-    with closing(Progress("experiments of the paper", preparing=True)) as progress:
+    with Progress("experiments of the paper", preparing=True) as progress:
         found = reproduce_paper(
             asked.out,
             quick=asked.quick,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,7 +62,7 @@ def run(current: Session, asked: _RunOptions) -> None:
         return
     from lensshift.pipeline import run as run_pipeline
 
-    with closing(Progress("reconstructing", preparing=True)) as progress:
+    with Progress("reconstructing", preparing=True) as progress:
         told = picked(asked, "config scale method seed")
         summary = run_pipeline(asked.out, **told, on_iteration=progress)
     _say(current, summary)
@@ -105,7 +104,7 @@ def _with_rig(current: Session, asked: _RunOptions) -> None:
         raise typer.BadParameter(f"expected simulated, emulated or a rig file, got {asked.rig!r}")
     from lensshift.pipeline.rig import run_bench
 
-    with closing(Show(current)) as show:
+    with Show(current) as show:
         result, files = run_bench(
             asked.rig,
             asked.out,
@@ -124,7 +123,7 @@ def _emulated(current: Session, asked: _RunOptions, scale: int, method: str) -> 
     from lensshift.pipeline.rig import EMULATED_SPEED, run_emulated
 
     settings = RigSettings(speed=EMULATED_SPEED, seed=asked.seed or 0)
-    with closing(Show(current)) as show:
+    with Show(current) as show:
         summary = run_emulated(asked.out, settings, scale=scale, method=method, on_step=show.named)
     current.say(f"emulated rig, {method} x{scale}: all in {summary.seconds:.1f} s")
     for name, error in summary.shift_rms_px.items():

@@ -17,7 +17,7 @@ from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
-from lensshift.core.ending import ended_by_signals, interruption
+from lensshift.core.ending import Closing, ended_by_signals, interruption
 from lensshift.core.errors import QualityWarning, printable
 from lensshift.core.settings import to_json
 
@@ -168,7 +168,7 @@ class StatusLine:
             self._open = False
 
 
-class Progress:
+class Progress(Closing):
     """Say how far an iteration is, on stderr, once it takes more than a second.
 
     preparing : whether it may take long before the first iteration, which is said then
@@ -219,7 +219,7 @@ class Progress:
         self._line.close()
 
 
-class Waiting:
+class Waiting(Closing):
     """Say every second on a terminal, else every five, that something still goes on."""
 
     def __init__(self, label: str) -> None:
