@@ -1,11 +1,14 @@
 """Sources that need no device, and the page of a running server."""
 
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from lensshift import Burst
@@ -33,6 +36,19 @@ def taken() -> Burst:
         pitch_mm=0.155,
         intrinsics=Pinhole.of_field(grid, 0.5),
     )
+
+
+def unpacked(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the head of a message and its layers [row col], NaN where nothing is known."""
+    length = int.from_bytes(data[:4], "little")
+    head, start, layers = json.loads(data[4 : 4 + length]), 4 + length, {}
+    for one in head.get("layers", []):
+        count = one["rows"] * one["cols"]
+        codes = np.frombuffer(data, "<u2", count, start).reshape(one["rows"], one["cols"])
+        values = one["low"] + (codes.astype(np.float64) - 1.0) * one["step"]
+        layers[one["name"]] = np.where(codes > 0, values, np.nan)
+        start += 2 * count
+    return head, layers
 
 
 def until(what: Callable[[], object], seconds: float = 60.0) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from serving import QUICK, served, source_of, until
+from serving import QUICK, served, source_of, unpacked, until
 
 import lensshift
 from lensshift import Burst
@@ -22,7 +22,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
 from lensshift.io import load_burst, load_reconstruction
 from lensshift.live.controls import box_of, checked, control
-from lensshift.live.message import coded, message, unpacked
+from lensshift.live.message import coded, message
 from lensshift.live.picture import Settings
 from lensshift.live.sources import BurstSource, CameraSource, Shot, SimulatedSource
 from lensshift.live.worker import Live, Mailbox
@@ -227,7 +227,7 @@ def test_a_setting_that_fails_is_said_and_can_be_undone(
         until(lambda: live.picture)
         with monkeypatch.context() as patch:
             patch.setattr("lensshift.live.worker.stream", fail)
-            live.change(Settings(3, "bicubic"))
+            live.settings = Settings(3, "bicubic")
             until(lambda: live.problem == "too fine")
         until(lambda: live.picture is not None and live.picture.result.scale == 3)
         until(lambda: not live.problem)

@@ -113,7 +113,7 @@ from lensshift.live.emulated import _emulate
 
 ours, theirs = Pipe()
 ours.close()
-_emulate(theirs, 0)
+_emulate(theirs)
 """
 
 

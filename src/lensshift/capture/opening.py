@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ from lensshift.capture.plan import named_plan
 from lensshift.capture.rig import Camera, OnHoming, Stage
 from lensshift.capture.rounds import bursts, frames
 from lensshift.core.calibration import Calibration
+from lensshift.core.ending import Closing
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.motion import ShiftPlan, StageMap
@@ -73,7 +74,7 @@ class _Nominal:
 
 
 @dataclass(slots=True, eq=False)
-class Rig:
+class Rig(Closing):
     """An open rig: `with open_rig("rig.toml") as rig: burst = rig.capture("square", "burst.nc")`.
 
     On any exit the stage stands still and devices are let go.
@@ -147,12 +148,6 @@ class Rig:
     def close(self) -> None:
         """Stop and let go of everything; a second call does nothing."""
         self._beside.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _plan(plan: ShiftPlan | str) -> ShiftPlan:

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrateOptions:
-    """Options of `lensshift calibrate`."""
-
+class _CalibrateOptions:
     scan: Path = argument("Burst file of a scan, with stage positions.", metavar="SCAN")
     out: Path | None = option(None, "Calibration; default: SCAN_calibration.json beside it.", "-o")
     lens_field: Path | None = option(
@@ -30,7 +28,7 @@ class CalibrateOptions:
 
 
 @verb("calibrating")
-def calibrate(current: Session, asked: CalibrateOptions) -> None:
+def calibrate(current: Session, asked: _CalibrateOptions) -> None:
     """Find image shift per stage travel, play, drift and blur from a scan.
 
     \b

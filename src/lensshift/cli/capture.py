@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import time
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from lensshift.cli.devices import YesOption, homing_asked
 from lensshift.cli.inputs import check_netcdf
 from lensshift.cli.session import Session, StatusLine, picked
 from lensshift.cli.verbs import argument, option, verb
+from lensshift.core.ending import Closing
 from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class CaptureOptions:
-    """Options of `lensshift capture`."""
-
+class _CaptureOptions:
     rig: Path | None = argument(
         "Rig file (TOML); --print-rig shows one to begin with.", default=None
     )
@@ -52,7 +50,7 @@ class CaptureOptions:
 
 
 @verb()
-def capture(current: Session, asked: CaptureOptions) -> None:
+def capture(current: Session, asked: _CaptureOptions) -> None:
     """Take a burst with a rig: every frame is in the file as soon as it is taken.
 
     The lens returns to its rest position however this ends. After Ctrl-C, a pulled cable or a
@@ -94,7 +92,7 @@ def capture(current: Session, asked: CaptureOptions) -> None:
             _stream(current, opened, wanted, asked)
             return
         start_s = time.monotonic()
-        with closing(Show(current)) as show:
+        with Show(current) as show:
             burst = _take(opened, wanted, asked, show)
         counts = dict(opened.camera.counts())
     seconds = time.monotonic() - start_s
@@ -103,7 +101,7 @@ def capture(current: Session, asked: CaptureOptions) -> None:
     current.result |= _summary(burst, counts) | {"seconds": seconds}
 
 
-def _nothing_to_do(current: Session, asked: CaptureOptions, plan: ShiftPlan | None) -> bool:
+def _nothing_to_do(current: Session, asked: _CaptureOptions, plan: ShiftPlan | None) -> bool:
     """Look at the files before anything moves; tell whether the capture is complete already."""
     from lensshift.capture.journal import check_target, finished
 
@@ -148,13 +146,13 @@ def _plan(text: str) -> ShiftPlan:
     return load_plan(text)
 
 
-def _adjust(rig: Rig, asked: CaptureOptions) -> None:
+def _adjust(rig: Rig, asked: _CaptureOptions) -> None:
     given = {name: getattr(asked, name) for name in ("frames", "average", "discard")}
     changes = {name: value for name, value in given.items() if value is not None}
     rig.acquisition = replace(rig.acquisition, **changes)
 
 
-def _take(rig: Rig, plan: ShiftPlan | None, asked: CaptureOptions, show: Show) -> Burst:
+def _take(rig: Rig, plan: ShiftPlan | None, asked: _CaptureOptions, show: Show) -> Burst:
     if plan is not None:
         return rig.capture(plan, asked.out, resume=asked.resume, on_step=show)
     from lensshift.registration.scan import USUAL_STEPS, calibration_scan_mm
@@ -164,7 +162,7 @@ def _take(rig: Rig, plan: ShiftPlan | None, asked: CaptureOptions, show: Show) -
     return rig.scan(places, asked.out, resume=asked.resume, on_step=show)
 
 
-def _stream(current: Session, rig: Rig, plan: ShiftPlan, asked: CaptureOptions) -> None:
+def _stream(current: Session, rig: Rig, plan: ShiftPlan, asked: _CaptureOptions) -> None:
     from lensshift.io import save_burst
 
     files: list[Path] = []
@@ -182,7 +180,7 @@ def _stream(current: Session, rig: Rig, plan: ShiftPlan, asked: CaptureOptions) 
     current.result |= {"files": files, "counts": dict(rig.camera.counts())}
 
 
-class Show:
+class Show(Closing):
     """Say where an acquisition is, on stderr: one line on a terminal, else one a position."""
 
     def __init__(self, current: Session) -> None:

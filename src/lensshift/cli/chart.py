@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +22,7 @@ from lensshift.cli.images import (
     interval_row,
     measured_photograph,
 )
-from lensshift.cli.inputs import check_files, parse_numbers, parse_pitch_mm, refuse_overwriting
+from lensshift.cli.inputs import parse_numbers, parse_pitch_mm, refuse_overwriting
 from lensshift.cli.mtf import EdgeOptions
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import argument, option, verb
@@ -34,9 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class ChartOptions:
-    """Options of `lensshift evaluate chart`."""
-
+class _ChartOptions:
     images: list[Path] = argument("Photographs of one lens.")
     pitch_mm: PitchOption = None
     focus: str | None = option(None, "Positions of the focus, one a photograph: 0,10,20.")
@@ -54,7 +51,7 @@ class ChartOptions:
 
 
 @verb()
-def chart(current: Session, asked: ChartOptions) -> None:
+def chart(current: Session, asked: _ChartOptions) -> None:
     """Measure all slanted edges of photographs: field map, through focus, a page, a table.
 
     \b
@@ -66,7 +63,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
     from lensshift.core.processes import ready_with
 
     read, seen = [*asked.images, asked.photo.oecf], _annotated_files(asked)
-    check_files(read, [path for path in (asked.report, asked.csv) if path is not None])
+    outputs.check(read, asked.report, asked.csv)
     refuse_overwriting(read, seen)
     # Processes get ready while this one imports what it measures with.
     context = None if asked.workers == 1 else ready_with("lensshift.evaluation.chart_series")
@@ -76,7 +73,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
 
     pictures, pitch = _pictures(asked)
     unit = frequency_unit(pitch, asked.focal_length_mm)
-    with closing(Progress("measuring edges")) as progress:
+    with Progress("measuring edges") as progress:
         edges = measure_chart(
             pictures, pitch.pitch_mm, workers=asked.workers, on_edge=progress.count,
             context=context, **asked.edges.given(),
@@ -116,7 +113,7 @@ def chart(current: Session, asked: ChartOptions) -> None:
         current.say(f"wrote {asked.report}")
 
 
-def _pictures(asked: ChartOptions) -> tuple[list[Photograph], Measured]:
+def _pictures(asked: _ChartOptions) -> tuple[list[Photograph], Measured]:
     """Return the photographs, and the first as it was read, with the pitch of all."""
     from lensshift.evaluation.chart_series import Photograph
 
@@ -191,7 +188,7 @@ def _write_rows(
     outputs.write_table(current, csv, columns)
 
 
-def _annotated_files(asked: ChartOptions) -> list[Path]:
+def _annotated_files(asked: _ChartOptions) -> list[Path]:
     """Return where each photograph is written with what was measured; numbered where names meet."""
     if asked.annotate is None:
         return []

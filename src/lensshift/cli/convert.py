@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -19,9 +18,7 @@ IMAGE_SUFFIXES = (".npz", ".tif", ".tiff", ".fits", ".fit")
 
 
 @dataclass(frozen=True, slots=True)
-class ConvertOptions:
-    """Options of `lensshift convert`."""
-
+class _ConvertOptions:
     source: Path = argument("Image stack, burst file, reconstruction or sequence.", metavar="IN")
     target: Path = argument(
         "A burst to .nc, .npz, .tif, .ome.tif, .fits; a result to .tif, .ome.tif, .fits, "
@@ -35,7 +32,7 @@ class ConvertOptions:
 
 
 @verb()
-def convert(current: Session, asked: ConvertOptions) -> None:
+def convert(current: Session, asked: _ConvertOptions) -> None:
     """Convert between burst files, image stacks, results, images, point clouds and streams.
 
     \b
@@ -64,7 +61,7 @@ def convert(current: Session, asked: ConvertOptions) -> None:
     current.say(f"wrote {target}")
 
 
-def _convert_stream(current: Session, asked: ConvertOptions) -> None:
+def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
     """Write all pictures of a sequence, one of them, or a result, as a stream."""
     from lensshift.io import load_reconstruction, load_window
     from lensshift.io.sequence_file import sequence_numbers
@@ -76,14 +73,14 @@ def _convert_stream(current: Session, asked: ConvertOptions) -> None:
     else:
         time_s = sequence_numbers(source)["time"]
         numbers = range(len(time_s)) if window is None else (window,)
-        with closing(Progress(f"writing {target.name}")) as progress:
+        with Progress(f"writing {target.name}") as progress:
             windows = (load_window(source, k) for k in numbers)  # refuses one that is not there
             pictures = ((float(time_s[k]), one) for k, one in zip(numbers, windows, strict=True))
             export_stream(progress.counted(pictures, len(numbers)), target)
     current.say(f"wrote {target}")
 
 
-def _convert_burst(asked: ConvertOptions) -> None:
+def _convert_burst(asked: _ConvertOptions) -> None:
     from lensshift.io import export_burst, save_burst
     from lensshift.io.reading import CONTAINER_SUFFIXES
 
@@ -102,7 +99,7 @@ def _convert_burst(asked: ConvertOptions) -> None:
         export_burst(burst, target)
 
 
-def _convert_result(current: Session, asked: ConvertOptions) -> tuple[float, float] | None:
+def _convert_result(current: Session, asked: _ConvertOptions) -> tuple[float, float] | None:
     from lensshift.core.grid import Grid
     from lensshift.io import export_reconstruction, load_reconstruction, load_window
 

@@ -13,6 +13,7 @@ from lensshift.cli import outputs
 from lensshift.cli.images import (
     Measured,
     PitchOption,
+    Region,
     measured_frames,
     measured_image,
     parse_region,
@@ -30,9 +31,7 @@ _SOURCE = "distance"
 
 
 @dataclass(frozen=True, slots=True)
-class DepthOptions:
-    """Options of `lensshift evaluate depth`."""
-
+class _DepthOptions:
     image: Path = argument("Image, burst file or reconstruction.")
     truth: Path | None = argument("True distances in m, an image of the same shape.", default=None)
     pitch_mm: PitchOption = None
@@ -59,7 +58,7 @@ class DepthOptions:
 
 
 @verb("measuring distances")
-def depth(current: Session, asked: DepthOptions) -> None:
+def depth(current: Session, asked: _DepthOptions) -> None:
     """Judge a distance image: errors against the truth, flying pixels, fill rate, planes, noise.
 
     \b
@@ -70,7 +69,7 @@ def depth(current: Session, asked: DepthOptions) -> None:
     """
     image, truth = asked.image, asked.truth
     place = parse_region(asked.plane)
-    outputs.check([image, truth], asked.to.csv, asked.to.plot)
+    outputs.check([image, truth], asked.to.csv, plot=asked.to.plot)
     measured = _distance_image(image, asked.pitch_mm, asked.key, asked.frame)
     options: dict[str, Any] = {
         "scale": asked.scale or measured.scale, "noise_m": asked.noise_m,
@@ -164,10 +163,7 @@ def _surfaces(
 
 
 def _plane(
-    current: Session,
-    measured: Measured,
-    region: tuple[int, int, int, int],
-    focal_length_mm: float | None,
+    current: Session, measured: Measured, region: Region, focal_length_mm: float | None
 ) -> None:
     import numpy as np
 

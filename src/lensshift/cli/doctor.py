@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,9 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class DoctorOptions:
-    """Options of `lensshift doctor`."""
-
+class _DoctorOptions:
     rig: Path | None = argument("Rig file (TOML); without one, one is written.", default=None)
     out: Path | None = option(None, "Folder of page, scan, calibration; default: by date.", "-o")
     file: Path = option(Path("rig.toml"), "Without a rig file: the one that is written.")
@@ -35,7 +32,7 @@ class DoctorOptions:
 
 
 @verb()
-def doctor(current: Session, asked: DoctorOptions) -> None:
+def doctor(current: Session, asked: _DoctorOptions) -> None:
     """Examine a rig, name what is wrong, calibrate it, and write a page about it.
 
     The first line is the verdict. Axes are homed only with leave, nothing moves while there is a
@@ -54,7 +51,7 @@ def doctor(current: Session, asked: DoctorOptions) -> None:
         begin(asked.file, asked.row, asked.col, asked.port, _ask if on_terminal() else None)
         current.say(f"wrote {asked.file}: look whether it is right, rest_mm above all")
     folder = asked.out or Path(time.strftime("doctor-%Y-%m-%d-%H%M%S"))
-    with closing(Show(current)) as show:
+    with Show(current) as show:
         done = examine_rig(
             asked.rig or asked.file,
             folder,

@@ -51,9 +51,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class RigOptions:
-    """Options of `lensshift emulate rig`."""
-
+class _RigOptions:
     file: Path | None = option(None, "Write the rig file for `lensshift capture`.")
     scene: SceneOption = "four_boxes"
     port: PortOption = 42000
@@ -69,7 +67,7 @@ class RigOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def rig(current: Session, asked: RigOptions) -> None:
+def rig(current: Session, asked: _RigOptions) -> None:
     """Emulate both stages and an O3M whose image moves with them.
 
     \b
@@ -79,7 +77,7 @@ def rig(current: Session, asked: RigOptions) -> None:
     """
     from lensshift.capture.emulators.listener import free_udp_port
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
-    from lensshift.io.atomic import written_whole
+    from lensshift.io.atomic import write_text
     from lensshift.pipeline.experiment_file import named_scene
 
     settings = RigSettings(
@@ -93,8 +91,7 @@ def rig(current: Session, asked: RigOptions) -> None:
     with EmulatedRig(settings, camera_port=port) as running:
         text = running.rig_file()
         if asked.file is not None:
-            with written_whole(asked.file) as part:
-                part.write_text(text, encoding="utf-8")
+            write_text(asked.file, text)
             current.say(f"wrote {asked.file}")
         current.say(text)
         current.result |= {"stage": list(running.stages.urls), "camera_port": port}
@@ -102,9 +99,7 @@ def rig(current: Session, asked: RigOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class StageOptions:
-    """Options of `lensshift emulate stage`."""
-
+class _StageOptions:
     link: str = option("tcp", "tcp, or pty (not on Windows).")
     speed: SpeedOption = 1.0
     play_um: PlayOption = 6.0
@@ -115,7 +110,7 @@ class StageOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def stage(current: Session, asked: StageOptions) -> None:
+def stage(current: Session, asked: _StageOptions) -> None:
     """Emulate a pair of APT controllers (TDC001 and KDC101) with Z806 actuators.
 
     \b
@@ -141,9 +136,7 @@ def stage(current: Session, asked: StageOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class O3mOptions:
-    """Options of `lensshift emulate o3m`."""
-
+class _O3mOptions:
     scene: SceneOption = "four_boxes"
     port: PortOption = 42000
     rate_hz: RateOption = 25.0
@@ -155,7 +148,7 @@ class O3mOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def o3m(current: Session, asked: O3mOptions) -> None:
+def o3m(current: Session, asked: _O3mOptions) -> None:
     """Emulate an O3M that sends frames of a scene by UDP; its lens stands still.
 
     \b
@@ -179,9 +172,7 @@ def o3m(current: Session, asked: O3mOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class PcicOptions:
-    """Options of `lensshift emulate pcic`."""
-
+class _PcicOptions:
     scene: SceneOption = "four_boxes"
     port: int = option(50010, "TCP port; 0: a free one.", min=0, max=65535)
     rate_hz: RateOption = 10.0
@@ -194,7 +185,7 @@ class PcicOptions:
 
 @emulate.command()
 @verb(json=JsonOption)
-def pcic(current: Session, asked: PcicOptions) -> None:
+def pcic(current: Session, asked: _PcicOptions) -> None:
     """Emulate a camera that streams frames of a scene by PCIC over TCP.
 
     Clients such as ifm3d first ask what it is, by XML-RPC at another port.

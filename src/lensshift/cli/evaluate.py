@@ -35,9 +35,7 @@ def group() -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class FidelityOptions:
-    """Options of `lensshift evaluate fidelity`."""
-
+class _FidelityOptions:
     image: Path = argument("Image, burst file or reconstruction.")
     truth: Path = argument("The truth, an image of the same shape.")
     border_px: int = option(4, "Pixels left out along each edge.", min=0)
@@ -49,7 +47,7 @@ class FidelityOptions:
 
 @evaluate.command()
 @verb("comparing")
-def fidelity(current: Session, asked: FidelityOptions) -> None:
+def fidelity(current: Session, asked: _FidelityOptions) -> None:
     """Compare an image with the truth: PSNR, SSIM (scikit-image) and RMSE of the interior.
 
     \b

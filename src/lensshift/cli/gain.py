@@ -22,9 +22,7 @@ _RATIOS = (("mtf50", "MTF50"), ("mtf10", "MTF10"), ("width", "10-90 width"))
 
 
 @dataclass(frozen=True, slots=True)
-class GainOptions:
-    """Options of `lensshift evaluate gain`."""
-
+class _GainOptions:
     fine: Path = argument("The finer image, such as a reconstruction.")
     coarse: Path = argument("The coarser image, such as a burst file.")
     pitch_mm: str | None = option(None, "Pixel pitch of COARSE, if it is a plain image.")
@@ -36,7 +34,7 @@ class GainOptions:
 
 
 @verb("measuring edges")
-def gain(current: Session, asked: GainOptions) -> None:
+def gain(current: Session, asked: _GainOptions) -> None:
     """Compare the resolution of two images of one target, and their noise.
 
     Ratios above 1 mean that FINE resolves more; the noise is that of a pixel over the contrast of
@@ -51,7 +49,7 @@ def gain(current: Session, asked: GainOptions) -> None:
 
     fine, coarse, key = asked.fine, asked.coarse, asked.key
     place = images.parse_region(asked.region)
-    outputs.check([fine, coarse], asked.to.csv, asked.to.plot)
+    outputs.check([fine, coarse], asked.to.csv, plot=asked.to.plot)
     of_fine, of_coarse = images.keys_of(key, fine, coarse)
     below = (
         images.measured_frames(coarse, key=of_coarse)

@@ -20,9 +20,7 @@ _DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
 
 
 @dataclass(frozen=True, slots=True)
-class GradientOptions:
-    """Options of `lensshift evaluate gradient`."""
-
+class _GradientOptions:
     of: images.ImageOptions
     against: Path | None = option(None, "A coarser image of the same scene; gives the ratio.")
     region: images.RegionOption = None
@@ -43,7 +41,7 @@ class GradientOptions:
 
 
 @verb("measuring gradients")
-def gradient(current: Session, asked: GradientOptions) -> None:
+def gradient(current: Session, asked: _GradientOptions) -> None:
     """Measure the gradient of an edge, line by line and averaged over the phases.
 
     The number to trust is that of the averaged profile: the slope of one line depends on where
@@ -59,7 +57,7 @@ def gradient(current: Session, asked: GradientOptions) -> None:
 
     against, key = asked.against, asked.of.key
     place = images.parse_region(asked.region)
-    outputs.check([asked.of.image, against], asked.to.csv, asked.to.plot)
+    outputs.check([asked.of.image, against], asked.to.csv, plot=asked.to.plot)
     if against is None:
         fine, coarse = images.measured_of(asked.of), None
     else:
@@ -86,17 +84,11 @@ def gradient(current: Session, asked: GradientOptions) -> None:
 
 
 def _lines(
-    measured: images.Measured,
-    region: tuple[int, int, int, int] | None,
-    asked: GradientOptions,
-    scale: int,
+    measured: images.Measured, region: images.Region | None, asked: _GradientOptions, scale: int
 ) -> tuple[NDArray[Any], float]:
     """Return the lines [line n] and the distance of their samples."""
-    import numpy as np
-
-    part = np.asarray(
-        measured.values[images.slices_of(images.scaled(region, scale), measured.values.shape)]
-    )
+    values = measured.values
+    part = values[images.slices_of(images.scaled(region, scale), values.shape)]
     upright, line = asked.along == "col", asked.line
     lines = part if upright else part.T
     if line is not None:
@@ -134,11 +126,7 @@ def _compare(current: Session, fine: EdgeGradient, coarse: EdgeGradient) -> None
     if ratio.averaged is not None:
         current.say(f"  ratio to trust     {ratio.averaged:.4g} from the averaged profiles")
     current.result["against"] = _row(coarse)
-    current.result["ratio"] = {
-        "mean": ratio.ratio,
-        "interval": ratio.interval,
-        "averaged": ratio.averaged,
-    }
+    current.result["ratio"] = {"mean": ratio.ratio} | picked(ratio, "interval averaged")
 
 
 def _row(found: EdgeGradient) -> dict[str, Any]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
 from lensshift.cli.inputs import Kind, kind_of, parse_numbers, parse_pitch_mm
+from lensshift.cli.session import picked
 from lensshift.cli.verbs import argument, option
 from lensshift.core.errors import DataError, QualityWarning
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from lensshift.core.types import Burst
 
 
+Region = tuple[int, int, int, int]  # row start, row stop, col start, col stop
 PitchOption = Annotated[
     str | None,
     typer.Option(
@@ -248,28 +250,22 @@ def frequency_unit(measured: Measured, focal_length_mm: float | None) -> Unit:
     return Unit("cycles/mrad", float(lpmm_to_cycles_per_mrad(1.0, focal_length_mm)))
 
 
-def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
-    """Return row start, row stop, col start, col stop from "0,16,20,50"."""
+def parse_region(text: str | None) -> Region | None:
+    """Return a region from "0,16,20,50"."""
     if text is None:
         return None
     numbers = parse_numbers(text, 4, "a region like 0,16,20,50")
     if not all(number.is_integer() for number in numbers):  # NaN is none
         raise typer.BadParameter(f"expected a region like 0,16,20,50, got {text!r}")
-    row_start, row_stop, col_start, col_stop = (int(number) for number in numbers)
-    return row_start, row_stop, col_start, col_stop
+    return cast(Region, tuple(int(number) for number in numbers))
 
 
-def scaled(
-    region: tuple[int, int, int, int] | None, scale: int
-) -> tuple[int, int, int, int] | None:
+def scaled(region: Region | None, scale: int) -> Region | None:
     """Return a region in pixels that are `scale` times finer."""
-    if region is None:
-        return None
-    row_start, row_stop, col_start, col_stop = (scale * end for end in region)
-    return row_start, row_stop, col_start, col_stop
+    return None if region is None else cast(Region, tuple(scale * end for end in region))
 
 
-def slices_of(region: tuple[int, int, int, int] | None, shape: tuple[int, ...]) -> Any:
+def slices_of(region: Region | None, shape: tuple[int, ...]) -> Any:
     """Return the slices of a region, of the whole image for None."""
     rows, cols = shape
     if region is None:
@@ -281,8 +277,7 @@ def slices_of(region: tuple[int, int, int, int] | None, shape: tuple[int, ...]) 
 
 def interval_row(number: Any, factor: float = 1.0) -> dict[str, float]:
     """Return an interval for JSON."""
-    scaled = number.scaled(factor)
-    return {"value": scaled.value, "low": scaled.low, "high": scaled.high}
+    return picked(number.scaled(factor), "value low high")
 
 
 def _burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[Any]:

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class InfoOptions:
-    """Options of `lensshift info`."""
-
+class _InfoOptions:
     file: Path | None = argument(
         "Burst, reconstruction, lens field, image stack, or rig file (.toml).", default=None
     )
@@ -34,7 +32,7 @@ class InfoOptions:
 
 
 @verb()
-def info(current: Session, asked: InfoOptions) -> None:
+def info(current: Session, asked: _InfoOptions) -> None:
     """Say what is in a file, what a rig answers, or which devices there are.
 
     \b

@@ -42,9 +42,7 @@ def group() -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ShowOptions:
-    """Options of `lensshift lens show`."""
-
+class _ShowOptions:
     of: optics.MovedLensOptions
     figure: Literal["layout", "spots", "distortion", "fans", "psf", "field"] = option(
         "layout", "What --plot draws."
@@ -54,7 +52,7 @@ class ShowOptions:
 
 @lens_verbs.command()
 @verb("tracing the lens")
-def show(current: Session, asked: ShowOptions) -> None:
+def show(current: Session, asked: _ShowOptions) -> None:
     """Show a lens: its elements, its paraxial data, the travel of one element for a shift.
 
     \b
@@ -105,9 +103,7 @@ def show(current: Session, asked: ShowOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class MtfOptions:
-    """Options of `lensshift lens mtf`."""
-
+class _MtfOptions:
     of: optics.MovedLensOptions
     field_deg: list[str] | None = option(
         None, "Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."
@@ -124,7 +120,7 @@ class MtfOptions:
 
 @lens_verbs.command()
 @verb("tracing the lens")
-def mtf(current: Session, asked: MtfOptions) -> None:
+def mtf(current: Session, asked: _MtfOptions) -> None:
     """Compute the MTF of a lens, at rest and with one element moved.
 
     Along columns and along rows at every field; the moved element shifts the image by --shift-px
@@ -141,7 +137,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
 
     from lensshift.optics.otf import diffraction_limit
 
-    outputs.check([Path(asked.of.lens)], asked.csv, asked.plot)
+    outputs.check([Path(asked.of.lens)], asked.csv, plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     fields_tan = optics.parse_fields_tan(asked.field_deg)
     travel_mm = optics.diagonal_mm(model, moved, asked.of.shift_px, grid)
@@ -201,9 +197,7 @@ def _curves(
 
 
 @dataclass(frozen=True, slots=True)
-class WhichOptions:
-    """Options of `lensshift lens which`."""
-
+class _WhichOptions:
     of: optics.LensOptions
     shift_px: float = option(optics.SHIFT_PX, "Shift of the image along both axes, in pixels.")
     to: outputs.Outputs = field(default_factory=outputs.Outputs)
@@ -211,7 +205,7 @@ class WhichOptions:
 
 @lens_verbs.command()
 @verb("tracing the lens")
-def which(current: Session, asked: WhichOptions) -> None:
+def which(current: Session, asked: _WhichOptions) -> None:
     """Compare what can move: each element decentred or tilted, a tilted plate, the sensor.
 
     Stroke, evenness of the shift, cross-talk between the axes, MTF. The least MTF is that over the
@@ -225,7 +219,7 @@ def which(current: Session, asked: WhichOptions) -> None:
     from lensshift.optics.movers import which_mover
     from lensshift.optics.which import format_movers
 
-    outputs.check([Path(asked.of.lens)], asked.to.csv, asked.to.plot)
+    outputs.check([Path(asked.of.lens)], asked.to.csv, plot=asked.to.plot)
     model, grid = optics.opened(asked.of)
     movers = which_mover(model, grid, shift_px=asked.shift_px)
     current.say(format_movers(movers))
@@ -238,9 +232,7 @@ def which(current: Session, asked: WhichOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ConvertOptions:
-    """Options of `lensshift lens convert`."""
-
+class _ConvertOptions:
     source: str = argument("Lens file (.toml, .zmx) or built-in lens.")
     target: Path = argument("File to write, .toml or .zmx.")
     glass_catalogue: list[Path] | None = option(None, "Glasses of a maker (.agf); repeatable.")
@@ -248,7 +240,7 @@ class ConvertOptions:
 
 @lens_verbs.command()
 @verb("tracing the lens")
-def convert(current: Session, asked: ConvertOptions) -> None:
+def convert(current: Session, asked: _ConvertOptions) -> None:
     """Convert a lens between lens files (TOML) and sequential Zemax files.
 
     A TOML file brings the glasses of a catalogue with it, so that other commands need none.

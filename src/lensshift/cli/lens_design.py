@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from dataclasses import MISSING, asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -27,9 +26,7 @@ BestOption = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class OptimiseOptions:
-    """Options of `lensshift lens optimise`."""
-
+class _OptimiseOptions:
     places: list[str] = argument(
         "The lens for each place, or several to choose from: al2550,eo33944."
     )
@@ -56,7 +53,7 @@ class OptimiseOptions:
 
 
 @verb()
-def optimise(current: Session, asked: OptimiseOptions) -> None:
+def optimise(current: Session, asked: _OptimiseOptions) -> None:
     """Find gaps, orientations and the element to move for a train of stock lenses.
 
     Maximises the least MTF over the sensor at twice its Nyquist frequency, centred and moved, at
@@ -144,7 +141,7 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
     stock = [[optics.read_lens(name.strip()) for name in place.split(",")] for place in places]
     if element is not None and element > len(stock):
         raise typer.BadParameter(f"expected an element from 1 to {len(stock)}, got {element}")
-    with closing(Progress("optimising")) as progress:
+    with Progress("optimising") as progress:
         if element is not None and all(len(place) == 1 for place in stock):
             parts = [part for place in stock for part in place[0].elements]
             name = " + ".join(part.name for part in parts)
@@ -179,9 +176,7 @@ def _row(design: Design) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class ToleranceOptions:
-    """Options of `lensshift lens tolerance`."""
-
+class _ToleranceOptions:
     of: optics.MovedLensOptions
     builds: int = option(1000, "Random builds.", min=1)
     limit: float = option(0.9, "MTF that a good build keeps.", min=0.0, max=1.0)
@@ -195,7 +190,7 @@ class ToleranceOptions:
 
 
 @verb()
-def tolerance(current: Session, asked: ToleranceOptions) -> None:
+def tolerance(current: Session, asked: _ToleranceOptions) -> None:
     """Build a lens many times at random, and set each tolerance to its limit alone.
 
     The sensor is refocused in every build; MTF at twice LR Nyquist, at rest and for the four
@@ -212,7 +207,7 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         tolerance_analysis,
     )
 
-    outputs.check([Path(asked.of.lens)], asked.to.csv, asked.to.plot)
+    outputs.check([Path(asked.of.lens)], asked.to.csv, plot=asked.to.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     shift_px, builds = asked.of.shift_px, asked.builds
     limits = Tolerances(
@@ -220,7 +215,7 @@ def tolerance(current: Session, asked: ToleranceOptions) -> None:
         asked.index,
     )  # fmt: skip
     table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
-    with closing(Progress("building")) as progress:
+    with Progress("building") as progress:
         found = tolerance_analysis(
             model, moved, grid, limits, builds=builds, seed=asked.seed, shift_px=shift_px,
             on_progress=progress.count,
@@ -259,9 +254,7 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
 
 
 @dataclass(frozen=True, slots=True)
-class BudgetOptions:
-    """Options of `lensshift lens budget`."""
-
+class _BudgetOptions:
     of: optics.MovedLensOptions
     repeatability_um: float = option(0.0, "Standard deviation of where it stops.", min=0.0)
     backlash_um: float = option(0.0, "Between approaches from the two sides.", min=0.0)
@@ -272,7 +265,7 @@ class BudgetOptions:
 
 
 @verb("computing the budget")
-def budget(current: Session, asked: BudgetOptions) -> None:
+def budget(current: Session, asked: _BudgetOptions) -> None:
     """Tell what the errors of an actuator cost: micrometres, pixels, lost resolution.
 
     The losses are those of simulated bursts of four frames whose shifts were wrong by as much,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from dataclasses import field as group
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lensshift.cli import optics, outputs
-from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
+from lensshift.cli.inputs import PatternOption, check_netcdf
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb
 
@@ -21,9 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class FieldOptions:
-    """Options of `lensshift lens field`."""
-
+class _FieldOptions:
     lens: optics.LensArgument
     element: int | None = option(None, f"{optics.ELEMENT_HELP} 0: the sensor moves.", min=0)
     tilt: bool = option(False, "The element tilts, as a plate does.", "--tilt")
@@ -42,7 +39,7 @@ class FieldOptions:
 
 
 @verb()
-def field(current: Session, asked: FieldOptions) -> None:
+def field(current: Session, asked: _FieldOptions) -> None:
     """Fit how shift and blur vary over the sensor while an element moves.
 
     The file holds polynomials over the sensor and the place of the element; `reconstruct
@@ -62,11 +59,7 @@ def field(current: Session, asked: FieldOptions) -> None:
     out, reach_px = asked.out, asked.reach_px
     if out is not None:
         check_netcdf(out, "a lens field")
-    check_files(
-        (asked.burst, Path(asked.lens)),
-        [path for path in (out, asked.to.csv, asked.to.plot) if path is not None],
-    )
-    outputs.check([], asked.to.csv, asked.to.plot)
+    outputs.check([asked.burst, Path(asked.lens)], out, asked.to.csv, plot=asked.to.plot)
     wanted_px = named_pattern_px(asked.pattern)
     if reach_px is not None and reach_px < abs(wanted_px).max():
         raise typer.BadParameter(
@@ -79,7 +72,7 @@ def field(current: Session, asked: FieldOptions) -> None:
     moved = None if asked.element == 0 else optics.element_of(model, asked.element)
     motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
-    with closing(Progress("tracing")) as progress:
+    with Progress("tracing") as progress:
         found = lens_field(
             model, grid, moved, motion=motion, reach_px=reach_px, on_progress=progress.count
         )
@@ -91,7 +84,7 @@ def field(current: Session, asked: FieldOptions) -> None:
         current.wrote(out)
 
 
-def _grid(asked: FieldOptions) -> Grid:
+def _grid(asked: _FieldOptions) -> Grid:
     if asked.burst is None:
         return optics.sensor_grid(
             optics.SensorOptions(asked.sensor or optics.SENSOR, asked.pitch_mm or optics.PITCH_MM)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,9 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RefineOptions:
-    """Options of `lensshift lens refine`."""
-
+class _RefineOptions:
     of: LensOptions
     focal_length_mm: float = option(MISSING, "Kept.")
     f_number: float = option(MISSING, "Kept, by the stop.")
@@ -53,7 +50,7 @@ class RefineOptions:
 
 
 @verb("refining the lens")
-def refine(current: Session, asked: RefineOptions) -> None:
+def refine(current: Session, asked: _RefineOptions) -> None:
     """Find curvatures, thicknesses, gaps and aspheres of a lens from a starting form.
 
     Least squares of ray errors over the sensor, the light and the temperatures. Elements that are
@@ -90,7 +87,7 @@ def refine(current: Session, asked: RefineOptions) -> None:
         numbers, thicknesses=asked.thicknesses, conics=asked.conics, aspheres=asked.aspheres,
         aspheric=of_aspheres, stop=asked.move_stop,
     )  # fmt: skip
-    with closing(Progress("refining", preparing=True)) as progress:
+    with Progress("refining", preparing=True) as progress:
         found = refine_from_several(
             start, task, freedom, starts=asked.starts, seed=asked.seed,
             grow=grow, steps=asked.steps, on_progress=progress.count,

@@ -33,16 +33,14 @@ _FIGURES = {
 
 
 @dataclass(frozen=True, slots=True)
-class ReportOptions:
-    """Options of `lensshift lens report`."""
-
+class _ReportOptions:
     of: optics.MovedLensOptions
     out: Path | None = option(None, "Page to write (.html).", "-o")
     band_nm: optics.BandOption = 0.0
 
 
 @verb("examining the lens")
-def report(current: Session, asked: ReportOptions) -> None:
+def report(current: Session, asked: _ReportOptions) -> None:
     """Examine a lens: sharpness, focus, light and distortion over the field, with all figures.
 
     For each field: MTF along it (T) and across (S), where both focus, the light in a pixel and in

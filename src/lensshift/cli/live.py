@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class LiveOptions:
-    """Options of `lensshift live`."""
-
+class _LiveOptions:
     rig: str | None = option(None, "Rig file (TOML), or: emulated.")
     replay: Path | None = option(None, "Burst file, capture, pcap, pcapng or ROS bag.")
     simulate: str | None = option(None, "Scene by name, scene or experiment file (TOML).")
@@ -53,7 +51,7 @@ class LiveOptions:
 
 
 @verb()
-def live(current: Session, asked: LiveOptions) -> None:
+def live(current: Session, asked: _LiveOptions) -> None:
     """Show a picture after each frame in a browser, with the point cloud and the MTF of an edge.
 
     Only this computer can open the page, and only by the whole address that is printed. Ctrl-C
@@ -89,7 +87,7 @@ def live(current: Session, asked: LiveOptions) -> None:
 
 
 def _show(
-    current: Session, asked: LiveOptions, frames: Source, settings: Settings, listener: socket
+    current: Session, asked: _LiveOptions, frames: Source, settings: Settings, listener: socket
 ) -> None:
     from lensshift.core.errors import DeviceError
     from lensshift.live.serve import serve
@@ -122,7 +120,7 @@ def _show(
         raise DeviceError(running.problem)
 
 
-def _source(asked: LiveOptions) -> AbstractContextManager[Source]:
+def _source(asked: _LiveOptions) -> AbstractContextManager[Source]:
     if asked.rig is not None:
         return _rig(asked.rig, asked)
     if asked.replay is not None:
@@ -131,7 +129,7 @@ def _source(asked: LiveOptions) -> AbstractContextManager[Source]:
 
 
 @contextmanager
-def _rig(rig: str, asked: LiveOptions) -> Iterator[Source]:
+def _rig(rig: str, asked: _LiveOptions) -> Iterator[Source]:
     from lensshift.live.sources import RigSource
 
     if rig == "emulated":
@@ -150,7 +148,7 @@ def _rig(rig: str, asked: LiveOptions) -> Iterator[Source]:
         yield RigSource(opened, asked.pattern)
 
 
-def _replay(path: Path, asked: LiveOptions) -> Source:
+def _replay(path: Path, asked: _LiveOptions) -> Source:
     from lensshift.capture.drivers.replay import ReplayCamera
     from lensshift.io import load_burst
     from lensshift.io.capture_file import is_capture
@@ -172,7 +170,7 @@ def _replay(path: Path, asked: LiveOptions) -> Source:
     return CameraSource(camera, asked.pattern)
 
 
-def _simulated(name: str, asked: LiveOptions) -> Source:
+def _simulated(name: str, asked: _LiveOptions) -> Source:
     from lensshift.live.sources import SimulatedSource
     from lensshift.pipeline.experiment_file import SCENES, default_experiment, load_experiment
 

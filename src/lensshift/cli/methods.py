@@ -87,14 +87,12 @@ def parse_frames(text: str | None) -> tuple[int, ...] | None:
 
 
 @dataclass(frozen=True, slots=True)
-class MethodsOptions:
-    """Options of `lensshift methods`."""
-
+class _MethodsOptions:
     method: str | None = argument("Only this one.", default=None, metavar="METHOD")
 
 
 @verb()
-def methods(current: Session, asked: MethodsOptions) -> None:
+def methods(current: Session, asked: _MethodsOptions) -> None:
     """List the methods of reconstruction with their options.
 
     \b

@@ -40,9 +40,7 @@ class EdgeOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class MtfOptions:
-    """Options of `lensshift evaluate mtf`."""
-
+class _MtfOptions:
     of: images.ImageOptions
     region: images.RegionOption = None
     joint: bool = option(False, "Fit all frames of a burst file together.")
@@ -66,7 +64,7 @@ NUMBERS = (
 
 
 @verb("measuring edges")
-def mtf(current: Session, asked: MtfOptions) -> None:
+def mtf(current: Session, asked: _MtfOptions) -> None:
     """Measure the MTF of slanted edges, with 95 % intervals.
 
     Every edge of the image is found and measured, unless a region is given; numbers of several
@@ -80,7 +78,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
       lensshift evaluate mtf edge.tif --pitch-mm 0.155 --focal-length-mm 42.7
     """
     place = images.parse_region(asked.region)
-    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
+    outputs.check([asked.of.image], asked.to.csv, plot=asked.to.plot)
     measured = (
         images.measured_frames(asked.of.image, key=asked.of.key)
         if asked.joint
@@ -99,7 +97,7 @@ def mtf(current: Session, asked: MtfOptions) -> None:
 
 
 def edges_of(
-    measured: images.Measured, region: tuple[int, int, int, int] | None, **options: Any
+    measured: images.Measured, region: images.Region | None, **options: Any
 ) -> list[EdgeResult]:
     """Measure the edges of an image, or of a region of it."""
     from lensshift.evaluation.slanted_edge import measure_edges

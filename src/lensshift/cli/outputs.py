@@ -32,9 +32,9 @@ class Outputs:
     plot: PlotOption = None
 
 
-def check(inputs: Sequence[Path | None], csv: Path | None = None, plot: Path | None = None) -> None:
+def check(inputs: Sequence[Path | None], *files: Path | None, plot: Path | None = None) -> None:
     """Complain before the work about files that cannot be written."""
-    check_files(inputs, [path for path in (csv, plot) if path is not None])
+    check_files(inputs, [path for path in (*files, plot) if path is not None])
     if plot is not None:
         from lensshift.report.save import check_ending
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -247,7 +246,7 @@ def _reconstruct(
         current.warn(little, QualityWarning, "", 0)
     start_s = time.perf_counter()
     progress = Progress(f"reconstructing with {settings['method']}", preparing=True)
-    with closing(progress), naming(source):
+    with progress, naming(source):
         result = lensshift.reconstruct(burst, **settings, on_iteration=progress)
     seconds = time.perf_counter() - start_s
     target, preview, *exports = files
@@ -303,8 +302,8 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
     same = {name: settings[name] for name in ("scale", "channel", "frames", "seed")}
     if same["channel"] == "phasor":  # bicubic takes each of its channels on its own
         same["channel"] = "auto"
-    with warnings.catch_warnings():  # of the burst all was said
-        warnings.simplefilter("ignore", QualityWarning)
+    # of the burst all was said
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         bicubic = lensshift.reconstruct(burst, method="bicubic", std=False, **same)
     reference = {name: one.image for name, one in bicubic.channels.items()}
     title = f"{result.method} x{result.scale}"

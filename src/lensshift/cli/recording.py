@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -74,7 +73,7 @@ def reconstruct_windows(
         raise typer.BadParameter(f"{target} exists; choose another name or remove it")
     kept = {name: value for name, value in settings.items() if name != "frames"}
     kept |= {} if asked.psf_sigma_px is None else {"psf_sigma_px": asked.psf_sigma_px}
-    with closing(Progress("reconstructing windows", preparing=True)) as progress:
+    with Progress("reconstructing windows", preparing=True) as progress:
         found = reconstruct_recording(
             source, target, window=split.window or 1, every=split.every, pace=split.pace,
             workers=split.workers, scheduler=split.scheduler, on_progress=progress.count, **kept,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -24,9 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RegisterOptions:
-    """Options of `lensshift register`."""
-
+class _RegisterOptions:
     burst: BurstArgument
     out: Path | None = option(None, "Burst file; default: BURST_registered.nc beside it.", "-o")
     method: Literal["auto", "gradient", "phase"] = option("auto", "How the shifts are found.")
@@ -43,7 +40,7 @@ class RegisterOptions:
 
 
 @verb("finding the shifts")
-def register(current: Session, asked: RegisterOptions) -> None:
+def register(current: Session, asked: _RegisterOptions) -> None:
     """Find the shifts of a burst from its own frames.
 
     \b
@@ -73,7 +70,7 @@ def with_shifts(current: Session, burst: Burst, motion: Motion, *, photometric: 
     """Return a burst of unknown shifts with those that its frames tell, and say them."""
     from lensshift.registration import register as find_shifts
 
-    with closing(Waiting("finding the shifts")):
+    with Waiting("finding the shifts"):
         found = find_shifts(burst, motion=motion, photometric=photometric)
     current.say("no shifts are given; the frames say:")
     _say(current, found)

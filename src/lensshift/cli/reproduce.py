@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -14,16 +13,14 @@ from lensshift.cli.verbs import option, verb
 
 
 @dataclass(frozen=True, slots=True)
-class ReproduceOptions:
-    """Options of `lensshift reproduce`."""
-
+class _ReproduceOptions:
     out: Path = option(Path("lensshift-paper"), "Folder for results.json and report.html.", "-o")
     quick: bool = option(False, "Fewer draws, about a minute.")
     processes: int | None = option(None, "Side by side; default: all cores.", min=1)
 
 
 @verb()
-def reproduce(current: Session, asked: ReproduceOptions) -> None:
+def reproduce(current: Session, asked: _ReproduceOptions) -> None:
     """Repeat the experiments of the paper: each claim confirmed, qualified or refuted.
 
     \b
@@ -32,7 +29,7 @@ def reproduce(current: Session, asked: ReproduceOptions) -> None:
     """
     from lensshift.pipeline.paper import reproduce as reproduce_paper
 
-    with closing(Progress("experiments of the paper", preparing=True)) as progress:
+    with Progress("experiments of the paper", preparing=True) as progress:
         found = reproduce_paper(
             asked.out,
             quick=asked.quick,

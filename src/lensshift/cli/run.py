@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,9 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RunOptions:
-    """Options of `lensshift run`."""
-
+class _RunOptions:
     config: Path | None = argument(
         "Experiment in TOML; the built-in four boxes if not given.", default=None
     )
@@ -38,7 +35,7 @@ class RunOptions:
 
 
 @verb()
-def run(current: Session, asked: RunOptions) -> None:
+def run(current: Session, asked: _RunOptions) -> None:
     """Simulate one experiment, reconstruct its burst, and compare with the truth.
 
     With --rig emulated: start emulated stages and an emulated camera, calibrate them, capture over
@@ -65,7 +62,7 @@ def run(current: Session, asked: RunOptions) -> None:
         return
     from lensshift.pipeline import run as run_pipeline
 
-    with closing(Progress("reconstructing", preparing=True)) as progress:
+    with Progress("reconstructing", preparing=True) as progress:
         told = picked(asked, "config scale method seed")
         summary = run_pipeline(asked.out, **told, on_iteration=progress)
     _say(current, summary)
@@ -97,7 +94,7 @@ def _say(current: Session, summary: RunSummary) -> None:
     current.result |= {"shape": shape}
 
 
-def _with_rig(current: Session, asked: RunOptions) -> None:
+def _with_rig(current: Session, asked: _RunOptions) -> None:
     """Carry out the chain with an emulated rig or one of the user's own."""
     scale, method = asked.scale or 2, asked.method or "auto"
     if asked.rig == "emulated":
@@ -107,7 +104,7 @@ def _with_rig(current: Session, asked: RunOptions) -> None:
         raise typer.BadParameter(f"expected simulated, emulated or a rig file, got {asked.rig!r}")
     from lensshift.pipeline.rig import run_bench
 
-    with closing(Show(current)) as show:
+    with Show(current) as show:
         result, files = run_bench(
             asked.rig,
             asked.out,
@@ -121,12 +118,12 @@ def _with_rig(current: Session, asked: RunOptions) -> None:
     current.result["method"] = result.method
 
 
-def _emulated(current: Session, asked: RunOptions, scale: int, method: str) -> None:
+def _emulated(current: Session, asked: _RunOptions, scale: int, method: str) -> None:
     from lensshift.capture.emulators.rig import RigSettings
     from lensshift.pipeline.rig import EMULATED_SPEED, run_emulated
 
     settings = RigSettings(speed=EMULATED_SPEED, seed=asked.seed or 0)
-    with closing(Show(current)) as show:
+    with Show(current) as show:
         summary = run_emulated(asked.out, settings, scale=scale, method=method, on_step=show.named)
     current.say(f"emulated rig, {method} x{scale}: all in {summary.seconds:.1f} s")
     for name, error in summary.shift_rms_px.items():

@@ -17,7 +17,7 @@ from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
-from lensshift.core.ending import ended_by_signals, interruption
+from lensshift.core.ending import Closing, ended_by_signals, interruption
 from lensshift.core.errors import QualityWarning, printable
 from lensshift.core.settings import to_json
 
@@ -103,8 +103,7 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
     """Run a verb that is `doing` something; print its result, or its error on one line, exit 1."""
     current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
-    with ended_by_signals(), warnings.catch_warnings():
-        warnings.simplefilter("always", QualityWarning)
+    with ended_by_signals(), warnings.catch_warnings(action="always", category=QualityWarning):
         warnings.showwarning = current.warn
         try:
             yield current
@@ -169,7 +168,7 @@ class StatusLine:
             self._open = False
 
 
-class Progress:
+class Progress(Closing):
     """Say how far an iteration is, on stderr, once it takes more than a second.
 
     preparing : whether it may take long before the first iteration, which is said then
@@ -220,7 +219,7 @@ class Progress:
         self._line.close()
 
 
-class Waiting:
+class Waiting(Closing):
     """Say every second on a terminal, else every five, that something still goes on."""
 
     def __init__(self, label: str) -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import PatternOption, check_files, check_netcdf
+from lensshift.cli import outputs
+from lensshift.cli.inputs import PatternOption, check_netcdf
 from lensshift.cli.optics import ELEMENT_HELP, element_of
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
@@ -20,9 +21,7 @@ _PHASES = "difference electrons_per_count exposure gain saturated modulation_hz"
 
 
 @dataclass(frozen=True, slots=True)
-class SimulateOptions:
-    """Options of `lensshift simulate`."""
-
+class _SimulateOptions:
     scene: str = argument(
         "four_boxes, slanted_edge, depth_step, siemens_star, zone_plate, or a TOML file.",
         default="four_boxes",
@@ -46,7 +45,7 @@ class SimulateOptions:
 
 
 @verb("simulating")
-def simulate(current: Session, asked: SimulateOptions) -> None:
+def simulate(current: Session, asked: _SimulateOptions) -> None:
     """Simulate a burst of a time-of-flight camera whose lens moves.
 
     Writes the burst and, as NPZ beside it, what an experimenter never knows: among others what
@@ -95,17 +94,16 @@ def simulate(current: Session, asked: SimulateOptions) -> None:
     current.result |= {"shape": burst.grid.shape, "valid_share": valid}
 
 
-def _check_outputs(asked: SimulateOptions, truth_file: Path) -> None:
+def _check_outputs(asked: _SimulateOptions, truth_file: Path) -> None:
     """Complain before the work about names that cannot be written."""
     out, phases = asked.out, asked.phases
     check_netcdf(out, "a burst")
     if phases is not None and phases.suffix.lower() != ".npz":
         raise typer.BadParameter(f"expected phases that end in .npz, got {phases}")
-    files = [path for path in (out, truth_file, phases) if path is not None]
-    check_files((Path(asked.scene), Path(asked.camera)), files)
+    outputs.check((Path(asked.scene), Path(asked.camera)), out, truth_file, phases)
 
 
-def _camera(asked: SimulateOptions) -> TofCamera:
+def _camera(asked: _SimulateOptions) -> TofCamera:
     from lensshift.camera import Ambient, camera_preset
     from lensshift.pipeline.experiment_file import load_experiment
 
@@ -124,7 +122,7 @@ def _camera(asked: SimulateOptions) -> TofCamera:
     return camera.ideal() if asked.ideal else camera
 
 
-def _optics(asked: SimulateOptions, of_camera: PlainOptics | LensOptics) -> LensOptics:
+def _optics(asked: _SimulateOptions, of_camera: PlainOptics | LensOptics) -> LensOptics:
     """Return the traced lens, asked for or of the camera, with the element that is to move."""
     from lensshift.camera import LensOptics
     from lensshift.cli.optics import read_lens

@@ -26,9 +26,7 @@ _LEVELS = (0.5, 0.3, 0.1)  # of contrast, where curves are read off by custom
 
 
 @dataclass(frozen=True, slots=True)
-class StarOptions:
-    """Options of `lensshift evaluate star`."""
-
+class _StarOptions:
     of: images.ImageOptions
     cycles: int = option(MISSING, "Bright spokes of the star.", min=1)
     center_px: CenterOption = None
@@ -42,7 +40,7 @@ class StarOptions:
 
 
 @verb("measuring the star")
-def star(current: Session, asked: StarOptions) -> None:
+def star(current: Session, asked: _StarOptions) -> None:
     """Measure the MTF with a Siemens star: a harmonic fit in every ring.
 
     \b
@@ -76,9 +74,7 @@ def star(current: Session, asked: StarOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ZoneOptions:
-    """Options of `lensshift evaluate zone`."""
-
+class _ZoneOptions:
     of: images.ImageOptions
     chirp: float = option(MISSING, "Growth of the frequency with the radius, in LP/mm per mm.")
     center_px: CenterOption = None
@@ -89,7 +85,7 @@ class ZoneOptions:
 
 
 @verb("measuring the zone plate")
-def zone(current: Session, asked: ZoneOptions) -> None:
+def zone(current: Session, asked: _ZoneOptions) -> None:
     """Measure the response to a zone plate, cos(pi k r^2), along rows, columns and radii.
 
     \b
@@ -118,9 +114,7 @@ def zone(current: Session, asked: ZoneOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class FrcOptions:
-    """Options of `lensshift evaluate frc`."""
-
+class _FrcOptions:
     first: Path = argument("One result.")
     second: Path = argument("One from other frames of the same scene.")
     pitch_mm: images.PitchOption = None
@@ -129,7 +123,7 @@ class FrcOptions:
 
 
 @verb("correlating")
-def frc(current: Session, asked: FrcOptions) -> None:
+def frc(current: Session, asked: _FrcOptions) -> None:
     """Correlate two independent results ring by ring in frequency.
 
     \b
@@ -159,9 +153,7 @@ def frc(current: Session, asked: FrcOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ResolutionOptions:
-    """Options of `lensshift evaluate resolution`."""
-
+class _ResolutionOptions:
     of: images.ImageOptions
     edge: Path | None = option(None, "The image that holds the edges, if another one.")
     cycles: int | None = option(None, "Bright spokes of a Siemens star in IMAGE.", min=1)
@@ -179,7 +171,7 @@ class ResolutionOptions:
 
 
 @verb("comparing edges with a pattern")
-def resolution(current: Session, asked: ResolutionOptions) -> None:
+def resolution(current: Session, asked: _ResolutionOptions) -> None:
     """Ask a star, a zone plate or bars whether the edges beside them promise too much.
 
     A solver may draw edges sharper than it resolves. Of super-resolved images, trust the pattern.
@@ -227,7 +219,7 @@ def resolution(current: Session, asked: ResolutionOptions) -> None:
     outputs.write_table(current, asked.csv, columns)
 
 
-def _pattern(current: Session, asked: ResolutionOptions, seen: images.Measured) -> Any:
+def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured) -> Any:
     """Return the curve of the star, zone plate or bars."""
     levels = _pair(asked.levels, "levels like 100,3000")
     common: dict[str, Any] = {"pitch_mm": seen.pitch_mm, "levels": levels, "valid": seen.valid}
@@ -262,7 +254,7 @@ def _pattern(current: Session, asked: ResolutionOptions, seen: images.Measured) 
     return found.radial if asked.chirp is not None else found.mtf
 
 
-def _group(text: str, seen: images.Measured) -> tuple[float, tuple[int, int, int, int] | None]:
+def _group(text: str, seen: images.Measured) -> tuple[float, images.Region | None]:
     """Return frequency and region of a group of bars, from "2.5", "8px" or "8px@0,40,10,60"."""
     lines, _, region = text.partition("@")
     expected = "bars like 2.5, 8px or 8px@0,40,10,60"
@@ -275,7 +267,7 @@ def _group(text: str, seen: images.Measured) -> tuple[float, tuple[int, int, int
 
 
 def _say_place(
-    current: Session, asked: StarOptions | ZoneOptions, found: Any, pattern: str
+    current: Session, asked: _StarOptions | _ZoneOptions, found: Any, pattern: str
 ) -> None:
     row, col = found.center_px
     current.say(f"{pattern}, centre at row {row:.2f}, column {col:.2f}")
@@ -293,8 +285,8 @@ def _say_contrast(current: Session, found: Any) -> None:
         )
 
 
-def _to_measure(asked: StarOptions | ZoneOptions) -> tuple[images.Measured, images.Unit]:
-    outputs.check([asked.of.image], asked.to.csv, asked.to.plot)
+def _to_measure(asked: _StarOptions | _ZoneOptions) -> tuple[images.Measured, images.Unit]:
+    outputs.check([asked.of.image], asked.to.csv, plot=asked.to.plot)
     measured = _one_image(asked.of, asked.photo)
     return measured, images.frequency_unit(measured, asked.focal_length_mm)
 

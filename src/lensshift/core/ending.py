@@ -8,9 +8,11 @@ import signal
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Self
 
 # Python leaves these to the system, which ends the process at once, without any `finally`.
 # SIGBREAK is how Windows says that the console is closed.
@@ -18,6 +20,22 @@ _SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
 _SWALLOWED_S = 5.0  # a block that is not over so long after a signal has not felt it
+
+
+class Closing(ABC):
+    """What is closed at the end of a `with` block."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 class Ending:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 
 def printable(text: str) -> str:
@@ -37,6 +39,14 @@ class DataError(ValueError):
     def in_file(self, source: str | Path) -> DataError:
         """Return the same error with the name of the file in front, unless it names one."""
         return DataError(self.problem, field=self.field, source=self.source or source)
+
+
+def of_extra(module: str, needed: str) -> Any:
+    """Return a module of an extra; where it is missing, an ImportError that says what is needed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ImportError(needed) from error
 
 
 @contextmanager

@@ -7,8 +7,9 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import BinaryIO
 
+from lensshift.core.ending import Closing
 from lensshift.core.errors import DataError
 
 
@@ -32,7 +33,13 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
 
 
-class GrowingFile:
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text that appears whole or not at all; `DataError` as `written_whole`."""
+    with written_whole(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+class GrowingFile(Closing):
     """A file that is open for writing, and closed at the end of a `with` block."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -45,12 +52,6 @@ class GrowingFile:
     def close(self) -> None:
         """Let go of the file; a second call does nothing."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def writable_target(path: str | Path) -> Path:

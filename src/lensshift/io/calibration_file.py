@@ -12,7 +12,7 @@ from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import StageMap
 from lensshift.core.settings import fit, parse_json, read_text, settings_of
-from lensshift.io.atomic import written_whole
+from lensshift.io.atomic import write_text
 
 SCHEMA = "lensshift-calibration/1"
 _PAIRS = ("rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s")
@@ -25,8 +25,7 @@ _OPTIONAL = {"px_per_mm_sigma": 2, "field_px_per_mm": 4, **dict.fromkeys(_NUMBER
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write a calibration as JSON, whole or not at all. DataError if the file cannot be written."""
     content = calibration_content(calibration)
-    with written_whole(path) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def calibration_content(calibration: Calibration) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -136,17 +136,6 @@ class Container:
         """Return a numeric attribute of two values, (row, col)."""
         row, col = self._numbers(self.attribute(name), 2, name)
         return row, col
-
-    def fields(self, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-        """Return those of some arrays that are there, be they variables or attributes."""
-        found = {}
-        for name in names:
-            if self.has(name):
-                found[name] = self.array(name, kinds="uif")
-            elif (value := self.attribute(name)) is not None:
-                count = np.size(value)
-                found[name] = np.array(self._numbers(value, count, name))
-        return found
 
     def mapping(self, name: str, *, of: str = "") -> dict[str, Any]:
         """Return the mapping that an attribute holds as JSON text; empty if it is absent."""

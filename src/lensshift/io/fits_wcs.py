@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import QualityWarning, of_extra
 from lensshift.core.grid import lr_to_hr
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io.reading import check_unpacked
@@ -27,19 +27,14 @@ _USED = ("AMPLITUDE", "SCI")  # extensions beside which others lie that are no f
 
 def astropy_fits() -> Any:
     """Return `astropy.io.fits`; an ImportError says what to install."""
-    try:
-        from astropy.io import fits
-    except ImportError as error:
-        raise ImportError("FITS needs astropy: pip install 'lensshift[fits]'") from error
-    return fits
+    return of_extra("astropy.io.fits", "FITS needs astropy: pip install 'lensshift[fits]'")
 
 
 @contextmanager
 def quiet_astropy() -> Iterator[None]:
     """Keep astropy from speaking of cards, by warnings or (of SIP) on stdout, where JSON may go."""
     logger = logging.getLogger("astropy")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         before = logger.disabled
         logger.disabled = True
         try:

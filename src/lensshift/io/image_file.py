@@ -300,8 +300,8 @@ def _tagged_size_mm(tags: Any, unit_mm: float | None) -> tuple[float, float] | N
 
 
 def _load_pillow(path: str | Path) -> NDArray[Any]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)  # Pillow's word for damaged tags
+    # Pillow's word for damaged tags
+    with warnings.catch_warnings(action="error", category=UserWarning):
         with opened_by_pillow(path, *_FORMATS) as image:
             image.verify()  # checks the checksums, and leaves the image unusable
         with opened_by_pillow(path, *_FORMATS) as image:
@@ -316,8 +316,7 @@ def opened_by_pillow(path: str | Path, *formats: str) -> Iterator[Any]:
     """Open an image of these formats; one that would fill the memory is a `DataError`."""
     from PIL import Image
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
+    with warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning):
         try:
             with Image.open(path, formats=formats) as image:
                 yield image

@@ -108,18 +108,17 @@ def load_stack_fields(
             return _plain_fields(_stack(load_frames(path), frame_axis, path), path)
         source = _images_in(path)
     paths = [Path(path) for path in source]
-    return _plain_fields(_concatenate(paths), *paths[:1])
+    return _plain_fields(_concatenate(paths), paths[0])
 
 
-def _plain_fields(frames: NDArray[Any], *first: Path) -> dict[str, Any]:
+def _plain_fields(frames: NDArray[Any], first: Path) -> dict[str, Any]:
     """Return the frames, which of their pixels are numbers, and how large these are if told."""
-    if first:
-        frames = _usable(frames, first[0])
+    frames = _usable(frames, first)
     fields: dict[str, Any] = {"amplitude": frames}
     if frames.ndim == 3 and not np.isfinite(frames).all():
         fields["valid"] = np.isfinite(frames)
-    pitch_mm = pixel_size_mm(first[0]) if first else None
-    if first and image_suffix(first[0]) in FITS_SUFFIXES and (cards := wcs_cards(first[0])):
+    pitch_mm = pixel_size_mm(first)
+    if image_suffix(first) in FITS_SUFFIXES and (cards := wcs_cards(first)):
         fields["meta"] = {"wcs": cards}
     return fields if pitch_mm is None else fields | {"pitch_mm": pitch_mm}
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 from lensshift.core.intrinsics import Intrinsics, Pinhole, PixelDirections
 from lensshift.io.container_reader import Container
 from lensshift.io.container_writer import Variable, measured
@@ -48,22 +48,20 @@ def intrinsics_attributes(intrinsics: Intrinsics | None) -> dict[str, NDArray[np
 
 def intrinsics_of_fields(fields: Mapping[str, Any]) -> Intrinsics | None:
     """Return what fields say of where the pixels look, or None; DataError if it cannot be."""
-    try:
+    with about("intrinsics"):
         if "direction" in fields:
             return PixelDirections(np.asarray(fields["direction"], dtype=np.float64))
         if not any(name in fields for name in _COUNTS):
             return None
         focal, centre, distortion = (_numbers(fields, name, n) for name, n in _COUNTS.items())
         return Pinhole(focal[1], focal[0], centre[1], centre[0], *distortion)
-    except DataError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise DataError(str(error), field="intrinsics") from error
 
 
 def read_intrinsics(container: Container) -> Intrinsics | None:
     """Return where the pixels look by the fields of a container; `DataError` as above."""
-    return intrinsics_of_fields(container.fields(NAMES))
+    found: dict[str, Any] = {name: container.numbers(name) for name in _COUNTS}
+    found["direction"] = container.known("direction", kinds="uif")
+    return intrinsics_of_fields({name: one for name, one in found.items() if one is not None})
 
 
 def _numbers(fields: Mapping[str, Any], name: str, count: int) -> list[float]:

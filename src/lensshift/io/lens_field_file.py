@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import about
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import LensField
 from lensshift.io.container_reader import open_container
@@ -74,10 +74,9 @@ def load_lens_field(path: str | Path) -> LensField:
             if name != "skew" or container.has(name)
         }
         values |= {name: container.number(name) or 0.0 for name in _NUMBERS}
-        try:
-            grid = Grid((int(rows), int(cols)), container.number_pair("pitch_mm"))
-        except ValueError as error:
-            raise DataError(str(error), field="shape") from error
+        pitch_mm = container.number_pair("pitch_mm")
+        with about("shape"):
+            grid = Grid((int(rows), int(cols)), pitch_mm)
         return LensField(
             grid=grid,
             reach=container.number_pair("reach"),

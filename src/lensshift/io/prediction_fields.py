@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, about
 from lensshift.core.types import Estimate
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
@@ -74,29 +74,21 @@ def with_predictions(
         return channels
     phase = _phase_scale(container) if len(channels) == 2 else None
     blur = _blur(settings.get("blur"))
+    finest = {name: one.image if one.fine is None else one.fine for name, one in channels.items()}
 
-    def predictor(name: str, image: NDArray[Any]) -> FramePredictor:
-        smaller = image.shape[0] // channels[name].image.shape[0]
-        return _predictor(container, name, image, scale * smaller, blur)
+    def predictor(name: str) -> FramePredictor:
+        smaller = finest[name].shape[0] // channels[name].image.shape[0]
+        return _predictor(container, name, finest[name], scale * smaller, blur)
 
     if phase is None:
-        return {
-            name: replace(estimate, predict=predictor(name, _finest(estimate)))
-            for name, estimate in channels.items()
-        }
-    amplitude, distance = channels["amplitude"], channels["distance"]
-    if _finest(amplitude).shape != _finest(distance).shape:
+        return {name: replace(one, predict=predictor(name)) for name, one in channels.items()}
+    if finest["amplitude"].shape != finest["distance"].shape:
         raise DataError("expected as many pixels as amplitude_fine", field="distance_fine")
-    frame = predictor("amplitude", _finest(amplitude))
-    light, far = phasor_predictors(frame, _finest(distance), phase)
+    light, far = phasor_predictors(predictor("amplitude"), finest["distance"], phase)
     return {
-        "amplitude": replace(amplitude, predict=light),
-        "distance": replace(distance, predict=far),
+        "amplitude": replace(channels["amplitude"], predict=light),
+        "distance": replace(channels["distance"], predict=far),
     }
-
-
-def _finest(estimate: Estimate) -> NDArray[Any]:
-    return estimate.image if estimate.fine is None else estimate.fine
 
 
 def _predictor(
@@ -135,8 +127,6 @@ def _phase_scale(container: Container) -> PhaseScale | None:
 def _blur(settings: Any) -> Blur:
     for kind in (GaussianBlur, ApertureBlur):
         if isinstance(settings, Mapping) and set(settings) == set(kind.__dataclass_fields__):
-            try:
+            with about("settings.blur"):
                 return kind(**settings)
-            except (TypeError, ValueError) as error:
-                raise DataError(str(error), field="settings.blur") from error
     raise DataError(f"expected a pixel response, got {settings!r:.80}", field="settings.blur")

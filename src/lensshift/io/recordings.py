@@ -11,7 +11,7 @@ from typing import Any, BinaryIO, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, QualityWarning, of_extra
 from lensshift.io.reading import reading, require_file
 from lensshift.io.recordings_pcap import Datagram, UdpReader, is_capture, read_packets
 
@@ -74,19 +74,15 @@ def read_bag(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagImag
     Images are `sensor_msgs/Image` of encoding 32FC1, 16UC1, mono16 or mono8; others are skipped.
     ImportError if the extra `recordings` is not installed. DataError if the bag cannot be read.
     """
-    try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        problem = "reading bags needs rosbags: pip install 'lensshift[recordings]'"
-        raise ImportError(problem) from error
+    needed = "reading bags needs rosbags: pip install 'lensshift[recordings]'"
+    highlevel = of_extra("rosbags.highlevel", needed)
+    from rosbags.typesys import Stores, get_typestore
+
     if not Path(path).is_dir():
         require_file(path)
+    known = get_typestore(Stores.ROS2_HUMBLE)
     try:
-        with (
-            reading(path),
-            AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag,
-        ):
+        with reading(path), highlevel.AnyReader([Path(path)], default_typestore=known) as bag:
             kinds = [one for one in bag.connections if one.msgtype == "sensor_msgs/msg/Image"]
             wanted = [one for one in kinds if not topics or one.topic in topics]
             for connection, stamp_ns, data in bag.messages(wanted) if wanted else ():
@@ -95,7 +91,7 @@ def read_bag(path: str | Path, topics: Collection[str] = ()) -> Iterator[BagImag
                 time_s = float(stamp.sec + stamp.nanosec * 1e-9) or stamp_ns * 1e-9
                 if image is not None:
                     yield BagImage(time_s, connection.topic, image)
-    except AnyReaderError as error:
+    except highlevel.AnyReaderError as error:
         raise DataError(f"cannot read this bag: {error}", source=path) from error
 
 

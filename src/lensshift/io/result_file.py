@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError, naming
+from lensshift.core.errors import DataError, about, naming
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
@@ -39,10 +39,16 @@ from lensshift.io.intrinsics_fields import (
 )
 
 SCHEMA = "lensshift-reconstruction/1"
-_AXES, _LR_AXES = ("row", "col"), ("frame", "lr_row", "lr_col")
-_FINE_AXES = ("fine_row", "fine_col")
+_AXES = ("row", "col")
 # Channel -> unit, what it is
 CHANNELS = {"amplitude": ("1", "amplitude"), "distance": ("m", "radial distance, camera frame")}
+# Part of a channel -> dimensions, unit ("": that of the channel), what it is
+_PARTS = {
+    "std": (_AXES, "", "standard deviation of {}"),
+    "misfit": (_AXES, "1", "mean square residual of {} in units of its noise"),
+    "fine": (("fine_row", "fine_col"), "", "{} of smaller pixels"),
+    "confidence": (("frame", "lr_row", "lr_col"), "1", "weight of the LR pixels of {}"),
+}
 _FLYING = np.uint8(1)
 _KEPT = ("prior_weight", "noise_sigma")
 _NUMBERS = (*_KEPT, "noise_gain")
@@ -133,21 +139,10 @@ def _channel_variables(name: str, estimate: Estimate) -> dict[str, writer.Variab
         described[number] = None if value is None else np.float64(value)
     described |= phase_attributes(estimate)
     variables = {name: writer.measured(_AXES, estimate.image, units, label, **described)}
-    maps = {
-        "std": (estimate.std, units, f"standard deviation of {label}"),
-        "misfit": (estimate.misfit, "1", f"mean square residual of {label} in units of its noise"),
-    }
-    for part, (values, unit, meaning) in maps.items():
-        if values is not None:
-            variables[f"{name}_{part}"] = writer.measured(_AXES, values, unit, meaning)
-    if estimate.fine is not None:
-        meaning = f"{label} of smaller pixels"
-        variables[f"{name}_fine"] = writer.measured(_FINE_AXES, estimate.fine, units, meaning)
-    if estimate.confidence is not None:
-        meaning = f"weight of the LR pixels of {label}"
-        variables[f"{name}_confidence"] = writer.measured(
-            _LR_AXES, estimate.confidence, "1", meaning
-        )
+    for part, (dims, unit, meaning) in _PARTS.items():
+        if (values := getattr(estimate, part)) is not None:
+            told = unit or units, meaning.format(label)
+            variables[f"{name}_{part}"] = writer.measured(dims, values, *told)
     if estimate.objective:
         steps, meaning = (f"{name}_iteration",), f"objective of {label} after each iteration"
         objective = np.asarray(estimate.objective, dtype=np.float64)
@@ -200,10 +195,7 @@ def read_picture(
     """Return channels with what a file of pictures says of all of them."""
     amplitude, distance = channels.get("amplitude"), channels.get("distance")
     rows, cols = next(iter(channels.values())).image.shape
-    pitch_mm = container.number_pair("pitch_mm")
-    try:
-        grid = Grid((rows, cols), pitch_mm)
-    except ValueError as error:
-        raise DataError(str(error), field="pitch_mm") from error
+    with about("pitch_mm"):
+        grid = Grid((rows, cols), container.number_pair("pitch_mm"))
     of_all = (container.text("method"), settings, flying, read_intrinsics(container))
     return Reconstruction(amplitude, distance, grid, scale, *of_all)

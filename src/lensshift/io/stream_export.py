@@ -15,20 +15,20 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import astuple
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, of_extra
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Reconstruction
 from lensshift.io.atomic import written_whole
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
+_NEEDED = "this format needs a library: pip install "
 _FRAME = "lensshift_optical"
 _LATEST_S = 2.0**31 - 1  # builtin_interfaces/Time
 _FLOAT32 = 7  # sensor_msgs/PointField
@@ -98,7 +98,7 @@ def _cloud(picture: Reconstruction) -> PointCloud | None:
 
 @contextmanager
 def _mcap(path: Path) -> Iterator[Write]:
-    writer_of = _library("mcap_ros2.writer", "mcap").Writer
+    writer_of = of_extra("mcap_ros2.writer", f"{_NEEDED}'lensshift[mcap]'").Writer
     with path.open("wb") as file:
         writer = writer_of(file)
         kinds = {"Image": _IMAGE, "CameraInfo": _CAMERA_INFO, "PointCloud2": _POINTS}
@@ -158,7 +158,7 @@ def _messages(picture: Reconstruction, stamp_ns: int) -> Iterator[tuple[str, str
 
 @contextmanager
 def _rerun(path: Path) -> Iterator[Write]:
-    rr = _library("rerun", "rerun")
+    rr = of_extra("rerun", f"{_NEEDED}'lensshift[rerun]'")
     recording = rr.RecordingStream("lensshift")
     recording.save(path)
     recording.log("lensshift", rr.ViewCoordinates.RDF, static=True)
@@ -182,11 +182,3 @@ def _rerun(path: Path) -> Iterator[Write]:
     finally:
         recording.flush()
         recording.disconnect()
-
-
-def _library(module: str, extra: str) -> Any:
-    try:
-        return import_module(module)
-    except ImportError as error:
-        problem = f"this format needs a library: pip install 'lensshift[{extra}]'"
-        raise ImportError(problem) from error

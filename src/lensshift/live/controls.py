@@ -31,13 +31,7 @@ def choices(live: Live) -> dict[str, Any]:
 
 
 def checked(settings: Settings) -> Settings:
-    """Return the settings if pictures can be made so.
-
-    Raises
-    ------
-    ValueError
-        With what was expected and what was given.
-    """
+    """Return the settings if pictures can be made so, or raise a ValueError."""
     if settings.scale not in range(1, MAX_SCALE + 1):
         raise ValueError(f"expected a scale from 1 to {MAX_SCALE}, got {settings.scale}")
     find_method(settings.method)
@@ -50,18 +44,11 @@ def checked(settings: Settings) -> Settings:
 def control(live: Live, wanted: Mapping[str, Any], folder: Path) -> None:
     """Do what the page asks for; nothing of it if any of it is wrong.
 
-    Parameters
-    ----------
-    wanted : any of "pattern", "scale", "method", "blur_px" (None: what the source knows), and
-        "record" (whether)
-    folder : to record to
+    ValueError if a setting is unknown or out of range, or the lens cannot go there. DataError if
+    the recording cannot be written.
 
-    Raises
-    ------
-    ValueError
-        If a setting is unknown or out of range, or the lens cannot go there.
-    DataError
-        If the recording cannot be written.
+    wanted : any of "pattern", "scale", "method", "blur_px" (None: what the source knows), and
+        "record" (whether, to the folder)
     """
     only(wanted, _KNOWN)
     kinds = {"scale": int, "method": str, "blur_px": float | None}
@@ -72,7 +59,7 @@ def control(live: Live, wanted: Mapping[str, Any], folder: Path) -> None:
         live.record(_new_recording(live.picture, folder) if begin else None)
     if "pattern" in wanted:
         live.source.choose(fit(wanted["pattern"], str, "pattern"))
-    live.change(settings)
+    live.settings = settings
 
 
 def _new_recording(picture: Picture | None, folder: Path) -> Recording:
@@ -83,13 +70,7 @@ def _new_recording(picture: Picture | None, folder: Path) -> Recording:
 
 
 def box_of(value: Any, shape: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Return a box (row start, row stop, col start, col stop) within an image.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """Return a box (row start, row stop, col start, col stop) within an image, or a ValueError."""
     if not (isinstance(value, list) and len(value) == 4 and all(type(n) is int for n in value)):
         raise ValueError(f"expected a box [row start, row stop, col start, col stop], got {value}")
     top, bottom, left, right = value

@@ -22,17 +22,11 @@ _PATIENCE_S = 20.0  # for the end of the process
 
 
 @contextmanager
-def emulated_rig(seed: int = 0) -> Iterator[Rig]:
-    """Start the emulated devices and open them as a rig.
-
-    Raises
-    ------
-    DeviceError
-        If they do not start.
-    """
+def emulated_rig() -> Iterator[Rig]:
+    """Start the emulated devices and open them as a rig; DeviceError if they do not start."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_emulate, args=(theirs, seed), daemon=True)
+    process = context.Process(target=_emulate, args=(theirs,), daemon=True)
     process.start()
     theirs.close()
     try:
@@ -52,14 +46,14 @@ def _said(ours: Connection) -> str:
     raise DeviceError("did not start", device="emulated rig")
 
 
-def _emulate(theirs: Any, seed: int) -> None:
+def _emulate(theirs: Any) -> None:
     """Emulate until the other end of the pipe is closed, also by the death of its process."""
     # Ctrl-C reaches all processes of a terminal; the stages must still take the lens to rest.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from lensshift.capture.emulators.listener import free_udp_port
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 
-    settings = RigSettings(speed=SPEED, rate_hz=RATE_HZ, seed=seed)
+    settings = RigSettings(speed=SPEED, rate_hz=RATE_HZ)
     with EmulatedRig(settings, camera_port=free_udp_port()) as rig, suppress(EOFError, OSError):
         theirs.send(rig.rig_file())
         theirs.recv()

@@ -27,14 +27,9 @@ _HEADERS = {
 class Gate:
     """Refuses requests of another host or origin, or without the token, before anything else.
 
-    Addresses are `/TOKEN/...`. The host must be an address in numbers or a name of this computer:
-    a page of another site that makes its own name point here (DNS rebinding) is refused even if
-    it had the token.
-
-    Parameters
-    ----------
-    inner : the application, which sees the path without the token
-    token : what the address must hold
+    Addresses are `/TOKEN/...`; the application sees the path without the token. The host must be an
+    address in numbers or a name of this computer: a page of another site that makes its own name
+    point here (DNS rebinding) is refused even if it had the token.
     """
 
     def __init__(self, inner: ASGIApp, token: str) -> None:

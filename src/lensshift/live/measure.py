@@ -34,18 +34,14 @@ def _give_way() -> None:
 def shift_error(window: Burst) -> dict[str, float]:
     """Return how far the registered shifts are from the planned ones.
 
-        rms over frames and axes of (registered - planned), the mean of each axis left out
-
-    Returns
-    -------
-    dict
-        "rms_px"; "sigma_px", the standard error of a registered shift (rms); "cost_s" of a core.
+    rms_px : over frames and axes of (registered - planned), the mean of each axis left out
+    sigma_px : standard error of a registered shift (rms)
+    cost_s : of a core
     """
     from lensshift.registration import register
 
     begin_s = time.process_time()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)  # sigma_px says it
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):  # sigma_px says it
         found = register(window, motion="shift")
     error_px = found.offset_px - window.offset_px
     error_px = error_px - error_px.mean(axis=0)
@@ -55,30 +51,21 @@ def shift_error(window: Burst) -> dict[str, float]:
 
 
 def edge_curve(
-    image: Array, pitch_mm: float, scale: int, box: tuple[int, ...], most_lpmm: float
+    image: Array,  # [row col]
+    pitch_mm: float,  # of its pixels
+    scale: int,  # how many of them are as wide as an LR pixel
+    box: tuple[int, ...],  # (row start, row stop, col start, col stop)
+    most_lpmm: float,  # where the curve ends, unless one cycle per pixel is less
 ) -> dict[str, Any]:
-    """Return the MTF of the edge in a box of an image, or why there is none.
+    """Return the MTF of the edge in a box of an image, or "why" there is none.
 
-    Parameters
-    ----------
-    image : [row col]
-    pitch_mm : of the pixels of the image
-    scale : how many of them are as wide as an LR pixel
-    box : (row start, row stop, col start, col stop)
-    most_lpmm : where the curve ends, unless one cycle per pixel is less
-
-    Returns
-    -------
-    dict
-        "why" alone; or "frequency_lpmm", "modulation", its 95 % band "low" and "high" or None,
-        "nyquist_lpmm" of the LR pixels, "mtf50" in words, "notes" and "usable".
+    "low" and "high" are the 95 % band, or None; "nyquist_lpmm" is of the LR pixels.
     """
     from lensshift.evaluation.slanted_edge import measure_edge
 
     frequency_lpmm = np.linspace(0.0, min(most_lpmm, 1.0 / pitch_mm), _CURVE_POINTS)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", QualityWarning)  # the notes say it
+        with warnings.catch_warnings(action="ignore", category=QualityWarning):  # the notes say it
             found = measure_edge(
                 image,
                 pitch_mm,

@@ -20,7 +20,6 @@ from lensshift.core.arrays import Array
 from lensshift.live.picture import Picture
 
 _LEVELS = 65534  # 0 is kept for what is not known
-_HEAD = struct.Struct("<I")
 
 
 def layers_of(picture: Picture) -> Iterator[tuple[str, str, Array]]:
@@ -74,18 +73,4 @@ def message(head: Mapping[str, Any], layers: bytes = b"") -> bytes:
     """Return head and layers as one message."""
     text = json.dumps(head, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
-    return _HEAD.pack(len(text)) + text + layers
-
-
-def unpacked(data: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the head of a message and its layers [row col], NaN where nothing is known."""
-    (length,) = _HEAD.unpack_from(data)
-    head = json.loads(data[_HEAD.size : _HEAD.size + length])
-    start, layers = _HEAD.size + length, {}
-    for one in head.get("layers", []):
-        count = one["rows"] * one["cols"]
-        codes = np.frombuffer(data, "<u2", count, start).reshape(one["rows"], one["cols"])
-        values = one["low"] + (codes.astype(np.float64) - 1.0) * one["step"]
-        layers[one["name"]] = np.where(codes > 0, values, np.nan)
-        start += 2 * count
-    return head, layers
+    return struct.pack("<I", len(text)) + text + layers

@@ -13,39 +13,23 @@ from lensshift.live.sources import Shot
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How pictures are made.
+    """How pictures are made."""
 
-    Parameters
-    ----------
-    scale : HR pixels per LR pixel
-    method : as in `reconstruct`
-    blur_px : width of the pixel response in LR pixels; None: what the source knows, else
-        what the frames show
-    """
-
-    scale: int = 2
-    method: str = "auto"
+    scale: int = 2  # HR pixels per LR pixel
+    method: str = "auto"  # as in `reconstruct`
+    # Width of the pixel response in LR px; None: what the source knows, else what the frames show.
     blur_px: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """The latest result.
+    """The latest result."""
 
-    Parameters
-    ----------
-    number : counts pictures from 1
-    result : of `Stream.step`
-    shot : the latest frame in it
-    window : all frames in it
-    settings : how it was made
-    """
-
-    number: int
-    result: Reconstruction
-    shot: Shot
-    window: Burst
-    settings: Settings
+    number: int  # counts pictures from 1
+    result: Reconstruction  # of `Stream.step`
+    shot: Shot  # the latest frame in it
+    window: Burst  # all frames in it
+    settings: Settings  # how it was made
 
 
 def residual_over_noise(result: Reconstruction) -> float | None:

@@ -17,12 +17,7 @@ from lensshift.live.sources import Shot
 
 
 class Recording:
-    """Frames of one plan: a journal while they come, a burst file after `close`.
-
-    Parameters
-    ----------
-    folder : for `recording-0001.nc` and so on
-    """
+    """Frames of one plan: a journal while they come, a burst file after `close`."""
 
     def __init__(self, folder: Path, plan: Burst) -> None:
         self.path = unused(folder, "recording", ".nc")
@@ -57,10 +52,7 @@ class Recording:
     def close(self) -> None:
         """End it: a burst file takes the place of the journal; without a frame nothing is left.
 
-        Raises
-        ------
-        DataError
-            If the file cannot be written; the journal stays.
+        DataError if the file cannot be written; the journal stays.
         """
         self._file.close()
         if not self.count:
@@ -72,13 +64,7 @@ class Recording:
 
 
 def save_snapshot(picture: Picture, folder: Path) -> tuple[Path, ...]:
-    """Write a picture as result file and PNG, and the frames in it as a burst file.
-
-    Raises
-    ------
-    DataError
-        If a file cannot be written.
-    """
+    """Write a picture as result file and PNG, and its frames as a burst file, or a DataError."""
     from lensshift.report.preview import save_shots
 
     result = unused(folder, "snapshot", ".nc")
@@ -92,13 +78,7 @@ def save_snapshot(picture: Picture, folder: Path) -> tuple[Path, ...]:
 
 
 def unused(folder: Path, name: str, ending: str) -> Path:
-    """Return the first of NAME-0001 and so on that no file has.
-
-    Raises
-    ------
-    DataError
-        If all are taken.
-    """
+    """Return the first of NAME-0001 and so on that no file has; DataError if all are taken."""
     for number in range(1, 10_000):
         path = folder / f"{name}-{number:04d}{ending}"
         if not path.exists():

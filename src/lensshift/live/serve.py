@@ -10,7 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lensshift.live.server import MISSING, make_app
+from lensshift.core.errors import of_extra
+from lensshift.live.server import make_app
 from lensshift.live.worker import Live
 
 
@@ -23,13 +24,7 @@ def is_loopback(host: str) -> bool:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens; port 0 takes a free one.
-
-    Raises
-    ------
-    OSError
-        If the port is taken or the host is none of this computer's.
-    """
+    """Return a socket that listens; OSError if the port is taken or the host is not our own."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)
@@ -41,30 +36,15 @@ def listening(host: str, port: int) -> socket.socket:
 def serve(
     live: Live,
     listener: socket.socket,
-    folder: Path,
+    folder: Path,  # for recordings and snapshots
     *,
     seconds: float | None = None,
-    debug: bool = False,
-    on_ready: Callable[[str], None],
+    debug: bool = False,  # whether the log of the server is shown
+    on_ready: Callable[[str], None],  # called with the address to open, once it answers
+    # Called with what ends the server, for who serves in another thread.
     on_start: Callable[[Callable[[], None]], None] | None = None,
 ) -> None:
-    """Serve until Ctrl-C, SIGTERM or so many seconds.
-
-    Parameters
-    ----------
-    folder : for recordings and snapshots
-    debug : whether the log of the server is shown
-    on_ready : called with the address to open, once it answers
-    on_start : called with what ends the server, for who serves in another thread
-
-    Raises
-    ------
-    ImportError
-        If the extra `live` is not installed.
-    KeyboardInterrupt
-        After Ctrl-C, when the server has ended.
-    """
-    require_web()
+    """Serve until Ctrl-C (KeyboardInterrupt, when it has ended), SIGTERM or so many seconds."""
     import uvicorn
 
     token = secrets.token_urlsafe(16)
@@ -103,20 +83,9 @@ def serve(
 
 
 def require_web() -> None:
-    """Raise with what to install if there is no web server.
-
-    Raises
-    ------
-    ImportError
-        If the extra `live` is not installed.
-    """
-    try:
-        import starlette
-        import uvicorn
-        import websockets
-    except ImportError as error:
-        raise ImportError(MISSING) from error
-    del starlette, uvicorn, websockets
+    """Raise an ImportError with what to install if the extra `live` is not."""
+    for name in ("starlette", "uvicorn", "websockets"):
+        of_extra(name, "the live page needs a web server: python -m pip install 'lensshift[live]'")
 
 
 def _named(listener: socket.socket) -> str:

@@ -39,13 +39,7 @@ _ASSUMED_FIELD_RAD = math.radians(40.0)  # across, where nobody says where pixel
 
 
 class Pages:
-    """Everything that the page asks for.
-
-    Parameters
-    ----------
-    live : the worker
-    folder : for recordings and snapshots
-    """
+    """Everything that the page asks for; recordings and snapshots go to the folder."""
 
     def __init__(self, live: Live, folder: Path) -> None:
         self._live, self._folder = live, folder
@@ -264,19 +258,11 @@ def _refused(_: Request, error: Exception) -> Response:
 
 
 def make_app(live: Live, token: str, folder: Path) -> ASGIApp:
-    """Return the application behind its gate.
+    """Return the application behind its gate."""
+    from starlette.applications import Starlette
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.staticfiles import StaticFiles
 
-    Raises
-    ------
-    ImportError
-        If the extra `live` is not installed; the message says what to do.
-    """
-    try:
-        from starlette.applications import Starlette
-        from starlette.routing import Mount, Route, WebSocketRoute
-        from starlette.staticfiles import StaticFiles
-    except ImportError as error:
-        raise ImportError(MISSING) from error
     pages = Pages(live, folder)
     files = str(resources.files("lensshift.live") / "page")
     routes = [
@@ -291,6 +277,3 @@ def make_app(live: Live, token: str, folder: Path) -> ASGIApp:
     refusals = dict.fromkeys(FAILURES, _refused)
     app = Starlette(routes=routes, lifespan=pages.lifespan, exception_handlers=refusals)
     return Gate(app, token)
-
-
-MISSING = "the live page needs a web server: python -m pip install 'lensshift[live]'"

@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -32,63 +33,22 @@ _WAIT_S = 1.0  # for a frame of a recording with gaps
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A frame as it arrives.
+    """A frame as it arrives."""
 
-    Parameters
-    ----------
-    frame : what the camera saw
-    place : where on the plan
-    taken_s : `time.monotonic()` when its last byte had come
-    plan : burst of empty frames with the shifts of the plan, the grid, and what else is known
-    offset_px : [2] where the image lies by what the stage reads back, or as planned
-    stage_mm, commanded_mm : [2] where the lens was, and where it was sent; None without a stage
-    """
-
-    frame: Frame
-    place: int
-    taken_s: float
-    plan: Burst
-    offset_px: Array
-    stage_mm: Array | None = None
-    commanded_mm: Array | None = None
+    frame: Frame  # what the camera saw
+    place: int  # where on the plan
+    taken_s: float  # `time.monotonic()` when its last byte had come
+    plan: Burst  # empty frames with the shifts of the plan, the grid, and what else is known
+    offset_px: Array  # [2] where the image lies by what the stage reads back, or as planned
+    stage_mm: Array | None = None  # [2] where the lens was, None without a stage
+    commanded_mm: Array | None = None  # [2] and where it was sent
 
 
-class Source(Protocol):
-    """What gives frames until nobody asks for more."""
-
-    @property
-    def name(self) -> str:
-        """What it is called in messages."""
-        ...
-
-    @property
-    def pattern(self) -> str:
-        """Name of the plan that the lens goes round."""
-        ...
-
-    def choose(self, pattern: str) -> None:
-        """Go round another plan from the next frame on.
-
-        Raises
-        ------
-        ValueError
-            If there is no such plan, the stage cannot go there, or the plan is fixed.
-        """
-        ...
-
-    def shots(self) -> Iterator[Shot | None]:
-        """Yield frames as they arrive, None now and then while none comes.
-
-        Closing the iterator brings the lens back to rest.
-        """
-        ...
-
-
-class _AnyPlan:
-    """A source whose plan may change between two frames."""
+class Source(ABC):
+    """What gives frames until nobody asks for more; its plan may change between two frames."""
 
     def __init__(self, name: str, pattern: str) -> None:
-        self.name = name
+        self.name = name  # in messages
         self._plan = self._checked(pattern)
 
     @property
@@ -97,8 +57,18 @@ class _AnyPlan:
         return self._plan.name
 
     def choose(self, pattern: str) -> None:
-        """Go round another plan from the next frame on."""
+        """Go round another plan from the next frame on.
+
+        ValueError if there is no such plan, the stage cannot go there, or the plan is fixed.
+        """
         self._plan = self._checked(pattern)
+
+    @abstractmethod
+    def shots(self) -> Iterator[Shot | None]:
+        """Yield frames as they arrive, None now and then while none comes.
+
+        Closing the iterator brings the lens back to rest.
+        """
 
     def _checked(self, pattern: str) -> ShiftPlan:
         return named_plan(pattern)
@@ -110,7 +80,7 @@ class _AnyPlan:
         )
 
 
-class RigSource(_AnyPlan):
+class RigSource(Source):
     """Frames of an open rig; each began after the stage had settled."""
 
     def __init__(self, rig: Rig, pattern: str = "square") -> None:
@@ -136,14 +106,8 @@ class RigSource(_AnyPlan):
                         break
 
 
-class SimulatedSource(_AnyPlan):
-    """Frames of a simulated camera whose image moves by the plan, and a little beside it.
-
-    Parameters
-    ----------
-    rate_hz : frames per second
-    shift_error_px : rms error of each shift along each axis, which nobody is told
-    """
+class SimulatedSource(Source):
+    """Frames of a simulated camera whose image moves by the plan, and a little beside it."""
 
     def __init__(
         self,
@@ -152,7 +116,7 @@ class SimulatedSource(_AnyPlan):
         pattern: str = "square",
         *,
         rate_hz: float = 25.0,
-        shift_error_px: float = 0.02,
+        shift_error_px: float = 0.02,  # rms along each axis, which nobody is told
         seed: int = 0,
     ) -> None:
         self._running = RunningCamera(scene, camera)
@@ -183,21 +147,17 @@ class SimulatedSource(_AnyPlan):
         return template_of(plan.target_px, camera.grid, hz, known, blur_px, plan.name)
 
 
-class BurstSource:
-    """Frames of a burst file or of the journal of a capture, over and over.
+class BurstSource(Source):
+    """Frames of a burst file or of the journal of a capture, over and over unless not `again`.
 
-    Parameters
-    ----------
-    rate_hz : frames per second; infinity: as fast as they are fetched
-    again : begin anew at the end
+    At an infinite rate they come as fast as they are fetched.
     """
 
     def __init__(
         self, burst: Burst, name: str, *, rate_hz: float = 20.0, again: bool = True
     ) -> None:
         self._burst, self._rate_hz, self._again = burst, rate_hz, again
-        self.name = f"recording {name}"
-        self.pattern = str(burst.meta.get("plan") or "recorded")
+        pattern = str(burst.meta.get("plan") or "recorded")
         steps = burst.meta.get("step")
         fits = isinstance(steps, list | tuple) and len(steps) == burst.frame_count
         given = np.asarray(steps if fits else _visited(burst.offset_px), dtype=np.intp)
@@ -209,15 +169,15 @@ class BurstSource:
             burst.frequencies_hz[0] if len(burst.frequencies_hz) == 1 else None,
             burst.intrinsics,
             burst.meta.get("psf_sigma_px"),
-            self.pattern,
+            pattern,
         )
+        super().__init__(f"recording {name}", pattern)
 
-    def choose(self, pattern: str) -> None:
-        """Refuse another plan: the recorded one is over."""
-        if pattern != self.pattern:
-            raise ValueError(
-                f"a recording has its own plan ({self.pattern}); it cannot become {pattern!r}"
-            )
+    def _checked(self, pattern: str) -> ShiftPlan:
+        own = self.plan.meta["plan"]
+        if pattern != own:
+            raise ValueError(f"a recording has its own plan ({own}); it cannot become {pattern!r}")
+        return ShiftPlan(self.plan.offset_px, name=pattern)
 
     def shots(self) -> Iterator[Shot]:
         """Yield the frames in the order in which they were taken."""
@@ -249,7 +209,7 @@ def _visited(offset_px: Array) -> Array:
     return np.asarray(np.argsort(np.argsort(first))[kinds.ravel()])
 
 
-class CameraSource(_AnyPlan):
+class CameraSource(Source):
     """Frames of a recording of a camera, which says nothing of the lens: it went round a plan."""
 
     def __init__(self, camera: ReplayCamera, pattern: str = "square") -> None:
@@ -282,15 +242,10 @@ def template_of(
     grid: Grid,
     modulation_hz: float | None,
     intrinsics: Intrinsics | None,
-    blur_px: float | None,
+    blur_px: float | None,  # width of the pixel response, lens included, in LR pixels
     name: str,
 ) -> Burst:
-    """Return a burst of empty frames: a plan, with what is known of the camera.
-
-    Parameters
-    ----------
-    blur_px : width of the pixel response, lens included, in LR pixels; None: not known
-    """
+    """Return a burst of empty frames: a plan, with what is known of the camera."""
     meta: dict[str, Any] = {"plan": name}
     if blur_px is not None:
         meta["psf_sigma_px"] = float(blur_px)

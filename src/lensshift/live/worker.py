@@ -65,17 +65,11 @@ class Rate:
 
 
 class Live:
-    """A source, a solver and its latest picture; use it in a `with` block.
-
-    Parameters
-    ----------
-    source : of the frames
-    settings : of the pictures, which `change` changes
-    """
+    """A source, a solver and its latest picture; use it in a `with` block."""
 
     def __init__(self, source: Source, settings: Settings | None = None) -> None:
         self.source = source
-        self.settings = settings or Settings()
+        self.settings = settings or Settings()  # of the pictures from now on
         self.picture: Picture | None = None
         self._failure = self._refusal = ""
         self._warning, self._warned_s = "", 0.0
@@ -96,9 +90,6 @@ class Live:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def stop(self) -> None:
         """End both threads; the lens is back at rest when this returns."""
         self._ending = True
         for thread in self._threads:
@@ -125,23 +116,13 @@ class Live:
         """Take note of what speaks against a picture."""
         self._warning, self._warned_s = " ".join(text.split()), time.monotonic()
 
-    def change(self, settings: Settings) -> None:
-        """Make the pictures from now on in another way."""
-        self.settings = settings
-
     @property
     def recording(self) -> Recording | None:
         """What the frames are written to, or None."""
         return self._recording
 
     def record(self, recording: Recording | None) -> None:
-        """Write the frames from now on; end the recording before.
-
-        Raises
-        ------
-        DataError
-            If that cannot be made a burst file.
-        """
+        """Write the frames from now on; end the one before, or a DataError if it cannot be."""
         with self._recording_lock:
             before, self._recording = self._recording, recording
         if before is not None:

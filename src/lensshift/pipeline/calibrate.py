@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from lensshift.core.optical import gaussian_width
 from lensshift.core.types import Burst
 from lensshift.optics.actuator import PIXEL_NOISE, reconstruction_loss
 from lensshift.registration.calibrate import ScanFit, fit_scan
-
-if TYPE_CHECKING:
-    from lensshift.report.page import Page
 
 _FINER = 3  # times the pixels of a frame: of the picture in which edges are looked for
 _MOST_FRAMES = 12  # that measure an edge jointly; time goes with them
@@ -39,14 +35,6 @@ class RigCalibration:
     def calibration(self) -> Calibration:
         """The calibration."""
         return self.fit.calibration
-
-    def page(self) -> Page:
-        """Return a page that shows the calibration."""
-        from lensshift.report.calibration import calibration_page
-
-        return calibration_page(
-            self.fit, psnr_loss_db=self.psnr_loss_db, mtf50_loss=self.mtf50_loss
-        )
 
 
 def calibrate_rig(
@@ -85,11 +73,13 @@ def calibrate_rig(
         if width is not None:
             found = replace(fit.calibration, psf_sigma_px=width[0], psf_sigma_sigma_px=width[1])
             fit = replace(fit, calibration=found)
-    losses = reconstruction_loss(fit.calibration.stage_map.sigma_px, noise)
-    done = RigCalibration(fit, *losses)
+    psnr_loss_db, mtf50_loss = reconstruction_loss(fit.calibration.stage_map.sigma_px, noise)
     if report is not None:
-        done.page().save(report)
-    return done
+        from lensshift.report.calibration import calibration_page
+
+        page = calibration_page(fit, psnr_loss_db=psnr_loss_db, mtf50_loss=mtf50_loss)
+        page.save(report)
+    return RigCalibration(fit, psnr_loss_db, mtf50_loss)
 
 
 def psf_width_px(burst: Burst) -> tuple[float, float] | None:
@@ -107,9 +97,8 @@ def psf_width_px(burst: Burst) -> tuple[float, float] | None:
     valid = None if burst.valid is None else burst.valid[::every]
     widths = []
     for region in _edges(burst):
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(action="ignore", category=QualityWarning):
             # Doubts are about one frame: many frames leave no pixel phase out.
-            warnings.simplefilter("ignore", QualityWarning)
             edge = measure_edge(frames, offset_px=offset_px, valid=valid, region=region)
         half = edge.mtf50_lpmm
         told = np.all(np.isfinite([half.value, half.low, half.high])) and half.low > 0.0
@@ -131,9 +120,7 @@ def _edges(burst: Burst) -> list[tuple[int, int, int, int]]:
     from lensshift.evaluation.slanted_edge import find_regions
     from lensshift.reconstruction.reconstruct import reconstruct
 
-    together = reconstruct(burst, _FINER, "shift-and-add", "amplitude", std=False).amplitude
-    if together is None:
-        raise ValueError("expected a picture of the amplitude")
+    together = reconstruct(burst, _FINER, "shift-and-add", "amplitude", std=False)["amplitude"]
     try:
         found = find_regions(together.image)
     except ValueError:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.arrays import Array
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import QualityWarning, of_extra
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.io.burst_file import Recording, open_recording
 from lensshift.io.piecewise_file import PiecewiseFile
@@ -193,8 +193,7 @@ def _pictures(
         if burst is None or not shown[begin : begin + job.window].any():
             yield None, [NOTHING]
             continue
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", QualityWarning)
+        with warnings.catch_warnings(record=True, action="always", category=QualityWarning) as said:
             if camera is None:
                 found = reconstruct(burst.select(range(begin, begin + job.window)), **told)
             else:
@@ -207,8 +206,7 @@ def _pictures(
 
 def _blank(job: Windows, template: Burst) -> dict[str, Array]:
     """Return the fields of a window that shows nothing: no number, which frames contradict."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         like = of_sequence(reconstruct(template, job.scale, job.method, **dict(job.settings)))
     blank = {
         name: np.full_like(one, np.nan if one.dtype.kind == "f" else 0)
@@ -236,8 +234,7 @@ def _begun(
     """Return the job, with the pixel response of its first window, the file, and the tasks left."""
     template = source.burst(job.example, job.window)
     stream(template, job.scale, job.method, pace=job.pace, **dict(job.settings))  # refuses
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         example = reconstruct(template, job.scale, job.method, **dict(job.settings))
     if example.settings["psf_source"] == "frames":
         read = {name: example.settings[name] for name in ("psf_sigma_px", "psf_std_px")}
@@ -261,11 +258,8 @@ def _solved_by_dask(
     job: Windows, tasks: list[tuple[int, int]], workers: int | None, scheduler: str | None
 ) -> Iterator[Solved]:
     """Yield what workers solved, as it comes; what a dying one was at is given to another."""
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError as error:
-        problem = "workers need dask.distributed: pip install 'lensshift[cluster]'"
-        raise ImportError(problem) from error
+    needed = "workers need dask.distributed: pip install 'lensshift[cluster]'"
+    distributed = of_extra("distributed", needed)
     with ExitStack() as stack:
         where: Any = scheduler
         if scheduler is None:

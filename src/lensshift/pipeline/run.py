@@ -9,13 +9,11 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lensshift.camera import TofTruth
 from lensshift.core.errors import DataError
 from lensshift.core.types import Reconstruction
 from lensshift.io import save_burst, save_reconstruction
-from lensshift.io.atomic import written_whole
+from lensshift.io.point_cloud_file import write_npz
 from lensshift.pipeline.experiment import Experiment, Outcome, carry_out
 from lensshift.pipeline.experiment_file import default_experiment, load_experiment
 
@@ -125,8 +123,7 @@ def save_truth(truth: TofTruth, path: str | Path) -> None:
     }
     if truth.offset_field is not None:
         arrays["offset_field_px"] = truth.offset_field.offset_px
-    with written_whole(path) as part:
-        np.savez_compressed(part, **arrays)
+    write_npz(path, arrays)
 
 
 def _write(folder: Path, experiment: Experiment, outcome: Outcome) -> tuple[Path, ...]:

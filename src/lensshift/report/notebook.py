@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensshift.core.errors import of_extra
 from lensshift.core.optical import MtfCurve
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.showing import Shown, described
@@ -77,17 +78,15 @@ def dataset_of(value: Burst | Reconstruction) -> Dataset:
     ImportError
         If xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise ImportError("to_xarray needs xarray: pip install 'lensshift[notebook]'") from error
+    xarray = of_extra("xarray", "to_xarray needs xarray: pip install 'lensshift[notebook]'")
     with TemporaryDirectory() as folder:
         file = Path(folder) / "value.nc"
         if isinstance(value, Burst):
             save_burst(value, file)
         else:
             save_reconstruction(value, file)
-        return xarray.load_dataset(file, engine="h5netcdf")
+        dataset: Dataset = xarray.load_dataset(file, engine="h5netcdf")
+        return dataset
 
 
 def table_of(value: Burst | EdgeResult | MtfCurve) -> DataFrame:
@@ -98,10 +97,7 @@ def table_of(value: Burst | EdgeResult | MtfCurve) -> DataFrame:
     ImportError
         If pandas is not installed.
     """
-    try:
-        import pandas as pd
-    except ImportError as error:
-        raise ImportError("to_pandas needs pandas: pip install 'lensshift[notebook]'") from error
+    pd = of_extra("pandas", "to_pandas needs pandas: pip install 'lensshift[notebook]'")
     if isinstance(value, Burst):
         table = pd.DataFrame(_frame_columns(value))
         return table.rename_axis(index="frame")

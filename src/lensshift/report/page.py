@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensshift.io.atomic import written_whole
+from lensshift.io.atomic import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,8 +96,7 @@ class Page:
         DataError
             If the file cannot be written.
         """
-        with written_whole(path) as part:
-            part.write_text(self.html(), encoding="utf-8")
+        write_text(path, self.html())
 
 
 def embedded(figure: Figure, words: str, dpi: int) -> str:

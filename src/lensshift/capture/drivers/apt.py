@@ -10,7 +10,7 @@ import time
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,7 @@ from lensshift.capture.drivers.apt_link import find_port
 from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.capture.rig import OnHoming, goal_within
 from lensshift.core.arrays import Floats
+from lensshift.core.ending import Closing
 from lensshift.core.errors import DeviceError
 
 __all__ = ["AptAxis", "AptSettings", "AptStage", "open_apt_stage"]
@@ -53,7 +54,7 @@ def open_apt_stage(
     return stage
 
 
-class AptStage:
+class AptStage(Closing):
     """Two axes that move at once, each in its one direction at last; see the protocol `Stage`.
 
     Whatever ends a move before it is done, an error or Ctrl-C, stops both.
@@ -146,9 +147,3 @@ class AptStage:
             if under_way:
                 self.stop()
         return reached_mm
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

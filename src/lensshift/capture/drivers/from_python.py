@@ -41,12 +41,12 @@ def python_stage(
     make = _attribute(table, folder, "stage")
     offered = {"home": home, "on_homing": on_homing}
     beside = {name: one for name, one in offered.items() if one is not None and _takes(make, name)}
-    return CheckedStage(_made(make, table, "stage", Stage, beside))
+    return _CheckedStage(_made(make, table, "stage", Stage, beside))
 
 
 def python_camera(table: Mapping[str, Any], folder: Path) -> Camera:
     """Make the camera that the entry `use` names; else as `python_stage`."""
-    return CheckedCamera(_made(_attribute(table, folder, "camera"), table, "camera", Camera, {}))
+    return _CheckedCamera(_made(_attribute(table, folder, "camera"), table, "camera", Camera, {}))
 
 
 def _attribute(table: Mapping[str, Any], folder: Path, what: str) -> Callable[..., Any]:
@@ -127,15 +127,13 @@ class _Checked:
         return DeviceError(problem, device=self.name, command=what)
 
     def close(self) -> None:
-        """Stop and let go of the device."""
         self._ask("close", type)  # whatever it returns
 
     def describe(self) -> Mapping[str, Any]:
-        """Return what to keep beside the frames."""
         return self._ask("describe", dict)
 
 
-class CheckedStage(_Checked):
+class _CheckedStage(_Checked):
     """A stage of somebody else's; what it returns is what `Stage` promises, or an error."""
 
     def __init__(self, stage: Any) -> None:
@@ -153,55 +151,45 @@ class CheckedStage(_Checked):
 
     @property
     def travel_mm(self) -> Floats:
-        """[2 2] (axis; lowest, highest) position that it goes to."""
         return self._numbers("travel_mm", (2, 2))
 
     def position_mm(self) -> Floats:
-        """Return the position [2] read back."""
         return self._numbers("position_mm", (2,))
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
-        """Move within the travel, wait, return the position read back."""
         goal_mm = goal_within(self.travel_mm, position_mm)
         return self._numbers("move_to", (2,), goal_mm, direct=direct)
 
     def stop(self) -> None:
-        """Stand still at once."""
         self._ask("stop", type)
 
 
-class CheckedCamera(_Checked):
+class _CheckedCamera(_Checked):
     """A camera of somebody else's; what it returns is what `Camera` promises, or an error."""
 
     _cycle = -1
 
     @property
     def grid(self) -> Grid:
-        """Shape and pitch of the frames."""
         return self._checked("grid", self._device.grid, Grid)
 
     @property
     def modulation_hz(self) -> float | None:
-        """Modulation frequency of the distance, if it is known."""
         known = self._device.modulation_hz
         return None if known is None else float(known)
 
     @property
     def intrinsics(self) -> Any:
-        """Where the pixels look, if the camera tells."""
         return getattr(self._device, "intrinsics", None)
 
     def open(self) -> None:
-        """Begin to receive."""
         self._ask("open", type)
         self._cycle = -1
 
     def newest_cycle(self) -> int:
-        """Return the counter of the newest frame that has begun, -1 before the first."""
         return self._ask("newest_cycle", int)
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
-        """Return the oldest frame not yet fetched, of the shape of the grid and a later cycle."""
         with _Named(self.name, DeviceError):
             shot = self._checked("next_frame", self._device.next_frame(timeout_s), CameraFrame)
             shape = np.shape(shot.frame.amplitude)
@@ -219,5 +207,4 @@ class CheckedCamera(_Checked):
         raise self._error(f"expected a {kind.__name__}, got {type(value).__name__}", what)
 
     def counts(self) -> Mapping[str, int]:
-        """Return what came and what was lost since `open`."""
         return self._ask("counts", dict)

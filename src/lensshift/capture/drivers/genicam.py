@@ -11,7 +11,7 @@ import numpy as np
 
 from lensshift.capture.drivers.from_callable import CallableCamera
 from lensshift.core.arrays import Array
-from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.errors import DataError, DeviceError, of_extra
 from lensshift.core.units import MILLIMETRE_M
 
 _AMPLITUDES = ("Mono16", "Mono8")
@@ -77,13 +77,8 @@ class GenicamCamera(CallableCamera):
 
 
 def _harvester(producer: str) -> Any:
-    try:
-        from harvesters.core import Harvester
-    except ImportError as error:
-        raise ImportError(
-            "GenICam cameras need harvesters: pip install 'lensshift[genicam]'"
-        ) from error
-    harvester = Harvester()
+    needed = "GenICam cameras need harvesters: pip install 'lensshift[genicam]'"
+    harvester = of_extra("harvesters.core", needed).Harvester()
     harvester.add_file(producer)
     harvester.update()
     return harvester

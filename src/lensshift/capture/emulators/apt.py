@@ -14,6 +14,7 @@ import numpy as np
 from lensshift.capture.emulators.apt_controller import AptController
 from lensshift.capture.emulators.listener import listen
 from lensshift.core.arrays import Floats
+from lensshift.core.ending import Closing
 
 __all__ = ["AptController", "EmulatedStagePair", "Served", "serve_pty", "serve_tcp"]
 
@@ -83,7 +84,7 @@ class _Pty:
         os.close(self._ours)
 
 
-class Served:
+class Served(Closing):
     """A controller that answers at `url` until `close`, in a thread of its own."""
 
     def __init__(self, controller: AptController, line: _Tcp | _Pty) -> None:
@@ -105,12 +106,6 @@ class Served:
         while self.controller.plugged and not self._ended.is_set():
             self._line.exchange(self.controller, min(self.controller.quiet_s, _LOOK_S))
         self._line.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def serve_tcp(controller: AptController, host: str = "127.0.0.1", port: int = 0) -> Served:

@@ -9,14 +9,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TypeVar
+from typing import Any
 
 from lensshift.capture.drivers import apt_codec as apt
 from lensshift.capture.drivers.apt_codec import Bits, Id, Message
 from lensshift.capture.drivers.apt_framer import Framer
 from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM
 from lensshift.capture.drivers.receiver import counter_steps
-from lensshift.capture.emulators.apt_messages import ADDRESSES, SIZES, Jog, More, records
+from lensshift.capture.emulators.apt_messages import ADDRESSES, SIZES, More, records
 from lensshift.capture.emulators.apt_motion import Motion
 
 _ZERO_MM = 0.3  # from the backward switch to the zero of `lens_mm`
@@ -27,8 +27,6 @@ _HISTORY_S = 20.0  # how long ago `lens_mm` still knows
 _LOCKS_UP_S = 0.8  # home sooner after enabling, and the controller hangs
 _KEPT_MESSAGES = 1000  # for who looks what came
 _UPDATE_S = 0.1  # between two statuses that were asked for once
-
-R = TypeVar("R", bound=apt.Record)
 
 
 class AptController:
@@ -132,7 +130,7 @@ class AptController:
             self._framer = Framer(SIZES, destination=ADDRESSES, source=apt.HOST)
             slow = apt.servo_velocity(self._counts(1.0))
             acceleration = apt.servo_acceleration(self._counts(1.0))
-            self._records: dict[int, apt.Record] = {
+            self._records: dict[int, Any] = {  # by the id of the answer
                 Id.VELOCITY: apt.Velocity(0, acceleration, slow),
                 Id.HOME: apt.Home(2, 1, slow, 0),
                 Id.BACKLASH: apt.Backlash(self._counts(0.1)),
@@ -213,12 +211,12 @@ class AptController:
     def _move(self, message: Message) -> None:
         """Go to a place, or by a length; without one in the message by that set before."""
         relative = message.id == More.MOVE_RELATIVE
-        way = self._record(apt.Target, More.RELATIVE if relative else More.ABSOLUTE)
+        way = self._records[More.RELATIVE if relative else More.ABSOLUTE]
         with suppress(apt.DamagedMessage):
             if message.data:
                 way = apt.Target.unpack(message.data)
             base = self._motion.motor(self._time()) if relative else self._zero
-            velocity = self._record(apt.Velocity, Id.VELOCITY)
+            velocity = self._records[Id.VELOCITY]
             self._go(base + way.counts, velocity.highest, velocity.acceleration)
 
     def _jog(self, message: Message) -> None:
@@ -226,16 +224,13 @@ class AptController:
         channel, way = message.parameters
         if channel != apt.CHANNEL or way not in (1, 2):
             return
-        jog, low_high = self._record(Jog, More.JOG), self._switches
+        jog, jogs = self._records[More.JOG], message.id == More.MOVE_JOG
         here = self._motion.motor(self._time())
-        endless = message.id == More.MOVE_VELOCITY or jog.mode == 1
         step = jog.step if way == 2 else -jog.step
-        velocity: Jog | apt.Velocity = jog
-        if message.id == More.MOVE_VELOCITY:
-            velocity = self._record(apt.Velocity, Id.VELOCITY)
-        end = low_high[way == 2] if endless else here + step
+        velocity = jog if jogs else self._records[Id.VELOCITY]
+        end = here + step if jogs and jog.mode != 1 else self._switches[way == 2]
         self._go(end, velocity.highest, velocity.acceleration)
-        self._jogs = message.id == More.MOVE_JOG
+        self._jogs = jogs
 
     def _go(self, goal: float, highest: int, rising: int) -> None:
         """Set out for a place, by speed and acceleration in units of the servo."""
@@ -243,7 +238,7 @@ class AptController:
         if not ready:
             return
         speed, acceleration = max(highest / _PER_S, 1.0), max(rising / _PER_S2, 1.0)
-        overrun = self._record(apt.Backlash, Id.BACKLASH).counts
+        overrun = self._records[Id.BACKLASH].counts
         now_s = self._time()
         self._motion.brake(now_s, acceleration)
         backward = overrun > 0 and goal < self._motion.motor(now_s)
@@ -265,9 +260,9 @@ class AptController:
         if now_s - self._enabled_s < _LOCKS_UP_S:
             self._hung = True
             return
-        home = self._record(apt.Home, Id.HOME)
+        home = self._records[Id.HOME]
         speed = max(home.velocity / _PER_S, 1.0)
-        acceleration = max(self._record(apt.Velocity, Id.VELOCITY).acceleration / _PER_S2, 1.0)
+        acceleration = max(self._records[Id.VELOCITY].acceleration / _PER_S2, 1.0)
         self._motion.brake(now_s, acceleration)
         low, high = self._switches
         for end in (low, min(max(low + home.offset, low), high)):
@@ -283,7 +278,7 @@ class AptController:
             return b""
         self._flags &= ~Bits.HOMING
         if message.parameters[1] == apt.STOP_PROFILED:
-            servo = self._record(apt.Velocity, Id.VELOCITY).acceleration
+            servo = self._records[Id.VELOCITY].acceleration
             self._motion.brake(self._time(), max(servo / _PER_S2, 1.0))
             self._arrival = Id.STOPPED
             return b""
@@ -328,12 +323,6 @@ class AptController:
     @property
     def _switches(self) -> tuple[float, float]:
         return -_ZERO_MM * self._counts_per_mm, (_TRAVEL_MM - _ZERO_MM) * self._counts_per_mm
-
-    def _record(self, kind: type[R], key: int) -> R:
-        record = self._records[key]
-        if not isinstance(record, kind):
-            raise TypeError(f"expected {kind.__name__}, got {record}")
-        return record
 
     def _damaged(self, data: bytes, loss: float) -> bytes:
         """Return the bytes, sometimes without one of them."""

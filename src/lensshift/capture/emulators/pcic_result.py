@@ -22,17 +22,15 @@ _PIXELS = {"u1": 0, "u2": 2, "i2": 3, "u4": 4, "f4": 6}  # formats; 10 are three
 _LONGEST_SCHEMA = 256  # elements
 
 
-def _counts(frame: Frame, values: Array | None, step: float) -> Array:
+def _counts(frame: Frame, model: str, *, of: str, steps: Mapping[str, float]) -> Array:
+    values = getattr(frame, of)
     known = np.zeros(frame.amplitude.shape) if values is None else values
-    return np.clip(np.rint(np.where(frame.valid, known, 0.0) / step), 0, 65535).astype("<u2")
+    counts = np.rint(np.where(frame.valid, known, 0.0) / steps[model])
+    return np.clip(counts, 0, 65535).astype("<u2")
 
 
-def _distance(frame: Frame, model: str) -> Array:
-    return _counts(frame, frame.distance_m, _DISTANCE_STEP_M[model])
-
-
-def _amplitude(frame: Frame, model: str) -> Array:
-    return _counts(frame, frame.amplitude, _AMPLITUDE_STEP[model])
+_distance = partial(_counts, of="distance_m", steps=_DISTANCE_STEP_M)
+_amplitude = partial(_counts, of="amplitude", steps=_AMPLITUDE_STEP)
 
 
 def _confidence(frame: Frame, model: str) -> Array:

@@ -116,8 +116,8 @@ def nudge(stage: Stage, camera: Camera, calibration: Calibration, settings: Acqu
         pitch_mm=camera.grid.pitch_mm,
         valid=[one.valid for one in shots],
     )
-    with warnings.catch_warnings():  # a poor one shows in its standard errors
-        warnings.simplefilter("ignore", QualityWarning)
+    # a poor one shows in its standard errors
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         seen = register(burst, motion="shift")
     read_mm = np.array([one.stage_mm for one in shots])
     return _axes(np.asarray(seen.offset_px), np.asarray(seen.offset_sigma_px), read_mm)

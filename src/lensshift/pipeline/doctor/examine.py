@@ -240,8 +240,7 @@ def _calibrated(
     )  # fmt: skip
     done.files.append(scan_file)
     say("calibrating", None)
-    with warnings.catch_warnings(record=True) as doubts:
-        warnings.simplefilter("always", QualityWarning)
+    with warnings.catch_warnings(record=True, action="always", category=QualityWarning) as doubts:
         done.calibration = calibrate_rig(scan, photometric=done.view.jumps)
     said = dict.fromkeys(str(one.message) for one in doubts)
     done.findings += [Finding(Level.DOUBT, "calibration", one) for one in said]

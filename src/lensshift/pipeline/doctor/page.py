@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lensshift.pipeline.doctor.examine import Diagnosis
+    from lensshift.pipeline.doctor.view import View
 
 _KEPT = 60  # characters of a value in a table
 
@@ -35,7 +36,7 @@ def doctor_page(done: Diagnosis) -> Page:
     if done.view is not None:
         page.heading("What the camera sees")
         page.figure(
-            view_figure(done),
+            _view_figure(done.view),
             "Amplitude, mean of the frames before the lens moved, and its noise over the mean; "
             "pixels that were invalid in a frame are shaded.",
         )
@@ -62,16 +63,14 @@ def doctor_page(done: Diagnosis) -> Page:
     return page
 
 
-def view_figure(done: Diagnosis) -> Figure:
+def _view_figure(view: View) -> Figure:
     """Draw the scene as the camera sees it, and the noise of its pixels."""
     from lensshift.report.images import add_scale, draw_image
     from lensshift.report.style import new_figure, styled
 
-    if done.view is None:
-        raise ValueError("expected a diagnosis with frames of the camera")
-    always = done.view.valid.all(axis=0)
-    mean = np.where(always, done.view.amplitude.mean(axis=0), np.nan)
-    noise = np.where(always, done.view.amplitude.std(axis=0) / np.abs(mean), np.nan)
+    always = view.valid.all(axis=0)
+    mean = np.where(always, view.amplitude.mean(axis=0), np.nan)
+    noise = np.where(always, view.amplitude.std(axis=0) / np.abs(mean), np.nan)
     rows, cols = mean.shape
     wide = cols > 2 * rows
     with styled():

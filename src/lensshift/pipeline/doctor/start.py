@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 from lensshift.capture.opening import EXAMPLE
 from lensshift.core.errors import DataError
+from lensshift.io.atomic import write_text
 
 # USB of the APT controllers (Thorlabs in FTDI's range), and how their serial numbers begin.
 _VENDOR, _PRODUCT = 0x0403, 0xFAF0
@@ -54,22 +56,14 @@ def begin(path: Path, row: str | None, col: str | None, port: int, ask: Ask | No
         if not answers[axis]:
             problem = f"no APT controller is plugged in; give --{axis} SERIAL or PORT"
             raise DataError(problem, field=f"stage.{axis}")
-    from lensshift.io.atomic import written_whole
-
-    with written_whole(path) as part:
-        part.write_text(rig_text(str(answers["row"]), str(answers["col"]), port), encoding="utf-8")
+    write_text(path, rig_text(str(answers["row"]), str(answers["col"]), port))
 
 
 def with_calibration(path: Path, calibration: Path) -> None:
     """Let a rig file that `begin` wrote name a calibration file instead of the nominal map."""
-    import os
-
-    from lensshift.io.atomic import written_whole
-
     name = Path(os.path.relpath(calibration, path.parent)).as_posix()
     lines = path.read_text(encoding="utf-8").splitlines()
     other = ("px_per_mm", "rest_mm", "# file", "# lens_field")
     kept = [line for line in lines if not line.startswith(other)]
     kept.insert(kept.index("[calibration]") + 1, f'file = "{name}"')
-    with written_whole(path) as part:
-        part.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(kept) + "\n")

@@ -122,8 +122,7 @@ def reconstructed(
     response: Response = PUBLISHED,
 ) -> dict[str, Floats]:
     """Return the images of a burst by channel; doubts about the shifts are part of the study."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         result = reconstruct(
             burst, scale, method, channel=channel, std=False, shift_field=shift_field,
             prior_weight=prior_weight, fill_factor=response[0], psf_sigma_px=response[1],
@@ -147,8 +146,7 @@ def measured_edge(image: Floats, scale: int, frequency_lpmm: Floats | None = Non
     """
     rows, cols = image.shape
     half = _HALF_COLS * scale
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         return measure_edge(
             image,
             PITCH_MM / scale,

@@ -67,14 +67,12 @@ def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> 
         shift_error_px=SHIFT_ERROR_PX, seed=seed,
     )  # fmt: skip
     burst, truth = capture.burst, capture.truth
-    if burst.distance_m is None:
-        raise ValueError("expected a burst with distances, got none")
     fine = {
         "amplitude": reconstructed(burst, "amplitude", response=response)["amplitude"],
         "distance": reconstructed(burst, "distance", response=response)["distance"],
         "phasor": reconstructed(burst, "phasor", response=response)["distance"],
     }
-    frame = {"amplitude": burst.amplitude[0], "distance": burst.distance_m[0]}
+    frame = {"amplitude": burst.amplitude[0], "distance": np.asarray(burst.distance_m)[0]}
     true = {"amplitude": truth.amplitude, "distance": truth.distance_m}
     gains = {}
     for branch in BRANCHES:

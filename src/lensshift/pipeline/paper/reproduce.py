@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lensshift.core.settings import to_json
-from lensshift.io.atomic import written_whole
+from lensshift.io.atomic import write_text
 from lensshift.pipeline.paper.bench import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.beyond import (
     ERRORS_PX,
@@ -85,29 +85,16 @@ class Reproduction:
 
 
 def reproduce(
-    out_dir: str | Path,
+    out_dir: str | Path,  # made if it is missing
     *,
-    quick: bool = False,
-    processes: int = 2,
-    command: str = "",
-    on_step: Callable[[int, int], None] | None = None,
+    quick: bool = False,  # fewer draws and strips, one lens, nothing beyond the paper
+    processes: int = 2,  # that work side by side; 1 stays in this one
+    command: str = "",  # line that asked for it, for the report
+    on_step: Callable[[int, int], None] | None = None,  # called with jobs finished, and all of them
 ) -> Reproduction:
     """Repeat the experiments of the paper and write results.json and report.html.
 
-    Parameters
-    ----------
-    out_dir : folder; made if it is missing
-    quick : fewer draws and strips, one lens, nothing beyond the paper
-    processes : that work side by side; 1 stays in this one
-    command : line that asked for it, for the report
-    on_step : called with the number of finished jobs and of all jobs
-
-    Raises
-    ------
-    DataError
-        If the folder or a file cannot be written.
-    ValueError
-        If there is not at least one process.
+    DataError if the folder or a file cannot be written. ValueError without a process.
     """
     start_s = time.perf_counter()
     folder = writable_folder(out_dir)
@@ -219,5 +206,4 @@ def _write_results(found: Reproduction, path: Path) -> None:
     ]
     content = {"claims": claims} | {name: getattr(found, name) for name in _WRITTEN}
     content["gratings"] = [asdict(one) for one in found.gratings]
-    with written_whole(path) as part:
-        part.write_text(to_json(content) + "\n", encoding="utf-8")
+    write_text(path, to_json(content) + "\n")
