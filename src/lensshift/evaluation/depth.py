@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats, Mask
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.evaluation.edge_gradient import profile_edge
 
 EDGE_SHARE = 0.05  # of the nearer distance: smaller steps are no edges
@@ -123,17 +122,15 @@ def depth_error(
 def _warn_of_values(measured_m: Floats, truth_m: Floats) -> None:
     empty = int(np.count_nonzero(measured_m <= 0.0))
     if empty and truth_m.min() > 0.0:
-        warnings.warn(
+        warn_quality(
             f"{empty} of {measured_m.size} pixels have a distance of 0 or less and count as "
             "errors; make them NaN if they are invalid",
-            QualityWarning,
             stacklevel=3,
         )
     middle_m, true_m = float(np.median(measured_m)), float(np.median(truth_m))
     if min(middle_m, true_m) > 0.0 and max(middle_m / true_m, true_m / middle_m) > _OTHER_UNIT:
-        warnings.warn(
+        warn_quality(
             f"the image lies at {middle_m:.4g}, the truth at {true_m:.4g}: expected both in m",
-            QualityWarning,
             stacklevel=3,
         )
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.evaluation.depth import mask_array, real_array
 
 _MAX_NOISE_ERROR = 0.1
@@ -60,10 +59,8 @@ def temporal_noise(frames: ArrayLike, *, valid: ArrayLike | None = None) -> Temp
     # A median has 1.25 (many frames) to 1.65 times (two frames) the standard error of a mean.
     error = 1.5 / np.sqrt(2.0 * freedom.sum())
     if error > _MAX_NOISE_ERROR:
-        warnings.warn(
-            f"{freedom.size} pixels in {len(values)} frames tell the noise to {100 * error:.0f} %",
-            QualityWarning,
-            stacklevel=2,
+        warn_quality(
+            f"{freedom.size} pixels in {len(values)} frames tell the noise to {100 * error:.0f} %"
         )
     middle = np.median(variance[repeated] / (1 - 2 / (9 * freedom)) ** 3)
     return TemporalNoise(std=np.sqrt(variance), median=float(np.sqrt(middle)))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.evaluation.limits import first_fall
 
 FIXED_THRESHOLD = 1 / 7
@@ -147,10 +146,9 @@ def _warn_if_apart(cross: NDArray[np.complex128], weight: Floats) -> None:
     best = float(match[place])
     if best > _MATCH * float(np.std(match)) and best - match[0, 0] > _BETTER * best:
         row, col = (int((k + n // 2) % n - n // 2) for k, n in zip(place, match.shape, strict=True))
-        warnings.warn(
+        warn_quality(
             f"the images lie {-row} rows and {-col} columns apart, which counts as disagreement: "
             "shift one of them back",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -202,11 +200,10 @@ def _neighbours(ring: NDArray[np.int64], weight: Floats) -> Floats:
 def _warn_if_few(samples: Floats) -> None:
     median = float(np.median(samples))
     if median < _MIN_SAMPLES:
-        warnings.warn(
+        warn_quality(
             f"the median of {samples.size} rings has {median:.0f} independent samples: the "
             f"correlation of noise scatters by {1 / np.sqrt(median):.2f}; average over several "
             "pairs or take a larger image",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -214,10 +211,9 @@ def _warn_if_few(samples: Floats) -> None:
 def _warn_if_coarse_is_empty(excess: Floats, root: Floats) -> None:
     agreeing = int(np.count_nonzero(excess * root > _SURE))
     if excess[0] < 0 and 2 * agreeing > excess.size:
-        warnings.warn(
+        warn_quality(
             f"the coarsest ring does not agree although {agreeing} of {excess.size} do: the scene "
             "has no coarse structure, and a cut-off of 0 says nothing of the resolution",
-            QualityWarning,
             stacklevel=3,
         )
 

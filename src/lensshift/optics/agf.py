@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.optics.glass import (
     CONSTANT_COUNTS,
     NO_CHANGE,
@@ -62,7 +61,7 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
         told = "; ".join(str(one) for one in wrong[:SAID])
         more = f"; and {len(wrong) - SAID} more" if len(wrong) > SAID else ""
         text = f"{path}: {len(wrong)} of its glasses are left out: {told}{more}"
-        warnings.warn(text, QualityWarning, stacklevel=2)
+        warn_quality(text)
     return glasses
 
 

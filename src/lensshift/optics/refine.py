@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.optics.lens import Element, Lens, Surface
 from lensshift.optics.mtf import light_of
 from lensshift.optics.paraxial import paraxial
@@ -110,10 +109,9 @@ def tell_missed(lens: Lens, task: Task) -> None:
     if dark:
         missed.append(f"{dark} of {len(task.shares)} fields are dark")
     if missed:
-        warnings.warn(
+        warn_quality(
             f"the lens found is not the one wanted: {'; '.join(missed)}. Are limits and form fit "
             "for it, and steps enough?",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -332,7 +330,7 @@ class _Bench:
                 surfaces[number], surfaces[number + 1], apart_mm, number + 1, notes
             )
         if notes:
-            warnings.warn("; ".join(notes), QualityWarning, stacklevel=3)
+            warn_quality("; ".join(notes), stacklevel=3)
         elements, first = [], 0
         for element in drawn.elements:
             shapes = tuple(surfaces[first : first + len(element.surfaces)])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError, QualityWarning, about, naming
+from lensshift.core.errors import DataError, about, naming, warn_quality
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
     AS_USUAL,
@@ -81,7 +80,7 @@ def parse_zmx(text: str) -> Lens:
     with about(""):
         lens = _lens(content)
     if content.notes:
-        warnings.warn("; ".join(dict.fromkeys(content.notes)), QualityWarning, stacklevel=3)
+        warn_quality("; ".join(dict.fromkeys(content.notes)), stacklevel=3)
     return lens
 
 

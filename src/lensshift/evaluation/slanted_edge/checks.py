@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.result import EdgeResult
 
@@ -92,12 +90,6 @@ def doubted(
             "aliasing is left, the MTF depends on where the edge lies"
         )
     return replace(result, notes=tuple(found), usable=usable)
-
-
-def warn_of(found: list[str], region: object) -> None:
-    """Warn once for each doubt."""
-    for doubt in found:
-        warnings.warn(f"edge in {region}: {doubt}", QualityWarning, stacklevel=3)
 
 
 def _shape(values: Vector, result: EdgeResult) -> list[str]:
