@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import warn_quality
 from lensshift.evaluation.edge_gradient import profile_edge
+from lensshift.evaluation.inputs import check_shape, mask_array, real_array
 
 EDGE_SHARE = 0.05  # of the nearer distance: smaller steps are no edges
 _MIN_LINE_SAMPLES = 4
@@ -274,37 +275,8 @@ def rms(values: Floats) -> float:
 
 def distance_image(distance_m: ArrayLike, valid: ArrayLike | None) -> Floats:
     """Return a distance image [row col] with NaN where it is not valid, or a ValueError."""
-    values = real_array(distance_m, "distance image", 2)
+    values = real_array(distance_m, "distance image")
     return np.where(mask_array(valid, values.shape) & np.isfinite(values), values, np.nan)
-
-
-def real_array(values: ArrayLike, name: str, axes: int) -> Floats:
-    """Return a real array of 2 or 3 axes as floats; `ValueError` for any other."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "uif":
-        raise ValueError(f"expected real {name}, got dtype {array.dtype}")
-    if array.ndim != axes or array.size == 0:
-        wanted = "[row col]" if axes == 2 else "[frame row col]"
-        raise ValueError(f"expected {name} as {wanted}, got shape {array.shape}")
-    return array.astype(np.float64)
-
-
-def mask_array(valid: ArrayLike | None, shape: tuple[int, ...]) -> Mask:
-    """Return a boolean mask, all true for None; `ValueError` if it has another shape or type."""
-    if valid is None:
-        return np.ones(shape, dtype=np.bool_)
-    mask = np.asarray(valid)
-    if mask.shape != shape or mask.dtype != np.bool_:
-        raise ValueError(
-            f"expected a boolean mask of shape {shape}, got {mask.dtype} of shape {mask.shape}"
-        )
-    return mask
-
-
-def check_shape(image: Floats, truth: Floats) -> None:
-    """Raise `ValueError` if the shapes of image and truth differ."""
-    if image.shape != truth.shape:
-        raise ValueError(f"expected an image of shape {truth.shape}, got {image.shape}")
 
 
 def check_edges(scale: int, edge_width_px: float, noise_m: float, min_step_m: float | None) -> None:

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
-from lensshift.evaluation.limits import first_fall
+from lensshift.evaluation.inputs import check_finite, real_array
+from lensshift.evaluation.limits import first_fall, pitch_pair_mm
 
 FIXED_THRESHOLD = 1 / 7
 _MIN_SIDE_PX = 8
@@ -170,9 +171,7 @@ def _rings(
     shape: tuple[int, ...], pitch_mm: float | tuple[float, float]
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Return frequency and ring (from 1; 0 for none) of each Fourier sample [row col]."""
-    pitches = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), 2)
-    if not (np.all(np.isfinite(pitches)) and np.all(pitches > 0)):
-        raise ValueError(f"expected a positive pitch in mm, got {pitch_mm}")
+    pitches = np.array(pitch_pair_mm(pitch_mm))
     row_lpmm, col_lpmm = (np.fft.fftfreq(n, p) for n, p in zip(shape, pitches, strict=True))
     radius_lpmm = np.hypot(row_lpmm[:, None], col_lpmm)
     width_lpmm = float(np.max(1 / (np.array(shape) * pitches)))
@@ -233,15 +232,11 @@ def _period_mm(cutoff_lpmm: float | None) -> float | None:
 
 
 def _image(image: ArrayLike, name: str) -> Floats:
-    values = np.asarray(image)
-    if values.dtype.kind not in "buif":
-        raise ValueError(f"expected a real {name} image, got dtype {values.dtype}")
-    if values.ndim != 2 or min(values.shape) < _MIN_SIDE_PX:
+    values = real_array(image, f"{name} image")
+    if min(values.shape) < _MIN_SIDE_PX:
         raise ValueError(
             f"expected the {name} image as [row col] of at least {_MIN_SIDE_PX} pixels a side, "
             f"got shape {values.shape}"
         )
-    bad = int(np.count_nonzero(~np.isfinite(values)))
-    if bad:
-        raise ValueError(f"expected finite pixels, got {bad} NaN or infinite in the {name} image")
-    return values.astype(np.float64)
+    check_finite(values, f" in the {name} image")
+    return values
