@@ -1,6 +1,7 @@
 """Numbers that cannot be meant: NaN, no end, another unit, named with the option and the value."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,10 +89,11 @@ def test_numbers_within_texts_and_of_images(
     refused(arguments, 2, said)
 
 
-def test_a_pitch_in_um_is_doubted_where_an_image_is_measured(call: Call) -> None:
+def test_a_pitch_in_um_is_doubted_where_an_image_is_measured(call: Call, tmp_path: Path) -> None:
     """Seen through a microscope, or on a chart, pixels may be of any size."""
-    np.save("e.npy", np.random.default_rng(0).random((16, 40)))
-    done = call("evaluate", "frc", "e.npy", "e.npy", "--pitch-mm", "155")
+    image = tmp_path / "e.npy"
+    np.save(image, np.random.default_rng(0).random((16, 40)))
+    done = call("evaluate", "frc", image, image, "--pitch-mm", "155")
     assert "got 155; 155 um are 0.155" in " ".join(done.stderr.split())
 
 
