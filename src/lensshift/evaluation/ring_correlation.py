@@ -101,7 +101,9 @@ def fourier_ring_correlation(
             f"expected two images of one shape, got {images[0].shape} and {images[1].shape}"
         )
     shape = images[0].shape
-    weight = np.outer(*(_hann(n) for n in shape)) if window else np.ones(shape)
+    # Zero half a pixel outside the image, so that no pixel is thrown away.
+    hann = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in shape]
+    weight = np.outer(*hann) if window else np.ones(shape)
     spectra = [_spectrum(image, weight) for image in images]
     radius_lpmm, ring = _rings(shape, pitch_mm)
     inside = ring > 0
@@ -152,11 +154,6 @@ def _warn_if_apart(cross: NDArray[np.complex128], weight: Floats) -> None:
             "shift one of them back",
             stacklevel=3,
         )
-
-
-def _hann(count: int) -> Floats:
-    # Zero half a pixel outside the image, so that no pixel is thrown away.
-    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)
 
 
 def _spectrum(image: Floats, weight: Floats) -> NDArray[np.complex128]:
