@@ -37,7 +37,7 @@ class DepthOptions:
     truth: Path | None = argument("True distances in m, an image of the same shape.", default=None)
     pitch_mm: PitchOption = None
     scale: int | None = option(
-        None, "Pixels of IMAGE per LR pixel; a reconstruction knows it.", min=1
+        None, "Pixels of IMAGE per LR pixel; a reconstruction knows it.", min=1, max=16
     )
     edge_width_px: float = option(2.0, "Half width of edges, in LR pixels.")
     noise_m: float = option(0.0, "Standard deviation of the distances.")

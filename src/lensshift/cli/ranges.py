@@ -18,7 +18,7 @@ _SHARE = "a share: 2 % are 0.02"
 # the library itself refuses in better words (a noise of 0) is left to it.
 _RANGES = {
     "wavelength_nm": (100.0, 20_000.0, "in nm: 0.85 um are 850"),
-    "band_nm": (1e-3, 2000.0, "in nm: 0.04 um are 40; for one wavelength leave it out"),
+    "band_nm": (1e-3, 300.0, "in nm: 0.04 um are 40; for one wavelength leave it out"),
     "temperature_c": (-273.15, 200.0, "in degrees Celsius: 293 K are 20"),
     "temperatures_c": (-273.15, 200.0, "in degrees Celsius: 293 K are 20"),
     "pitch_mm": (3e-4, 10.0, "in mm: 155 um are 0.155"),  # `core.units.MOST_PITCH_MM`
@@ -30,11 +30,11 @@ _RANGES = {
     "limit": (0.0, 1.0, "a share: 90 % are 0.9"),
     "noise": (0.0, 1.0, _SHARE),
     "focal_length_mm": (0.1, 10_000.0, f"in mm: {_MM}"),
-    "object_mm": (0.1, math.inf, "in mm: 3.5 m are 3500"),
+    "object_mm": (0.1, 1e6, "in mm: 3.5 m are 3500"),
     "stop_mm": (1e-3, 1000.0, "in mm: 20 mm are 20"),
     "stop_at_mm": (-1000.0, 1000.0, "in mm: 20 mm are 20"),
     "back_focal_mm": (0.0, 1000.0, "in mm: 2 mm are 2"),
-    "track_mm": (0.1, math.inf, "in mm: 25 mm are 25"),
+    "track_mm": (0.1, 10_000.0, "in mm: 25 mm are 25"),
     "glass_mm": (0.0, 500.0, "in mm: 800 um are 0.8"),
     "cover": (0.0, 500.0, "in mm: 500 um are 0.5"),
     "edge_mm": (0.0, 100.0, "in mm: 400 um are 0.4"),
@@ -50,15 +50,16 @@ _RANGES = {
     "encoder_um": (0.0, 999.0, f"in um: {_UM}"),
     "drift_um": (0.0, 999.0, f"in um: {_UM}"),
     "f_number": (0.3, 500.0, "the focal length over the aperture"),
-    "distortion": (0.0, math.inf, _SHARE),
+    "distortion": (0.0, 1.0, _SHARE),
     "highest_lpmm": (0.1, 10_000.0, "in line pairs per mm"),
     "gamma": (0.01, 10.0, "light = level^gamma: 2.2"),
     "eye_heights": (0.1, 100.0, "in heights of the picture: 2"),
     "aperture_px": (1e-3, 100.0, "in pixels: one is 1"),
-    "edge_width_px": (0.0, 1000.0, "in pixels: two are 2"),
+    "edge_width_px": (0.0, 50.0, "in pixels: two are 2"),
     "noise_m": (0.0, 1.0, "in m: 5 mm are 0.005"),
     "min_step_m": (0.0, 10.0, "in m: 50 mm are 0.05"),
 }
+_ENDLESS = ("object_mm", "track_mm", "distortion")  # inf: infinitely far, or no limit
 
 
 def in_range(name: str, value: float) -> float:
@@ -70,7 +71,7 @@ def in_range(name: str, value: float) -> float:
         If it is NaN, infinite though it has to end, or beyond what anybody has built.
     """
     least, most, hint = _RANGES.get(name, (-sys.float_info.max, sys.float_info.max, ""))
-    if least <= value <= most:
+    if least <= value <= most or (value == math.inf and name in _ENDLESS):
         return value
     expected = f"a number from {least:g} to {most:g}, {hint}" if hint else "a finite number"
     raise typer.BadParameter(
