@@ -164,8 +164,6 @@ def _ends_a_range(level: float) -> bool:
 def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:
     """Return the largest gap between the phases of pixels at which lines [n] cross the edge."""
     phases = np.sort(np.unique(np.round(np.mod(lines * np.tan(angle_rad), 1.0), 9)))
-    if phases.size == 0:
-        return 1.0
     return float(np.max(np.diff(np.append(phases, phases[0] + 1.0))))
 
 
