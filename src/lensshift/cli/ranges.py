@@ -54,7 +54,7 @@ _RANGES = {
     "highest_lpmm": (0.1, 10_000.0, "in line pairs per mm"),
     "gamma": (0.01, 10.0, "light = level^gamma: 2.2"),
     "eye_heights": (0.1, 100.0, "in heights of the picture: 2"),
-    "aperture_px": (1e-3, 100.0, "in pixels: one is 1"),
+    "aperture_px": (0.0, 64.0, "in pixels: one is 1"),
     "edge_width_px": (0.0, 50.0, "in pixels: two are 2"),
     "noise_m": (0.0, 1.0, "in m: 5 mm are 0.005"),
     "min_step_m": (0.0, 10.0, "in m: 50 mm are 0.05"),
