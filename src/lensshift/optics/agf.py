@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lensshift.core.errors import DataError, warn_quality
+from lensshift.core.settings import settings_of
 from lensshift.optics.glass import (
     CONSTANT_COUNTS,
     NO_CHANGE,
@@ -48,15 +49,11 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
     """
     text = decode(path)
     wrong: list[DataError] = []
-    try:
+    with settings_of(path):
         glasses = parse_agf(text, wrong)
         if not glasses:
             raise wrong[0] if wrong else DataError("expected glasses (NM), got none")
         add_glasses(glasses)
-    except DataError as error:
-        raise error.in_file(path) from error
-    except ValueError as error:
-        raise DataError(str(error), source=path) from error
     if wrong:
         told = "; ".join(str(one) for one in wrong[:SAID])
         more = f"; and {len(wrong) - SAID} more" if len(wrong) > SAID else ""
