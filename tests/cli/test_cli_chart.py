@@ -131,7 +131,7 @@ def test_what_a_jpeg_cut_off_counts_in_its_intervals(call: Call, tmp_path: Path)
     ("options", "code", "message"),
     [
         (["--gamma", "2.2", "--oecf", "x.csv"], 2, "not both"),
-        (["--gamma", "-1"], 1, "positive gamma"),
+        (["--gamma", "-1"], 2, "2.2; got -1"),
         (["--bayer", "RGBW"], 1, "expected a pattern of RGGB"),
         (["--channel", "red"], 1, "this one is grey"),
         (["--focus", "1,2"], 2, "a focus for each of 1 photographs"),

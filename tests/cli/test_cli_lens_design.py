@@ -46,7 +46,7 @@ def test_builds_are_told_counted_and_drawn(call: Call, tmp_path: Path) -> None:
 
 
 def test_builds_that_are_dark_tell_of_no_shift(call: Call) -> None:
-    done = call("lens", "tolerance", "petzval_a", "--builds", 2, "--decenter-mm", 1000)
+    done = call("lens", "tolerance", "petzval_a", "--builds", 2, "--decenter-mm", 10)
     assert done.exit_code == 0, done.output
     assert "2 builds leave a field dark, without a shift" in done.stdout
     assert "largest error of a shift" not in done.stdout
@@ -210,7 +210,7 @@ OF_A = ("petzval_a", "--focal-length-mm", "42", "--f-number", "2")
             2,
             "numbers like 0.4,1",
         ),
-        (["refine", *OF_A, "--glass-mm", "inf,inf"], 1, "glass_mm (least, most)"),
+        (["refine", *OF_A, "--glass-mm", "5,0.8"], 1, "glass_mm (least, most)"),
         (["refine", *OF_A, "--aspheres", "40"], 1, "expected 0 to 20 terms, got 40"),
         (["refine", *OF_A, "-o", "petzval_a"], 2, "would overwrite the input"),
         (["tolerance", "petzval_a", "--csv", "petzval_a"], 2, "would overwrite the input"),

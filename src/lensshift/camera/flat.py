@@ -101,11 +101,7 @@ def simulate_burst(
     ValueError
         If `planned_px` is not [frame 2] or a number is out of range.
     """
-    planned = np.asarray(planned_px, dtype=np.float64)
-    if planned.ndim != 2 or planned.shape[1] != 2 or not np.all(np.isfinite(planned)):
-        raise ValueError(f"expected finite planned_px [frame 2], got shape {planned.shape}")
-    if scale != int(scale) or scale < 1:
-        raise ValueError(f"expected an integer scale from 1, got {scale}")
+    planned = checked_plan(planned_px, scale)
     if not (optics_sigma_px >= 0 and shift_error_px >= 0):
         raise ValueError("expected optics_sigma_px >= 0 and shift_error_px >= 0")
     rng = np.random.default_rng(seed)
@@ -126,6 +122,18 @@ def simulate_burst(
         meta={"origin": "simulated", "seed": int(seed)},
     )
     return burst, Truth(hr_image, offset)
+
+
+def checked_plan(planned_px: ArrayLike, scale: int) -> Floats:
+    """Return the planned offsets [frame 2], if they and the scale of the truth can be."""
+    planned = np.asarray(planned_px, dtype=np.float64)
+    if planned.ndim != 2 or planned.shape[1] != 2 or not len(planned):
+        raise ValueError(f"expected planned_px [frame 2], got shape {planned.shape}")
+    if not np.all(np.isfinite(planned)):
+        raise ValueError("expected finite planned_px, got NaN or infinity")
+    if scale != int(scale) or scale < 1:
+        raise ValueError(f"expected an integer scale from 1, got {scale}")
+    return planned
 
 
 def pixel_means(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.camera.channels import Seen, Tones
-from lensshift.camera.flat import QUARTER_SQUARE_PX
+from lensshift.camera.flat import QUARTER_SQUARE_PX, checked_plan
 from lensshift.camera.footprints import Footprints, see
 from lensshift.camera.output import Image, O3mImages, image_of
 from lensshift.camera.radiometry import active_electrons_per_s, ambient_electrons_per_s
@@ -157,7 +157,7 @@ def simulate_tof(
     DataError
         If no pixel is valid: with the reason.
     """
-    planned = _planned(planned_px)
+    planned = checked_plan(planned_px, scale)
     samples = _samples(scale, samples_per_px)
     if not (np.isfinite(shift_error_px) and shift_error_px >= 0):
         raise ValueError(f"expected shift_error_px of at least 0, got {shift_error_px}")
@@ -217,18 +217,7 @@ def _why_nothing(frames: list[Seen], readings: list[Reading]) -> str:
     )
 
 
-def _planned(planned_px: ArrayLike) -> Floats:
-    planned = np.asarray(planned_px, dtype=np.float64)
-    if planned.ndim != 2 or planned.shape[1] != 2 or not len(planned):
-        raise ValueError(f"expected planned_px [frame 2], got shape {planned.shape}")
-    if not np.all(np.isfinite(planned)):
-        raise ValueError("expected finite planned_px, got NaN or infinity")
-    return planned
-
-
 def _samples(scale: int, samples_per_px: int | None) -> int:
-    if scale != int(scale) or scale < 1:
-        raise ValueError(f"expected an integer scale from 1, got {scale}")
     if samples_per_px is None:
         return max(_FEWEST_SAMPLES, _SAMPLES_PER_HR_PX * int(scale))
     if samples_per_px != int(samples_per_px) or samples_per_px < 1:

@@ -36,19 +36,17 @@ class _DepthOptions:
     truth: Path | None = argument("True distances in m, an image of the same shape.", default=None)
     pitch_mm: PitchOption = None
     scale: int | None = option(
-        None, "Pixels of IMAGE per LR pixel; a reconstruction knows it.", min=1
+        None, "Pixels of IMAGE per LR pixel; a reconstruction knows it.", min=1, max=16
     )
-    edge_width_px: float = option(2.0, "Half width of edges, in LR pixels.", min=0.0)
-    noise_m: float = option(0.0, "Standard deviation of the distances.", min=0.0)
-    min_step_m: float | None = option(
-        None, "Smallest step that is an edge; 5 % if not given.", min=0.0
-    )
+    edge_width_px: float = option(2.0, "Half width of edges, in LR pixels.")
+    noise_m: float = option(0.0, "Standard deviation of the distances.")
+    min_step_m: float | None = option(None, "Smallest step that is an edge; 5 % if not given.")
     edge: Literal["col", "row"] | None = option(
         None, "Compare the place of one edge that this axis crosses."
     )
     plane: str | None = option(None, "Fit a plane in row start,stop,col start,stop.")
     focal_length_mm: float | None = option(
-        None, "Of the lens, to turn radial distances into points.", min=0.0
+        None, "Of the lens, to turn radial distances into points."
     )
     repeated: bool = option(False, "The frames repeat one view: give their noise.")
     frame: int = option(0, "Frame of IMAGE, if it holds several.", min=0)

@@ -40,9 +40,7 @@ KeyOption = Annotated[
 ]
 FocalOption = Annotated[
     float | None,
-    typer.Option(
-        "--focal-length-mm", min=0.0, help="Give frequencies in cycles per mrad of the scene."
-    ),
+    typer.Option("--focal-length-mm", help="Give frequencies in cycles per mrad of the scene."),
 ]
 
 
@@ -138,7 +136,14 @@ def _pitch_of(
 
 
 def _given_pitch(pitch_mm: str | None) -> tuple[tuple[float, float], bool]:
-    return (1.0, 1.0) if pitch_mm is None else parse_pitch_mm(pitch_mm), pitch_mm is not None
+    from lensshift.core.units import doubt_about_pitch
+
+    if pitch_mm is None:
+        return (1.0, 1.0), False
+    given = parse_pitch_mm(pitch_mm)
+    if doubt := doubt_about_pitch(max(given)):
+        warnings.warn(doubt, QualityWarning, stacklevel=2)
+    return given, True
 
 
 def keys_of(key: str | None, *paths: Path) -> tuple[str | None, ...]:

@@ -120,13 +120,14 @@ def parse_pitch_mm(text: str) -> tuple[float, float]:
     return numbers[0], numbers[-1]
 
 
-def parse_numbers(text: str, count: int, expected: str) -> tuple[float, ...]:
-    """Return numbers separated by commas."""
+def parse_numbers(text: str, count: int, expected: str, *, ends: bool = True) -> tuple[float, ...]:
+    """Return finite numbers separated by commas; the last may be no end, inf."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError as error:
         raise typer.BadParameter(f"expected {expected}, got {text!r}") from error
-    if len(numbers) != count:
+    finite = all(map(math.isfinite, numbers)) or (not ends and numbers[-1] == math.inf)
+    if len(numbers) != count or not finite:
         raise typer.BadParameter(f"expected {expected}, got {text!r}")
     return numbers
 

@@ -108,10 +108,8 @@ class _MtfOptions:
     field_deg: list[str] | None = option(
         None, "Field as row,col in degrees; repeatable. 0,0 and 1.6,6.5."
     )
-    highest_lpmm: float | None = option(
-        None, "End of the curves; 2.5 times LR Nyquist if not.", min=0.1
-    )
-    band_nm: optics.BandOption = 0.0
+    highest_lpmm: float | None = option(None, "End of the curves; 2.5 times LR Nyquist if not.")
+    band_nm: optics.BandOption = None
     fast: bool = option(False, "Geometric times diffraction MTF instead of the exact one.")
     csv: outputs.CsvOption = None
     figure: Literal["curves", "field", "focus", "sections"] = option("curves", "What --plot draws.")
@@ -141,7 +139,7 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     model, grid, moved = optics.opened_moving(asked.of)
     fields_tan = optics.parse_fields_tan(asked.field_deg)
     travel_mm = optics.diagonal_mm(model, moved, asked.of.shift_px, grid)
-    band = optics.band_of(model, asked.band_nm)
+    band = optics.band_of(model.wavelength_nm, asked.band_nm)
     nyquist_lpmm = 0.5 / max(grid.pitch_mm)
     highest = asked.highest_lpmm or _CURVES_NYQUIST * nyquist_lpmm
     frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)

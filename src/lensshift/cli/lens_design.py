@@ -11,6 +11,7 @@ import typer
 
 from lensshift.cli import optics, outputs
 from lensshift.cli.inputs import parse_numbers
+from lensshift.cli.ranges import in_range
 from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
@@ -39,7 +40,7 @@ class _OptimiseOptions:
     shift_error_px: float = option(0.01, "Largest error of the shift over the sensor.")
     mtf: float = option(0.9, "Wanted at the corner, centred and moved.")
     wavelength_nm: float = option(850.0, "Of the light.")
-    band_nm: optics.BandOption = 0.0
+    band_nm: optics.BandOption = None
     temperature_c: float = option(20.0, "Of glass and air.")
     cover: str = option("", "A plate before the sensor: glass, its mm, mm of air: N-BK7,1,0.5.")
     stop_behind: int = option(0, "Elements in front of the stop.", min=0)
@@ -47,7 +48,7 @@ class _OptimiseOptions:
     sensor: optics.SensorOptions = field(default_factory=optics.SensorOptions)
     keep: int = option(8, "Trains that are optimised after a first look.", min=1)
     goal: Literal["mtf", "picture"] = option("mtf", "What designs are ranked by.")
-    actuator_um: float = option(1.0, "Standard deviation of where the element stops.", min=0.0)
+    actuator_um: float = option(1.0, "Standard deviation of where the element stops.")
     noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
     out: BestOption = None
 
@@ -72,7 +73,6 @@ def optimise(current: Session, asked: _OptimiseOptions) -> None:
     """
     from lensshift.optics.goal import Goal
     from lensshift.optics.lens import Stop
-    from lensshift.optics.mtf import led_band
     from lensshift.optics.stock import format_designs
 
     check_out(asked.out, *(Path(name) for place in asked.places for name in place.split(",")))
@@ -82,7 +82,7 @@ def optimise(current: Session, asked: _OptimiseOptions) -> None:
         Stop(asked.stop_mm, asked.stop_at_mm), asked.back_focal_mm, shift_px=asked.shift_px,
         shift_error_px=asked.shift_error_px, mtf=asked.mtf, wavelength_nm=asked.wavelength_nm,
         temperature_c=asked.temperature_c, stop_behind=asked.stop_behind,
-        band=led_band(asked.wavelength_nm, asked.band_nm) if asked.band_nm > 0 else None,
+        band=optics.band_of(asked.wavelength_nm, asked.band_nm),
         cover=plate, cover_mm=air_mm,
     )  # fmt: skip
     designs = _designs(asked.places, wanted, asked.element, asked.keep)
@@ -107,7 +107,7 @@ def _cover(text: str) -> tuple[Element | None, float]:
     if "," not in lengths:
         raise typer.BadParameter(f"expected a plate like N-BK7,1,0.5, got {text!r}")
     thick_mm, air_mm = parse_numbers(lengths, 2, "a plate like N-BK7,1,0.5")
-    return cover_glass(glass.strip(), thick_mm), air_mm
+    return cover_glass(glass.strip(), in_range("cover", thick_mm)), in_range("cover", air_mm)
 
 
 def _by_picture(
@@ -179,12 +179,12 @@ def _row(design: Design) -> dict[str, Any]:
 class _ToleranceOptions:
     of: optics.MovedLensOptions
     builds: int = option(1000, "Random builds.", min=1)
-    limit: float = option(0.9, "MTF that a good build keeps.", min=0.0, max=1.0)
-    decenter_mm: float = option(0.05, "Of each element.", min=0.0)
-    tilt_deg: float = option(0.1, "Of each element.", min=0.0)
-    gap_mm: float = option(0.05, "Of each gap.", min=0.0)
-    focal_share: float = option(0.01, "Of the focal length of each element.", min=0.0)
-    index: float = option(0.0005, "Of each refractive index.", min=0.0)
+    limit: float = option(0.9, "MTF that a good build keeps.")
+    decenter_mm: float = option(0.05, "Of each element.")
+    tilt_deg: float = option(0.1, "Of each element.")
+    gap_mm: float = option(0.05, "Of each gap.")
+    focal_share: float = option(0.01, "Of the focal length of each element.")
+    index: float = option(0.0005, "Of each refractive index.")
     seed: int = option(0, "Seed of the random numbers.", min=0)
     to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
@@ -256,10 +256,10 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
 @dataclass(frozen=True, slots=True)
 class _BudgetOptions:
     of: optics.MovedLensOptions
-    repeatability_um: float = option(0.0, "Standard deviation of where it stops.", min=0.0)
-    backlash_um: float = option(0.0, "Between approaches from the two sides.", min=0.0)
-    encoder_um: float = option(0.0, "One step of the encoder.", min=0.0)
-    drift_um: float = option(0.0, "From the first frame of a burst to the last.", min=0.0)
+    repeatability_um: float = option(0.0, "Standard deviation of where it stops.")
+    backlash_um: float = option(0.0, "Between approaches from the two sides.")
+    encoder_um: float = option(0.0, "One step of the encoder.")
+    drift_um: float = option(0.0, "From the first frame of a burst to the last.")
     noise: float = option(0.005, "Of a pixel: standard deviation as a share of full scale.")
     plot: outputs.PlotOption = None
 

@@ -29,9 +29,7 @@ class _FieldOptions:
         None, f"Pixel pitch: one number, or row,col; default: {optics.PITCH_MM}."
     )
     burst: Path | None = option(None, "Take sensor and pitch from this burst.")
-    reach_px: float | None = option(
-        None, "Largest shift that it has to hold for; default: 1.", min=0.0
-    )
+    reach_px: float | None = option(None, "Largest shift that it has to hold for; default: 1.")
     out: Path | None = option(None, "Lens field to write (.nc).", "-o")
     pattern: PatternOption = "square"
     light: optics.LightOptions = group(default_factory=optics.LightOptions)

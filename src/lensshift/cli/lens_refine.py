@@ -12,6 +12,7 @@ import typer
 from lensshift.cli.inputs import parse_numbers
 from lensshift.cli.lens_design import BestOption, check_out, write_lens
 from lensshift.cli.optics import BandOption, LensOptions, band_of, element_of, opened
+from lensshift.cli.ranges import in_range
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb
 
@@ -39,12 +40,12 @@ class _RefineOptions:
     starts: int = option(1, "Forms to begin from, all but the first drawn at random.", min=1)
     seed: int = option(0, "Of these.", min=0)
     glass_mm: str = option("0.8,inf", "Least and most thickness of glass: 0.8,5.")
-    edge_mm: float = option(0.4, "Least at its edge.", min=0.0)
-    air_mm: float = option(0.05, "Least between elements.", min=0.0)
-    back_focal_mm: float = option(0.3, "Least in front of the sensor.", min=0.0)
-    track_mm: float = option(math.inf, "Most from first vertex to sensor.", min=0.0)
-    distortion: float = option(math.inf, "Most in the corner, as a share.", min=0.0)
-    band_nm: BandOption = 0.0
+    edge_mm: float = option(0.4, "Least at its edge.")
+    air_mm: float = option(0.05, "Least between elements.")
+    back_focal_mm: float = option(0.3, "Least in front of the sensor.")
+    track_mm: float = option(math.inf, "Most from first vertex to sensor.")
+    distortion: float = option(math.inf, "Most in the corner, as a share.")
+    band_nm: BandOption = None
     temperatures_c: str = option("", "Sharp at each of these with one focus: -10,60.")
     out: BestOption = None
 
@@ -73,14 +74,15 @@ def refine(current: Session, asked: _RefineOptions) -> None:
     grow = _numbers(asked.grow)
     if grow[-1:] != (1.0,):
         raise typer.BadParameter(f"expected --grow to end with 1, got {asked.grow!r}")
-    low_mm, high_mm = parse_numbers(asked.glass_mm, 2, "two thicknesses like 0.8,5")
+    low_mm, high_mm = parse_numbers(asked.glass_mm, 2, "two thicknesses like 0.8,5", ends=False)
     limits = Limits(
-        (low_mm, high_mm), asked.edge_mm, asked.air_mm, asked.back_focal_mm, asked.track_mm,
-        asked.distortion,
+        (in_range("glass_mm", low_mm), high_mm), asked.edge_mm, asked.air_mm,
+        asked.back_focal_mm, asked.track_mm, asked.distortion,
     )  # fmt: skip
     task = Task(
-        grid, asked.focal_length_mm, asked.f_number, limits, band_of(start, asked.band_nm),
-        _numbers(asked.temperatures_c),
+        grid, asked.focal_length_mm, asked.f_number, limits,
+        band_of(start.wavelength_nm, asked.band_nm),
+        tuple(in_range("temperatures_c", one) for one in _numbers(asked.temperatures_c)),
     )  # fmt: skip
     numbers, of_aspheres = _elements(start, asked.made), _elements(start, asked.aspheric)
     freedom = Freedom(

@@ -36,7 +36,7 @@ _FIGURES = {
 class _ReportOptions:
     of: optics.MovedLensOptions
     out: Path | None = option(None, "Page to write (.html).", "-o")
-    band_nm: optics.BandOption = 0.0
+    band_nm: optics.BandOption = None
 
 
 @verb("examining the lens")
@@ -57,7 +57,7 @@ def report(current: Session, asked: _ReportOptions) -> None:
     if out is not None and out.suffix.lower() != ".html":
         raise typer.BadParameter(f"expected a page that ends in .html, got {out}")
     model, grid, moved = optics.opened_moving(asked.of)
-    band = optics.band_of(model, asked.band_nm)
+    band = optics.band_of(model.wavelength_nm, asked.band_nm)
     fields_tan = optics.spread_fields_tan(model, grid, _SHARES)
     rows = [_row(model, grid, field, band) for field in fields_tan]
     for name in rows[0]:

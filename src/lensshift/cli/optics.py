@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensshift.cli.inputs import parse_numbers, parse_pitch_mm
+from lensshift.cli.ranges import in_range
 from lensshift.cli.verbs import option
 from lensshift.core.errors import QualityWarning
 
@@ -23,7 +24,10 @@ LensArgument = Annotated[
     typer.Argument(help="Lens file (.toml or .zmx), or the name of a built-in lens: petzval_a."),
 ]
 BandOption = Annotated[
-    float, typer.Option("--band-nm", min=0.0, help="Full width at half maximum of the light.")
+    float | None,
+    typer.Option(
+        "--band-nm", help="Full width at half maximum of the light; one wavelength if not given."
+    ),
 ]
 
 SENSOR, PITCH_MM = "64x16", "0.155"  # of the camera of the paper
@@ -100,7 +104,10 @@ def sensor_grid(asked: SensorOptions) -> Grid:
     cols, times, rows = asked.sensor.lower().partition("x")
     if not (times and rows.strip().isdigit() and cols.strip().isdigit()):
         raise typer.BadParameter(f"expected a sensor like 64x16, got {asked.sensor!r}")
-    return Grid((int(rows), int(cols)), parse_pitch_mm(asked.pitch_mm))
+    pitch_mm = parse_pitch_mm(asked.pitch_mm)
+    for one in pitch_mm:
+        in_range("pitch_mm", one)
+    return Grid((int(rows), int(cols)), pitch_mm)
 
 
 def element_of(lens: Lens, number: int | None) -> int:
@@ -122,17 +129,18 @@ def parse_fields_tan(texts: list[str] | None) -> list[tuple[float, float]]:
         parse_numbers(text, 2, "a field like 1.6,6.5 (row,col in degrees)")
         for text in texts or ("0,0", "1.6,6.5")
     ]
-    return [
-        (math.tan(math.radians(row_deg)), math.tan(math.radians(col_deg)))
-        for row_deg, col_deg in fields_deg
-    ]
+    return [(_tangent(row_deg), _tangent(col_deg)) for row_deg, col_deg in fields_deg]
 
 
-def band_of(lens: Lens, band_nm: float) -> Band | None:
-    """Return the light about the wavelength of a lens, None for that wavelength alone."""
+def _tangent(angle_deg: float) -> float:
+    return math.tan(math.radians(in_range("field_deg", angle_deg)))
+
+
+def band_of(wavelength_nm: float, band_nm: float | None) -> Band | None:
+    """Return the light about a wavelength, None for that wavelength alone."""
     from lensshift.optics.mtf import led_band
 
-    return led_band(lens.wavelength_nm, band_nm) if band_nm > 0 else None
+    return None if band_nm is None else led_band(wavelength_nm, band_nm)
 
 
 def diagonal_mm(lens: Lens, element: int, shift_px: float, grid: Grid) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from typer.core import TyperGroup
 
+from lensshift.cli.ranges import checked
 from lensshift.cli.session import DebugOption, JsonOption, Session, session
 
 _MOST_CHARACTERS = 1000  # none of ours is cut; the formatter breaks lines
@@ -88,7 +89,7 @@ def _filled(asked: type[Any], given: Mapping[str, Any]) -> Any:
     hints = get_type_hints(asked)
     return asked(**{
         one.name: _filled(hints[one.name], given) if is_dataclass(hints[one.name])
-        else given[one.name]
+        else checked(one.name, given[one.name])
         for one in fields(asked)
     })  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -71,6 +72,11 @@ def about(field: str) -> Iterator[None]:
 
 class QualityWarning(UserWarning):
     """The data are poor but usable; the message says by how much."""
+
+
+def warn_quality(problem: str, stacklevel: int = 2) -> None:
+    """Give a `QualityWarning`, about the line that `warnings.warn` would name from here."""
+    warnings.warn(problem, QualityWarning, stacklevel=stacklevel + 1)
 
 
 class DeviceError(RuntimeError):

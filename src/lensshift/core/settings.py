@@ -50,6 +50,14 @@ def read_text(path: str | Path) -> str:
         raise DataError("expected a text file in UTF-8", source=path) from error
 
 
+def write_text(text: str, path: str | Path) -> None:
+    """Write a text in UTF-8; what goes wrong is a `DataError`."""
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+
+
 def parse_toml(text: str, source: str | Path = "") -> dict[str, Any]:
     """Return the tables of a TOML text; what is wrong with it names line and column."""
     try:
@@ -135,6 +143,18 @@ def only(table: Mapping[str, Any], known: Iterable[str], where: str = "") -> Non
         if key not in known:
             problem = f"is not known, expected {', '.join(known)}"
             raise DataError(problem, field=_joined(where, key))
+
+
+def check_keys(table: Any, needed: Mapping[str, bool], where: str) -> None:
+    """Raise a `DataError` unless this is a table of these keys, with those that are needed."""
+    if not isinstance(table, dict):
+        raise DataError(f"expected a table, got {table!r}", field=where)
+    for key in table:
+        if key not in needed:
+            raise DataError(f"expected {', '.join(needed)}, got {key!r}", field=where)
+    for key, must in needed.items():
+        if must and key not in table:
+            raise DataError(f"expected {key!r}, which is missing", field=where)
 
 
 def built(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import QualityWarning, warn_quality
 from lensshift.core.processes import one_thread_each
 from lensshift.evaluation.chart import ChartEdge, FocusFit, best_focus, chart_edges, zone_rows
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, find_regions, measure_edge
@@ -114,13 +114,9 @@ def measure_chart(
         )
     if blank:
         told = f"no slanted edge was found in {', '.join(blank)}"
-        warnings.warn(told, QualityWarning, stacklevel=2)
+        warn_quality(told)
     if refused:
-        warnings.warn(
-            f"{len(refused)} regions could not be measured, the first: {refused[0]}",
-            QualityWarning,
-            stacklevel=2,
-        )
+        warn_quality(f"{len(refused)} regions could not be measured, the first: {refused[0]}")
     return edges
 
 
@@ -157,7 +153,7 @@ def focus_series(edges: Sequence[ChartEdge]) -> tuple[list[dict[str, Any]], dict
                 [errors[zone, row["focus"]] for row in here],
             )
         except ValueError as error:
-            warnings.warn(f"no best focus {zone}: {error}", QualityWarning, stacklevel=2)
+            warn_quality(f"no best focus {zone}: {error}")
     return rows, fits
 
 

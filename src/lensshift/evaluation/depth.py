@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats, Mask
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.evaluation.edge_gradient import profile_edge
+from lensshift.evaluation.inputs import check_shape, mask_array, real_array
 
 EDGE_SHARE = 0.05  # of the nearer distance: smaller steps are no edges
 _MIN_LINE_SAMPLES = 4
@@ -123,17 +123,15 @@ def depth_error(
 def _warn_of_values(measured_m: Floats, truth_m: Floats) -> None:
     empty = int(np.count_nonzero(measured_m <= 0.0))
     if empty and truth_m.min() > 0.0:
-        warnings.warn(
+        warn_quality(
             f"{empty} of {measured_m.size} pixels have a distance of 0 or less and count as "
             "errors; make them NaN if they are invalid",
-            QualityWarning,
             stacklevel=3,
         )
     middle_m, true_m = float(np.median(measured_m)), float(np.median(truth_m))
     if min(middle_m, true_m) > 0.0 and max(middle_m / true_m, true_m / middle_m) > _OTHER_UNIT:
-        warnings.warn(
+        warn_quality(
             f"the image lies at {middle_m:.4g}, the truth at {true_m:.4g}: expected both in m",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -277,37 +275,8 @@ def rms(values: Floats) -> float:
 
 def distance_image(distance_m: ArrayLike, valid: ArrayLike | None) -> Floats:
     """Return a distance image [row col] with NaN where it is not valid, or a ValueError."""
-    values = real_array(distance_m, "distance image", 2)
+    values = real_array(distance_m, "distance image")
     return np.where(mask_array(valid, values.shape) & np.isfinite(values), values, np.nan)
-
-
-def real_array(values: ArrayLike, name: str, axes: int) -> Floats:
-    """Return a real array of 2 or 3 axes as floats; `ValueError` for any other."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "uif":
-        raise ValueError(f"expected real {name}, got dtype {array.dtype}")
-    if array.ndim != axes or array.size == 0:
-        wanted = "[row col]" if axes == 2 else "[frame row col]"
-        raise ValueError(f"expected {name} as {wanted}, got shape {array.shape}")
-    return array.astype(np.float64)
-
-
-def mask_array(valid: ArrayLike | None, shape: tuple[int, ...]) -> Mask:
-    """Return a boolean mask, all true for None; `ValueError` if it has another shape or type."""
-    if valid is None:
-        return np.ones(shape, dtype=np.bool_)
-    mask = np.asarray(valid)
-    if mask.shape != shape or mask.dtype != np.bool_:
-        raise ValueError(
-            f"expected a boolean mask of shape {shape}, got {mask.dtype} of shape {mask.shape}"
-        )
-    return mask
-
-
-def check_shape(image: Floats, truth: Floats) -> None:
-    """Raise `ValueError` if the shapes of image and truth differ."""
-    if image.shape != truth.shape:
-        raise ValueError(f"expected an image of shape {truth.shape}, got {image.shape}")
 
 
 def check_edges(scale: int, edge_width_px: float, noise_m: float, min_step_m: float | None) -> None:

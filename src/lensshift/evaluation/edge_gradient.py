@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.evaluation.steps import refuse_two_edges
 
 Limits = Literal["range", "literal"]
@@ -273,21 +272,19 @@ def _rise_mm(place_mm: Floats, values: Floats, start: int, level: float) -> floa
 def _phases_suffice(positions_px: list[float]) -> bool:
     """Warn if the edge falls on too few places within a pixel."""
     if len(positions_px) == 1:
-        warnings.warn(
+        warn_quality(
             "one line profile cannot measure a gain of 2: depending on where the edge falls "
             "within a pixel two profiles give anything from 1.3 to 4; pass the lines across a "
             "slanted edge",
-            QualityWarning,
             stacklevel=3,
         )
         return False
     phases = np.sort(np.mod(_straight(np.array(positions_px)), 1.0))
     gap_px = float(np.max(np.diff(phases, append=phases[0] + 1.0)))
     if gap_px > _MAX_PHASE_GAP_PX:
-        warnings.warn(
+        warn_quality(
             f"the edge leaves {gap_px:.2f} of a pixel unvisited in {len(positions_px)} lines: "
             "their slopes depend on where it falls; slant it more or take more lines",
-            QualityWarning,
             stacklevel=3,
         )
         return False

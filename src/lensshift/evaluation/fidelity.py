@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from lensshift.core.arrays import Floats
+from lensshift.evaluation.inputs import check_finite, check_shape, real_array
 
 SSIM_WINDOW_PX = 11  # a Gaussian of 1.5 px, cut at 3.5 sigma
 _SSIM_SIGMA_PX = 1.5
@@ -122,19 +125,16 @@ def ssim(image: ArrayLike, truth: ArrayLike, *, peak: float = 1.0, border_px: in
     return float(np.mean(similarity[half:-half, half:-half]))
 
 
-def _windowed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _windowed(values: Floats) -> Floats:
     from scipy.ndimage import gaussian_filter
 
     radius = SSIM_WINDOW_PX // 2
     return np.asarray(gaussian_filter(values, _SSIM_SIGMA_PX, radius=radius))
 
 
-def _interiors(
-    image: ArrayLike, truth: ArrayLike, border_px: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    values, true_values = _real_image(image, "image"), _real_image(truth, "truth")
-    if values.shape != true_values.shape:
-        raise ValueError(f"expected an image of shape {true_values.shape}, got {values.shape}")
+def _interiors(image: ArrayLike, truth: ArrayLike, border_px: int) -> tuple[Floats, Floats]:
+    values, true_values = real_array(image, "image"), real_array(truth, "truth")
+    check_shape(values, true_values)
     if border_px < 0 or 2 * border_px >= min(values.shape):
         raise ValueError(
             f"expected a border from 0 to {(min(values.shape) - 1) // 2} px for shape "
@@ -142,20 +142,9 @@ def _interiors(
         )
     rows, cols = values.shape
     inside = (slice(border_px, rows - border_px), slice(border_px, cols - border_px))
-    for name, cropped in (("image", values[inside]), ("truth", true_values[inside])):
-        bad = int(np.count_nonzero(~np.isfinite(cropped)))
-        if bad:
-            raise ValueError(f"expected finite pixels, got {bad} NaN or infinite in the {name}")
+    check_finite(values[inside], " in the image")
+    check_finite(true_values[inside], " in the truth")
     return values[inside], true_values[inside]
-
-
-def _real_image(image: ArrayLike, name: str) -> NDArray[np.float64]:
-    values = np.asarray(image)
-    if values.dtype.kind not in "buif":
-        raise ValueError(f"expected a real {name}, got dtype {values.dtype}")
-    if values.ndim != 2:
-        raise ValueError(f"expected the {name} as [row col], got shape {values.shape}")
-    return values.astype(np.float64)
 
 
 def _check_peak(peak: float) -> None:

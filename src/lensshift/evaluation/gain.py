@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, average_interval
 
 _MAX_TURN_RAD = np.deg2rad(1.0)  # two measurements of one edge agree better than that
@@ -58,11 +57,9 @@ def resolution_gain(fine: EdgeResult, coarse: EdgeResult) -> ResolutionGain:
     """
     turn_rad = abs(fine.angle_rad.value - coarse.angle_rad.value)
     if fine.orientation != coarse.orientation or turn_rad > _MAX_TURN_RAD:
-        warnings.warn(
+        warn_quality(
             f"expected two measurements of one edge, got {_direction(fine)} and "
-            f"{_direction(coarse)}",
-            QualityWarning,
-            stacklevel=2,
+            f"{_direction(coarse)}"
         )
     return ResolutionGain(
         mtf50=ratio_of(fine.mtf50_lpmm, coarse.mtf50_lpmm),

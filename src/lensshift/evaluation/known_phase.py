@@ -5,7 +5,6 @@ Siemens stars and zone plates are measured with it.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.limits import pitch_pair_mm
 
@@ -241,9 +240,8 @@ def warn_if_out_of_step(fits: Sequence[HarmonicFit], wrong: str) -> None:
     turn_rad = float(np.median(np.abs(np.angle(phasors[1:] * np.conj(phasors[:-1])))))
     noise_rad = float(np.median([fit.std / fit.modulation for fit in seen]))
     if turn_rad > max(_MOST_TURN_RAD, _SURE * noise_rad):
-        warnings.warn(
+        warn_quality(
             f"the wave turns by {turn_rad:.2g} rad from ring to ring: is {wrong} right?",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -287,7 +285,7 @@ def refine_center_px(
         f"the centre still moves by {np.max(np.abs(step_px)):.2g} px a step: is the pattern as "
         "told? Else give center_px"
     )
-    warnings.warn(problem, QualityWarning, stacklevel=4)
+    warn_quality(problem, stacklevel=4)
     return center_px
 
 

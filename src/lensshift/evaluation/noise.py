@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
-from lensshift.evaluation.depth import mask_array, real_array
+from lensshift.core.errors import warn_quality
+from lensshift.evaluation.inputs import mask_array, real_array
 
 _MAX_NOISE_ERROR = 0.1
 
@@ -48,7 +47,7 @@ def temporal_noise(frames: ArrayLike, *, valid: ArrayLike | None = None) -> Temp
 
     Source: Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684.
     """
-    values = real_array(frames, "frames", 3)
+    values = real_array(frames, "stack of frames", "[frame row col]")
     values = np.where(mask_array(valid, values.shape) & np.isfinite(values), values, np.nan)
     count = np.count_nonzero(np.isfinite(values), axis=0)
     repeated = count >= 2
@@ -60,10 +59,8 @@ def temporal_noise(frames: ArrayLike, *, valid: ArrayLike | None = None) -> Temp
     # A median has 1.25 (many frames) to 1.65 times (two frames) the standard error of a mean.
     error = 1.5 / np.sqrt(2.0 * freedom.sum())
     if error > _MAX_NOISE_ERROR:
-        warnings.warn(
-            f"{freedom.size} pixels in {len(values)} frames tell the noise to {100 * error:.0f} %",
-            QualityWarning,
-            stacklevel=2,
+        warn_quality(
+            f"{freedom.size} pixels in {len(values)} frames tell the noise to {100 * error:.0f} %"
         )
     middle = np.median(variance[repeated] / (1 - 2 / (9 * freedom)) ** 3)
     return TemporalNoise(std=np.sqrt(variance), median=float(np.sqrt(middle)))
@@ -91,7 +88,7 @@ def noise_autocovariance(noise_frames: ArrayLike, reach_px: int = 3) -> Floats:
     ValueError
         If the frames are not real and finite, or smaller than the reach.
     """
-    noise = real_array(noise_frames, "frames", 3)
+    noise = real_array(noise_frames, "stack of frames", "[frame row col]")
     rows, cols = noise.shape[1:]
     if not np.all(np.isfinite(noise)):
         raise ValueError("expected finite frames of noise")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
-from lensshift.evaluation.limits import first_fall
+from lensshift.core.errors import warn_quality
+from lensshift.evaluation.inputs import check_finite, real_array
+from lensshift.evaluation.limits import first_fall, pitch_pair_mm
 
 FIXED_THRESHOLD = 1 / 7
 _MIN_SIDE_PX = 8
@@ -101,7 +101,9 @@ def fourier_ring_correlation(
             f"expected two images of one shape, got {images[0].shape} and {images[1].shape}"
         )
     shape = images[0].shape
-    weight = np.outer(*(_hann(n) for n in shape)) if window else np.ones(shape)
+    # Zero half a pixel outside the image, so that no pixel is thrown away.
+    hann = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in shape]
+    weight = np.outer(*hann) if window else np.ones(shape)
     spectra = [_spectrum(image, weight) for image in images]
     radius_lpmm, ring = _rings(shape, pitch_mm)
     inside = ring > 0
@@ -147,17 +149,11 @@ def _warn_if_apart(cross: NDArray[np.complex128], weight: Floats) -> None:
     best = float(match[place])
     if best > _MATCH * float(np.std(match)) and best - match[0, 0] > _BETTER * best:
         row, col = (int((k + n // 2) % n - n // 2) for k, n in zip(place, match.shape, strict=True))
-        warnings.warn(
+        warn_quality(
             f"the images lie {-row} rows and {-col} columns apart, which counts as disagreement: "
             "shift one of them back",
-            QualityWarning,
             stacklevel=3,
         )
-
-
-def _hann(count: int) -> Floats:
-    # Zero half a pixel outside the image, so that no pixel is thrown away.
-    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)
 
 
 def _spectrum(image: Floats, weight: Floats) -> NDArray[np.complex128]:
@@ -172,9 +168,7 @@ def _rings(
     shape: tuple[int, ...], pitch_mm: float | tuple[float, float]
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Return frequency and ring (from 1; 0 for none) of each Fourier sample [row col]."""
-    pitches = np.broadcast_to(np.asarray(pitch_mm, dtype=np.float64), 2)
-    if not (np.all(np.isfinite(pitches)) and np.all(pitches > 0)):
-        raise ValueError(f"expected a positive pitch in mm, got {pitch_mm}")
+    pitches = np.array(pitch_pair_mm(pitch_mm))
     row_lpmm, col_lpmm = (np.fft.fftfreq(n, p) for n, p in zip(shape, pitches, strict=True))
     radius_lpmm = np.hypot(row_lpmm[:, None], col_lpmm)
     width_lpmm = float(np.max(1 / (np.array(shape) * pitches)))
@@ -202,11 +196,10 @@ def _neighbours(ring: NDArray[np.int64], weight: Floats) -> Floats:
 def _warn_if_few(samples: Floats) -> None:
     median = float(np.median(samples))
     if median < _MIN_SAMPLES:
-        warnings.warn(
+        warn_quality(
             f"the median of {samples.size} rings has {median:.0f} independent samples: the "
             f"correlation of noise scatters by {1 / np.sqrt(median):.2f}; average over several "
             "pairs or take a larger image",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -214,10 +207,9 @@ def _warn_if_few(samples: Floats) -> None:
 def _warn_if_coarse_is_empty(excess: Floats, root: Floats) -> None:
     agreeing = int(np.count_nonzero(excess * root > _SURE))
     if excess[0] < 0 and 2 * agreeing > excess.size:
-        warnings.warn(
+        warn_quality(
             f"the coarsest ring does not agree although {agreeing} of {excess.size} do: the scene "
             "has no coarse structure, and a cut-off of 0 says nothing of the resolution",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -237,15 +229,11 @@ def _period_mm(cutoff_lpmm: float | None) -> float | None:
 
 
 def _image(image: ArrayLike, name: str) -> Floats:
-    values = np.asarray(image)
-    if values.dtype.kind not in "buif":
-        raise ValueError(f"expected a real {name} image, got dtype {values.dtype}")
-    if values.ndim != 2 or min(values.shape) < _MIN_SIDE_PX:
+    values = real_array(image, f"{name} image")
+    if min(values.shape) < _MIN_SIDE_PX:
         raise ValueError(
             f"expected the {name} image as [row col] of at least {_MIN_SIDE_PX} pixels a side, "
             f"got shape {values.shape}"
         )
-    bad = int(np.count_nonzero(~np.isfinite(values)))
-    if bad:
-        raise ValueError(f"expected finite pixels, got {bad} NaN or infinite in the {name} image")
-    return values.astype(np.float64)
+    check_finite(values, f" in the {name} image")
+    return values

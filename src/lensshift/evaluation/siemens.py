@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
@@ -123,7 +122,9 @@ def siemens_star_mtf(
         cut=radius_range_mm is None,
     )  # fmt: skip
     pixels_per_cycle = star.pixels_per_cycle(rings_mm, pixels.pitch_mm)
-    _warn_if_coarse(pixels_per_cycle)
+    if coarse := int(np.count_nonzero(pixels_per_cycle < 2)):
+        count = len(pixels_per_cycle)
+        warn_quality(f"{coarse} of {count} rings of the star have fewer than 2 pixels a cycle")
     frequency_lpmm = star.frequency_lpmm(rings_mm)
     outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
     contrast = known_phase.contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
@@ -341,9 +342,10 @@ def _printed(
     if cut and printed < len(fits):
         rings_mm, fits = rings_mm[:printed], fits[:printed]
         waves = replace(waves, ring=np.where(radius_mm < rings_mm[-1], -1, waves.ring))
-        _warn(
+        warn_quality(
             f"the wave of the star ends within {rings_mm[-1]:.4g} mm of its centre, which is taken "
-            "for a disc in the middle; give the radii if it is not"
+            "for a disc in the middle; give the radii if it is not",
+            stacklevel=3,
         )
     return waves, rings_mm, fits
 
@@ -366,14 +368,3 @@ def _check_star(
         raise ValueError(f"expected 0 to {cycles // 2} sectors for {cycles} cycles, got {sectors}")
     if radii_mm is not None and not 0 < radii_mm[0] < radii_mm[1]:
         raise ValueError(f"expected radii in mm that rise from above 0, got {radii_mm}")
-
-
-def _warn_if_coarse(pixels_per_cycle: Floats) -> None:
-    coarse = int(np.count_nonzero(pixels_per_cycle < 2))
-    if coarse:
-        count = len(pixels_per_cycle)
-        _warn(f"{coarse} of {count} rings of the star have fewer than 2 pixels a cycle")
-
-
-def _warn(problem: str) -> None:
-    warnings.warn(problem, QualityWarning, stacklevel=4)

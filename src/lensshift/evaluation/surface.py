@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation import depth
 from lensshift.evaluation.edge_gradient import split_index
+from lensshift.evaluation.inputs import check_shape
 
 STEP_SHARE = 0.10  # a pixel farther than this share of the step from a surface is not on it
 _PLATEAU_SHARE = 0.25  # values this near to the median of a side belong to its surface
@@ -135,7 +136,7 @@ def flying_pixel_fraction(
         off_m, step_m = _off_fitted_m(measured_m, reach, noise_m, min_step_m)
     else:
         truth = depth.distance_image(truth_m, None)
-        depth.check_shape(measured_m, truth)
+        check_shape(measured_m, truth)
         off_m, step_m = _off_truth_m(measured_m, truth, reach)
         near = depth.near_edges(
             truth, scale=scale, edge_width_px=edge_width_px, noise_m=noise_m, min_step_m=min_step_m

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
@@ -102,7 +101,7 @@ def zone_plate_response(
         rim_mm = float(frequency_lpmm[-1]) / chirp_lpmm_per_mm
         reach_mm = min(reach_mm[0], rim_mm), min(reach_mm[1], rim_mm)
         problem = f"the wave ends {rim_mm:.4g} mm from the centre, taken for the rim of the plate"
-        warnings.warn(problem, QualityWarning, stacklevel=2)
+        warn_quality(problem)
     lowest = max(_MIN_RINGS, len(fits) // _LOW_SHARE)
     contrast = known_phase.contrast_at_zero(frequency_lpmm[:lowest], fits[:lowest], levels)
     known_phase.warn_if_out_of_step(fits, f"the chirp of {chirp_lpmm_per_mm:g}")

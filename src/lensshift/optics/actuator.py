@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Lens
 from lensshift.optics.shift import decenter_for_shift, px_per_mm_over, px_per_um
@@ -182,11 +181,9 @@ def reconstruction_loss(shift_error_px: float, noise: float) -> tuple[float, flo
         )
     noises, errors_px = (np.unique(values) for values in zip(*_MEASURED, strict=True))
     if shift_error_px > errors_px[-1] or not noises[0] <= noise <= noises[-1]:
-        warnings.warn(
+        warn_quality(
             f"a shift error of {shift_error_px:.3f} px at noise {noise:g} is outside what was "
-            f"simulated: up to {errors_px[-1]} px, noise {noises[0]:g} to {noises[-1]:g}",
-            QualityWarning,
-            stacklevel=2,
+            f"simulated: up to {errors_px[-1]} px, noise {noises[0]:g} to {noises[-1]:g}"
         )
     table = np.maximum([[_MEASURED[n, e] for e in errors_px] for n in noises], 0.0)
     at_noise = [[np.interp(shift_error_px, errors_px, row) for row in losses.T] for losses in table]

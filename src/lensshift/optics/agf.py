@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
+from lensshift.core.settings import settings_of
 from lensshift.optics.glass import (
     CONSTANT_COUNTS,
     NO_CHANGE,
@@ -49,20 +49,16 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
     """
     text = decode(path)
     wrong: list[DataError] = []
-    try:
+    with settings_of(path):
         glasses = parse_agf(text, wrong)
         if not glasses:
             raise wrong[0] if wrong else DataError("expected glasses (NM), got none")
         add_glasses(glasses)
-    except DataError as error:
-        raise error.in_file(path) from error
-    except ValueError as error:
-        raise DataError(str(error), source=path) from error
     if wrong:
         told = "; ".join(str(one) for one in wrong[:SAID])
         more = f"; and {len(wrong) - SAID} more" if len(wrong) > SAID else ""
         text = f"{path}: {len(wrong)} of its glasses are left out: {told}{more}"
-        warnings.warn(text, QualityWarning, stacklevel=2)
+        warn_quality(text)
     return glasses
 
 

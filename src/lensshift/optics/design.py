@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -93,22 +92,21 @@ def optimise_gaps(
     if element is not None and not 0 <= element < len(elements):
         raise ValueError(f"expected an element from 0 to {len(elements) - 1}, got {element}")
     choices = list(orientations(len(elements))) if turn else [(False,) * len(elements)]
-    best, best_score, best_turned = None, -math.inf, choices[0]
+    found = []
     for done, turned in enumerate(choices, start=1):
-        found = best_gaps(turned_train(elements, turned), goal, element, Effort())
-        if found is not None and found[0] > best_score:
-            best_score, best = found
-            best_turned = turned
+        train = turned_train(elements, turned)
+        if (best := best_gaps(train, goal, element, Effort())) is not None:
+            found.append((*best, train, turned))
         if on_progress is not None:
             on_progress(done, len(choices))
-    if best is None:
+    if not found:
         raise ValueError(
             f"expected elements that reach a focal length of {goal.focal_length_mm} mm with "
             f"{goal.back_focal_mm} mm in front of the sensor, got none in {len(choices)} "
             "orientations"
         )
-    train = turned_train(elements, best_turned)
-    return assess(train_lens(train, best, goal, name), goal, element, best_turned)
+    _, gaps_mm, train, turned = max(found, key=lambda one: one[0])
+    return assess(train_lens(train, gaps_mm, goal, name), goal, element, turned)
 
 
 def orientations(count: int) -> Iterator[tuple[bool, ...]]:

@@ -12,7 +12,7 @@ from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import QualityWarning, warn_quality
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import MOTIONS, LensField, Motion
 from lensshift.optics.lens import Lens
@@ -99,12 +99,10 @@ def lens_field(
         strict=True,
     ):
         if error_px > most_px:
-            warnings.warn(
+            warn_quality(
                 f"the {what} are fitted to {error_px:.2g} px only: does the lens cut off light or "
                 "blur it away, far from rest or at the edge of the sensor? A smaller reach_px or "
-                "sensor may help",
-                QualityWarning,
-                stacklevel=2,
+                "sensor may help"
             )
     return LensField(
         grid=grid,

@@ -44,17 +44,13 @@ def forbes_terms(
 
     Source: G. W. Forbes, Opt. Express 15 (2007) 5218; recurrences 18 (2010) 19700.
     """
-    square = Polynomial([0.0, 1.0])
+    square, series = Polynomial([0.0, 1.0]), Polynomial([0.0])
+    terms = (_jacobi if conic_like else _bfs)(len(coefficients))
+    for a, term in zip(coefficients, terms, strict=True):
+        series = series + a * term
     if conic_like:
-        total = square**2 * sum(
-            (a * p for a, p in zip(coefficients, _jacobi(len(coefficients)), strict=True)),
-            Polynomial([0.0]),
-        )
+        total = square**2 * series
     else:
-        series = sum(
-            (a * q for a, q in zip(coefficients, _bfs(len(coefficients)), strict=True)),
-            Polynomial([0.0]),
-        )
         total = square * _fitted((1.0 - square) * series, unit_mm, base, edge_mm)
     return tuple(float(a) / unit_mm ** (2 * i) for i, a in enumerate(total.coef[1:], start=1))
 

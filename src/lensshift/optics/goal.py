@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C, refractive_index
 from lensshift.optics.lens import WAVELENGTH_NM, Element, Stop
-from lensshift.optics.mtf import Band, light_of
+from lensshift.optics.mtf import Band
 from lensshift.optics.which import judged_lpmm
 
 
@@ -105,11 +105,6 @@ class Goal:
             return self.back_focal_mm
         behind_mm = self.cover.length_mm + self.cover_mm
         return self.cover_path_mm + max(self.clearance_mm, self.back_focal_mm - behind_mm)
-
-    @property
-    def light(self) -> list[tuple[float, float]]:
-        """Wavelengths in nm with their shares."""
-        return light_of(self.band, self.wavelength_nm)
 
     @property
     def judged_lpmm(self) -> float:

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import MISSING, asdict, fields
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from lensshift.core.errors import DataError, about
-from lensshift.core.settings import fit, parse_toml, read_text, settings_of
-from lensshift.optics.glass import (
-    NO_CHANGE,
-    REFERENCE_TEMPERATURE_C,
-    Glass,
-    add_glasses,
-    glass_data,
-    is_shipped,
+from lensshift.core.settings import (
+    check_keys,
+    fit,
+    parse_toml,
+    read_text,
+    settings_of,
+    write_text,
 )
-from lensshift.optics.lens import WAVELENGTH_NM, Element, Lens, Stop, Surface
+from lensshift.optics.glass import Glass, add_glasses, glass_data, is_shipped
+from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.zmx import load_zmx
 
 # Lens files of other programs, which all of them can write as .zmx.
@@ -28,33 +27,9 @@ _FOREIGN = {
     ".seq": "CODE V", ".len": "CODE V or OSLO", ".osl": "OSLO", ".zar": "Zemax (archive)",
     ".zos": "Zemax (project)", ".zmf": "Zemax (catalogue)",
 }  # fmt: skip
+_PAIR = tuple[float, float]
+_KINDS = (float, str, bool, _PAIR, tuple[float, ...])  # of fields that entries are read for alike
 _PRESCRIPTIONS = resources.files("lensshift.optics") / "prescriptions"
-# Entry of a table -> what it is (numbers: how many, or a tuple of any), and what it is if it is
-# missing; with `...` it must be there.
-_Fields = Mapping[str, tuple[Any, Any]]
-_LENS: _Fields = {
-    "name": (object, ""), "wavelength_nm": (float, WAVELENGTH_NM),
-    "temperature_c": (float, REFERENCE_TEMPERATURE_C), "object_mm": (float, math.inf),
-    "stop": (object, ...), "element": (list, ...), "glass": (list, []),
-}  # fmt: skip
-_STOP: _Fields = {
-    "diameter_mm": (float, ...), "position_mm": (float, 0.0), "rides_on": (object, None),
-}  # fmt: skip
-_ELEMENT: _Fields = {
-    "name": (str, ""), "glass": (object, ...), "thickness_mm": (tuple, ...),
-    "gap_mm": (float, ...), "decenter_mm": (2, (0.0, 0.0)), "tilt_deg": (2, (0.0, 0.0)),
-    "surface": (list, ...),
-}  # fmt: skip
-_SURFACE: _Fields = {
-    "radius_mm": (float, ...), "conic": (float, 0.0), "asphere": (tuple, ()),
-    "semi_diameter_mm": (float, math.inf), "inner_mm": (float, 0.0), "radial": (tuple, ()),
-    "mirror": (bool, False), "tilt_deg": (2, (0.0, 0.0)),
-}  # fmt: skip
-_GLASS: _Fields = {
-    "name": (str, ...), "formula": (str, ...), "constants": (tuple, ...),
-    "thermal": (6, NO_CHANGE), "reference_c": (float, REFERENCE_TEMPERATURE_C),
-    "range_nm": (2, ...), "source": (str, ""), "lower_by": (float, 0.0),
-}  # fmt: skip
 
 
 def lens_names() -> tuple[str, ...]:
@@ -112,10 +87,7 @@ def save_lens(lens: Lens, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    try:
-        Path(path).write_text(format_lens(lens), encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+    write_text(format_lens(lens), path)
 
 
 def format_lens(lens: Lens) -> str:
@@ -175,46 +147,44 @@ def _degrees(tilt_rad: tuple[float, float]) -> tuple[float, ...] | None:
 
 
 def _lens(content: dict[str, Any], text: str) -> Lens:
-    found = _entries_of(content, _LENS, "lens")
-    for number, table in enumerate(found["glass"], start=1):
+    found = _entries_of(content, Lens, "lens", name="", stop=..., element=..., glass=[])
+    for number, table in enumerate(_tables(found, "glass", "lens"), start=1):
         where = f"glass {number}{_line(text, '[[glass]]', number)}"
-        glass = _entries_of(table, _GLASS, where)
-        name = glass.pop("name").upper()
+        glass = _entries_of(table, Glass, where, name=..., range_nm=...)
+        name = fit(glass.pop("name"), str, f"{where}, name").upper()
         with about(where):
             add_glasses({name: Glass(**glass)})
-    stop = _entries_of(found["stop"], _STOP, "stop")
-    rides_on = stop.pop("rides_on")
-    count = len(found["element"])
-    if rides_on is not None and not (type(rides_on) is int and 1 <= rides_on <= count):
+    stop = _entries_of(found.pop("stop"), Stop, "stop", rides_on=None)
+    tables = _tables(found, "element", "lens")
+    carrier = stop.pop("rides_on")
+    if carrier is not None and not (type(carrier) is int and 1 <= carrier <= len(tables)):
         raise DataError(
-            f"expected the number of an element from 1 to {count}, got {rides_on!r}",
+            f"expected the number of an element from 1 to {len(tables)}, got {carrier!r}",
             field="rides_on",
         )
     elements: list[Element] = []
     gaps_mm = []
-    for number, table in enumerate(found["element"], start=1):
+    for number, table in enumerate(tables, start=1):
         where = f"element {number}{_line(text, '[[element]]', number)}"
-        entries = _entries_of(table, _ELEMENT, where)
-        gaps_mm.append(entries.pop("gap_mm"))
+        entries = _entries_of(table, Element, where, glass=..., gap_mm=..., surface=...)
+        gaps_mm.append(_value(entries.pop("gap_mm"), "gap_mm", float, where))
         first = sum(len(element.surfaces) for element in elements)
         elements.append(_element(entries, where, text, first))
     return Lens(
         elements=tuple(elements),
         gaps_mm=tuple(gaps_mm),
-        stop=Stop(**stop, rides_on=None if rides_on is None else rides_on - 1),
-        object_mm=found["object_mm"],
-        wavelength_nm=found["wavelength_nm"],
-        temperature_c=found["temperature_c"],
-        name=fit(found["name"], str, "name"),
+        stop=Stop(**stop, rides_on=None if carrier is None else carrier - 1),
+        name=fit(found.pop("name"), str, "name"),
+        **found,
     )
 
 
 def _element(entries: dict[str, Any], where: str, text: str, first_surface: int) -> Element:
     surfaces = []
-    for number, table in enumerate(entries.pop("surface"), start=1):
+    for number, table in enumerate(_tables(entries, "surface", where), start=1):
         line = _line(text, "[[element.surface]]", first_surface + number)
         at = f"{where.split(',')[0]} surface {number}{line}"
-        surface = _entries_of(table, _SURFACE, at)
+        surface = _entries_of(table, Surface, at)
         with about(at):
             surfaces.append(Surface(**surface))
     named = entries.pop("glass")
@@ -225,39 +195,50 @@ def _element(entries: dict[str, Any], where: str, text: str, first_surface: int)
         return Element(surfaces=tuple(surfaces), glass=tuple(glass), **entries)
 
 
-def _entries_of(table: Any, fields: _Fields, where: str) -> dict[str, Any]:
-    """Return the entries of a table, those that are missing as well; angles in radians."""
-    if not isinstance(table, dict):
-        raise DataError(f"expected a table, got {table!r}", field=where)
-    for key in table:
-        if key not in fields:
-            raise DataError(f"expected {', '.join(sorted(fields))}, got {key!r}", field=where)
-    found = {}
-    for key, (kind, default) in fields.items():
-        if key not in table and default is ...:
-            raise DataError(f"expected {key!r}, which is missing", field=where)
-        found[key] = _value(table[key], key, kind, where) if key in table else default
+def _entries_of(table: Any, made: type[Any], where: str, **also: Any) -> dict[str, Any]:
+    """Return the entries of a table as arguments for a class; angles in radians.
+
+    Parameters
+    ----------
+    also : what other entries are if they are missing, `...` if they must be there, as some fields
+    """
+    kinds = dict.fromkeys(also) | {
+        name.replace("_rad", "_deg"): kind
+        for name, kind in get_type_hints(made).items()
+        if kind in _KINDS and name != "gaps_mm" and also.get(name, ...) is ...
+    }
+    defaults = {one.name.replace("_rad", "_deg"): one.default for one in fields(made)} | also
+    needed = {key: defaults[key] in (MISSING, ...) for key in sorted(kinds)}
+    check_keys(table, needed, where)
+    found = {key: default for key, default in also.items() if key not in table}
+    for key, value in table.items():
+        kind = kinds[key]
+        found[key] = value if kind is None else _value(value, key, kind, where)
     if "tilt_deg" in found:
         row_deg, col_deg = found.pop("tilt_deg")
         found["tilt_rad"] = math.radians(row_deg), math.radians(col_deg)
     return found
 
 
+def _tables(entries: dict[str, Any], key: str, where: str) -> list[Any]:
+    """Take the tables of a key out of entries."""
+    tables = entries.pop(key)
+    if not isinstance(tables, list):
+        raise DataError(f"expected tables [[{key}]], got {tables!r}", field=where)
+    return tables
+
+
 def _value(value: Any, key: str, kind: Any, where: str) -> Any:
     if kind in (str, bool):
         return fit(value, kind, f"{where}, {key}")
-    if kind is list and not isinstance(value, list):
-        raise DataError(f"expected tables [[{key}]], got {value!r}", field=where)
     if kind is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise DataError(f"expected a number for {key!r}, got {value!r}", field=where)
         return float(value)
-    if kind is tuple or isinstance(kind, int):
-        values = value if isinstance(value, list) else [value]
-        if isinstance(kind, int) and len(values) != kind:
-            raise DataError(f"expected {kind} numbers for {key!r}, got {value!r}", field=where)
-        return tuple(_value(one, key, float, where) for one in values)
-    return value
+    values = value if isinstance(value, list) else [value]
+    if kind is _PAIR and len(values) != 2:
+        raise DataError(f"expected 2 numbers for {key!r}, got {value!r}", field=where)
+    return tuple(_value(one, key, float, where) for one in values)
 
 
 def _line(text: str, heading: str, number: int) -> str:

@@ -5,14 +5,13 @@ Two ways: exact (`lensshift.optics.otf`) and fast, from landing points of rays, 
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.grid import Grid
 from lensshift.optics.directions import places_mm
 from lensshift.optics.lens import Lens
@@ -226,11 +225,10 @@ def _enough_spots(
         count = min(max(needed, count + 1), affordable)
         parts, periods = traced(count)
     if periods > _MOST_PERIODS:
-        warnings.warn(
+        warn_quality(
             f"the rays of {count} rings land up to {periods:.2g} periods apart, more than the "
             f"{_MOST_PERIODS:g} that tell the contrast at {highest_lpmm:g} LP/mm; `exact_otf` "
             "does, or more rings",
-            QualityWarning,
             stacklevel=4,
         )
     return parts, count

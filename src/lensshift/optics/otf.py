@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -11,7 +10,7 @@ from numpy.polynomial.chebyshev import chebder, chebvander
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
 from lensshift.optics.lens import Lens
@@ -322,10 +321,9 @@ def _autocorrelate(
     total = pupil.overlap(np.zeros(2), samples, wave).real
     light = total * (2.0 / samples) ** 2 / np.pi
     if abs(light - pupil.light) > _LOST + pupil.unsure:
-        warnings.warn(
+        warn_quality(
             f"the pupil of the OTF passes {100 * light:.1f} % of the light through the stop, rays "
             f"{100 * pupil.light:.1f} %: it ends where polynomials cannot tell",
-            QualityWarning,
             stacklevel=3,
         )
     shears = 0.5 * wavelength_mm / pupil.span * np.multiply.outer(axes, frequency_lpmm)

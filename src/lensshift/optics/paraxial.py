@@ -110,12 +110,6 @@ def gains_of(chain: list[Floats], gaps_mm: Floats) -> Floats:
     return gains
 
 
-def system_matrix(lens: Lens, wavelength_nm: float | None = None) -> Floats:
-    """Return the [2 2] matrix from the first to the last vertex, acting on (height, slope)."""
-    front, behind = matrices_around_stop(lens, wavelength_nm)
-    return np.asarray(behind @ front)
-
-
 def element_matrix(element: Element, indices: tuple[float, ...]) -> Floats:
     """Return the [2 2] matrix of one element in air, from its first to its last vertex."""
     matrix: Floats = np.eye(2)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band
 from lensshift.optics.otf import PupilFit, pupils
@@ -132,10 +131,9 @@ def _intensity(pupil: PupilFit, wave_mm: float, at_mm: Floats) -> Floats:
     wanted = int(np.ceil(_MARGIN * 2.0 * pupil.span * apart_mm / wave_mm))
     samples = int(np.clip(wanted, _LEAST_SAMPLES, _MOST_SAMPLES))
     if wanted > samples:
-        warnings.warn(
+        warn_quality(
             f"the spot is {2.0 * pupil.reach_mm:.2g} mm wide and needs {wanted} samples across the "
             f"pupil; with {samples} light from its edge is drawn in the wrong place",
-            QualityWarning,
             stacklevel=4,
         )
     cosine, wave, energy = pupil.waves(samples, 2.0 * np.pi / wave_mm)

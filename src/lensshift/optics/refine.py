@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.optics.lens import Element, Lens, Surface
 from lensshift.optics.mtf import light_of
 from lensshift.optics.paraxial import paraxial
@@ -110,10 +109,9 @@ def tell_missed(lens: Lens, task: Task) -> None:
     if dark:
         missed.append(f"{dark} of {len(task.shares)} fields are dark")
     if missed:
-        warnings.warn(
+        warn_quality(
             f"the lens found is not the one wanted: {'; '.join(missed)}. Are limits and form fit "
             "for it, and steps enough?",
-            QualityWarning,
             stacklevel=3,
         )
 
@@ -155,6 +153,7 @@ class _Bench:
         self.light = light_of(task.band, lens.wavelength_nm)
         self.half_mm = 0.5 * float(np.hypot(*np.multiply(task.grid.shape, task.grid.pitch_mm)))
         self.unit_mm = _SHARE_OF_PITCH * min(task.grid.pitch_mm)
+        self.count = 1  # of errors; known from the first form that has some
         self.lost = _LOST_PITCHES / _SHARE_OF_PITCH * float(np.sqrt(self.weight.max()))
         self.per_field_mm = self._per_field_mm(lens)
         scale = self.half_mm / self.per_field_mm
@@ -239,7 +238,7 @@ class _Bench:
             lens = self.stopped(drawn)
             focal_mm = paraxial(lens).focal_length_mm
         except ValueError:  # no power, or the stop in a focal plane
-            return np.full(self._count(), self.lost)
+            return np.full(self.count, self.lost)
         warm = self.at_temperatures(lens)
         parts, heights_mm, mean_mm = [], np.zeros(1), np.zeros(1)
         for one in warm:
@@ -253,16 +252,9 @@ class _Bench:
             vector, np.array(limits.glass_mm), limits.air_mm, limits.back_focal_mm
         )
         missed = self._missed(drawn, heights_mm, mean_mm)
-        return np.concatenate([*parts, [off], _PER_MM * missing_mm, missed])
-
-    def _count(self) -> int:
-        temperatures = max(1, len(self.task.temperatures_c))
-        rays = len(self.light) * len(self.fields) * (len(self.points) - len(_RIM)) * 2
-        lens = self.variables.lens(self.variables.start())
-        spaces = sum(len(one.thickness_mm) for one in lens.elements)
-        surfaces = sum(len(one.surfaces) for one in lens.elements)
-        limits = spaces + surfaces + len(lens.elements) + len(self.variables.start())
-        return temperatures * rays + limits + 2
+        found = np.concatenate([*parts, [off], _PER_MM * missing_mm, missed])
+        self.count = found.size
+        return found
 
     def _missed(self, lens: Lens, heights_mm: Floats, mean_mm: Floats) -> list[float]:
         """Return by how much each limit is missed, always as many of them."""
@@ -332,7 +324,7 @@ class _Bench:
                 surfaces[number], surfaces[number + 1], apart_mm, number + 1, notes
             )
         if notes:
-            warnings.warn("; ".join(notes), QualityWarning, stacklevel=3)
+            warn_quality("; ".join(notes), stacklevel=3)
         elements, first = [], 0
         for element in drawn.elements:
             shapes = tuple(surfaces[first : first + len(element.surfaces)])

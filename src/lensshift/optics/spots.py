@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import matrices_around_stop, paraxial
 from lensshift.optics.pupil import midpoints, pupil_quadrature
@@ -127,9 +126,8 @@ def spots_of_rays(lens: Lens, rays: RayBundle, weight: Floats) -> Spots:
     if not np.all(transmission > 0):
         raise ValueError(_why_dark(lens, rays))
     if transmission.min() < 0.5:
-        warnings.warn(
+        warn_quality(
             f"a field loses {100 * (1 - transmission.min()):.0f} % of its light to vignetting",
-            QualityWarning,
             stacklevel=3,
         )
     share = alive / transmission[..., None]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.grid import Grid
 from lensshift.optics.focus import scan_focus, spot_means
 from lensshift.optics.lens import Lens
@@ -169,10 +168,8 @@ def tolerance_analysis(
     mtf, moved_px, away_mm = (np.concatenate(values) for values in zip(*parts, strict=True))
     beyond = int(np.sum(np.abs(away_mm) > refocus_mm - _COARSE_MM))
     if beyond:
-        warnings.warn(
-            f"{beyond} of {builds} builds would need a refocus of more than {refocus_mm} mm",
-            QualityWarning,
-            stacklevel=2,
+        warn_quality(
+            f"{beyond} of {builds} builds would need a refocus of more than {refocus_mm} mm"
         )
     return ToleranceResult(bench.frequency_lpmm, mtf, moved_px, away_mm, drawn[0][0], drawn[1][0])
 

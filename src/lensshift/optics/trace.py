@@ -66,16 +66,6 @@ class RayBundle:
         """[... ray] which rays reach the sensor within all semi-diameters."""
         return np.asarray(self.status == 0)
 
-    def part(self, index: tuple[slice | int, ...]) -> RayBundle:
-        """Return the rays at an index of the leading axes, without heights and crossings."""
-        return RayBundle(
-            self.position_mm[index],
-            self.direction[index],
-            self.path_mm[index],
-            self.status[index],
-            self.failed_at[index],
-        )
-
     def counts(self) -> dict[str, int]:
         """Return how many rays passed, missed a surface, were totally reflected, or vignetted."""
         names = ("passed", "missed", "reflected", "vignetted")

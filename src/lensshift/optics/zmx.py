@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError, QualityWarning, about, naming
+from lensshift.core.errors import DataError, about, naming, warn_quality
 from lensshift.optics.agf import decode
 from lensshift.optics.glass import (
     AS_USUAL,
@@ -81,7 +81,7 @@ def parse_zmx(text: str) -> Lens:
     with about(""):
         lens = _lens(content)
     if content.notes:
-        warnings.warn("; ".join(dict.fromkeys(content.notes)), QualityWarning, stacklevel=3)
+        warn_quality("; ".join(dict.fromkeys(content.notes)), stacklevel=3)
     return lens
 
 
@@ -309,23 +309,19 @@ def _carry_obstructions(content: _File) -> None:
     """
     hidden: Entry | None = None
     far = content.entries[0].distance_mm >= _FAR_MM
-    for entry in content.entries[1:-1]:
+    for before, entry in pairwise(content.entries[:-1]):
         optical = entry.glass or (entry.mirror and entry.curvature_per_mm)
         if hidden is not None and optical:
             entry.inner_mm = max(entry.inner_mm, hidden.inner_mm)
             note = f"its obstruction is taken at surface {entry.number}"
             content.notes.append(f"surface {hidden.number}: {note}")
             hidden = None
-        elif entry.inner_mm and not optical and not _ends_glass(content.entries, entry):
+        elif entry.inner_mm and not optical and not before.glass:
             if far:
                 hidden = entry if hidden is None or hidden.inner_mm < entry.inner_mm else hidden
             else:
                 content.notes.append(f"surface {entry.number}: its obstruction is left out")
         far = far and not optical
-
-
-def _ends_glass(entries: list[Entry], entry: Entry) -> bool:
-    return bool(entries[entries.index(entry) - 1].glass)
 
 
 def _frames(entries: list[Entry]) -> list[Frame]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from lensshift.core.errors import DataError
+from lensshift.core.settings import write_text
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Surface
 from lensshift.optics.paraxial import entrance_pupil
@@ -29,11 +29,7 @@ def save_zmx(lens: Lens, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    text = format_zmx(lens)
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+    write_text(format_zmx(lens), path)
 
 
 def format_zmx(lens: Lens) -> str:

@@ -29,7 +29,7 @@ import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, naming
-from lensshift.core.settings import fit, parse_toml, read_text
+from lensshift.core.settings import check_keys, fit, parse_toml, read_text, write_text
 from lensshift.scene.checks import number, numbers
 from lensshift.scene.mesh import Mesh, load_mesh
 from lensshift.scene.shapes import Cuboid, Plane, Rectangle, Scene, Shape, Sphere
@@ -99,10 +99,7 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    try:
-        Path(path).write_text(format_scene(scene), encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
+    write_text(format_scene(scene), path)
 
 
 def format_scene(scene: Scene) -> str:
@@ -162,19 +159,14 @@ def _values(table: Any, word: str, kinds: Mapping[str, Any], where: str) -> tupl
     if "file" in table and kind in _FILE_KEYS:
         keys = {key: needed for key, needed in keys.items() if key not in _IN_FILE[kind]}
         keys |= dict.fromkeys(_FILE_KEYS[kind], False)
-    for key in table:
-        if key not in keys and key != word:
-            raise DataError(f"expected {', '.join(keys)}, got {key!r}", field=where)
-    for key, needed in keys.items():
-        if needed and key not in table:
-            raise DataError(f"expected {key!r}, which is missing", field=where)
+    given = {key: value for key, value in table.items() if key != word}
+    check_keys(given, keys, where)
     values, hints = {}, get_type_hints(kinds[kind])
-    for key, value in table.items():
+    for key, value in given.items():
         name = key.replace("_deg", "_rad")
         if hints.get(name) in (bool, int, str):  # numbers are checked by whoever takes them
             fit(value, hints[name], f"{where}, {key}")
-        if key != word:
-            values[name] = _in_radians(key, value, where)
+        values[name] = _in_radians(key, value, where)
     return kind, values
 
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import QualityWarning
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.result import EdgeResult
 
@@ -94,12 +92,6 @@ def doubted(
     return replace(result, notes=tuple(found), usable=usable)
 
 
-def warn_of(found: list[str], region: object) -> None:
-    """Warn once for each doubt."""
-    for doubt in found:
-        warnings.warn(f"edge in {region}: {doubt}", QualityWarning, stacklevel=3)
-
-
 def _shape(values: Vector, result: EdgeResult) -> list[str]:
     """Of black and white alone, or without plateaus, a profile is the model's own."""
     found = []
@@ -172,8 +164,6 @@ def _ends_a_range(level: float) -> bool:
 def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:
     """Return the largest gap between the phases of pixels at which lines [n] cross the edge."""
     phases = np.sort(np.unique(np.round(np.mod(lines * np.tan(angle_rad), 1.0), 9)))
-    if phases.size == 0:
-        return 1.0
     return float(np.max(np.diff(np.append(phases, phases[0] + 1.0))))
 
 

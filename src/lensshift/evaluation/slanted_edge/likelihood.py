@@ -348,8 +348,6 @@ def _factor(matrix: Matrix) -> Matrix | None:
 
 def _solve(factor: Matrix, right: NDArray[np.float64], transposed: bool = False) -> Matrix:
     """Solve L u = right, or L^T u = right."""
-    if not len(factor):
-        return right
     # LAPACK counts along columns: it sees the transposed matrix, and needs no copy of it.
     if factor.flags.c_contiguous:
         solution, _ = lapack.dtrtrs(factor.T, right, lower=0, trans=int(not transposed))

@@ -9,9 +9,9 @@ from typing import Any, Literal, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lensshift.core.errors import warn_quality
 from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
-from lensshift.evaluation.slanted_edge.checks import warn_of
 from lensshift.evaluation.slanted_edge.compression import steps_of
 from lensshift.evaluation.slanted_edge.likely import LikelySettings, measure_likely
 from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, take_frames
@@ -157,7 +157,8 @@ def measure_edges(
             from lensshift.evaluation.slanted_edge.sfrmat import measure_binned
 
             result = measure_binned(frames, place, wanted, method, given)
-        warn_of(list(result.notes), result.region)
+        for doubt in result.notes:
+            warn_quality(f"edge in {result.region}: {doubt}")
         results.append(result)
     return sorted(results, key=lambda one: (one.usable, one.extent_px[0]), reverse=True)
 

@@ -5,7 +5,6 @@ They are here to compare with; their silent failures are errors and warnings.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge import sfrmat_steps as steps
 from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_px
@@ -82,7 +81,9 @@ def sfrmat3(image: ArrayLike) -> SfrmatResult:
     sign = steps.polarity(upright)
     edge, missing = steps.edge_of_sfrmat3(sign * upright)
     if missing:
-        _warn(f"sfrmat3 finds no edge in {missing} of {len(upright)} lines and sets it to the left")
+        warn_quality(
+            f"sfrmat3 finds no edge in {missing} of {len(upright)} lines and sets it to the left"
+        )
     slope = float(edge[1])
     used = _lines_used(upright, edge, slope)
     displacement_px = slope * np.arange(used, dtype=np.float64)
@@ -94,7 +95,7 @@ def sfrmat3(image: ArrayLike) -> SfrmatResult:
     _refuse_undefined(lsf, empty)
     centred = _centred(lsf, steps.rounded(steps.bin_centroid_of_sfrmat3(lsf)), empty)
     if empty:
-        _warn(
+        warn_quality(
             f"{_empty(empty, esf, used, slope)}; sfrmat3 sets the ESF to 0 there, which bends the "
             "whole curve"
         )
@@ -134,7 +135,7 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey")
     centred = _centred(lsf, peak + 1, empty)
     _refuse_undefined(centred, empty)
     if empty:
-        _warn(f"{_empty(empty, esf, used, slope)}; sfrmat5 interpolates the ESF there")
+        warn_quality(f"{_empty(empty, esf, used, slope)}; sfrmat5 interpolates the ESF there")
     middle_px = (lsf.size - 1) / 2
     taper = (
         steps.hamming(lsf.size, middle_px)
@@ -143,7 +144,7 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey")
     )
     result = _result(esf, lsf, centred * taper[0], edge, slope, used, empty, turned)
     if result.mtf50_cpp > _CLIP_CPP:
-        _warn(
+        warn_quality(
             f"MTF50 is {result.mtf50_cpp:.3f} cycles per pixel; the original of sfrmat5 reports "
             f"its clip of {_CLIP_CPP}"
         )
@@ -223,10 +224,6 @@ def _result(
         mtf10_cpp=mtf10_cpp,
         sampling_efficiency=float(np.fmin(mtf10_cpp / half_cpp, 1.0)),
     )
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, QualityWarning, stacklevel=3)
 
 
 def measure_binned(

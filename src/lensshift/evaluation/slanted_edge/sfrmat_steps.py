@@ -12,6 +12,8 @@ from numpy.polynomial.polynomial import Polynomial, polyval
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from lensshift.evaluation.inputs import check_finite, real_array
+
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Window = Literal["tukey", "hamming"]
@@ -29,17 +31,10 @@ def upright_edge(image: ArrayLike, least_lines: int) -> tuple[Matrix, bool]:
     It is turned counterclockwise where rows 2 and -4 differ more than columns 2 and -4. Raises
     `ValueError` if the image is not two-dimensional, real and finite, is constant or too small.
     """
-    values = np.asarray(image)
-    if values.dtype.kind not in "buif":
-        raise ValueError(f"expected a real image, got dtype {values.dtype}")
-    if values.ndim != 2:
-        raise ValueError(f"expected the image as [row col], got shape {values.shape}")
+    values = real_array(image, "image")
     if min(values.shape) < LEAST_LINES:
         raise ValueError(f"expected at least {LEAST_LINES} rows and columns, got {values.shape}")
-    values = values.astype(np.float64)
-    bad = int(np.count_nonzero(~np.isfinite(values)))
-    if bad:
-        raise ValueError(f"expected finite pixels, got {bad} NaN or infinite")
+    check_finite(values)
     if np.ptp(values) == 0:
         raise ValueError(f"expected an edge, got a constant image of {values[0, 0]:g}")
     down = abs(np.mean(values[-4]) - np.mean(values[2]))
