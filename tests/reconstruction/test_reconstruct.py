@@ -324,7 +324,7 @@ def test_the_toolbox_sees_every_pixel_as_published() -> None:
     offset_px = 3.0 * SQUARE_PX
     frames = photograph(edge_scene, SHAPE, offset_px)
     image = _image(make_burst(frames, offset_px), "irwsr-toolbox", prior_weight=0.01)
-    published = irwsr_toolbox(frames, offset_px, 2, prior_weight=0.01).image
+    published = irwsr_toolbox(frames, offset_px, 2, prior_weight=0.01)[0].image
     np.testing.assert_allclose(image, published, atol=1e-9)
 
 

@@ -333,7 +333,7 @@ class Irwsr(_Robust):
 
 
 @dataclass(frozen=True, slots=True)
-class IrwsrToolbox(Method):
+class IrwsrToolbox(Irwsr):
     """The published toolbox step by step, its defects included.
 
     Parameters
@@ -344,12 +344,6 @@ class IrwsrToolbox(Method):
     Source: Koehler et al. 2016, doi 10.1109/TCI.2016.2516909; toolbox of 2017.
     """
 
-    prior_weight: Weight = option(None, weight())
-    window: int = option(1, whole(1))
-    alpha: float = option(0.5, positive(1.0))
-    sparsity: float = option(0.5, positive(1.0))
-    iterations: int = option(10, whole(1))
-    inner_iterations: int = option(5, whole(1))
     name: ClassVar[str] = "irwsr-toolbox"
     summary: ClassVar[str] = "the published toolbox step by step, its defects included"
     intensity: ClassVar[Any] = staticmethod(peak_of)
@@ -371,6 +365,10 @@ class IrwsrToolbox(Method):
             raise ValueError(
                 "irwsr-toolbox takes one offset per frame, got a shift field; use irwsr"
             )
+        positive().check("psf_sigma_px", problem.blur_sigma_px)
+        if problem.y.dtype.kind == "c":
+            kind = problem.y.dtype
+            raise ValueError(f"the toolbox works on real frames only, got dtype {kind}")
         callback, settings = request.on_iteration, self.settings
         if settings["prior_weight"] == "cross-validation":
             settings["prior_weight"] = None  # its only way to find one
@@ -379,7 +377,7 @@ class IrwsrToolbox(Method):
             seed=request.seed, confidence=problem.weight,
             on_iteration=None if callback is None else lambda step, _: callback(step, np.nan),
             **settings,
-        )  # fmt: skip
+        )[0]  # fmt: skip
 
 
 def _noise(problem: Problem) -> Noise:

@@ -56,7 +56,7 @@ def _median(values: Array, weights: Array) -> float:
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def median_3x3(image: Array, factor: Array, out: Array) -> None:
+def median_3x3(image: Array, factor: float, out: Array) -> None:
     """Write factor times the 3 x 3 median of an image into out, zeros outside.
 
     Each column of three is sorted; the median of the nine is the median of the greatest of the

@@ -20,20 +20,16 @@ _SEARCH_DECADES = (-12.0, 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MajorisedProblem:
-    """F(x) = sum beta r^2 + lambda R(x),   r = y - gain (W x) - bias.
-
-    The gradient leaves the gain out, as the toolbox does.
+    """F(x) = sum beta r^2 + lambda R(x),   r = y - W x.
 
     Parameters
     ----------
-    y, gain, bias, confidence : one entry per LR pixel of all frames, frame by frame
+    y, confidence : one entry per LR pixel of all frames, frame by frame
     forward, adjoint : W and its transpose
     prior_weight : lambda
     """
 
     y: Vector
-    gain: Vector | float
-    bias: Vector | float
     forward: sparse.csr_array
     adjoint: sparse.csr_array
     confidence: Vector
@@ -42,7 +38,7 @@ class MajorisedProblem:
 
     def residual(self, x: Vector) -> Vector:
         """Return r, one entry per LR pixel."""
-        return np.asarray(self.y - (self.gain * (self.forward @ x) + self.bias))
+        return np.asarray(self.y - self.forward @ x)
 
     def value(self, x: Vector) -> float:
         """Return F(x)."""

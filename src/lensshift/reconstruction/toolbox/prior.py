@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.reconstruction.quantiles import median_3x3
+
 SMOOTHING = 1e-4
 
 
@@ -19,35 +21,12 @@ def directions(window: int) -> list[tuple[int, int]]:
 def sparse_transform(image: NDArray[np.float64], window: int, alpha: float) -> NDArray[np.float64]:
     """Return z [direction row col] = alpha^(|l|+|m|) (S_lm x - x), 3 x 3 median filtered."""
     padded = np.pad(image, window, mode="symmetric")
-    return np.stack(
-        [
-            median_3x3(
-                alpha ** (abs(row) + abs(col))
-                * (_shifted(padded, image.shape, window, row, col) - image)
-            )
-            for row, col in directions(window)
-        ]
-    )
-
-
-# Exchanges of the smallest sorting network that leaves the median of nine in place 4.
-_MEDIAN_OF_NINE = (
-    (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3),
-    (5, 8), (4, 7), (3, 6), (1, 4), (2, 5), (4, 7), (4, 2), (6, 4), (4, 2),
-)  # fmt: skip
-
-
-def median_3x3(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the median of every 3 x 3 neighbourhood, zeros outside the image."""
-    rows, cols = image.shape
-    padded = np.pad(image, 1)
-    value = [padded[i : i + rows, j : j + cols].copy() for i in range(3) for j in range(3)]
-    spare = np.empty(image.shape)
-    for low, high in _MEDIAN_OF_NINE:
-        np.minimum(value[low], value[high], out=spare)
-        np.maximum(value[low], value[high], out=value[high])
-        value[low], spare = spare, value[low]
-    return value[4]
+    steps = directions(window)
+    found = np.empty((len(steps), *image.shape))
+    for (row, col), out in zip(steps, found, strict=True):
+        slope = _shifted(padded, image.shape, window, row, col) - image
+        median_3x3(slope, alpha ** (abs(row) + abs(col)), out)
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +48,7 @@ class WeightedBtv:
     Source: btvPriorWeighted and btvPriorWeighted_grad of the toolbox.
     """
 
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
     window: int
     alpha: float
     weights: NDArray[np.float64]
@@ -117,7 +96,7 @@ class WeightedBtv:
 
 
 def _overlap(
-    shape: tuple[int, int], row: int, col: int
+    shape: tuple[int, ...], row: int, col: int
 ) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     """Return the pixels u whose partner u + (row, col) is inside the image, and the partners."""
     here = tuple(

@@ -28,9 +28,7 @@ def weighted_mad(values: NDArray[np.float64], weights: NDArray[np.float64]) -> f
 
 
 def observation_confidence(
-    residual: NDArray[np.float64],
-    confidence: NDArray[np.float64],
-    usable: NDArray[np.bool_],
+    residual: NDArray[np.float64], confidence: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
     """Return the Huber weight of every residual and the noise scale sigma_n.
 
@@ -40,17 +38,11 @@ def observation_confidence(
     Parameters
     ----------
     residual, confidence : [frame pixel]; the confidence of the previous iteration
-    usable : [frame pixel] False where there is no observation; it has no say in the medians
 
     Source: estimateHuberObservationWeights of the toolbox.
     """
-    unbiased = np.array(
-        [
-            bool(good.any()) and abs(float(np.median(r[good]))) < BIAS_THRESHOLD
-            for r, good in zip(residual, usable, strict=True)
-        ]
-    )
-    weight = np.where(usable, confidence * unbiased[:, None], 0.0)
+    unbiased = np.abs(np.median(residual, axis=1, keepdims=True)) < BIAS_THRESHOLD
+    weight = confidence * unbiased
     counted = weight > 0
     if not counted.any():
         return np.zeros(residual.shape), float("nan")
@@ -58,7 +50,7 @@ def observation_confidence(
     size = np.abs(residual)
     huber = np.ones(residual.shape)
     np.divide(TUNING * sigma, size, out=huber, where=size > TUNING * sigma)
-    return unbiased[:, None] * huber, sigma
+    return unbiased * huber, sigma
 
 
 def prior_weights(
