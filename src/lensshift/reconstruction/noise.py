@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,7 @@ CALM_SHARE = 0.3
 CALM_STIFFNESS = 3.0
 # Of each, the quietest blocks; at most about so many of them, whatever the size of the frames.
 BLOCK_PX, MOST_BLOCKS, QUIET_SHARE = 6, 1500, 0.1
-OUTLIER_SIGMAS = 4.0
+OUTLIER_SIGMAS, PASSES = 4.0, 3
 # Pixels of all frames among which an outlier has to stand out.
 NEIGHBOURHOOD_PX = 3
 
@@ -75,11 +75,8 @@ def estimate_noise(
     A: LinearOperator,
     y: Array,
     weight: Array,
-    passes: int = 3,
-    seed: int = 0,
     *,
     even: bool = True,
-    lone_outliers: bool = False,
 ) -> Noise:
     """Estimate the noise of the frames and mark the pixels that are not outliers.
 
@@ -98,19 +95,16 @@ def estimate_noise(
     y, weight : [frame row col]
     even : whether all pixels have about the same noise; else the quietest say nothing of the
         others, and `sigma` is `unexplained`
-    lone_outliers : whether an outlier has to stand out among its neighbours in all frames too, in
-        the low pass that follows them best: what misses them all is the scene, unless noise or
-        outliers come in clumps
     """
     used: NDArray[np.bool_] = weight > 0
     unit = float(np.abs(y).max(initial=0.0, where=used)) or 1.0
-    y, noise = single(y / unit), single(np.random.default_rng(seed).standard_normal(y.shape))
+    y, noise = single(y / unit), single(np.random.default_rng(0).standard_normal(y.shape))
     inlier, kept = used, single(used)
     references = [noise - A.forward(smooth_fit(A, noise, kept, s)) for s in STIFFNESS]
     lows: list[Array | None] = [None] * len(STIFFNESS)
     smooth = None  # each pass begins where the one before it ended
     sigma = unexplained = spread = 0.0
-    for _ in range(passes):
+    for _ in range(PASSES):
         lows = [smooth_fit(A, y, kept, s, x0=low) for s, low in zip(STIFFNESS, lows, strict=True)]
         residuals = [np.where(used, y - A.forward(low), 0.0) for low in lows if low is not None]
         smooth = smooth_fit(A, y, kept, CALM_STIFFNESS, x0=smooth)
@@ -123,11 +117,7 @@ def estimate_noise(
             quietest, of_noise = (_quietest(r, inlier) for r in pair)
             bounds.append(quietest / max(of_noise, 1e-12))
         sigma = min(bounds) if even else unexplained
-        if lone_outliers:
-            size, usual = _best_followed(residuals, references, inlier)
-            found = used & (size <= OUTLIER_SIGMAS * np.maximum(usual, max(sigma, 1e-12)))
-        else:
-            found = used & (np.abs(residuals[0]) <= OUTLIER_SIGMAS * max(unexplained, 1e-12))
+        found = used & (np.abs(residuals[0]) <= OUTLIER_SIGMAS * max(unexplained, 1e-12))
         if np.count_nonzero(found) < 0.5 * np.count_nonzero(used) or np.array_equal(found, inlier):
             break
         inlier, kept = found, single(found)
@@ -167,20 +157,6 @@ def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
     last = np.isfinite(ordered).sum(axis=1) - 1
     middle = [np.take_along_axis(ordered, k[:, None], 1) for k in (last // 2, (last + 1) // 2)]
     return float(MAD_TO_SIGMA * np.quantile(np.mean(middle, axis=0), QUIET_SHARE))
-
-
-def _best_followed(
-    residuals: Sequence[Array], references: Sequence[Array], inlier: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Return |residual| [frame row col] and its usual size around [row col], in units of noise.
-
-    Both from the low pass that follows the scene best there.
-    """
-    unit = [robust_scale(reference[inlier]) for reference in references]
-    usual = np.stack([usual_size(r) / u for r, u in zip(residuals, unit, strict=True)])
-    best = usual.argmin(axis=0)
-    size = np.choose(best, [np.abs(r) / u for r, u in zip(residuals, unit, strict=True)])
-    return size, usual.min(axis=0)
 
 
 def usual_size(residual: Array) -> Array:
