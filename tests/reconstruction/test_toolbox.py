@@ -330,7 +330,7 @@ def test_frames_far_outside_its_range_are_all_rejected_with_a_warning() -> None:
     ],
 )
 def test_nonsense_is_refused(change: dict[str, object], message: str) -> None:
-    frames = change.pop("amplitude", np.random.default_rng(9).random((4, 5, 6)))
-    burst = Burst.from_arrays(frames, offset_px=QUARTER_SQUARE)
+    settings = {"amplitude": np.random.default_rng(9).random((4, 5, 6))} | change
+    burst = Burst.from_arrays(settings.pop("amplitude"), offset_px=QUARTER_SQUARE)
     with pytest.raises(ValueError, match=message):
-        reconstruct(burst, **{"method": "irwsr-toolbox", "channel": "amplitude"} | change)
+        reconstruct(burst, method="irwsr-toolbox", channel="amplitude", **settings)

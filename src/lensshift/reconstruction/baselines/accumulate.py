@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import sparse
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.grid import lr_to_hr
 from lensshift.reconstruction.baselines.holes import fill_holes
-from lensshift.reconstruction.baselines.result import Baseline, check_frames
+from lensshift.reconstruction.baselines.result import Baseline
 
 # Positions half-way between two HR pixels must not depend on rounding errors of the offset.
 _TIE_HR_PX = 1e-9
@@ -19,9 +20,9 @@ _LEAST_HIT = 1e-6
 
 
 def shift_and_add(
-    frames: ArrayLike,
-    weight: ArrayLike | None,
-    offset_px: ArrayLike,
+    frames: Array,
+    weight: Floats,
+    offset_px: Floats,
     scale: int,
     combine: Literal["mean", "median"] = "mean",
 ) -> Baseline:
@@ -39,19 +40,16 @@ def shift_and_add(
     Raises
     ------
     ValueError
-        As `check_frames`, if there is no such `combine`, or if no sample falls into the image.
+        If no sample falls into the image.
 
     Source: Elad and Hel-Or, IEEE Trans. Image Process. 10 (2001); Farsiu et al., ibid. 13 (2004).
     """
-    values, share, offset = check_frames(frames, weight, offset_px, scale)
-    if combine not in ("mean", "median"):
-        raise ValueError(f"expected combine 'mean' or 'median', got {combine!r}")
-    shape = (values.shape[1] * scale, values.shape[2] * scale)
-    pixel, used = _nearest_hr_pixel(offset, values.shape, scale)
-    used &= share > 0
+    shape = (frames.shape[1] * scale, frames.shape[2] * scale)
+    pixel, used = _nearest_hr_pixel(offset_px, frames.shape, scale)
+    used &= weight > 0
     if not used.any():
         raise ValueError("no valid sample falls into the image; are the offsets in LR pixels?")
-    pixel, sample, share = pixel[used], values[used], share[used]
+    pixel, sample, share = pixel[used], frames[used], weight[used]
     total = _gather(pixel, share, shape)
     hit = total > 0
     divisor = np.where(hit, total, 1.0)
@@ -65,9 +63,9 @@ def shift_and_add(
 
 
 def drizzle_frames(
-    frames: ArrayLike,
-    weight: ArrayLike | None,
-    offset_px: ArrayLike,
+    frames: Array,
+    weight: Floats,
+    offset_px: Floats,
     scale: int,
     pixfrac: float = 0.5,
     kernel: Literal["square", "point"] = "square",
@@ -88,23 +86,17 @@ def drizzle_frames(
     Raises
     ------
     ValueError
-        As `check_frames`, if `pixfrac` or `kernel` is not allowed, or if no pixel falls into
-        the image.
+        If frames are single lines, or no pixel falls into the image.
 
     Source: Fruchter and Hook, Drizzle, PASP 114 (2002).
     """
-    values, share, offset = check_frames(frames, weight, offset_px, scale)
-    if not 0 < pixfrac <= 1:
-        raise ValueError(f"expected a pixfrac in (0, 1], got {pixfrac}")
-    if min(values.shape[1:]) < 2:
-        raise ValueError(f"drizzle expects frames of 2 x 2 pixels or more, got {values.shape[1:]}")
-    if kernel not in ("square", "point"):
-        raise ValueError(f"expected kernel 'square' or 'point', got {kernel!r}")
-    parts = [values.real, values.imag] if np.iscomplexobj(values) else [values]
-    runs = [_drizzle(part, share, offset, scale, pixfrac, kernel) for part in parts]
+    if min(frames.shape[1:]) < 2:
+        raise ValueError(f"drizzle expects frames of 2 x 2 pixels or more, got {frames.shape[1:]}")
+    parts = [frames.real, frames.imag] if np.iscomplexobj(frames) else [frames]
+    runs = [_drizzle(part, weight, offset_px, scale, pixfrac, kernel) for part in parts]
     hit_weight = runs[0][1]
     image = runs[0][0] + 1j * runs[1][0] if len(runs) == 2 else runs[0][0]
-    total, squares = _drop_weights(share, offset, scale, pixfrac, kernel)
+    total, squares = _drop_weights(weight, offset_px, scale, pixfrac, kernel)
     hit = (hit_weight > _LEAST_HIT * hit_weight.max()) & (total > _LEAST_HIT * total.max())
     if not hit.any():
         raise ValueError("no valid pixel falls into the image; are the offsets in LR pixels?")

@@ -36,7 +36,7 @@ def fill_holes(
 
     hole = weight == 0
     if hole.all():
-        raise ValueError("expected at least one pixel of positive weight to fill the others from")
+        raise ValueError("every pixel has weight 0; nothing is left to use")
     filled, spread = np.where(hole, 0.0, image), np.where(hole, 0.0, variance)
     known, known_variance = weight * filled, weight**2 * spread
     sigma_px = _FIRST_SIGMA_PX

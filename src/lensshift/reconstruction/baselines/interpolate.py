@@ -6,12 +6,13 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import sparse
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.grid import hr_to_lr
 from lensshift.reconstruction.baselines.holes import fill_holes
-from lensshift.reconstruction.baselines.result import Baseline, check_frame, check_frames
+from lensshift.reconstruction.baselines.result import Baseline
 
 # Positions half-way between two LR pixels must not depend on rounding errors of the offset.
 _TIE_PX = 1e-9
@@ -19,29 +20,21 @@ _TIE_PX = 1e-9
 Taps = Callable[[int, int, float], sparse.csr_array]
 
 
-def nearest(
-    frame: ArrayLike, weight: ArrayLike | None, offset_px: ArrayLike, scale: int
-) -> Baseline:
+def nearest(frame: Array, weight: Floats, offset_px: Floats, scale: int) -> Baseline:
     """Give every HR pixel the value of the LR pixel that it falls on, shift-aligned.
 
     Parameters
     ----------
     frame, weight : [row col]; pixels of weight 0 are filled from their neighbours
     offset_px : (row, col) of this frame
-
-    Raises
-    ------
-    ValueError
-        As `check_frames`.
     """
-    values, share, offset = check_frame(frame, weight, offset_px, scale)
-    return _resampled(values, share, offset, scale, nearest_taps)
+    return resampled(frame, weight, offset_px, scale, nearest_taps)
 
 
 def bicubic(
-    frames: ArrayLike,
-    weight: ArrayLike | None,
-    offset_px: ArrayLike,
+    frames: Array,
+    weight: Floats,
+    offset_px: Floats,
     scale: int,
     combine: Literal["first", "mean", "median"] = "first",
     frame: int = 0,
@@ -56,31 +49,21 @@ def bicubic(
     combine : "first": only the frame of number `frame`; "mean": weighted; "median": of the real
         and of the imaginary part
 
-    Raises
-    ------
-    ValueError
-        As `check_frames`, or if there is no such `combine` or `frame`.
-
     Source: Keys, Cubic convolution interpolation, IEEE Trans. ASSP 29 (1981).
     """
-    values, share, offset = check_frames(frames, weight, offset_px, scale)
     if combine == "first":
-        if not -len(values) <= frame < len(values):
-            raise ValueError(f"expected a frame from 0 to {len(values) - 1}, got {frame}")
-        if not share[frame].any():
+        if not weight[frame].any():
             raise ValueError(f"every pixel of frame {frame} has weight 0; choose another frame")
-        return _resampled(values[frame], share[frame], offset[frame], scale, cubic_taps)
-    if combine not in ("mean", "median"):
-        raise ValueError(f"expected combine 'first', 'mean' or 'median', got {combine!r}")
-    usable = np.flatnonzero(share.any(axis=(1, 2)))
-    parts = [_resampled(values[k], share[k], offset[k], scale, cubic_taps) for k in usable]
+        return resampled(frames[frame], weight[frame], offset_px[frame], scale, cubic_taps)
+    usable = np.flatnonzero(weight.any(axis=(1, 2)))
+    parts = [resampled(frames[k], weight[k], offset_px[k], scale, cubic_taps) for k in usable]
     stack = np.stack([part.image for part in parts])
-    votes = np.stack([_apply(nearest_taps, share[k], offset[k], scale)[0] for k in usable])
+    votes = np.stack([_apply(nearest_taps, weight[k], offset_px[k], scale)[0] for k in usable])
     # Where no frame has a valid pixel, all of them vote with what they were filled with.
     votes[:, ~votes.any(axis=0)] = 1.0
     if combine == "median":
         return Baseline(_median(stack, votes > 0))
-    gain = np.stack([_known(part.noise_gain) for part in parts])
+    gain = np.stack([part.noise_gain for part in parts if part.noise_gain is not None])
     total = votes.sum(axis=0)
     return Baseline(
         (votes * stack).sum(axis=0) / total,
@@ -115,7 +98,7 @@ def cubic_taps(size: int, scale: int, offset_px: float) -> sparse.csr_array:
     return sparse.csr_array(matrix.tocsr())
 
 
-def _resampled(
+def resampled(
     frame: NDArray[Any],
     weight: NDArray[np.float64],
     offset_px: NDArray[np.float64],
@@ -149,9 +132,3 @@ def _median(stack: NDArray[Any], counted: NDArray[np.bool_]) -> NDArray[Any]:
     low = np.take_along_axis(ranked, ((count - 1) // 2)[None], axis=0)[0]
     high = np.take_along_axis(ranked, (count // 2)[None], axis=0)[0]
     return np.asarray(0.5 * (low + high))
-
-
-def _known(gain: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    if gain is None:
-        raise TypeError("expected the noise gain of a linear method")
-    return gain
