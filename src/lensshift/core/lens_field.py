@@ -8,9 +8,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Floats, frozen
+from lensshift.core.arrays import Array, Floats, frozen
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.motion import MOST_APART_PX, SAME_PITCH, ShiftField
@@ -164,7 +164,7 @@ class LensField:
         coefficients[:rows, :cols, 0, 1] += per_state[..., 1]
         return replace(self, shift_px=coefficients)
 
-    def _places(self) -> list[NDArray[Any]]:
+    def _places(self) -> list[Array]:
         """Return the places of the rows and of the columns, in -1 .. 1."""
         return [(np.arange(count) - 0.5 * (count - 1)) / (0.5 * count) for count in self.grid.shape]
 
@@ -328,7 +328,7 @@ class LensField:
                 )
 
 
-def _evaluated(coefficients: Floats, u: Sequence[NDArray[Any]], s: Floats) -> Floats:
+def _evaluated(coefficients: Floats, u: Sequence[Array], s: Floats) -> Floats:
     """Return [frame row col 2] at places u (row, col) and states s [frame 2]."""
     rows, cols, first, second = coefficients.shape[:4]
     t_a, t_b = chebvander(s[:, 0], first - 1), chebvander(s[:, 1], second - 1)

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-Positions = NDArray[np.float64]
+from lensshift.core.arrays import Floats, Mask
+
+Positions = Floats
 Starts = NDArray[np.int64]
-Weights = NDArray[np.float64]
+Weights = Floats
 
 GAUSSIAN_TAIL = 2e-4  # a tap of less weight is left out
 APERTURE_TAIL = 1e-5  # the same of a square pixel behind a spot
@@ -236,13 +238,13 @@ def _between(at: Weights, steps: int) -> tuple[Starts, Weights]:
     return node, np.clip(at * steps - node, 0.0, 1.0)
 
 
-def sees_image(position_hr_px: ArrayLike, size: int) -> NDArray[np.bool_]:
+def sees_image(position_hr_px: ArrayLike, size: int) -> Mask:
     """Tell which LR pixels have their centre on the area of the HR pixels 0 .. size-1.
 
     Half of the footprint of such a pixel, or more, lies on the image.
     """
     position = _as_positions(position_hr_px)
-    inside: NDArray[np.bool_] = np.abs(position - 0.5 * (size - 1)) <= 0.5 * size + 1e-6
+    inside: Mask = np.abs(position - 0.5 * (size - 1)) <= 0.5 * size + 1e-6
     return inside
 
 

@@ -7,9 +7,9 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import hr_to_lr
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
 from lensshift.forward.operator import LinearOperator, by_parts
@@ -69,12 +69,12 @@ class ForwardModel:
     blur: Blur
     rows: Taps
     cols: Taps
-    offset_px: NDArray[np.float64] | None
-    gain: NDArray[np.float64]
-    bias: NDArray[np.float64]
-    inside: NDArray[np.bool_]
-    spot_px2: NDArray[np.float64] | None = None
-    skew_px3: NDArray[np.float64] | None = None
+    offset_px: Floats | None
+    gain: Floats
+    bias: Floats
+    inside: Mask
+    spot_px2: Floats | None = None
+    skew_px3: Floats | None = None
 
     @property
     def frames(self) -> int:
@@ -87,7 +87,7 @@ class ForwardModel:
         return sampling_operator(self.hr_shape, self.lr_shape, self.rows, self.cols, self.gain)
 
     @property
-    def mean_offset_px(self) -> NDArray[np.float64]:
+    def mean_offset_px(self) -> Floats:
         """One offset [frame 2] per frame; of a shift field the mean over the sensor."""
         if self.offset_px is not None:
             return self.offset_px
@@ -181,7 +181,7 @@ def forward_model(
     """
     blur = GaussianBlur(0.3) if blur is None else blur
     hr_shape = (lr_shape[0] * scale, lr_shape[1] * scale)
-    offset: NDArray[np.float64] | None = None
+    offset: Floats | None = None
     if shift_field_px is None:
         offset = np.array(np.zeros((1, 2)) if offset_px is None else offset_px, dtype=np.float64)
         row_at, col_at = frame_positions(lr_shape, offset, scale)
@@ -211,7 +211,7 @@ def forward_model(
     )
 
 
-def _of_field(values: ArrayLike | None, name: str, row_at: Positions) -> NDArray[np.float64] | None:
+def _of_field(values: ArrayLike | None, name: str, row_at: Positions) -> Floats | None:
     """Return what there is of spots [frame row col 2], which only a shift field has."""
     if values is None:
         return None
@@ -226,8 +226,8 @@ def _taps(
     at: Positions,
     scale: int,
     size: int,
-    spot_px2: NDArray[np.float64] | None,
-    skew_px3: NDArray[np.float64] | None,
+    spot_px2: Floats | None,
+    skew_px3: Floats | None,
     *,
     axis: int,
 ) -> Taps:
@@ -258,11 +258,7 @@ def _read_only(taps: Taps) -> Taps:
 
 
 def sampling_operator(
-    hr_shape: tuple[int, int],
-    lr_shape: tuple[int, int],
-    rows: Taps,
-    cols: Taps,
-    gain: NDArray[np.float64],
+    hr_shape: tuple[int, int], lr_shape: tuple[int, int], rows: Taps, cols: Taps, gain: Floats
 ) -> LinearOperator:
     """Return the operator HR [row col] -> [frame row col] that takes the taps and the gain.
 
@@ -311,6 +307,6 @@ def _kernels(
     return forward_smooth, adjoint_smooth, (smooth.first, smooth.run), by_tap
 
 
-def _inside(row_at: Positions, col_at: Positions, hr_shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _inside(row_at: Positions, col_at: Positions, hr_shape: tuple[int, int]) -> Mask:
     row, col = sees_image(row_at, hr_shape[0]), sees_image(col_at, hr_shape[1])
     return row & col if row.ndim == 3 else row[:, :, None] & col[:, None, :]

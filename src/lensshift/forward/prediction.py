@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.units import PhaseScale, unambiguous_range_m
 from lensshift.forward.blur import Blur
 from lensshift.forward.model import forward_model
@@ -32,12 +32,12 @@ class FramePredictor:
     image: Array
     scale: int
     blur: Blur
-    offset_px: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    bias: NDArray[np.float64]
-    shift_field_px: NDArray[np.float64] | None = None
-    spot_px2: NDArray[np.float64] | None = None
-    skew_px3: NDArray[np.float64] | None = None
+    offset_px: Floats
+    gain: Floats
+    bias: Floats
+    shift_field_px: Floats | None = None
+    spot_px2: Floats | None = None
+    skew_px3: Floats | None = None
 
     @property
     def lr_shape(self) -> tuple[int, int]:
@@ -67,7 +67,7 @@ class FramePredictor:
         )  # fmt: skip
         return np.asarray(model.predict(self.image)[0])
 
-    def _at(self, offset_px: NDArray[np.float64]) -> Array:
+    def _at(self, offset_px: Floats) -> Array:
         """Return the frame at an offset (row, col); the spot is the mean of those of all frames."""
         if self.spot_px2 is None or offset_px.shape != (2,):
             model = forward_model(self.lr_shape, self.scale, offset_px[None], blur=self.blur)

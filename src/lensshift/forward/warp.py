@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import lr_to_hr
 
-Positions = NDArray[np.float64]
+Positions = Floats
 
 # Positions of a constant shift are rounded to this part of an HR pixel (1e-6), far below what any
 # registration can know: all pixels of a frame then have bit for bit the same taps, and a third

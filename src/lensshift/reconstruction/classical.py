@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.types import Estimate
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.reconstruction.losses import (
@@ -31,8 +31,6 @@ from lensshift.reconstruction.solver import (
     Reweighted,
 )
 from lensshift.reconstruction.uncertainty import PropagatedStd
-
-Array = NDArray[Any]
 
 # How often picture and weight of a prior are found in turn; by then it moves by some per cent.
 WEIGHT_ROUNDS = 3

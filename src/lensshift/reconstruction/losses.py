@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.reconstruction.noise import robust_scale
 from lensshift.reconstruction.options import check_settings, option, positive
 from lensshift.reconstruction.quantiles import weighted_mad, weighted_median
-
-Array = NDArray[Any]
 
 # Where Huber's function leaves the square; the published toolbox takes 2 as well.
 HUBER_SIGMAS = 2.0

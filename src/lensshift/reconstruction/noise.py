@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Mask
 from lensshift.core.gaussian import MAD_TO_SIGMA, UPPER_QUARTILE_SIZE
 from lensshift.forward.differences import differences
 from lensshift.forward.least_squares import NEIGHBOURS, smooth_fit
 from lensshift.forward.operator import LinearOperator, single
-
-Array = NDArray[Any]
 
 # The residual of soft low passes, from stiff to soft: the soft ones follow fine texture.
 STIFFNESS = (0.1, 0.01, 0.001)
@@ -54,7 +51,7 @@ class Noise:
     sigma: float
     unexplained: float
     excess: float
-    inlier: NDArray[np.bool_]
+    inlier: Mask
 
     @property
     def effective(self) -> float:
@@ -71,13 +68,7 @@ class Noise:
         return self.excess * self.effective
 
 
-def estimate_noise(
-    A: LinearOperator,
-    y: Array,
-    weight: Array,
-    *,
-    even: bool = True,
-) -> Noise:
+def estimate_noise(A: LinearOperator, y: Array, weight: Array, *, even: bool = True) -> Noise:
     """Estimate the noise of the frames and mark the pixels that are not outliers.
 
         sigma = min over low passes of  MAD(r(y)) / MAD(r(white noise)),   r = y - low pass
@@ -96,7 +87,7 @@ def estimate_noise(
     even : whether all pixels have about the same noise; else the quietest say nothing of the
         others, and `sigma` is `unexplained`
     """
-    used: NDArray[np.bool_] = weight > 0
+    used: Mask = weight > 0
     unit = float(np.abs(y).max(initial=0.0, where=used)) or 1.0
     y, noise = single(y / unit), single(np.random.default_rng(0).standard_normal(y.shape))
     inlier, kept = used, single(used)
@@ -129,7 +120,7 @@ def _ratio(scale: Callable[[Array], float], residual: Array, reference: Array) -
     return scale(residual) / max(scale(reference), 1e-12)
 
 
-def _calm(A: LinearOperator, smooth: Array, inlier: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _calm(A: LinearOperator, smooth: Array, inlier: Mask) -> Mask:
     """Return the pixels [frame row col] where a smooth picture [row col] has the least gradient."""
     from scipy.ndimage import uniform_filter
 
@@ -138,7 +129,7 @@ def _calm(A: LinearOperator, smooth: Array, inlier: NDArray[np.bool_]) -> NDArra
     return np.asarray(unrest <= np.quantile(unrest[inlier], CALM_SHARE))
 
 
-def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
+def _quietest(residual: Array, kept: Mask) -> float:
     """Return the robust scale that the quietest blocks of all frames stay below."""
     if residual.dtype.kind == "c":
         residual, kept = np.concatenate([residual.real, residual.imag]), np.concatenate([kept] * 2)
@@ -171,7 +162,7 @@ def usual_size(residual: Array) -> Array:
     return np.asarray(np.quantile(windows, 0.75, axis=(0, 3, 4)) / UPPER_QUARTILE_SIZE)
 
 
-def light_of(y: Array, used: NDArray[np.bool_]) -> Array:
+def light_of(y: Array, used: Mask) -> Array:
     """Return the light at each pixel [frame row col]: the median of it and its four neighbours.
 
     Of phasors the amplitude. The pixel alone would tell less noise where it is darker by chance,

@@ -9,8 +9,8 @@ from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.optical import gaussian_width
@@ -38,7 +38,6 @@ from lensshift.reconstruction.problem import (
     without_lens,
 )
 
-Array = NDArray[Any]
 WidthSource = Literal["given", "burst", "frames", "assumed"]
 
 # A variance: the learned solver sharpens beyond a square pixel by 0.4 to 1.4 % of the contrast at

@@ -18,8 +18,8 @@ from functools import lru_cache
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.differences import (
     Directions,
     add_weighted_laplacian,
@@ -28,8 +28,6 @@ from lensshift.forward.differences import (
 )
 from lensshift.reconstruction.options import check_settings, option, positive, whole
 from lensshift.reconstruction.quantiles import median_3x3, weighted_mad
-
-Array = NDArray[Any]
 
 
 class Prior(Protocol):
@@ -274,7 +272,7 @@ class SparseDifferences:
         return replace(self, smoothing=smoothing, sigma=sigma)
 
     @property
-    def _share(self) -> NDArray[np.float64]:
+    def _share(self) -> Floats:
         """Diagonal neighbours are farther away: their differences count 1 / length."""
         return np.asarray(1.0 / np.sqrt((self.directions**2).sum(axis=1)))[:, None, None]
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
 
 # Of more values than this, evenly spread ones are taken: the median of so many Gaussian values is
 # good to 1.253 / sqrt(2^13) = 1.4 % of their standard deviation.

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
-Shifts = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from lensshift.core.arrays import Array, Floats, Mask
+
+Shifts = Floats
 
 # A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
 LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3

@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array
 from lensshift.core.defects import doubts_about_frames
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
@@ -39,8 +40,6 @@ from lensshift.reconstruction.problem import (
 from lensshift.reconstruction.shift_check import Doubt, warn_of_doubt
 from lensshift.reconstruction.told_shifts import held_against_frames
 from lensshift.reconstruction.uncertainty import PropagatedStd
-
-Array = NDArray[Any]
 
 
 def reconstruct(

@@ -11,11 +11,11 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.forward.blur import GaussianBlur
@@ -24,9 +24,7 @@ from lensshift.forward.model import forward_model
 from lensshift.reconstruction.glance import FAR_PX, Glance, glance
 from lensshift.reconstruction.quick_shifts import found_shifts, found_turns, low_passed
 
-Array = NDArray[Any]
-Shifts = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Shifts = Floats
 
 # Of fewer held-out pixels nothing follows.
 LEAST_HELD_OUT = 50

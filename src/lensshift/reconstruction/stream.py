@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
@@ -20,7 +20,6 @@ from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
 from lensshift.reconstruction.reconstruct import reconstruct
 
-Array = NDArray[Any]
 Pace = Literal["auto", "live", "refined"]
 
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts

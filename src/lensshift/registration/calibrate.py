@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array, Floats
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
 from lensshift.core.lens_field import LensField
@@ -195,7 +194,7 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
     return burst, found.covariance_px2
 
 
-def _best_of(starts: list[Floats], frames: Array, valid: NDArray[np.bool_]) -> Floats:
+def _best_of(starts: list[Floats], frames: Array, valid: Mask) -> Floats:
     """Return the start from which a picture is found that predicts the frames best.
 
     What stage and play explain is no measure: shifts that are all too small by half fit them as
@@ -254,7 +253,7 @@ def _directions(commanded_mm: Floats) -> Floats:
     return direction
 
 
-def _turns(direction: Floats) -> NDArray[np.bool_]:
+def _turns(direction: Floats) -> Mask:
     """Tell which axes were approached from both sides; the play of the others is not known."""
     return np.asarray((direction.max(axis=0) > 0) & (direction.min(axis=0) < 0))
 
@@ -328,7 +327,7 @@ def _robust(design: Floats, offset_px: Floats, known_px2: Floats) -> tuple[Float
     return found, covariance, residual
 
 
-def _play(found: Floats, covariance: Floats, turns: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _play(found: Floats, covariance: Floats, turns: Mask) -> tuple[Floats, Floats]:
     """Return play and its standard error of each axis from the shift between the approaches.
 
     The column of direction holds - M[:, axis] play / 2.

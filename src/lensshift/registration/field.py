@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Floats, Mask
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.core.types import Burst
 from lensshift.registration.reference_image import reference_image
@@ -153,7 +152,7 @@ def _coefficients(
     return found
 
 
-def _free_shifts(slope: Floats, here: NDArray[np.bool_]) -> list[tuple[slice, Floats, Floats]]:
+def _free_shifts(slope: Floats, here: Mask) -> list[tuple[slice, Floats, Floats]]:
     """Return for each frame its pixels, what a shift does to them [pixel 2], and the inverse."""
     edges = np.concatenate([[0], np.cumsum(here.sum(axis=(1, 2)))])
     shifts = []

@@ -6,10 +6,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import smooth_fit
@@ -19,9 +18,8 @@ from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit
 from lensshift.registration.spectrum import PIXEL_SIGMA_PX
 
-Shifts = NDArray[np.float64]
-Places = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Shifts = Floats
+Places = Floats
 
 # A grid that holds the first aliases, by which shifts are told apart.
 SCALE = 2
@@ -44,7 +42,7 @@ class Fit(NamedTuple):
     """Where frames lie: [frame (row, col) term] of `_terms`, covariance of each frame alone."""
 
     place_px: Places
-    own: NDArray[np.float64]
+    own: Floats
     noise: float
     settled: bool
 
@@ -80,7 +78,7 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
     return _widened(fit, excess, reference)
 
 
-def _refuted(error: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def _refuted(error: Floats, other: Floats) -> bool:
     """Return whether errors of prediction [frame] are more than others, and not by chance."""
     gain = error - other
     chance = float(np.std(gain, ddof=1) / np.sqrt(gain.size))
@@ -138,9 +136,7 @@ def picture_shifts(frames: Array, valid: Mask, start_px: Shifts, *, reference: i
     return replace(found, covariance_px2=found.covariance_px2 * factor**2)
 
 
-def prediction_error(
-    frames: Array, valid: Mask, place_px: Places
-) -> tuple[NDArray[np.float64], Shifts]:
+def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[Floats, Shifts]:
     """Return the mean error [frame] of frames that are predicted from every other one.
 
     And by how much [frame 2] their shifts seem to be off in these pictures.
@@ -186,7 +182,7 @@ def _model(frames: Array, valid: Mask, place_px: Places) -> tuple[ForwardModel, 
     return model, np.where(valid, frames, 0).astype(kind), weight
 
 
-def _terms(shape: tuple[int, ...], number: int) -> NDArray[np.float64]:
+def _terms(shape: tuple[int, ...], number: int) -> Floats:
     """Return 1, row and col [term row col], these -1 to 1 from border to border."""
     row, col = (np.linspace(-1.0, 1.0, size) for size in shape)
     terms = np.broadcast_arrays(1.0, row[:, None], col)
@@ -229,7 +225,7 @@ def step_from(frames: Array, valid: Mask, offset_px: Shifts, terms: int) -> Plac
 
 def _step(
     A: LinearOperator, image: Array, y: Array, weight: Array, terms: int = 1
-) -> tuple[Places, NDArray[np.float64], float]:
+) -> tuple[Places, Floats, float]:
     """Return how far frames [frame 2 term] are off, the covariance of that, and the noise."""
     rest = y - A.forward(image)
     slopes = SCALE * np.stack(

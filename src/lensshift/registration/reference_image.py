@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.arrays import Floats
 
@@ -33,7 +32,7 @@ class ReferenceImage:
 
 
 def reference_image(
-    frames: Floats, weight: Floats, offset_px: NDArray[np.float64], slip_px: Floats | None = None
+    frames: Floats, weight: Floats, offset_px: Floats, slip_px: Floats | None = None
 ) -> ReferenceImage:
     """Fit one cubic spline to all frames.
 
@@ -92,7 +91,7 @@ class _Group:
         return np.asarray(self.rows[0].T @ by_col.transpose(0, 2, 1).reshape(-1, across))
 
 
-def _groups(shape: tuple[int, ...], offset_px: NDArray[np.float64]) -> list[_Group]:
+def _groups(shape: tuple[int, ...], offset_px: Floats) -> list[_Group]:
     from scipy.sparse import block_diag, vstack
 
     count, height, width = shape
@@ -114,7 +113,7 @@ def _groups(shape: tuple[int, ...], offset_px: NDArray[np.float64]) -> list[_Gro
     ]
 
 
-def _splines(size: int, offset_px: float, all_px: NDArray[np.float64]) -> tuple[Any, Any]:
+def _splines(size: int, offset_px: float, all_px: Floats) -> tuple[Any, Any]:
     """Return the cubic B-splines and their derivatives at the pixels of a frame, [pixel knot]."""
     from scipy.sparse import csr_array
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.defects import doubts_about_frames, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
@@ -38,7 +38,7 @@ from lensshift.registration.picture import (
     better_shifts,
 )
 
-Shifts = NDArray[np.float64]
+Shifts = Floats
 Method = Literal["auto", "gradient", "phase"]
 Motion = Literal["auto", "shift", "affine"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
@@ -212,7 +212,7 @@ def frames_of(burst: Burst, channel: str) -> Array:
 
 
 def _scatter_of_few(
-    frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, photometric: bool
+    frames: Array, valid: Mask, fit: ShiftFit, reference: int, photometric: bool
 ) -> Scatter | None:
     """Return how parts scatter; more frames show what moves themselves (`better_shifts`)."""
     if len(frames) >= LEAST_PREDICTING:
@@ -221,8 +221,8 @@ def _scatter_of_few(
 
 
 def _turned(
-    fit: ShiftFit, frames: Array, valid: NDArray[np.bool_], motion: Motion, reference: int
-) -> tuple[ShiftFit, NDArray[np.float64] | None]:
+    fit: ShiftFit, frames: Array, valid: Mask, motion: Motion, reference: int
+) -> tuple[ShiftFit, Floats | None]:
     """Return the fit and how frames turn, if that is asked for or they show it."""
     # Along a single edge frames may lie anywhere, and then turn as they like.
     if motion == "shift" or (motion == "auto" and np.any(fit.sigma_px > UNKNOWN_PX)):
@@ -277,13 +277,7 @@ def _against_reference(sigma_px: Shifts | None, reference: int) -> Shifts | None
 
 
 def _from_best_start(
-    run: Run,
-    frames: Array,
-    valid: NDArray[np.bool_],
-    given_px: Shifts,
-    phase_px: Shifts,
-    *,
-    keep_given: bool,
+    run: Run, frames: Array, valid: Mask, given_px: Shifts, phase_px: Shifts, *, keep_given: bool
 ) -> ShiftFit:
     """Fit from the given offsets; where phase correlation says otherwise, from both.
 
@@ -307,10 +301,10 @@ def _alike(frames: Array, fit: ShiftFit, photometric: bool) -> Array:
     return np.asarray((frames - level) / fit.gain[:, None, None])
 
 
-def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -> ShiftFit:
+def _widened(run: Run, frames: Array, valid: Mask, fit: ShiftFit) -> ShiftFit:
     """Return the fit with errors that the scatter over the sensor and the texture bear out."""
 
-    def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+    def estimate(part: Array, part_valid: Mask) -> tuple[Shifts, Shifts]:
         found = run(part, part_valid, fit.offset_px, max_iterations=8)
         return found.offset_px, found.sigma_px
 

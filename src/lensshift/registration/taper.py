@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 
 if TYPE_CHECKING:
     from lensshift.registration.spectrum import Spectrum
 
-Shifts = NDArray[np.float64]
+Shifts = Floats
 
 # Share of the common length over which a whole taper rises at each end: nothing rises slower that
 # leaves a plateau as long as its flanks.
@@ -40,14 +39,12 @@ class Tapered:
     """
 
     spectra: Array
-    window: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    window: Floats
+    scale: Floats
     expected: Array | None
     inflation: float
 
-    def with_expected(
-        self, spectrum: Spectrum, offset_px: Shifts, gain: NDArray[np.float64]
-    ) -> Tapered:
+    def with_expected(self, spectrum: Spectrum, offset_px: Shifts, gain: Floats) -> Tapered:
         """Return it with what the model expects of the frames, to fill invalid pixels with."""
         count, rows, cols = self.window.shape
         whole = spectrum.frequencies.whole_plane
@@ -61,7 +58,7 @@ class Tapered:
 
 def taper_frames(
     frames: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     offset_px: Shifts,
     *,
     own_mean: bool,
@@ -110,9 +107,7 @@ def taper_frames(
     return Tapered(spectra, window, scale, expected, float(inflation) / max(share, 1e-12))
 
 
-def quiet_flank_px(
-    frames: Array, valid: NDArray[np.bool_], offset_px: Shifts, *, own_mean: bool
-) -> float:
+def quiet_flank_px(frames: Array, valid: Mask, offset_px: Shifts, *, own_mean: bool) -> float:
     """Return the shortest flank that leaks nothing, of 2, 3, 4.5 ... px up to a whole taper.
 
     What a shorter flank adds to the finest frequencies, beyond a third of a cycle per pixel, is
@@ -144,7 +139,7 @@ def quiet_flank_px(
     return np.inf
 
 
-def _axis_window(size: int, offset_px: NDArray[np.float64], flank_px: float) -> NDArray[np.float64]:
+def _axis_window(size: int, offset_px: Floats, flank_px: float) -> Floats:
     """Return the taper [frame size] of one axis."""
     low_px, high_px = float((-0.5 - offset_px).max()), float((size - 0.5 - offset_px).min())
     if high_px - low_px < LEAST_COMMON_PX:

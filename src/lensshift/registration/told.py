@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.registration.blocks import LEAST_VALID, filled, scatter_of_parts, telling_part
 from lensshift.registration.likelihood import UNKNOWN_PX, likely_shifts
 
-Shifts = NDArray[np.float64]
+Shifts = Floats
 
 # Samples of all frames together that are asked: four frames of 48 x 48 px, for a bounded price.
 # Along an axis at least so many. And so many frames at a time, beside the first.
@@ -42,7 +41,7 @@ class Correction:
     error_px: float
 
 
-def corrected_shifts(frames: Array, valid: NDArray[np.bool_], told_px: Shifts) -> Correction | None:
+def corrected_shifts(frames: Array, valid: Mask, told_px: Shifts) -> Correction | None:
     """Return the shifts as told and as shown weigh together, None if the frames do not object.
 
         d - t = e + n,   e ~ N(0, s^2 P),   n ~ N(0, C),   s by maximum likelihood
@@ -82,9 +81,7 @@ def corrected_shifts(frames: Array, valid: NDArray[np.bool_], told_px: Shifts) -
     )
 
 
-def _told_apart(
-    frames: Array, valid: NDArray[np.bool_], told_px: Shifts
-) -> tuple[Array, Array, Array] | None:
+def _told_apart(frames: Array, valid: Mask, told_px: Shifts) -> tuple[Array, Array, Array] | None:
     """Return likeliest less told shifts along uncorrelated directions, with their variances.
 
     None if the search leaves the place that it started at.
@@ -103,9 +100,7 @@ def _told_apart(
     return direction.T @ away, variance, direction
 
 
-def _likeliest(
-    frames: Array, valid: NDArray[np.bool_], told_px: Shifts
-) -> tuple[Shifts, Array] | None:
+def _likeliest(frames: Array, valid: Mask, told_px: Shifts) -> tuple[Shifts, Array] | None:
     """Return the likeliest shifts near those told, and their covariance; None if not known.
 
     An edge that lies along the pixels looks alike in many places, and all along it: where there is

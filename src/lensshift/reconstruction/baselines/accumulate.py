@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lensshift.core.arrays import Array, Floats
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import lr_to_hr
 from lensshift.reconstruction.baselines.holes import fill_holes
 from lensshift.reconstruction.baselines.result import Baseline
@@ -107,13 +107,8 @@ def drizzle_frames(
 
 
 def _drizzle(
-    frames: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    offset_px: NDArray[np.float64],
-    scale: int,
-    pixfrac: float,
-    kernel: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    frames: Floats, weight: Floats, offset_px: Floats, scale: int, pixfrac: float, kernel: str
+) -> tuple[Floats, Floats]:
     """Run the library; return image (0 where nothing fell) and weight."""
     from drizzle.resample import Drizzle
 
@@ -143,12 +138,8 @@ def _drizzle(
 
 
 def _drop_weights(
-    weight: NDArray[np.float64],
-    offset_px: NDArray[np.float64],
-    scale: int,
-    pixfrac: float,
-    kernel: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    weight: Floats, offset_px: Floats, scale: int, pixfrac: float, kernel: str
+) -> tuple[Floats, Floats]:
     """Return the sums over all samples of (share of the drop x weight) and of its square."""
     rows, cols = weight.shape[1:]
     shape = (rows * scale, cols * scale)
@@ -180,8 +171,8 @@ def _overlap(size: int, scale: int, offset_px: float, pixfrac: float) -> sparse.
 
 
 def _nearest_hr_pixel(
-    offset_px: NDArray[np.float64], shape: tuple[int, ...], scale: int
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    offset_px: Floats, shape: tuple[int, ...], scale: int
+) -> tuple[NDArray[np.intp], Mask]:
     """Return the flat HR index of every sample [frame row col], and whether it is inside."""
     position: list[NDArray[np.intp]] = []
     for axis in (0, 1):
@@ -195,7 +186,7 @@ def _nearest_hr_pixel(
     return row * cols + col, inside
 
 
-def _gather(pixel: NDArray[np.intp], values: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
+def _gather(pixel: NDArray[np.intp], values: Array, shape: tuple[int, int]) -> Array:
     """Add up the values that fall on each HR pixel."""
     size = shape[0] * shape[1]
     if np.iscomplexobj(values):
@@ -204,9 +195,7 @@ def _gather(pixel: NDArray[np.intp], values: NDArray[Any], shape: tuple[int, int
     return np.bincount(pixel, values, size).reshape(shape)
 
 
-def _median_by_pixel(
-    pixel: NDArray[np.intp], values: NDArray[Any], shape: tuple[int, int]
-) -> NDArray[Any]:
+def _median_by_pixel(pixel: NDArray[np.intp], values: Array, shape: tuple[int, int]) -> Array:
     """Return the median of the values that fall on each HR pixel; 0 where none does."""
     if np.iscomplexobj(values):
         real = _median_by_pixel(pixel, values.real, shape)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.gaussian import MAD_TO_SIGMA
@@ -70,7 +69,7 @@ def deconvolution(
     return Baseline(real + 1j * imag)
 
 
-def frame_noise(frame: NDArray[Any], weight: NDArray[np.float64]) -> float:
+def frame_noise(frame: Array, weight: Floats) -> float:
     """Estimate the noise of a pixel from the 2 x 2 diagonal differences of one frame.
 
         sigma = 1.4826 median |(a - b - c + d) / 2|
@@ -91,7 +90,7 @@ def frame_noise(frame: NDArray[Any], weight: NDArray[np.float64]) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(parts)))
 
 
-def gaussian_psf(sigma_hr_px: float) -> NDArray[np.float64]:
+def gaussian_psf(sigma_hr_px: float) -> Floats:
     """Return a Gaussian [row col] whose width is right even below one pixel.
 
     It is sampled in frequency, where exp(-2 (pi sigma f)^2) is cut at the Nyquist limit, and not
@@ -103,12 +102,7 @@ def gaussian_psf(sigma_hr_px: float) -> NDArray[np.float64]:
     return np.outer(line, line)
 
 
-def _restore(
-    image: NDArray[np.float64],
-    sigma_hr_px: float,
-    balance: float,
-    method: Restoration,
-) -> NDArray[np.float64]:
+def _restore(image: Floats, sigma_hr_px: float, balance: float, method: Restoration) -> Floats:
     """Deconvolve a real image, with a mirrored margin because the methods are periodic."""
     from skimage import restoration as untyped
 
@@ -132,9 +126,7 @@ def _restore(
     return np.asarray(restored[margin:-margin, margin:-margin] * size, dtype=np.float64)
 
 
-def _balance(
-    image: NDArray[Any], offset_px: NDArray[np.float64], scale: int, noise_sigma: float
-) -> float:
+def _balance(image: Array, offset_px: Floats, scale: int, noise_sigma: float) -> float:
     """Return the ratio of noise to detail, sigma^2 / tau^2.
 
     tau^2 is the mean square of the Laplacian of the upscaled image less what the noise adds to

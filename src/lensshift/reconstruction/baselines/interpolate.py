@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from lensshift.core.arrays import Array, Floats
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import hr_to_lr
 from lensshift.reconstruction.baselines.holes import fill_holes
 from lensshift.reconstruction.baselines.result import Baseline
@@ -98,13 +97,7 @@ def cubic_taps(size: int, scale: int, offset_px: float) -> sparse.csr_array:
     return sparse.csr_array(matrix.tocsr())
 
 
-def resampled(
-    frame: NDArray[Any],
-    weight: NDArray[np.float64],
-    offset_px: NDArray[np.float64],
-    scale: int,
-    taps: Taps,
-) -> Baseline:
+def resampled(frame: Array, weight: Floats, offset_px: Floats, scale: int, taps: Taps) -> Baseline:
     """Fill the holes of a frame [row col] and resample it, with its noise gain."""
     filled, variance = fill_holes(frame, weight, np.ones(frame.shape))
     image, row, col = _apply(taps, filled, offset_px, scale)
@@ -113,8 +106,8 @@ def resampled(
 
 
 def _apply(
-    taps: Taps, values: NDArray[Any], offset_px: NDArray[np.float64], scale: int
-) -> tuple[NDArray[Any], sparse.csr_array, sparse.csr_array]:
+    taps: Taps, values: Array, offset_px: Floats, scale: int
+) -> tuple[Array, sparse.csr_array, sparse.csr_array]:
     """Resample values [row col] along both axes; return the matrices too."""
     row, col = (
         taps(size, scale, float(offset))
@@ -123,7 +116,7 @@ def _apply(
     return np.ascontiguousarray((col @ (row @ values).T).T), row, col
 
 
-def _median(stack: NDArray[Any], counted: NDArray[np.bool_]) -> NDArray[Any]:
+def _median(stack: Array, counted: Mask) -> Array:
     """Return the median over axis 0 of the samples that count, of each component."""
     if np.iscomplexobj(stack):
         return _median(stack.real, counted) + 1j * _median(stack.imag, counted)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from lensshift.core.arrays import Array, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,6 +20,6 @@ class Baseline:
         was filled from its neighbours; None for methods that interpolate
     """
 
-    image: NDArray[Any]
-    noise_gain: NDArray[np.float64] | None = None
-    hit_weight: NDArray[np.float64] | None = None
+    image: Array
+    noise_gain: Floats | None = None
+    hit_weight: Floats | None = None

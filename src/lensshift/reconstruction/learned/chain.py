@@ -21,13 +21,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.learned.kernels import Kernels
 from lensshift.reconstruction.learned.turn import Turn
 
 # Of NumPy or of the device, float32; a picture is complex64 for phasors.
 Single = NDArray[np.floating[Any]]
-Picture = NDArray[Any]
+Picture = Array
 
 # The form of the chain that the weights were trained in (training/network.py); not to be tuned.
 START_STEPS, DATA_STEPS = 8, 4
@@ -101,7 +102,7 @@ class LearnedPrior(Protocol):
         ...
 
     @property
-    def numbers(self) -> Mapping[str, NDArray[np.float64]]:
+    def numbers(self) -> Mapping[str, Floats]:
         """Learned numbers of the data steps: lowest eigenvalue, trust, forgive, doubt."""
         ...
 
@@ -209,9 +210,7 @@ class Chain:
         """What counts as weight where no frame sees an HR pixel."""
         return LEAST_DENSITY * float(self.y.shape[1]) / self.scale**2
 
-    def start(
-        self, density: Single, numbers: Mapping[str, NDArray[np.float64]]
-    ) -> tuple[Picture, Picture]:
+    def start(self, density: Single, numbers: Mapping[str, Floats]) -> tuple[Picture, Picture]:
         """Return v_0, and the weighted mean of the frames that it was found from."""
 
         def apply(p: Picture) -> Picture:

@@ -27,11 +27,11 @@ class Kernels(Protocol):
         """What NumPy and the device's library share of the array API."""
         ...
 
-    def there(self, values: NDArray[Any]) -> Array:
+    def there(self, values: Array) -> Array:
         """Return an array on the device."""
         ...
 
-    def back(self, values: Array) -> NDArray[Any]:
+    def back(self, values: Array) -> Array:
         """Return an array of the device in NumPy."""
         ...
 
@@ -53,11 +53,11 @@ class Compiled:
 
     xp: Any = np
 
-    def there(self, values: NDArray[Any]) -> NDArray[Any]:
+    def there(self, values: Array) -> Array:
         """Return the array."""
         return values
 
-    def back(self, values: NDArray[Any]) -> NDArray[Any]:
+    def back(self, values: Array) -> Array:
         """Return the array."""
         return values
 
@@ -68,13 +68,11 @@ class Compiled:
             A.in_shape, A.out_shape, lambda x: _each(A.forward, x), lambda y: _each(A.adjoint, y)
         )
 
-    def applied(
-        self, network: Network, seen: Sequence[NDArray[Any]], facts: NDArray[np.float32]
-    ) -> NDArray[Any]:
+    def applied(self, network: Network, seen: Sequence[Array], facts: NDArray[np.float32]) -> Array:
         """Return the channels [burst row col out]."""
         return _each(lambda *parts: network(parts, facts), *seen)
 
-    def mean_around(self, values: NDArray[Any], size_px: int) -> NDArray[Any]:
+    def mean_around(self, values: Array, size_px: int) -> Array:
         """Return the mean over a window."""
         sizes = (1,) * (values.ndim - 2) + (size_px, size_px)
         return np.asarray(uniform_filter(values, sizes, mode="constant"))
@@ -83,6 +81,6 @@ class Compiled:
 COMPILED = Compiled()
 
 
-def _each(apply: Callable[..., NDArray[Any]], *batches: NDArray[Any]) -> NDArray[Any]:
+def _each(apply: Callable[..., Array], *batches: Array) -> Array:
     found = [apply(*ones) for ones in zip(*batches, strict=True)]
     return found[0][None] if len(found) == 1 else np.stack(found)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.reconstruction.learned.chain import Picture, Single, State
 from lensshift.reconstruction.learned.kernels import Kernels
 from lensshift.reconstruction.learned.network import Network, fold, unfold
@@ -23,7 +24,7 @@ class BrightnessPrior:
     """For real pictures: what is multiplied or added to all frames comes back in the picture."""
 
     stages: tuple[Network, ...]
-    numbers: Mapping[str, NDArray[np.float64]]
+    numbers: Mapping[str, Floats]
     last_steps: int = 8
 
     def improve(
@@ -55,7 +56,7 @@ class PhasorPrior:
     """
 
     stages: tuple[Network, ...]
-    numbers: Mapping[str, NDArray[np.float64]]
+    numbers: Mapping[str, Floats]
     last_steps: int = 0
 
     def improve(

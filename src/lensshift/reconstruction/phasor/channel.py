@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Estimate, ShiftField
 from lensshift.core.units import PhaseScale, distance_to_phase
@@ -30,8 +31,6 @@ from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, 
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
-
-Array = NDArray[Any]
 
 METHODS = ("auto", "tikhonov", "tv")
 # Of the pixels: with more of them turned a picture is not shown without a warning.
@@ -58,7 +57,7 @@ class PhasorResult:
 
     amplitude: Estimate
     distance_m: Estimate
-    flying: NDArray[np.bool_]
+    flying: Mask
 
 
 def reconstruct_phasor(
@@ -197,7 +196,7 @@ def _check(method: str, request: Request, photometric: bool) -> None:
         raise ValueError("photometric estimation expects real frames, not the phasor channel")
 
 
-def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> Estimate:
+def _learned(problem: Problem, sigma: Floats, request: Request) -> Estimate:
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
     amplitude = np.abs(found.image)
@@ -220,7 +219,7 @@ def _linear(problem: Problem, method: str, request: Request) -> Estimate:
     solver = kind(request.prior_weight, **request.options)
     estimate = solver(problem, replace(request, non_negative=False))
 
-    def std() -> NDArray[np.float64]:
+    def std() -> Floats:
         of_component = np.asarray(estimate.std)
         of_phase_rad = of_component / np.maximum(np.abs(estimate.image), 1e-12)
         return np.stack([of_component, np.minimum(of_phase_rad, NO_PHASE_RAD)])
@@ -228,7 +227,7 @@ def _linear(problem: Problem, method: str, request: Request) -> Estimate:
     return replace(estimate, uncertainty=functools.cache(std) if request.std else None)
 
 
-def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.bool_]) -> None:
+def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: Mask) -> None:
     if settled is frames:
         return
     turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
@@ -243,11 +242,7 @@ def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.b
 
 
 def _result(
-    frame: FramePredictor,
-    problem: Problem,
-    found: Estimate,
-    phase_rad: NDArray[np.float64],
-    scale: PhaseScale,
+    frame: FramePredictor, problem: Problem, found: Estimate, phase_rad: Floats, scale: PhaseScale
 ) -> PhasorResult:
     """Bring a complex estimate back to the units of the burst, as amplitude and distance."""
     unit, std = problem.intensity, found.uncertainty
@@ -282,7 +277,7 @@ def _result(
     return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
 
 
-def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray[np.bool_]:
+def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
     """Return the pixels [row col] that lie between two surfaces and on neither.
 
         d - near >= q (far - near),   far - d >= q (far - near),   q = 0.2
@@ -328,5 +323,5 @@ def _of_nine(pick: np.ufunc, image: Array) -> Array:
     return image
 
 
-def _between(image: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+def _between(image: Array, low: Array, high: Array) -> Mask:
     return np.asarray(np.minimum(image - low, high - image) >= FLYING_SHARE * (high - low))

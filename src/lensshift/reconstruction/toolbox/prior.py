@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.reconstruction.quantiles import median_3x3
 
 SMOOTHING = 1e-4
@@ -18,7 +18,7 @@ def directions(window: int) -> list[tuple[int, int]]:
     return [(row, col) for row in span for col in span if (row, col) != (0, 0)]
 
 
-def sparse_transform(image: NDArray[np.float64], window: int, alpha: float) -> NDArray[np.float64]:
+def sparse_transform(image: Floats, window: int, alpha: float) -> Floats:
     """Return z [direction row col] = alpha^(|l|+|m|) (S_lm x - x), 3 x 3 median filtered."""
     padded = np.pad(image, window, mode="symmetric")
     steps = directions(window)
@@ -51,15 +51,15 @@ class WeightedBtv:
     shape: tuple[int, ...]
     window: int
     alpha: float
-    weights: NDArray[np.float64]
-    _weights_by_columns: NDArray[np.float64] = field(init=False)
+    weights: Floats
+    _weights_by_columns: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         # The weight vector runs by rows, but `value` of the toolbox reads it by columns.
         misread = self.weights.reshape(-1, *self.shape[::-1]).swapaxes(1, 2)
         object.__setattr__(self, "_weights_by_columns", np.ascontiguousarray(misread))
 
-    def value(self, x: NDArray[np.float64]) -> float:
+    def value(self, x: Floats) -> float:
         """Return R(x)."""
         image = x.reshape(self.shape)
         padded = np.pad(image, self.window, mode="symmetric")
@@ -75,7 +75,7 @@ class WeightedBtv:
             total += self.alpha ** (abs(row) + abs(col)) * float(np.einsum("ij,ij", weight, loss))
         return total
 
-    def gradient(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, x: Floats) -> Floats:
         """Return what the toolbox takes for the gradient of R, as a vector."""
         image = x.reshape(self.shape)
         padded = np.pad(image, self.window, mode="symmetric")
@@ -110,8 +110,6 @@ def _overlap(
     return here, there
 
 
-def _shifted(
-    padded: NDArray[np.float64], shape: tuple[int, ...], window: int, row: int, col: int
-) -> NDArray[np.float64]:
+def _shifted(padded: Floats, shape: tuple[int, ...], window: int, row: int, col: int) -> Floats:
     """Return S x with (S x)[i, j] = x[i - row, j - col], cut out of the padded image."""
     return padded[window - row : window - row + shape[0], window - col : window - col + shape[1]]

@@ -5,26 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from lensshift.core.arrays import Floats
 
 _STEP = 1e-4
 _SCALE_MIN, _SCALE_MAX = 1e-15, 1e100
 
 
-def dot(a: Vector, b: Vector) -> float:
+def dot(a: Floats, b: Floats) -> float:
     """Return a . b without BLAS, whose threads cost more than the product on images this small."""
     return float(np.einsum("i,i", a, b))
 
 
 def minimise_scg(
-    objective: Callable[[Vector], float],
-    gradient: Callable[[Vector], Vector],
-    x: Vector,
+    objective: Callable[[Floats], float],
+    gradient: Callable[[Floats], Floats],
+    x: Floats,
     iterations: int,
     tolerance: float = 1e-3,
-) -> tuple[Vector, float]:
+) -> tuple[Floats, float]:
     """Minimise a function by scaled conjugate gradients; return the point and its objective.
 
         curvature = d . (g(x + sigma d) - g(x)) / sigma,   sigma = 1e-4 / |d|
@@ -69,7 +68,7 @@ def minimise_scg(
     return x, f
 
 
-def _descent(d: Vector, g: Vector) -> tuple[Vector, float]:
+def _descent(d: Floats, g: Floats) -> tuple[Floats, float]:
     """Return a direction that goes down, steepest descent if `d` does not, and its slope."""
     slope = dot(d, g)
     if slope >= 0:
