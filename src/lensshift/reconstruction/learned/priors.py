@@ -21,7 +21,14 @@ CORRELATION_LIMIT = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrightnessPrior:
-    """For real pictures: what is multiplied or added to all frames comes back in the picture."""
+    """For real pictures: what is multiplied or added to all frames comes back in the picture.
+
+    Parameters
+    ----------
+    stages : the networks
+    numbers : learned for the data steps: lowest eigenvalue, trust, forgive, doubt
+    last_steps : data steps after the last stage
+    """
 
     stages: tuple[Network, ...]
     numbers: Mapping[str, Floats]
@@ -86,6 +93,9 @@ class PhasorPrior:
         both = CORRELATION_LIMIT * xp.tanh(_drawn(channels[..., 20:24], state))
         spread: Single = xp.stack([along, across, both], 1)
         return spread
+
+
+LearnedPrior = BrightnessPrior | PhasorPrior
 
 
 def _applied(

@@ -17,13 +17,12 @@ from lensshift.reconstruction.learned.chain import (
     TINY,
     Chain,
     Held,
-    LearnedPrior,
     Picture,
     Single,
 )
 from lensshift.reconstruction.learned.kernels import COMPILED, Kernels
 from lensshift.reconstruction.learned.network import learned_weights
-from lensshift.reconstruction.learned.priors import BrightnessPrior, PhasorPrior
+from lensshift.reconstruction.learned.priors import BrightnessPrior, LearnedPrior, PhasorPrior
 from lensshift.reconstruction.learned.turn import turn_of
 
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
