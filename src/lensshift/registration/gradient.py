@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.registration.likelihood import ShiftFit
+from lensshift.registration.likelihood import ShiftFit, against_reference
 
 Shifts = Floats
 
@@ -164,10 +164,5 @@ def _covariance(normal: Floats, residual: float, reference: int) -> Floats:
     """
     count = len(normal)
     shared = 4.0 * np.pi * LOW_PASS_SIGMA_PX**2
-    each = [residual * shared * np.linalg.pinv(one, rcond=1e-9) for one in normal]
-    covariance = np.zeros((count, 2, count, 2))
-    for k in range(count):
-        for other in range(count):
-            if reference not in (k, other):
-                covariance[k, :, other] = each[reference] + (each[k] if k == other else 0.0)
-    return covariance.reshape(2 * count, 2 * count) * (count - 1) / count
+    each = residual * shared * np.linalg.pinv(normal, rcond=1e-9)
+    return against_reference(each, reference) * (count - 1) / count

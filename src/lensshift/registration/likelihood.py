@@ -64,6 +64,17 @@ class ShiftFit:
         return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 2)
 
 
+def against_reference(own: Array, reference: int) -> Floats:
+    """Return the covariance of differences from the reference, from [frame 2 2] of each alone."""
+    count = len(own)
+    covariance = np.kron(np.ones((count, count)), own[reference])
+    for k in range(count):
+        covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own[k]
+    covariance[2 * reference : 2 * reference + 2] = 0.0
+    covariance[:, 2 * reference : 2 * reference + 2] = 0.0
+    return covariance
+
+
 @dataclass(slots=True)
 class _State:
     """Where the search stands."""

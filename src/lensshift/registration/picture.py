@@ -15,7 +15,7 @@ from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.forward.operator import LinearOperator
 from lensshift.registration.blocks import scatter_over_blocks
-from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit
+from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, against_reference
 from lensshift.registration.spectrum import PIXEL_SIGMA_PX
 
 Shifts = Floats
@@ -243,18 +243,5 @@ def _step(
 
 
 def _shifts_of(fit: Fit, reference: int) -> ShiftFit:
-    return ShiftFit(
-        fit.place_px[..., 0], _against(fit.own, reference), np.ones(len(fit.own)), fit.noise,
-        fit.settled,
-    )  # fmt: skip
-
-
-def _against(own: Array, reference: int) -> Shifts:
-    """Return the covariance of differences from the reference, from [frame 2 2] of each alone."""
-    count = len(own)
-    covariance = np.kron(np.ones((count, count)), own[reference])
-    for k in range(count):
-        covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own[k]
-    covariance[2 * reference : 2 * reference + 2] = 0.0
-    covariance[:, 2 * reference : 2 * reference + 2] = 0.0
-    return covariance
+    covariance = against_reference(fit.own, reference)
+    return ShiftFit(fit.place_px[..., 0], covariance, np.ones(len(fit.own)), fit.noise, fit.settled)

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.arrays import Floats
+from lensshift.forward.least_squares import conjugate_gradient
 
 # Knots per pixel, and how stiff the spline is where no pixel says anything. Two hold no edge of a
 # half-filled pixel behind a sharp lens, whose misfit reads as a shift that varies; three do.
 KNOTS_PER_PX = 3
 _STIFFNESS = 1e-3  # of the spline, over the weight of what it is fitted to
-_PASSES = 60  # of conjugate gradients
+_PASSES, _SOLVED = 60, 1e-9**0.5  # of conjugate gradients
 _NUMBERS_AT_ONCE = 50_000  # of the spline in some frames, so that they stay in the cache
 
 
@@ -155,22 +156,13 @@ def _fitted(frames: Floats, weight: Floats, groups: list[_Group], start: Floats)
             total += one.back(weight[one.part] * one.seen(knots))
         return total
 
-    knots = start.copy()
-    residual = -normal(knots)
+    rest = -normal(start)
     for one in groups:
-        residual += one.back(weight[one.part] * frames[one.part])
-    direction = residual.copy()
-    size = first = float(np.sum(residual**2))
-    for _ in range(_PASSES):
-        if size <= 1e-9 * first:
-            break
-        bent = normal(direction)
-        length = size / float(np.sum(direction * bent))
-        knots += length * direction
-        residual -= length * bent
-        before, size = size, float(np.sum(residual**2))
-        direction = residual + size / before * direction
-    return knots
+        rest += one.back(weight[one.part] * frames[one.part])
+    none, same = np.zeros_like(rest), np.ones(1)
+    return start + conjugate_gradient(
+        normal, rest, none, same, _PASSES, _SOLVED, residual=rest.copy()
+    )
 
 
 def _stiff(knots: Floats) -> Floats:

@@ -12,6 +12,7 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import hr_to_lr
 from lensshift.reconstruction.baselines.holes import fill_holes
 from lensshift.reconstruction.baselines.result import Baseline
+from lensshift.reconstruction.toolbox.resize import cubic
 
 # Positions half-way between two LR pixels must not depend on rounding errors of the offset.
 _TIE_PX = 1e-9
@@ -85,10 +86,7 @@ def cubic_taps(size: int, scale: int, offset_px: float) -> sparse.csr_array:
     at = np.clip(hr_to_lr(np.arange(size * scale), scale) + offset_px, -2.0, size + 1.0)
     first = np.floor(at).astype(np.intp) - 1
     tap = first[:, None] + np.arange(4)
-    d = np.abs(at[:, None] - tap)
-    near = (1.5 * d - 2.5) * d * d + 1.0
-    far = ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0
-    kernel = np.where(d <= 1, near, np.where(d <= 2, far, 0.0))
+    kernel = cubic(at[:, None] - tap)
     row = np.broadcast_to(np.arange(at.size)[:, None], tap.shape)
     matrix = sparse.coo_array(
         (kernel.ravel(), (row.ravel(), np.clip(tap, 0, size - 1).ravel())), shape=(at.size, size)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import QualityWarning
@@ -294,7 +295,7 @@ def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
     """
     image_m = np.asarray(distance_m, np.float64)
     sigma_m = np.broadcast_to(np.asarray(noise_m, np.float64), image_m.shape)
-    near_m, far_m = _of_nine(np.minimum, image_m), _of_nine(np.maximum, image_m)
+    near_m, far_m = minimum_filter(image_m, 3), maximum_filter(image_m, 3)
     large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, FLYING_STEP * np.abs(near_m))
     flying = large & _between(image_m, near_m, far_m)
     for axis in (0, 1):
@@ -310,17 +311,6 @@ def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
         between = _between(c, np.minimum(before, after), np.maximum(before, after))
         np.moveaxis(flying, axis, 0)[2:-2] |= off & between
     return flying
-
-
-def _of_nine(pick: np.ufunc, image: Array) -> Array:
-    """Return what is picked of each pixel and its neighbours."""
-    for axis in (0, 1):
-        before, found = np.moveaxis(image, axis, 0), image.copy()
-        to = np.moveaxis(found, axis, 0)
-        pick(to[1:], before[:-1], out=to[1:])
-        pick(to[:-1], before[1:], out=to[:-1])
-        image = found
-    return image
 
 
 def _between(image: Array, low: Array, high: Array) -> Mask:
