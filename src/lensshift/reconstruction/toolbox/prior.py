@@ -61,51 +61,42 @@ class WeightedBtv:
 
     def value(self, x: Floats) -> float:
         """Return R(x)."""
-        image = x.reshape(self.shape)
-        padded = np.pad(image, self.window, mode="symmetric")
-        loss = np.empty(self.shape)
         total = 0.0
-        for (row, col), weight in zip(
-            directions(self.window), self._weights_by_columns, strict=True
-        ):
-            np.subtract(_shifted(padded, self.shape, self.window, row, col), image, out=loss)
-            np.multiply(loss, loss, out=loss)
-            np.add(loss, SMOOTHING, out=loss)
-            np.sqrt(loss, out=loss)
-            total += self.alpha ** (abs(row) + abs(col)) * float(np.einsum("ij,ij", weight, loss))
+        for share, slope, weight in zip(*self._slopes(x), self._weights_by_columns, strict=True):
+            total += share * float(np.einsum("ij,ij", weight, np.sqrt(slope**2 + SMOOTHING)))
         return total
 
     def gradient(self, x: Floats) -> Floats:
         """Return what the toolbox takes for the gradient of R, as a vector."""
+        gradient = np.zeros(self.shape)
+        steps = directions(self.window)
+        for step, share, slope, weight in zip(steps, *self._slopes(x), self.weights, strict=True):
+            term = slope / np.sqrt(slope**2 + SMOOTHING)
+            here, there = _overlap(self.shape, *step)
+            back = term[there].copy()
+            term[here] -= back
+            gradient += term * weight * share
+        return gradient.ravel()
+
+    def _slopes(self, x: Floats) -> tuple[list[float], list[Floats]]:
+        """Return alpha^(|l|+|m|) and x - S_lm x [row col] of each direction."""
         image = x.reshape(self.shape)
         padded = np.pad(image, self.window, mode="symmetric")
-        slope, term, gradient = np.empty(self.shape), np.empty(self.shape), np.zeros(self.shape)
-        for (row, col), weight in zip(directions(self.window), self.weights, strict=True):
-            np.subtract(image, _shifted(padded, self.shape, self.window, row, col), out=slope)
-            np.multiply(slope, slope, out=term)
-            np.add(term, SMOOTHING, out=term)
-            np.sqrt(term, out=term)
-            np.divide(slope, term, out=slope)
-            term[...] = slope
-            here, there = _overlap(self.shape, row, col)
-            term[here] -= slope[there]
-            np.multiply(term, weight, out=term)
-            np.multiply(term, self.alpha ** (abs(row) + abs(col)), out=term)
-            gradient += term
-        return gradient.ravel()
+        steps = directions(self.window)
+        slopes = [image - _shifted(padded, self.shape, self.window, *step) for step in steps]
+        return [self.alpha ** (abs(row) + abs(col)) for row, col in steps], slopes
 
 
 def _overlap(
     shape: tuple[int, ...], row: int, col: int
 ) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     """Return the pixels u whose partner u + (row, col) is inside the image, and the partners."""
-    here = tuple(
-        slice(max(-step, 0), size - max(step, 0))
-        for step, size in zip((row, col), shape, strict=True)
-    )
-    there = tuple(
-        slice(max(step, 0), size - max(-step, 0))
-        for step, size in zip((row, col), shape, strict=True)
+    here, there = (
+        tuple(
+            slice(max(-way * step, 0), size - max(way * step, 0))
+            for step, size in zip((row, col), shape, strict=True)
+        )
+        for way in (1, -1)
     )
     return here, there
 

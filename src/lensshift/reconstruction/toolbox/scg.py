@@ -41,13 +41,20 @@ def minimise_scg(
     slope = square = curvature = 0.0
     for _ in range(iterations):
         if success:
-            d, slope = _descent(d, g)
+            slope = dot(d, g)
+            if slope >= 0:  # it does not go down
+                d = -g
+                slope = dot(d, g)
             square = dot(d, d)
             if square < np.finfo(np.float64).eps:
                 break
             sigma = _STEP / np.sqrt(square)
             curvature = dot(d, gradient(x + sigma * d) - g) / sigma
-        step, beta = _step_length(slope, curvature, square, beta)
+        damped = curvature + beta * square
+        if damped <= 0:
+            damped = beta * square
+            beta -= curvature / square
+        step = -slope / damped
         x_new = x + step * d
         f_new = objective(x_new)
         ratio = 2.0 * (f_new - f) / (step * slope)
@@ -60,36 +67,12 @@ def minimise_scg(
             g_old, g = g, gradient(x)
             if not g.any():
                 break
-        beta = _rescaled(beta, ratio)
+        if ratio < 0.25:  # the model was poor
+            beta = min(4.0 * beta, _SCALE_MAX)
+        if ratio > 0.75:
+            beta = max(0.5 * beta, _SCALE_MIN)
         if successes == x.size:
             d, successes = -g, 0
         elif success:
             d = dot(g_old - g, g) / slope * d - g
     return x, f
-
-
-def _descent(d: Floats, g: Floats) -> tuple[Floats, float]:
-    """Return a direction that goes down, steepest descent if `d` does not, and its slope."""
-    slope = dot(d, g)
-    if slope >= 0:
-        d = -g
-        slope = dot(d, g)
-    return d, slope
-
-
-def _step_length(slope: float, curvature: float, square: float, beta: float) -> tuple[float, float]:
-    """Return the step along d and the trust scale, raised where the curvature is not positive."""
-    damped = curvature + beta * square
-    if damped <= 0:
-        damped = beta * square
-        beta -= curvature / square
-    return -slope / damped, beta
-
-
-def _rescaled(beta: float, ratio: float) -> float:
-    """Return the new trust scale: fourfold where the model was poor, half where it was good."""
-    if ratio < 0.25:
-        beta = min(4.0 * beta, _SCALE_MAX)
-    if ratio > 0.75:
-        beta = max(0.5 * beta, _SCALE_MIN)
-    return beta
