@@ -19,7 +19,6 @@ from lensshift.reconstruction.losses import (
     Squares,
 )
 from lensshift.reconstruction.method import Method, Request, Weight
-from lensshift.reconstruction.noise import Noise, estimate_noise
 from lensshift.reconstruction.options import one_of, option, positive, weight, whole
 from lensshift.reconstruction.priors import PRIORS, BilateralTotalVariation, SparseDifferences
 from lensshift.reconstruction.problem import Problem, peak_of
@@ -111,7 +110,7 @@ class _Sparse(_Penalised):
     ) -> tuple[Reweighted, float | None]:
         told = felt = problem.noise_sigma
         if felt is None:
-            noise = _noise(problem)
+            noise = problem.shown_noise
             # Squares feel the outliers.
             told, felt = max(noise.sigma, LEAST_SIGMA), max(noise.total, LEAST_SIGMA)
         share = prior_share(problem.blur_sigma_px * problem.scale)
@@ -187,7 +186,7 @@ class _Robust(_Penalised):
         """Find picture and weight in turn, before the run that counts."""
         noise = problem.noise_sigma
         if noise is None:
-            found = _noise(problem)
+            found = problem.shown_noise
             # Squares feel the outliers; the other losses hardly do.
             noise = found.total if isinstance(fit.loss, Squares) else found.effective
         noise = max(noise, LEAST_SIGMA)
@@ -376,9 +375,3 @@ class IrwsrToolbox(Irwsr):
             on_iteration=None if callback is None else lambda step, _: callback(step, np.nan),
             **settings,
         )[0]  # fmt: skip
-
-
-def _noise(problem: Problem) -> Noise:
-    return estimate_noise(
-        problem.model.operator, problem.y, problem.telling_weight, even=problem.even_noise
-    )

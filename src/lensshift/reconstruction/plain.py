@@ -10,7 +10,6 @@ import numpy as np
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction import baselines
 from lensshift.reconstruction.method import Method, Request
-from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.options import one_of, option, positive, whole
 from lensshift.reconstruction.problem import Problem
 
@@ -26,10 +25,7 @@ class _Plain(Method):
         sigma, std = problem.noise_sigma, None
         if request.std and found.noise_gain is not None:
             if sigma is None:
-                sigma = estimate_noise(
-                    problem.model.operator, problem.y, problem.telling_weight,
-                    even=problem.even_noise,
-                ).sigma  # fmt: skip
+                sigma = problem.shown_noise.sigma
             std = found.noise_gain * sigma
         return Estimate(image=image, uncertainty=std, status=Status.DIRECT, noise_sigma=sigma)
 

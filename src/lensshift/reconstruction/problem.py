@@ -17,6 +17,7 @@ from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.forward.prediction import FramePredictor
 from lensshift.reconstruction.clipping import beside, clipped_pixels
+from lensshift.reconstruction.noise import Noise, estimate_noise
 
 # So many pixels tell the percentiles of frames to a thousandth of the contrast.
 MOST_PIXELS = 2**15
@@ -103,6 +104,13 @@ class Problem:
         """
         telling = np.where(np.isfinite(self.judging(self.weight)), self.weight, 0.0)
         return telling if telling.any() else self.weight
+
+    @property
+    def shown_noise(self) -> Noise:
+        """What the frames say of their noise."""
+        return estimate_noise(
+            self.model.operator, self.y, self.telling_weight, even=self.even_noise
+        )
 
     def with_photometry(self, gain: ArrayLike, bias: ArrayLike) -> Problem:
         """Return the problem with another gain and bias [frame], bias in units of `intensity`.

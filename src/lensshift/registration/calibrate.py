@@ -213,17 +213,13 @@ def _starts(burst: Burst, phase_px: Floats) -> list[Floats]:
     Phase correlation of each frame is rough where content is aliased; what stage and play make of
     all of them is not. The map that planned the scan may be mirrored, or wrong by a tenth.
     """
-    design = _stage_and_play(burst)
+    design = _design(_stage(burst), _directions(_commanded(burst)), None)
     found, _, _ = _robust(design, phase_px, np.zeros((phase_px.size, phase_px.size)))
     smooth_px = design @ found
     starts = [smooth_px - smooth_px[0], phase_px]
     if np.any(burst.offset_px):
         starts.insert(1, burst.offset_px - burst.offset_px[0])
     return starts
-
-
-def _stage_and_play(burst: Burst) -> Floats:
-    return _design(_stage(burst), _directions(_commanded(burst)), None)
 
 
 def _commanded(burst: Burst) -> Floats:

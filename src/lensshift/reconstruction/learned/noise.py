@@ -9,7 +9,7 @@ import numpy as np
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.noise import estimate_noise, light_of
+from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
 from lensshift.reconstruction.problem import Problem, some_pixels
 
@@ -104,6 +104,4 @@ def _estimated_noise(problem: Problem) -> NoiseLaw:
         )
         if law is not None:
             return law
-    weight = problem.telling_weight
-    sigma = estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma
-    return constant_noise(sigma, ceiling=problem.even_noise)
+    return constant_noise(problem.shown_noise.sigma, ceiling=problem.even_noise)
