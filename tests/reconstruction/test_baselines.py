@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from lensshift.core.grid import hr_to_lr
 from lensshift.core.types import Burst
-from lensshift.reconstruction import baselines
-from lensshift.reconstruction.baselines import Baseline
+from lensshift.reconstruction.baselines import accumulate, deconvolve, interpolate
 from lensshift.reconstruction.baselines.deconvolve import frame_noise, gaussian_psf
 from lensshift.reconstruction.baselines.holes import fill_holes
+from lensshift.reconstruction.baselines.result import Baseline
 from lensshift.reconstruction.reconstruct import reconstruct
 
 Method = Callable[..., Baseline]
@@ -31,16 +31,9 @@ def _whole(method: Method) -> Method:
     return run
 
 
-nearest, bicubic, deconvolution, shift_and_add, drizzle_frames = map(
-    _whole,
-    (
-        baselines.nearest,
-        baselines.bicubic,
-        baselines.deconvolution,
-        baselines.shift_and_add,
-        baselines.drizzle_frames,
-    ),
-)
+nearest = _whole(lambda *given: interpolate.resampled(*given, interpolate.nearest_taps))
+bicubic, deconvolution = _whole(interpolate.bicubic), _whole(deconvolve.deconvolution)
+shift_and_add, drizzle_frames = map(_whole, (accumulate.shift_and_add, accumulate.drizzle_frames))
 
 SHAPE, SCALE = (9, 14), 3
 OFFSET_PX = np.array([(0.3, -0.2), (-0.45, 0.1), (0.05, 0.6), (-0.7, -1.3), (0.0, 0.0)])

@@ -23,7 +23,7 @@ from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, ShiftField, Status
 from lensshift.reconstruction.methods import Tv, find_method, method_names
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.toolbox import irwsr_toolbox
+from lensshift.reconstruction.toolbox.irwsr import irwsr_toolbox
 
 SHAPE, HR_SHAPE = (9, 13), (18, 26)
 LINEAR = ("nearest", "bicubic", "shift-and-add", "drizzle", "tikhonov")

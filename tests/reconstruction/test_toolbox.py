@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Status
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.toolbox import irwsr_toolbox
-from lensshift.reconstruction.toolbox.irwsr import StepRecord
+from lensshift.reconstruction.toolbox.irwsr import StepRecord, irwsr_toolbox
 from lensshift.reconstruction.toolbox.objective import search_weights, training_pixels
 from lensshift.reconstruction.toolbox.prior import WeightedBtv, directions, sparse_transform
 from lensshift.reconstruction.toolbox.resize import resize_bicubic, temporal_median

@@ -350,7 +350,7 @@ class IrwsrToolbox(Irwsr):
 
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return what the toolbox finds."""
-        from lensshift.reconstruction.toolbox import irwsr_toolbox
+        from lensshift.reconstruction.toolbox.irwsr import irwsr_toolbox
 
         if request.non_negative:
             raise ValueError("the published toolbox has no non-negative option; use irwsr")

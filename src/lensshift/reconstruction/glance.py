@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.reconstruction.noise import usual_size
 from lensshift.reconstruction.quick_shifts import found_shifts, low_passed
-
-Shifts = Floats
 
 # A part of the sensor and some of the frames tell enough, at a bounded price. Shifts in a unit that
 # is too small go far: frames that they move by more than FAR_PX are asked from where they lie, too.

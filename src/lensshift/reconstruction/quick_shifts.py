@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
-
-Shifts = Floats
+from lensshift.core.arrays import Array, Mask, Shifts
 
 # A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
 LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.errors import QualityWarning
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.forward.blur import GaussianBlur
@@ -22,8 +22,6 @@ from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.glance import FAR_PX, Glance
 from lensshift.reconstruction.quick_shifts import found_shifts, found_turns, low_passed
-
-Shifts = Floats
 
 # Of fewer held-out pixels nothing follows.
 LEAST_HELD_OUT = 50

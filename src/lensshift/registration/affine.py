@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.picture import (
     LEAST_FRAMES,
     Fit,
     Places,
-    Shifts,
     alternate,
     predicted,
     step_from,

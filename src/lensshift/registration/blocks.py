@@ -8,10 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, likely_shifts
 
-Shifts = Floats
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
 Estimate = Callable[[Array, Mask], tuple[Shifts, Shifts]]
 
@@ -95,13 +94,18 @@ def scatter_over_blocks(
     return Scatter(factor, np.asarray(size * part_px.T @ part_px))
 
 
-def telling_part(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
-    """Return the part of frames, `sides` px large, with most detail along its poorer axis."""
-    shape = frames.shape[1:]
-    rows, cols = (min(side, size) for side, size in zip(sides, shape, strict=True))
+def telling_part(
+    frames: Array, valid: Mask, offset_px: Shifts, side_px: int
+) -> tuple[slice, slice, slice]:
+    """Return the part of frames with most detail along its poorer axis.
+
+    So large that all frames have in common what is `side_px` large.
+    """
+    shape, sides_px = frames.shape[1:], side_px + np.ceil(np.ptp(offset_px, axis=0)).astype(int)
+    rows, cols = (min(side, size) for side, size in zip(sides_px, shape, strict=True))
     if (rows, cols) == shape:
         return np.s_[:], np.s_[:], np.s_[:]
-    slopes = np.gradient(frames.mean(axis=0))
+    slopes = np.gradient(filled(frames, valid).mean(axis=0))
     energy = np.pad([np.cumsum(np.cumsum(np.abs(s) ** 2, 0), 1) for s in slopes],
                     ((0, 0), (1, 0), (1, 0)))  # fmt: skip
     inside = (energy[:, rows:, cols:] - energy[:, :-rows, cols:]
@@ -124,8 +128,7 @@ def likely_where_telling(
     frames: Array, valid: Mask, start_px: Shifts, *, reference: int, photometric: bool
 ) -> ShiftFit:
     """Return the likeliest shifts; of large frames those of the part that shows most of them."""
-    span = np.ceil(np.ptp(start_px, axis=0)).astype(int)
-    part = telling_part(filled(frames, valid), *(MOST_PX + span))
+    part = telling_part(frames, valid, start_px, MOST_PX)
     return likely_shifts(
         frames[part], valid[part], start_px, reference=reference, photometric=photometric
     )
@@ -142,7 +145,7 @@ def scatter_of_parts(
     if np.any(fit.sigma_px > UNKNOWN_PX):
         return None
     span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
-    part = telling_part(filled(frames, valid), *(MOST_PX + span_px))
+    part = telling_part(frames, valid, fit.offset_px, MOST_PX)
     run = partial(likely_shifts, reference=reference, photometric=photometric)
 
     def estimate(block: Array, block_valid: Mask) -> tuple[Shifts, Shifts]:

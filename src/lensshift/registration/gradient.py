@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.likelihood import ShiftFit, against_reference
-
-Shifts = Floats
 
 # Below this low pass the aliases of square pixels pull the shifts towards whole pixels.
 LOW_PASS_SIGMA_PX = 0.8

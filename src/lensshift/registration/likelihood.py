@@ -8,12 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.curvature import LEAST_SHARE, Curvature, inverse
 from lensshift.registration.spectrum import Frequencies, Spectrum, first_spectrum
 from lensshift.registration.taper import Tapered, quiet_flank_px, taper_frames
-
-Shifts = Floats
 
 _LARGEST_LOG = 7.0  # of a gain, a thousand times: frames without contrast have any
 MAX_STEP_PX = 0.2  # the likelihood is a parabola nearby only

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.likelihood import ShiftFit
 from lensshift.registration.spectrum import Frequencies
 from lensshift.registration.taper import taper_frames
-
-Shifts = Floats
 
 # The least error that phase correlation is believed to have.
 PHASE_SIGMA_PX = 0.005

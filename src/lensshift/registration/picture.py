@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import smooth_fit
@@ -18,7 +18,6 @@ from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, against_reference
 from lensshift.registration.spectrum import PIXEL_SIGMA_PX
 
-Shifts = Floats
 Places = Floats
 
 # A grid that holds the first aliases, by which shifts are told apart.

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.core.defects import doubts_about_frames, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
@@ -37,7 +37,6 @@ from lensshift.registration.picture import (
     better_shifts,
 )
 
-Shifts = Floats
 Method = Literal["auto", "gradient", "phase"]
 Motion = Literal["auto", "shift", "affine"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")

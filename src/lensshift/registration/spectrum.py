@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats
-
-Shifts = Floats
+from lensshift.core.arrays import Array, Floats, Shifts
 
 # The blur of a square pixel that fills its cell; the power law takes up what differs.
 PIXEL_SIGMA_PX = 0.3

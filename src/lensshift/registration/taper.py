@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 
 if TYPE_CHECKING:
     from lensshift.registration.spectrum import Spectrum
 
-Shifts = Floats
 
 # Share of the common length over which a whole taper rises at each end: nothing rises slower that
 # leaves a plateau as long as its flanks.

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.registration.blocks import LEAST_VALID, filled, scatter_of_parts, telling_part
+from lensshift.core.arrays import Array, Mask, Shifts
+from lensshift.registration.blocks import LEAST_VALID, scatter_of_parts, telling_part
 from lensshift.registration.likelihood import UNKNOWN_PX, likely_shifts
-
-Shifts = Floats
 
 # Samples of all frames together that are asked: four frames of 48 x 48 px, for a bounded price.
 # Along an axis at least so many. And so many frames at a time, beside the first.
@@ -112,10 +110,9 @@ def _likeliest(frames: Array, valid: Mask, told_px: Shifts) -> tuple[Shifts, Arr
         return None
     count = len(frames)
     side = max(LEAST_PX, int((MOST_SAMPLES / count) ** 0.5))
-    span_px = np.ceil(np.ptp(told_px, axis=0)).astype(int)
     values = np.where(valid, frames, 0)
     values = values / (np.abs(values).max() or 1.0)
-    part = telling_part(filled(values, valid), *(side + span_px))
+    part = telling_part(values, valid, told_px, side)
     values, seen = values[part], valid[part]
     likeliest_px, covariance = told_px.copy(), np.zeros((2 * count, 2 * count))
     others = np.random.default_rng(0).permutation(np.arange(1, count))  # no line of a pattern

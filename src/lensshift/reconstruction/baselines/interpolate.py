@@ -20,17 +20,6 @@ _TIE_PX = 1e-9
 Taps = Callable[[int, int, float], sparse.csr_array]
 
 
-def nearest(frame: Array, weight: Floats, offset_px: Floats, scale: int) -> Baseline:
-    """Give every HR pixel the value of the LR pixel that it falls on, shift-aligned.
-
-    Parameters
-    ----------
-    frame, weight : [row col]; pixels of weight 0 are filled from their neighbours
-    offset_px : (row, col) of this frame
-    """
-    return resampled(frame, weight, offset_px, scale, nearest_taps)
-
-
 def bicubic(
     frames: Array,
     weight: Floats,
