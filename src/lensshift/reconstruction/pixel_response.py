@@ -83,7 +83,6 @@ def as_seen(
     request: Request,
     response: dict[str, Any],
     blur: Blur,
-    scale: int,
     seen: Mapping[str, Any],
 ) -> tuple[dict[str, Any], Request]:
     """Return the width that the frames of `part` show, if they show one; else the usual one.
@@ -96,11 +95,10 @@ def as_seen(
     channel : what is reconstructed
     response : as from `told_response`
     blur : the whole of it; a fill factor was always told
-    scale, seen : scale, blur, shift_field, noise_sigma and pixel_variance, as in `make_problem`,
+    seen : scale, blur, shift_field, noise_sigma and pixel_variance, as in `make_problem`,
         with what is undone if the frames do not tell; noise that may be that of distances says
         nothing of the light
     """
-    seen = {"scale": scale} | dict(seen)
     if response["psf_source"] != "assumed" or isinstance(blur, ApertureBlur):
         return response, _questioned(part, channel, request, response, blur, seen)
     found, request = _found(part, channel, request, seen)

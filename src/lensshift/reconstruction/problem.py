@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -289,7 +289,7 @@ def without_lens(blur: Blur) -> Blur:
 def predictor(
     burst: Burst,
     problem: Problem,
-    used: tuple[int, ...],
+    used: Sequence[int],
     image: Array,
     shift_field: ShiftField | None,
     gain: ArrayLike = 1.0,

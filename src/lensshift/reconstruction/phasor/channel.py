@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,9 +14,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst, Estimate, ShiftField
+from lensshift.core.types import Burst, Estimate
 from lensshift.core.units import PhaseScale, distance_to_phase
-from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import (
     FramePredictor,
     PhasorPredictor,
@@ -62,14 +62,7 @@ class PhasorResult:
 
 
 def reconstruct_phasor(
-    burst: Burst,
-    used: tuple[int, ...],
-    scale: int,
-    method: str,
-    request: Request,
-    *,
-    photometric: bool = False,
-    **seen: Any,
+    burst: Burst, method: str, request: Request, seen: Mapping[str, Any]
 ) -> PhasorResult:
     """Reconstruct amplitude and distance of a burst from its phasors.
 
@@ -79,27 +72,23 @@ def reconstruct_phasor(
 
     Parameters
     ----------
-    used : numbers of the frames of `burst` to use
     method : "auto": the learned solver for phasors; "tikhonov" and "tv": the phasor as a complex
         image
-    photometric : not possible here, an error
-    seen : blur, shift_field; noise_sigma of a component of the phasor of an LR pixel, in units of
-        the amplitude; pixel_variance [frame row col], the same squared, of each LR pixel used
+    seen : scale, blur, shift_field; noise_sigma of a component of the phasor of an LR pixel, in
+        units of the amplitude; pixel_variance [frame row col], the same squared, of each pixel used
 
     Raises
     ------
     ValueError
         If the method cannot do it or the burst lacks what it needs.
     """
-    _check(method, request, photometric)
+    _check(method, request)
     if burst.phasors is None:
-        return _one_frequency(burst, used, scale, method, request, **seen)
+        return _one_frequency(burst, method, request, seen)
     each = []
     for z, hz in zip(burst.phasors, burst.frequencies_hz, strict=True):
         one = replace(burst, amplitude=z, modulation_hz=hz, distance_m=None, phasors=None)
-        each.append(
-            _one_frequency(one, used, scale, method, replace(request, std=True, law=None), **seen)
-        )
+        each.append(_one_frequency(one, method, replace(request, std=True, law=None), seen))
     return _agreed(burst.frequencies_hz, each, request)
 
 
@@ -144,35 +133,23 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
 
 
 def _one_frequency(
-    burst: Burst,
-    used: tuple[int, ...],
-    scale: int,
-    method: str,
-    request: Request,
-    *,
-    blur: Blur,
-    shift_field: ShiftField | None,
-    noise_sigma: float | None,
-    pixel_variance: Array | None,
+    burst: Burst, method: str, request: Request, seen: Mapping[str, Any]
 ) -> PhasorResult:
-    part = burst.select(used)
+    part = burst.select(request.frames)
     frames = polar_frames(part)
-    problem = make_problem(
-        part, frames.phasor, scale, blur=blur, shift_field=shift_field, noise_sigma=noise_sigma,
-        pixel_variance=pixel_variance,
-    )  # fmt: skip
+    problem = make_problem(part, frames.phasor, **seen)
     turned_rad = frames.scale.reference_m * frames.scale.rad_per_m
     problem = replace(problem, phase_rad=turned_rad)
     sigma = noise_map(problem, request.memory, request.law)[2]
-    seen = problem.weight > 0
-    typical = float(np.median(sigma[seen]))
+    used = problem.weight > 0
+    typical = float(np.median(sigma[used]))
     if method == "auto":
         found = _learned(problem, sigma, request)
     else:
-        found = _linear(replace(problem, noise_sigma=float(sigma[seen].min())), method, request)
-    settled = settle_turns(frames, typical * problem.intensity)
-    phase_rad = nearest_turns(np.angle(found.image), settled, seen, problem.offset_px, scale)
-    _warn_of_turns(frames, settled, seen)
+        found = _linear(replace(problem, noise_sigma=float(sigma[used].min())), method, request)
+    settled, phase_rad = settle_turns(frames, typical * problem.intensity), np.angle(found.image)
+    phase_rad = nearest_turns(phase_rad, settled, used, problem.offset_px, problem.scale)
+    _warn_of_turns(frames, settled, used)
     estimate = replace(
         found,
         noise_sigma=typical,
@@ -184,16 +161,18 @@ def _one_frequency(
         },
     )
     seen_as = found.image if found.fine is None else found.fine
-    frame = predictor(burst, problem, used, seen_as * problem.intensity, shift_field)
+    frame = predictor(
+        burst, problem, request.frames, seen_as * problem.intensity, seen["shift_field"]
+    )
     return _result(frame, problem, estimate, phase_rad, frames.scale)
 
 
-def _check(method: str, request: Request, photometric: bool) -> None:
+def _check(method: str, request: Request) -> None:
     if method not in METHODS:
         raise ValueError(
             f"expected a method among {', '.join(METHODS)} for the phasor channel, got {method!r}"
         )
-    if photometric:
+    if request.photometric:
         raise ValueError("photometric estimation expects real frames, not the phasor channel")
 
 
