@@ -118,9 +118,6 @@ class Stream:
         round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
         live = self._rests and self._pace != "refined" and not (self._pace == "auto" and round_ends)
         event, self._event, self._rests = self._event, None, True
-        return self._solved(event, live=live)
-
-    def _solved(self, event: str | None, *, live: bool) -> Reconstruction:
         places, burst = sorted(self._frames), self.window
         memory, self._memory = self._memory, Memory()  # what is interrupted is not remembered
         memory.begin(quick=live)
